@@ -1,0 +1,36 @@
+# make demo   edit the bundled asset, write pictures and receipt to demo/
+# make test   run the tests            make check   format, lint, types
+PY := .venv/bin/python
+PIP := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+.PHONY: demo test check format clean
+.DEFAULT_GOAL := demo
+
+demo: .venv/installed
+	.venv/bin/splatpainter demo --out demo
+
+test: .venv/installed-dev
+	$(PY) -m pytest
+
+check: .venv/installed-dev
+	.venv/bin/ruff format --check .
+	.venv/bin/ruff check .
+	.venv/bin/pyright
+
+format: .venv/installed-dev
+	.venv/bin/ruff format .
+	.venv/bin/ruff check --fix .
+
+# CPU torch first where there is no NVIDIA GPU, so that no CUDA packages are pulled.
+.venv/installed: pyproject.toml constraints.txt scripts/install-torch
+	test -x $(PY) || python3 -m venv .venv
+	scripts/install-torch $(PY)
+	$(PIP) -e .
+	touch $@
+
+.venv/installed-dev: .venv/installed
+	$(PIP) -e '.[dev]'
+	touch $@
+
+clean:
+	rm -rf .venv demo

@@ -1,0 +1,52 @@
+"""SplatPainter: edit a picture of a 3D Gaussian asset, and the asset changes; untouched rows stay bit for bit the same.
+
+Names are imported on first use, so `import splatpainter` costs nothing and needs no torch.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from splatpainter.cameras import Camera as Camera
+    from splatpainter.cameras import look_at as look_at
+    from splatpainter.cameras import orbit as orbit
+    from splatpainter.io import read as read
+    from splatpainter.io import write as write
+    from splatpainter.painter import Asset as Asset
+    from splatpainter.painter import Edit as Edit
+    from splatpainter.painter import Painter as Painter
+    from splatpainter.receipts import Receipt as Receipt
+    from splatpainter.receipts import verify as verify
+    from splatpainter.render import Render as Render
+    from splatpainter.render import render as render
+    from splatpainter.splats import Splats as Splats
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Splats": "splats",
+    "Camera": "cameras",
+    "look_at": "cameras",
+    "orbit": "cameras",
+    "read": "io",
+    "write": "io",
+    "render": "render",
+    "Render": "render",
+    "Painter": "painter",
+    "Asset": "painter",
+    "Edit": "painter",
+    "Receipt": "receipts",
+    "verify": "receipts",
+}
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    # sp.render is both a package and a function; the function wins once asked for by name.
+    if name in _HOME:
+        value = getattr(importlib.import_module(f"splatpainter.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'splatpainter' has no attribute {name!r}")

@@ -1,0 +1,233 @@
+"""Pinhole cameras: the frozen type, look-at and orbit helpers, and the JSON that travels with every rendered picture.
+
+OpenCV axes (x right, y down, z forward); pixel centres at +0.5; depth is z. Knows no splats and no renderer.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+CHUNK = "splatpainter"
+"""Keyword of the PNG tEXt chunk that carries a camera."""
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One view of a scene."""
+
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
+    fx: float
+    """Focal length in pixels, > 0."""
+    fy: float
+    cx: float
+    """Principal point in pixels (width / 2 for a centred one)."""
+    cy: float
+    world_to_camera: np.ndarray = field(compare=False)
+    """[4, 4] float64 rigid transform."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Colour behind the asset, 0..1, in the asset's colour space."""
+    asset_sha256: str | None = None
+    """The asset a picture was rendered from, to warn about a wrong one."""
+
+    def __post_init__(self) -> None:
+        matrix = np.asarray(self.world_to_camera, np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise ValueError(f"camera: expected a finite 4x4 world_to_camera, got shape {matrix.shape}")
+        if not (self.width > 0 and self.height > 0 and self.fx > 0 and self.fy > 0):
+            raise ValueError(
+                f"camera: size and focal lengths must be positive, got {self.width}x{self.height}, {self.fx}, {self.fy}"
+            )
+        object.__setattr__(self, "world_to_camera", matrix)
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """[3, 3] K, pixels."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
+
+    @property
+    def position(self) -> np.ndarray:
+        """[3] camera centre in world units."""
+        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        return -rotation.T @ translation
+
+    @property
+    def forward(self) -> np.ndarray:
+        """[3] unit viewing direction in world axes."""
+        return self.world_to_camera[2, :3] / np.linalg.norm(self.world_to_camera[2, :3])
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view at another resolution (aspect ratio may differ by rounding only)."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
+        )
+
+    def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
+        """The window [x, x + width) x [y, y + height) of this view."""
+        return replace(self, width=width, height=height, cx=self.cx - x, cy=self.cy - y)
+
+    def rays(self) -> tuple[np.ndarray, np.ndarray]:
+        """(origin [3], directions [H, W, 3]) through the pixel centres, world space, unit length, float32."""
+        u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        local = np.stack([*np.meshgrid(u, v), np.ones((self.height, self.width))], -1)
+        world = local @ self.world_to_camera[:3, :3]
+        world /= np.linalg.norm(world, axis=-1, keepdims=True)
+        return self.position.astype(np.float32), world.astype(np.float32)
+
+    def to_json(self) -> str:
+        """The object of design.md 5, as one line."""
+        return json.dumps(
+            {
+                "version": VERSION,
+                "width": self.width,
+                "height": self.height,
+                "fx": self.fx,
+                "fy": self.fy,
+                "cx": self.cx,
+                "cy": self.cy,
+                "world_to_camera": self.world_to_camera.tolist(),
+                "background": list(self.background),
+                "asset_sha256": self.asset_sha256,
+            }
+        )
+
+    @staticmethod
+    def from_json(text: str, where: str = "camera") -> Camera:
+        """Parse `to_json`'s object. Raises ValueError naming `where` and the field that is wrong."""
+        try:
+            data: dict[str, Any] = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{where}: expected a camera as JSON, got {text[:40]!r} ({error})") from None
+        if not isinstance(data, dict):
+            raise ValueError(f"{where}: expected a JSON object, got {type(data).__name__}")
+        if data.get("version") != VERSION:
+            raise ValueError(f"{where}: expected camera version {VERSION}, got {data.get('version')!r}")
+        try:
+            red, green, blue = (float(c) for c in data.get("background") or (0, 0, 0))
+            return Camera(
+                width=int(data["width"]),
+                height=int(data["height"]),
+                fx=float(data["fx"]),
+                fy=float(data["fy"]),
+                cx=float(data["cx"]),
+                cy=float(data["cy"]),
+                world_to_camera=np.array(data["world_to_camera"], np.float64),
+                background=(red, green, blue),
+                asset_sha256=data.get("asset_sha256"),
+            )
+        except KeyError as error:
+            raise ValueError(f"{where}: the camera has no {error}") from None
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{where}: {error}") from None
+
+
+def look_at(
+    eye: Sequence[float] | np.ndarray,
+    target: Sequence[float] | np.ndarray,
+    up: Sequence[float] | np.ndarray = (0.0, 1.0, 0.0),
+    *,
+    width: int = 512,
+    height: int = 512,
+    fov: float = 50.0,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Camera:
+    """A camera at `eye` facing `target`. up: the world direction that points up in the picture (any length, not along
+    the view). fov: vertical field of view in degrees."""
+    position, aim = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+    z = aim - position
+    if not np.linalg.norm(z) > 0:
+        raise ValueError("look_at: eye and target are the same point")
+    z /= np.linalg.norm(z)
+    x = np.cross(z, np.asarray(up, np.float64))
+    if np.linalg.norm(x) < 1e-6 * np.linalg.norm(up):  # looking straight along up: any horizontal will do
+        x = np.cross(z, np.roll(np.asarray(up, np.float64), 1) + 1e-3)
+    x /= np.linalg.norm(x)
+    y = np.cross(z, x)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([x, y, z])
+    matrix[:3, 3] = -matrix[:3, :3] @ position
+    focal = height / (2 * math.tan(math.radians(fov) / 2))
+    return Camera(width, height, focal, focal, width / 2, height / 2, matrix, background)
+
+
+def orbit(
+    center: Sequence[float] | np.ndarray,
+    radius: float,
+    count: int,
+    *,
+    elevation: float = 15.0,
+    start: float = 0.0,
+    up: Sequence[float] | np.ndarray = (0.0, 1.0, 0.0),
+    width: int = 512,
+    height: int = 512,
+    fov: float = 50.0,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> list[Camera]:
+    """`count` cameras evenly around `center` at `radius` (world units), looking at it. elevation and start: degrees,
+    above the horizon and of the first camera around `up`."""
+    axis = np.asarray(up, np.float64) / np.linalg.norm(up)
+    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    front = np.cross(side, axis)
+    tilt = math.radians(elevation)
+    cameras = []
+    for angle in np.radians(start + 360.0 * np.arange(count) / max(count, 1)):
+        flat = math.cos(angle) * front + math.sin(angle) * side
+        eye = np.asarray(center) + radius * (math.cos(tilt) * flat + math.sin(tilt) * axis)
+        cameras.append(look_at(eye, center, axis, width=width, height=height, fov=fov, background=background))
+    return cameras
+
+
+def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None) -> None:
+    """Write [H, W, 3] colours (float 0..1, or uint8) as an 8-bit PNG, with its camera in the tEXt chunk if given."""
+    from PIL import Image, PngImagePlugin
+
+    chunk = PngImagePlugin.PngInfo()
+    if camera is not None:
+        chunk.add_text(CHUNK, camera.to_json())
+    target = Path(path)
+    partial = target.with_name(target.name + ".part")
+    try:
+        Image.fromarray(to_uint8(image)).save(partial, "PNG", pnginfo=chunk)
+        partial.replace(target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def to_uint8(image: np.ndarray) -> np.ndarray:
+    """Float 0..1 -> 0..255, rounded to nearest; uint8 passes through."""
+    if image.dtype == np.uint8:
+        return image
+    return (np.clip(np.nan_to_num(image), 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def find_camera(png: str | Path, explicit: str | Path | None = None) -> Camera:
+    """The camera of a picture: the explicit JSON file, else the PNG's chunk, else the sidecar NAME.json beside it.
+    Raises ValueError when none is there or the one found is broken."""
+    from PIL import Image
+
+    if explicit is not None:
+        return Camera.from_json(Path(explicit).read_text(encoding="utf-8"), str(explicit))
+    picture = Path(png)
+    with Image.open(picture) as image:
+        text = getattr(image, "text", {}).get(CHUNK) or image.info.get(CHUNK)
+    if text:
+        return Camera.from_json(text, f"{picture} (PNG chunk)")
+    sidecar = picture.with_suffix(".json")
+    if sidecar.exists():
+        return Camera.from_json(sidecar.read_text(encoding="utf-8"), str(sidecar))
+    raise ValueError(
+        f"{picture}: no camera; expected one in the PNG ({CHUNK} chunk), in {sidecar.name}, or given with --camera"
+    )

@@ -1,0 +1,134 @@
+"""`Splats`, the one currency of the package: io/ makes it, render/ and lift/ read it, models/ return it.
+
+Knows no files, no cameras and no network. All values are *activated* (what the formulas use), never raw
+(log-scales, logit-opacities): raw and activated are converted exactly once, in io/ and models/decode.py.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+Array: TypeAlias = Any
+"""numpy.ndarray or torch.Tensor, float32 or float64; all attributes of one Splats are of one kind, dtype and device."""
+
+ColorSpace = Literal["srgb", "linear"]
+SH_COUNTS = {1: 0, 4: 1, 9: 2, 16: 3, 25: 4}
+"""Number of SH coefficients -> degree."""
+SH_C0 = 0.28209479177387814
+"""Y_00, the constant spherical harmonic: base colour = 0.5 + SH_C0 * sh[:, 0]."""
+
+
+@dataclass(frozen=True)
+class Splats:
+    """N Gaussians (rows). Immutable: edits return new objects that share the arrays they did not change."""
+
+    means: Array
+    """[N, 3] centres, world units."""
+    quats: Array
+    """[N, 4] rotations w, x, y, z; any non-zero norm, normalised where used."""
+    scales: Array
+    """[N, 3] standard deviations along the rotated axes, world units, > 0 (linear, not log)."""
+    opacities: Array
+    """[N] peak alpha, 0..1 (not logit)."""
+    sh: Array
+    """[N, K, 3] spherical harmonics, K = (degree + 1)^2 in 1, 4, 9, 16, 25; colour(d) = max(0.5 + sum_k Y_k(d) sh_k, 0)."""
+    antialiased: bool = False
+    """True: trained with Mip-Splatting's 2D filter; the renderer compensates opacity for the 0.3 px blur."""
+    color_space: ColorSpace = "srgb"
+    """What colours mean: "srgb" display values (the 3DGS habit) or "linear"."""
+    source: Source | None = field(default=None, repr=False, compare=False)
+    """The file these rows were read from, kept so that untouched rows are written back byte for byte."""
+    origin: np.ndarray | None = field(default=None, repr=False, compare=False)
+    """[N] int64 source row whose bytes each row carries (children carry their parent's), -1 for none; None without source."""
+
+    def __len__(self) -> int:
+        return int(self.means.shape[0])
+
+    @property
+    def sh_degree(self) -> int:
+        return SH_COUNTS[int(self.sh.shape[1])]
+
+    def take(self, rows: Array) -> Splats:
+        """The given rows, in the given order. rows: [M] int indices or [N] bool mask."""
+        origin = None if self.origin is None else self.origin[np.asarray(rows)]
+        return replace(self, **{k: getattr(self, k)[rows] for k in ATTRIBUTES}, origin=origin)
+
+    def append(self, more: Splats) -> Splats:
+        """These rows followed by `more` (of the same SH degree); row indices of self stay what they are."""
+        assert more.sh.shape[1] == self.sh.shape[1], "append: SH degrees differ"
+        origin = None
+        if self.origin is not None:
+            tail = more.origin if more.origin is not None else np.full(len(more), -1, np.int64)
+            origin = np.concatenate([self.origin, tail])
+        if isinstance(self.means, np.ndarray):
+            joined = {k: np.concatenate([getattr(self, k), getattr(more, k)]) for k in ATTRIBUTES}
+        else:
+            import torch
+
+            joined = {k: torch.cat([getattr(self, k), getattr(more, k)]) for k in ATTRIBUTES}
+        return replace(self, **joined, origin=origin)
+
+    def numpy(self) -> Splats:
+        """The same rows with numpy float32 attributes (no copy where they already are)."""
+        if isinstance(self.means, np.ndarray):
+            return self
+        return replace(self, **{k: getattr(self, k).detach().cpu().float().numpy() for k in ATTRIBUTES})
+
+    def torch(self, device: str = "cpu", dtype: Any = None) -> Splats:
+        """The same rows with torch attributes (default float32); shares memory with numpy where possible."""
+        import torch
+
+        dtype = torch.float32 if dtype is None else dtype
+        return replace(self, **{k: torch.as_tensor(getattr(self, k)).to(device, dtype) for k in ATTRIBUTES})
+
+    @cached_property
+    def finite(self) -> np.ndarray:
+        """[N] bool: rows that can be drawn (every attribute finite, scales > 0, quaternion non-zero)."""
+        own = self.numpy()
+        ok = np.isfinite(own.opacities)
+        for name in ("means", "quats", "scales", "sh"):
+            ok &= np.isfinite(getattr(own, name).reshape(len(own), -1)).all(1)
+        return ok & (own.scales > 0).all(1) & (own.quats != 0).any(1)
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the file the rows came from, or of the attributes where there is none."""
+        if self.source is not None:
+            return self.source.sha256
+        return rows_sha256(self)
+
+
+ATTRIBUTES = ("means", "quats", "scales", "opacities", "sh")
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a file held, beyond the attributes, so that the same format can be written back unchanged where unchanged."""
+
+    path: str
+    format: str
+    """Key of io.FORMATS, e.g. "ply"."""
+    splats: Splats = field(repr=False)
+    """The rows as first decoded (without source): a row's column is untouched if it still equals this, bit for bit."""
+    sha256: str
+    """Hex SHA-256 of the file (of a folder: of its files' names and bytes, in name order)."""
+    detail: Any = field(default=None, repr=False)
+    """The reader's own record (header bytes, row block, tail, codebooks ...); opaque outside its io module."""
+    problems: tuple[str, ...] = ()
+    """What the reader found odd, one line each, for `info`."""
+
+
+def rows_sha256(splats: Splats, rows: Array | None = None) -> str:
+    """SHA-256 over the float32 little-endian attributes of the given rows (all by default), attribute after attribute."""
+    own = splats.numpy()
+    digest = hashlib.sha256()
+    for name in ATTRIBUTES:
+        values = getattr(own, name)
+        values = values if rows is None else values[rows]
+        digest.update(np.ascontiguousarray(values, dtype="<f4").data)
+    return digest.hexdigest()
