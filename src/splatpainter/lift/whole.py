@@ -1,0 +1,169 @@
+"""Global lift: one to four regraded or relit views change the whole asset, also what they do not show.
+
+The rows that the views show are lifted as in colors.py; then new colour is regressed on SH_2(normal) x (old colour, 1)
+by ridge regression over them (the linear cousin of test-time training, design.md 4) and predicted for all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splatpainter.cameras import Camera, orbit
+from splatpainter.lift.colors import BRIGHTEST
+from splatpainter.lift.split import rotations
+from splatpainter.render.cpu.frame import project
+from splatpainter.splats import SH_C0, Splats
+
+
+@dataclass(frozen=True)
+class GlobalOptions:
+    """How a global lift trusts what it saw."""
+
+    rounds: int = 5
+    """Colour rounds over all views at once."""
+    ridge: float = 1e-3
+    """Ridge weight of the affine part, relative to the seen rows' total weight."""
+    ridge_normals: float = 1e-2
+    """The same for the part that depends on the normal (light directions that no view shows stay unchanged)."""
+    half_seen: float = 2.0
+    """A row seen with this many pixels of weight takes half its colour from the lift, half from the regression."""
+    ring: int = 8
+    """Views around the asset that decide which side of a row is its outside."""
+
+
+@dataclass(frozen=True)
+class Regraded:
+    """Result of a global lift."""
+
+    splats: Splats
+    confidence: np.ndarray
+    """[N] float32 0..1: how much of each row's new colour was seen (1) rather than predicted; predictions far from
+    everything seen go to 0."""
+
+
+def lift_global(
+    splats: Splats,
+    views: Sequence[tuple[Camera, np.ndarray, np.ndarray]],
+    options: GlobalOptions = GlobalOptions(),
+) -> Regraded:
+    """Regrade all rows by (camera, target [H, W, 3], mask [H, W] bool) views. Pixels that the asset covers by less than
+    0.9 are not learnt from (their colour is the background's too). Raises ValueError when the views show no row."""
+    old = 0.5 + SH_C0 * splats.sh[:, 0]  # [N, 3] base colours
+    change, weight = _lift_seen(splats, views, options.rounds)
+    seen = weight > 0.05
+    if not seen.any():
+        raise ValueError("edit: the views show no row of the asset; check the cameras")
+    features = _features(np.clip(old, 0, 1), outward_normals(splats, options.ring))
+    solution, spread = _ridge(features[seen], change[seen], weight[seen], options)
+    predicted = features @ solution  # [N, 3] change of base colour
+    trust = (weight / (weight + options.half_seen))[:, None]
+    moved = trust * change + (1 - trust) * predicted
+    new = np.clip(old + moved, np.minimum(old, 0), np.maximum(old, BRIGHTEST))
+    sh = splats.sh.copy()
+    sh[:, 0] = (new - 0.5) / SH_C0
+    if sh.shape[1] > 1:
+        sh[:, 1:] = np.einsum("nij,nkj->nki", _matrices(features, solution), sh[:, 1:])
+    drawable = splats.finite
+    sh[~drawable] = splats.sh[~drawable]
+    leverage = np.einsum("nf,fg,ng->n", features, spread, features)
+    typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
+    certain = trust[:, 0] + (1 - trust[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
+    return Regraded(replace(splats, sh=sh.astype(splats.sh.dtype)), np.where(drawable, certain, 0).astype(np.float32))
+
+
+CONFLICT = 0.15
+"""Wanted changes of one row that differ by more than this between views are a conflict: the later view decides."""
+
+
+def _lift_seen(
+    splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]], rounds: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """([N, 3] change of base colour, [N] summed weight) from all views at once; where views conflict about a row, only
+    the latest that sees it counts."""
+    n = len(splats)
+    prepared = []
+    for camera, target, mask in views:
+        frame = project(splats, camera)
+        _, alpha, _ = frame.draw()
+        use = (mask & (alpha > 0.9)).astype(np.float32)
+        weight = frame.accumulate(target, use).weight
+        gain, _ = frame.residual_round(target, use, np.maximum(frame.raw_colors, 0))
+        wish = gain / np.maximum(weight, 1e-6)[:, None]
+        prepared.append((frame, target, use, weight, wish))
+    last, decided = np.zeros((n, 3), np.float32), np.zeros(n, bool)
+    for frame, _, _, weight, wish in reversed(prepared):  # latest first
+        rows = frame.rows
+        weight[decided[rows] & (np.abs(wish - last[rows]).max(1) > CONFLICT)] = 0
+        fresh = (weight > 1) & ~decided[rows]
+        last[rows[fresh]], decided[rows[fresh]] = wish[fresh], True
+    total, change = np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
+    for frame, _, _, weight, _ in prepared:
+        total[frame.rows] += weight
+    for _ in range(rounds):
+        gain = np.zeros_like(change)
+        for frame, target, use, weight, _ in prepared:
+            rows = frame.rows
+            colors = np.clip(frame.raw_colors + change[rows], 0, np.maximum(frame.raw_colors, BRIGHTEST))
+            gain[rows] += np.where(weight[:, None] > 0, frame.residual_round(target, use, colors)[0], 0)
+        change += gain / np.maximum(total, 1e-6)[:, None]
+        np.clip(change, -BRIGHTEST, BRIGHTEST, out=change)
+    return np.where(total[:, None] > 0.05, change, 0), total
+
+
+def outward_normals(splats: Splats, ring: int) -> np.ndarray:
+    """[N, 3] unit shortest axes, turned towards the side from which a ring of views sees the row (else away from the
+    asset's centre)."""
+    n = len(splats)
+    shortest = splats.scales.argmin(1)
+    normal = rotations(splats.quats)[np.arange(n), :, shortest]
+    good = splats.finite
+    if not good.any():
+        return normal
+    center = np.median(splats.means[good], 0)
+    radius = float(np.quantile(np.linalg.norm(splats.means[good] - center, axis=1), 0.98))
+    towards = 1e-3 * (splats.means - center) / max(radius, 1e-9)  # [N, 3] mean direction to the views that see it
+    for k in range(ring):
+        tilt = 35.0 if k % 2 else -20.0
+        camera = orbit(center, 2.8 * radius, 1, elevation=tilt, start=360.0 * k / ring, width=160, height=160)[0]
+        frame = project(splats, camera)
+        sums = frame.accumulate(np.zeros((160, 160, 3), np.float32), np.ones((160, 160), np.float32))
+        away = camera.position.astype(np.float32) - splats.means[frame.rows]
+        towards[frame.rows] += sums.weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+    side = np.einsum("ni,ni->n", normal, towards)
+    normal = np.where(side[:, None] < 0, -normal, normal)
+    return np.nan_to_num(normal).astype(np.float32)
+
+
+def _features(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """[N, 36]: nine real spherical harmonics of the normal, each times (r, g, b, 1); the constant one's four first."""
+    x, y, z = normals.T
+    basis = np.stack([np.ones_like(x), y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], 1)
+    rgb1 = np.concatenate([colors, np.ones((len(colors), 1), colors.dtype)], 1)
+    return (basis[:, :, None] * rgb1[:, None]).reshape(len(colors), 36).astype(np.float32)
+
+
+def _ridge(
+    features: np.ndarray, change: np.ndarray, weight: np.ndarray, options: GlobalOptions
+) -> tuple[np.ndarray, np.ndarray]:
+    """(solution [36, 3], inverse normal matrix [36, 36]) in float64."""
+    capped = np.minimum(weight, 50.0).astype(np.float64)  # a huge row must not outvote a thousand small ones
+    scaled = features.astype(np.float64) * np.sqrt(capped)[:, None]
+    gram = scaled.T @ scaled
+    penalty = np.full(36, options.ridge_normals)
+    penalty[:4] = options.ridge
+    inverse = np.linalg.inv(gram + np.diag(penalty * capped.sum()))
+    return inverse @ (scaled.T @ (change * np.sqrt(capped)[:, None])), inverse
+
+
+def _matrices(features: np.ndarray, solution: np.ndarray) -> np.ndarray:
+    """[N, 3, 3] d new colour / d old colour of the regression, which acts on SH bands >= 1 too; kept within 0..2 on the
+    diagonal so that an extrapolation never inverts a highlight."""
+    basis = features.reshape(-1, 9, 4)[:, :, 3]  # the SH of the normal (the feature that multiplies 1)
+    linear = solution.reshape(9, 4, 3)[:, :3]  # [9, in, out]
+    matrix = np.einsum("nb,bio->noi", basis, linear) + np.eye(3)
+    diagonal = np.clip(np.einsum("nii->ni", matrix), 0, 2)
+    matrix[:, [0, 1, 2], [0, 1, 2]] = diagonal
+    return matrix.astype(np.float32)
