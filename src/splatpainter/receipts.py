@@ -252,7 +252,7 @@ def _stored_rows_differ(before: Splats, after: Splats) -> np.ndarray | None:
 
 
 def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | None:
-    """PSNR in dB over the masked pixels of two [H, W, 3] pictures, clipped to 0..1; inf when equal, None without any."""
+    """PSNR in dB over the masked pixels of two [H, W, 3] pictures, clipped to 0..1; inf if equal, None if empty."""
     from splatpainter.metrics import psnr
 
     if not mask.any():

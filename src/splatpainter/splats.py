@@ -63,7 +63,8 @@ class Splats:
         assert more.sh.shape[1] == self.sh.shape[1], "append: SH degrees differ"
         origin = None
         if self.origin is not None:
-            tail = more.origin if more.origin is not None else np.full(len(more), -1, np.int64)
+            same = more.origin is not None and more.source is self.source
+            tail = more.origin if same else np.full(len(more), -1, np.int64)
             origin = np.concatenate([self.origin, tail])
         if isinstance(self.means, np.ndarray):
             joined = {k: np.concatenate([getattr(self, k), getattr(more, k)]) for k in ATTRIBUTES}
@@ -74,7 +75,7 @@ class Splats:
         return replace(self, **joined, origin=origin)
 
     def numpy(self) -> Splats:
-        """The same rows with numpy float32 attributes (no copy where they already are)."""
+        """The same rows with numpy attributes: float32 from torch, as they are if they are numpy already."""
         if isinstance(self.means, np.ndarray):
             return self
         return replace(self, **{k: getattr(self, k).detach().cpu().float().numpy() for k in ATTRIBUTES})
@@ -92,7 +93,8 @@ class Splats:
         own = self.numpy()
         ok = np.isfinite(own.opacities)
         for name in ("means", "quats", "scales", "sh"):
-            ok &= np.isfinite(getattr(own, name).reshape(len(own), -1)).all(1)
+            values = getattr(own, name)
+            ok &= np.isfinite(values).all(tuple(range(1, values.ndim)))
         return ok & (own.scales > 0).all(1) & (own.quats != 0).any(1)
 
     @cached_property

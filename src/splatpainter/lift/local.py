@@ -14,7 +14,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.lift.colors import lift_colors, recolor
 from splatpainter.lift.split import projected_sizes, split
-from splatpainter.render.cpu.frame import Frame, project, tiles_of_mask
+from splatpainter.render.cpu.frame import Frame, Sums, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
@@ -23,7 +23,7 @@ class LocalOptions:
     """How a local lift trades detail for rows."""
 
     rounds: int = 8
-    """Colour rounds after splitting."""
+    """Colour rounds after splitting; 0: split only."""
     goal: float = 1.0
     """Children are split down to this standard deviation, in pixels of the edited view."""
     tolerance: float = 0.03
@@ -33,7 +33,7 @@ class LocalOptions:
     levels: int = 4
     """Most rounds of splitting (each divides a row's width by up to 3.6 per axis)."""
     budget: int = 100_000
-    """Most rows that one edit may append."""
+    """About how many rows one edit may append at most."""
     damping: float = 0.3
     """What is left of SH bands >= 1 in a fully repainted row, 0..1."""
 
@@ -54,6 +54,12 @@ VISIBLE = 0.05
 """Mean share of a row that must reach the camera inside the mask (weight / alpha), or it is behind the surface."""
 FAINTEST = 0.004
 """A row whose largest share of any masked pixel is below this is not written (1/255)."""
+LARGE = 3.0
+"""Rows wider than this many goals drag paint over the mask's edge when they are too faint to be split, ..."""
+INSIDE = 0.6
+"""... so they are written only if this share of their weight lies inside the mask."""
+INSIDE_SMALL = 0.05
+"""The same for small rows: those at the mask's edge settle between both sides."""
 
 
 def lift_local(
@@ -68,25 +74,29 @@ def lift_local(
 
     target: [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool rows that may change (default: all).
     Raises ValueError when no row contributes to the masked pixels."""
-    reached = reached_rows(splats, camera, mask, allowed)
-    area = project(splats, camera, rows=reached).tiles_of(reached)
+    frame = project(splats, camera, tiles=tiles_of_mask(mask))
+    reached = reached_rows(splats, camera, mask, allowed, frame)
+    editable = reached & ~_hopeless(splats, frame, mask, reached, options)
+    area = project(splats, camera, rows=editable).tiles_of(editable)
     rows = np.sort(project(splats, camera, tiles=area).rows)
-    work = _Patch.start(splats.take(rows), camera, area, target, mask, reached[rows])
+    patch = _Patch.start(splats.take(rows), camera, area, target, mask, editable[rows])
     for _ in range(options.levels):
-        coarse = work.too_coarse(options)
+        coarse = patch.too_coarse(options)
         if not coarse.any():
             break
-        work = work.split(coarse, options)
-    return _assemble(splats, rows, work.colored(options), work)
+        patch = patch.split(coarse, options)
+    return _assemble(splats, rows, patch.colored(options), patch)
 
 
-def reached_rows(splats: Splats, camera: Camera, mask: np.ndarray, allowed: np.ndarray | None = None) -> np.ndarray:
-    """[N] bool rows that visibly contribute to the masked pixels ([H, W] bool). Raises ValueError where none do."""
-    frame = project(splats, camera, tiles=tiles_of_mask(mask))
-    sums = frame.accumulate(np.zeros((*mask.shape, 3), np.float32), mask.astype(np.float32))
-    good = (sums.peak > FAINTEST) & (sums.weight > VISIBLE * sums.alpha)
+def reached_rows(
+    splats: Splats, camera: Camera, mask: np.ndarray, allowed: np.ndarray | None = None, frame: Frame | None = None
+) -> np.ndarray:
+    """[N] bool rows that visibly contribute to the masked pixels ([H, W] bool). frame: the splats projected onto the
+    mask's tiles, if at hand. Raises ValueError where there is no such row."""
+    frame = frame or project(splats, camera, tiles=tiles_of_mask(mask))
+    sums = _inside(frame, np.zeros((*mask.shape, 3), np.float32), mask)
     reached = np.zeros(frame.count, bool)
-    reached[frame.rows[good]] = True
+    reached[frame.rows[(sums.peak > FAINTEST) & (sums.weight > VISIBLE * sums.alpha)]] = True
     if allowed is not None:
         reached &= allowed
     if not reached.any():
@@ -96,20 +106,36 @@ def reached_rows(splats: Splats, camera: Camera, mask: np.ndarray, allowed: np.n
     return reached
 
 
+def _inside(frame: Frame, values: np.ndarray, mask: np.ndarray) -> Sums:
+    return frame.accumulate(values, mask.astype(np.float32))
+
+
+def _hopeless(splats: Splats, frame: Frame, mask: np.ndarray, reached: np.ndarray, options: LocalOptions) -> np.ndarray:
+    """[N] bool: reached rows that would be held back in the end (LARGE, too faint to split, mostly outside the mask),
+    as far as the mask's own tiles can tell. Without them less of the picture is in work."""
+    nothing = np.zeros((*mask.shape, 3), np.float32)
+    inside = _inside(frame, nothing, mask)
+    whole = _inside(frame, nothing, np.ones(mask.shape, bool)).weight
+    faint = reached[frame.rows] & (inside.peak <= options.share) & (inside.weight < INSIDE * whole)
+    faint[faint] = projected_sizes(splats.take(frame.rows[faint]), frame.camera).max(1) > LARGE * options.goal
+    out = np.zeros(len(splats), bool)
+    out[frame.rows[faint]] = True
+    return out if (reached & ~out).any() else np.zeros(len(splats), bool)
+
+
 @dataclass(frozen=True)
 class _Patch:
     """The rows around an edit while they are being split: S current rows, children of the patch's first rows."""
 
     splats: Splats
     frame: Frame
+    """Of the tiles that editable rows touch; fewer from split to split."""
     wanted: np.ndarray
     """[H, W, 3] the picture to reach: the edit inside the mask, the first render outside."""
     change: np.ndarray
     """[H, W, 3] wanted minus the first render; 0 outside the mask."""
     mask: np.ndarray
-    """[H, W] float32 0 or 1: where the edit counts."""
-    drawn: np.ndarray
-    """[H, W] float32 0 or 1: pixels of the tiles in work."""
+    """[H, W] bool: where the edit counts."""
     editable: np.ndarray
     """[S] bool."""
     owner: np.ndarray
@@ -123,84 +149,87 @@ class _Patch:
     ) -> _Patch:
         frame = project(splats, camera, tiles=area)
         image, alpha, _ = frame.draw()
-        drawn = np.repeat(np.repeat(area, 16, 0), 16, 1)[: camera.height, : camera.width]
-        inside = mask & drawn & (alpha > 0.02)
+        inside = mask & (alpha > 0.02)  # tiles that are not drawn have none
         change = np.where(inside[..., None], target - image, 0).astype(np.float32)
         every = np.arange(len(splats))
-        return _Patch(
-            splats,
-            frame,
-            image + change,
-            change,
-            inside.astype(np.float32),
-            drawn.astype(np.float32),
-            editable,
-            every,
-            np.ones(len(splats), bool),
-        )
+        return _Patch(splats, frame, image + change, change, inside, editable, every, np.ones(len(splats), bool))
 
     def too_coarse(self, options: LocalOptions) -> np.ndarray:
         """[S] bool rows over whose footprint the wanted change varies too much, if they are large enough to split."""
         frame = self.frame
-        energy = (self.change**2).mean(-1)
-        over = frame.accumulate(np.stack([energy, self.mask, self.mask], -1), self.drawn)
-        inside = frame.accumulate(self.change, self.mask)
+        energy = np.repeat((self.change**2).mean(-1, keepdims=True), 3, 2)
+        over = _inside(frame, energy, np.ones(self.mask.shape, bool))  # of undrawn tiles nothing is counted
+        inside = _inside(frame, self.change, self.mask)
         total = np.maximum(over.weight, 1e-6)
         spread = over.values[:, 0] / total - ((inside.values / total[:, None]) ** 2).mean(1)
         rows = frame.rows
         able = self.editable[rows] & (inside.peak > options.share) & (spread > options.tolerance**2)
         able[able] = projected_sizes(self.splats.take(rows[able]), frame.camera).max(1) > options.goal * 1.15
         room = options.budget - int((~self.slot).sum())
-        if 8 * able.sum() > room:  # keep the rows with most to gain (a split adds about eight rows)
+        most = max(room // 8, 0)  # a split adds about eight rows
+        if able.sum() > most:  # keep those with most to gain
             gain = np.where(able, spread * total, 0)
-            able &= gain >= np.partition(gain, -max(room // 8, 1))[-max(room // 8, 1)]
+            able &= gain >= (np.partition(gain, -most)[-most] if most else np.inf)
         out = np.zeros(len(self.splats), bool)
-        out[rows[able]] = room > 0
+        out[rows[able]] = True
         return out
 
     def split(self, coarse: np.ndarray, options: LocalOptions) -> _Patch:
-        """Replace the coarse rows by their children."""
+        """Replace the coarse rows by their children; those without paint inside the mask are no longer editable."""
         kept, parents = np.flatnonzero(~coarse), np.flatnonzero(coarse)
         children, index = split(self.splats.take(parents), self.frame.camera, options.goal)
         source = np.concatenate([kept, parents[index]])
         first = np.concatenate([np.ones(len(kept), bool), np.diff(index, prepend=-1) > 0])
         splats = self.splats.take(kept).append(children)
+        frame = project(splats, self.frame.camera, tiles=self.frame.tiles)
+        painted = np.zeros(len(splats), bool)
+        painted[frame.rows] = _inside(frame, self.change, self.mask).peak > FAINTEST
+        editable = self.editable[source] & painted
+        tiles = frame.tiles_of(editable)
+        if tiles.sum() < 0.8 * frame.tiles.sum():
+            frame = project(splats, self.frame.camera, tiles=tiles)
         return replace(
             self,
             splats=splats,
-            frame=project(splats, self.frame.camera, tiles=self.frame.tiles),
-            editable=self.editable[source],
+            frame=frame,
+            editable=editable,
             owner=self.owner[source],
             slot=self.slot[source] & first,
         )
 
+    def movable(self, options: LocalOptions) -> np.ndarray:
+        """[M] bool rows of the frame that may take new colours."""
+        rows = self.frame.rows
+        inside = _inside(self.frame, self.change, self.mask)
+        whole = _inside(self.frame, self.change, np.ones(self.mask.shape, bool)).weight
+        able = self.editable[rows] & (inside.peak > FAINTEST)
+        large = np.zeros(len(rows), bool)
+        sizes = projected_sizes(self.splats.take(rows[able]), self.frame.camera).max(1)
+        large[able] = sizes > LARGE * options.goal
+        return able & (inside.weight > np.where(large, INSIDE, INSIDE_SMALL) * whole)
+
     def colored(self, options: LocalOptions) -> np.ndarray:
         """[S, K, 3] SH after the colour rounds; rows that did not move keep their bits."""
         frame, rows = self.frame, self.frame.rows
-        inside = frame.accumulate(self.change, self.mask)
-        whole = frame.accumulate(self.change, self.drawn).weight
-        # A large row left whole (too faint to split) would drag paint over the mask's edge.
-        large = projected_sizes(self.splats.take(rows), frame.camera).max(1) > 3 * options.goal
-        least = np.where(large, 0.6, 0.05)
-        movable = self.editable[rows] & (inside.peak > FAINTEST) & (inside.weight > least * whole)
+        movable = self.movable(options)
+        everywhere = np.ones(self.mask.shape, np.float32)
+        colors, _ = lift_colors(frame, self.wanted, everywhere, movable, options.rounds)
         seen = frame.raw_colors
-        colors, _ = lift_colors(frame, self.wanted, self.drawn, movable, options.rounds)
         moved = movable & (np.abs(colors - np.maximum(seen, 0)).max(1) > 1 / 1024)
         sh = self.splats.sh.copy()
         sh[rows[moved]] = recolor(sh[rows[moved]], seen[moved], colors[moved], options.damping)
         return sh
 
 
-def _assemble(splats: Splats, rows: np.ndarray, sh: np.ndarray, work: _Patch) -> Lifted:
+def _assemble(splats: Splats, rows: np.ndarray, sh: np.ndarray, patch: _Patch) -> Lifted:
     """Put the patch's rows back: slots in place, the others appended."""
-    new = replace(work.splats, sh=sh)
-    place = rows[work.owner[work.slot]]  # [S'] rows of the asset that the slots go back to
-    inner = new.take(np.flatnonzero(work.slot))
+    new = replace(patch.splats, sh=sh)
+    place = rows[patch.owner[patch.slot]]  # rows of the asset that the slots go back to
+    inner = new.take(np.flatnonzero(patch.slot))
     changed = np.zeros(len(place), bool)
     for name in ATTRIBUTES:
         differs = getattr(inner, name) != getattr(splats, name)[place]
         changed |= differs.reshape(len(place), -1).any(1)
-    touched = np.sort(place[changed])
     written = {}
     for name in ATTRIBUTES:
         values = getattr(inner, name)[changed]
@@ -210,7 +239,7 @@ def _assemble(splats: Splats, rows: np.ndarray, sh: np.ndarray, work: _Patch) ->
         whole[place[changed]] = values
         written[name] = whole
     result = replace(splats, **written)
-    appended = np.flatnonzero(~work.slot)
+    appended = np.flatnonzero(~patch.slot)
     if len(appended):
         result = result.append(new.take(appended))
-    return Lifted(result, touched, rows[work.owner[appended]])
+    return Lifted(result, np.sort(place[changed]), rows[patch.owner[appended]])

@@ -1,0 +1,210 @@
+"""Reading and writing splat files: one module per format, `read` and `write` choose among them.
+
+Knows no cameras, no renderer and no network. Raw file values (log-scales, logit-opacities, quantised words) become the
+activated values of `Splats` in the readers and go back in the writers, nowhere else. Rows are never sorted.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.io import files
+from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
+
+Reader = Callable[[Path], Splats]
+Writer = Callable[[Path, Splats], None]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format."""
+
+    key: str
+    """What `Source.format` says."""
+    suffixes: tuple[str, ...]
+    """Lower-case name endings, the one to suggest first; () for a folder."""
+    read: Reader
+    write: Writer | None
+    """None: this format can only be read."""
+    description: str
+    exact: str
+    """What stays byte for byte when a file of this format is edited and written back, in one sentence."""
+    lossy: str = ""
+    """What is lost when rows of another format, or edited rows, are written; "" where nothing is."""
+
+
+def _lazy_reader(module: str, name: str) -> Reader:
+    return lambda path: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path)
+
+
+def _lazy_writer(module: str, name: str) -> Writer:
+    return lambda path, splats: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, splats)
+
+
+FORMATS: dict[str, Format] = {
+    entry.key: entry
+    for entry in (
+        # .compressed.ply stands before .ply: the first suffix that fits a name wins.
+        Format(
+            "compressed.ply",
+            (".compressed.ply",),
+            _lazy_reader("compressed_ply", "read_compressed_ply"),
+            _lazy_writer("compressed_ply", "write_compressed_ply"),
+            "PlayCanvas compressed PLY: chunks of 256 rows, 16 bytes a row",
+            "Chunks without a changed row keep their bytes; in a changed chunk, unchanged values do where the chunk's "
+            "range of them still fits.",
+            "Positions, scales, colours, rotations and SH are quantised to 8-11 bits within each chunk of 256 rows.",
+        ),
+        Format(
+            "ply",
+            (".ply",),
+            _lazy_reader("ply", "read_ply"),
+            _lazy_writer("ply", "write_ply"),
+            "INRIA PLY: little or big endian or text, any property order, SH degree 0-4",
+            "Every byte outside the values that changed: header, property order, extra properties and elements, "
+            "trailing bytes.",
+        ),
+        Format(
+            "splat",
+            (".splat",),
+            _lazy_reader("splat", "read_splat"),
+            _lazy_writer("splat", "write_splat"),
+            "antimatter15 .splat: 32 bytes a row",
+            "Every byte outside the values that changed.",
+            "SH above degree 0 is dropped; colours, opacities and rotations are rounded to 8 bits.",
+        ),
+        Format(
+            "ksplat",
+            (".ksplat",),
+            _lazy_reader("ksplat", "read_ksplat"),
+            None,
+            "GaussianSplats3D .ksplat, compression levels 0-2 (read only)",
+            "Cannot be written; convert to PLY.",
+        ),
+        Format(
+            "spz",
+            (".spz",),
+            _lazy_reader("spz", "read_spz"),
+            _lazy_writer("spz", "write_spz"),
+            "Niantic SPZ, versions 1-4",
+            "The quantised values of rows that did not change.",
+            "Positions are fixed-point; scales, colours, opacities, rotations and SH have 8 bits or fewer.",
+        ),
+        Format(
+            "sog",
+            (".sog", "meta.json"),
+            _lazy_reader("sog", "read_sog"),
+            _lazy_writer("sog", "write_sog"),
+            "PlayCanvas SOG version 2: a .sog bundle, or a folder with meta.json and WebP planes",
+            "The quantised values of rows that did not change.",
+            "Positions have 16 bits; scales, colours and SH come from codebooks of 256 values; SH from a palette.",
+        ),
+        Format(
+            "glb",
+            (".glb",),
+            _lazy_reader("glb", "read_glb"),
+            _lazy_writer("glb", "write_glb"),
+            "glTF 2.0 binary with KHR_gaussian_splatting",
+            "Every byte outside the values that changed.",
+        ),
+    )
+}
+
+_MAGIC = {b"glTF": "glb", b"PK\x03\x04": "sog", b"NGSP": "spz"}
+
+
+def read(path: str | os.PathLike[str]) -> Splats:
+    """Read a splat file (or a SOG folder) in any of FORMATS; `source` and `origin` are filled in.
+
+    The content decides where it is unmistakable (PLY, compressed PLY, GLB, SOG bundle, SPZ), the name otherwise.
+    Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
+    """
+    place = Path(path)
+    return FORMATS[detect(place)].read(place)
+
+
+def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = False) -> None:
+    """Write `splats` (numpy or torch attributes) in the format that the name of `path` says.
+
+    Where `splats.source` is of that format, everything that did not change keeps its bytes (see Format.exact).
+    Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes.
+    """
+    place = Path(path)
+    key = format_of_name(place)
+    if key is None:
+        raise ValueError(f"{place}: unknown format; expected a name ending in {_known(writable=True)}")
+    writer = FORMATS[key].write
+    if writer is None:
+        raise ValueError(f"{place}: {FORMATS[key].description}; write one of {_known(writable=True)} instead")
+    if place.exists() and not overwrite:
+        raise ValueError(f"{place}: already exists; choose another name or allow overwriting")
+    writer(place, canonical(splats))
+
+
+def detect(path: Path) -> str:
+    """Key of FORMATS that the file at `path` holds. Raises ValueError when it is missing, unreadable or unknown."""
+    if path.is_dir():
+        if (path / "meta.json").is_file():
+            return "sog"
+        raise ValueError(f"{path}: is a folder without meta.json; expected a splat file or a SOG folder")
+    head = files.read_head(path, files.HEADER_LIMIT if path.suffix.lower() == ".ply" else 65536)
+    if head[:3] == b"ply" and head[3:4] in (b"\n", b"\r"):
+        end = head.find(b"end_header")
+        return "compressed.ply" if b"packed_position" in head[: None if end < 0 else end] else "ply"
+    if head[:4] in _MAGIC:
+        return _MAGIC[head[:4]]
+    key = format_of_name(path)
+    if key is not None:
+        return key
+    # Two bytes are too few to overrule a name (a .splat may begin with them), but they decide where there is none.
+    if head[:2] == b"\x1f\x8b":
+        return "spz"
+    raise ValueError(f"{path}: unknown format; expected a splat file ({_known(writable=False)})")
+
+
+def format_of_name(path: Path) -> str | None:
+    """Key of FORMATS by the ending of the name, None where it says nothing."""
+    name = path.name.lower()
+    for entry in FORMATS.values():
+        if any(name == suffix or (suffix[0] == "." and name.endswith(suffix)) for suffix in entry.suffixes):
+            return entry.key
+    return None
+
+
+def canonical(splats: Splats) -> Splats:
+    """`splats` with C-contiguous float32 numpy attributes; raises ValueError where shapes do not fit together."""
+    from dataclasses import replace
+
+    own = splats.numpy()
+    arrays = {name: np.ascontiguousarray(getattr(own, name), np.float32) for name in ATTRIBUTES}
+    rows = len(own)
+    bands = arrays["sh"].shape[1] if arrays["sh"].ndim == 3 else 0
+    wanted = {"means": (rows, 3), "quats": (rows, 4), "scales": (rows, 3), "opacities": (rows,), "sh": (rows, bands, 3)}
+    for name, shape in wanted.items():
+        if arrays[name].shape != shape:
+            raise ValueError(f"write: expected {name} of shape {list(shape)}, got {list(arrays[name].shape)}")
+    if bands not in SH_COUNTS:
+        raise ValueError(f"write: expected 1, 4, 9, 16 or 25 SH coefficients, got {bands}")
+    origin = splats.origin
+    if origin is not None and splats.source is not None:
+        origin = np.asarray(origin)
+        limit = len(splats.source.splats)
+        if origin.shape != (rows,):
+            raise ValueError(f"write: expected origin of shape {[rows]}, got {list(origin.shape)}")
+        if rows and not (-1 <= origin.min() and origin.max() < limit):
+            raise ValueError(
+                f"write: expected origins from -1 to {limit - 1} (rows of {splats.source.path}), "
+                f"got {origin.min()} to {origin.max()}"
+            )
+    unchanged = all(arrays[name] is getattr(splats, name) for name in ATTRIBUTES)
+    return splats if unchanged else replace(own, **arrays)
+
+
+def _known(*, writable: bool) -> str:
+    return ", ".join(e.suffixes[0] for e in FORMATS.values() if not writable or e.write is not None)

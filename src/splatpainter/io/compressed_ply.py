@@ -1,0 +1,307 @@
+"""PlayCanvas compressed PLY: chunks of 256 consecutive rows, each row four 32-bit words, optional 8-bit SH.
+
+    element chunk   ceil(N / 256) rows of floats: min and max of x y z, of scale_x.. (natural log), of r g b
+                    (0.5 + C0 dc); files of older versions have no r g b: their range is 0..1
+    element vertex  uint packed_position (11-10-11 bits, fractions of the chunk's range), packed_rotation (2-10-10-10,
+                    smallest three of w x y z), packed_scale (11-10-11), packed_color (8-8-8 and opacity 8)
+    element sh      uchar f_rest_*, channel-major: 0 is -4, 255 is 4, v between is 8 ((v + 0.5) / 256 - 0.5)
+
+Writing over such a source, a value that did not change keeps its bits, as long as its row stays in the chunk it came
+from and the chunk's range of that value stays; the range stays while all values of the chunk fit in it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.io import files, packing, raw
+from splatpainter.io.ply import DEGREES, comment_settings, settled_comments
+from splatpainter.io.ply_header import Element, Header, element_size, make_header, read_header
+from splatpainter.io.reuse import presentable
+from splatpainter.splats import Source, Splats
+
+CHUNK = 256
+AXES = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
+WORDS = ("packed_position", "packed_scale", "packed_color")
+BITS = (11, 10, 11), (11, 10, 11), (8, 8, 8, 8)
+LOG_SCALES = (-20.0, 20.0)
+"""Log-scales are cut to this before packing: one row with scale 0 would take all precision from its chunk."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """Source.detail of a compressed PLY file."""
+
+    header: Header
+    tables: Mapping[str, np.ndarray]
+    """Element name -> structured rows, in the order of the file."""
+    after: bytes
+
+
+def read_compressed_ply(path: Path) -> Splats:
+    """Read a compressed PLY file. Raises ValueError with one line: truncated data, missing properties, wrong counts."""
+    with files.reading(path) as file:
+        header = read_header(file, path)
+        _check(header, path)
+        left = os.fstat(file.fileno()).st_size - file.tell()
+        tables, parts = {}, [header.raw]
+        for element in header.elements:
+            size = element_size(file, header, element, left, path)
+            parts.append(file.read(size))
+            left -= size
+            tables[element.name] = np.frombuffer(parts[-1], element.dtype(header.order), element.count)
+        after = file.read()
+    splats = _decode(header, tables)
+    problems = [f"{len(after)} trailing bytes (kept as they are)"] if after else []
+    extra = [e.name for e in header.elements if e.name not in ("chunk", "vertex", "sh")]
+    if extra:
+        problems.append(f"extra elements (kept as they are): {', '.join(extra[:8])}")
+    if "min_r" not in (tables["chunk"].dtype.names or ()):
+        problems.append("an older file without colour ranges: base colours are limited to 0..1")
+    problems += raw.oddities(splats)
+    digest = files.sha256(b"".join([*parts, after]))
+    source = Source(str(path), "compressed.ply", splats, digest, Record(header, tables, after), tuple(problems))
+    return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
+
+
+def write_compressed_ply(path: Path, splats: Splats) -> None:
+    """Write a compressed PLY file, rows in their order (a new file has tighter ranges when near rows stand together).
+
+    Rows that cannot be drawn (NaN, zero scale) become transparent, unless they are unchanged rows of such a source.
+    Raises ValueError when the file cannot be written.
+    """
+    source = splats.source
+    if source is not None and source.format == "compressed.ply" and splats.origin is not None:
+        record, old, origin = source.detail, source.splats, np.asarray(splats.origin, np.int64)
+    else:
+        record, old, origin = _standard(), None, np.full(len(splats), -1, np.int64)
+    count, rest = len(splats), 3 * splats.sh.shape[1] - 3
+    header = record.header
+    if rest != len(_rest_names(record.tables)):
+        names = [("uchar", f"f_rest_{k}") for k in range(rest)]
+        header = header.with_element("sh", count, names if rest else (), behind="vertex")
+    header = header.with_counts({"chunk": -(-count // CHUNK), "vertex": count, "sh": count})
+    header = settled_comments(header, splats, old)
+    tables = dict(record.tables)
+    tables["chunk"], tables["vertex"] = _pack(splats, old, origin, record)
+    if rest:
+        element = header.element("sh")
+        assert element is not None
+        tables["sh"] = _pack_sh(splats, old, origin, record, element.dtype(header.order))
+    with files.writing(path) as file:
+        file.write(header.raw)
+        for element in header.elements:
+            file.write(tables[element.name].tobytes())
+        file.write(record.after)
+
+
+def _check(header: Header, path: Path) -> None:
+    if header.format == "ascii":
+        raise ValueError(f"{path}: expected a binary compressed PLY, got a text one")
+    floats = [f"{side}_{axis}" for axis in (*AXES[0], *AXES[1]) for side in ("min", "max")]
+    _need(header, "chunk", floats, "f4", path)
+    vertex = _need(header, "vertex", ["packed_rotation", *WORDS], "u4", path)
+    chunk = header.element("chunk")
+    assert chunk is not None
+    colors = [f"{side}_{axis}" for axis in AXES[2] for side in ("min", "max")]
+    if set(colors).intersection(chunk.names):
+        _need(header, "chunk", colors, "f4", path)
+    if chunk.count != -(-vertex.count // CHUNK):
+        raise ValueError(
+            f"{path}: expected {-(-vertex.count // CHUNK)} chunks for {vertex.count} rows, found {chunk.count}"
+        )
+    sh = header.element("sh")
+    if sh is not None:
+        names = [n for n in sh.names if n.startswith("f_rest_")]
+        if len(names) not in DEGREES:
+            raise ValueError(f"{path}: expected 9, 24, 45 or 72 f_rest_* properties in element 'sh', got {len(names)}")
+        _need(header, "sh", [f"f_rest_{k}" for k in range(len(names))], "u1", path)
+        if sh.count != vertex.count:
+            raise ValueError(f"{path}: expected {vertex.count} rows in element 'sh', found {sh.count}")
+    lists = next((e.name for e in header.elements if e.has_lists), None)
+    if lists is not None:
+        raise ValueError(f"{path}: element '{lists}' has a list property; expected single values only")
+
+
+def _need(header: Header, name: str, properties: list[str], code: str, path: Path) -> Element:
+    element = header.element(name)
+    if element is None:
+        raise ValueError(f"{path}: a compressed PLY file without element '{name}'")
+    have = {p.name: p.type for p in element.properties if p.counter is None}
+    wrong = [n for n in properties if have.get(n) != code]
+    if wrong:
+        kind = {"f4": "float", "u4": "uint", "u1": "uchar"}[code]
+        raise ValueError(f"{path}: element '{name}' of a compressed PLY file lacks '{kind} {wrong[0]}'")
+    return element
+
+
+def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
+    vertex, count = tables["vertex"], len(tables["vertex"])
+    antialiased, space = comment_settings(header.comments)
+    names = _rest_names(tables)
+    out = Splats(
+        means=np.empty((count, 3), np.float32),
+        quats=np.empty((count, 4), np.float32),
+        scales=np.empty((count, 3), np.float32),
+        opacities=np.empty(count, np.float32),
+        sh=np.empty((count, 1 + len(names) // 3, 3), np.float32),
+        antialiased=antialiased,
+        color_space=space,
+    )
+    ranges = [_ranges(tables["chunk"], axes) for axes in AXES]
+    step = 256 * CHUNK  # rows decoded at a time, to bound the float64 intermediates
+    for start in range(0, count, step):
+        rows = slice(start, start + step)
+        chunk = np.arange(start, min(start + step, count)) // CHUNK
+        fields = [_fields(vertex[rows], group) for group in range(3)]
+        real = [
+            packing.dequantise(fields[group][:, :3], low[chunk], high[chunk], _levels(group))
+            for group, (low, high) in enumerate(ranges)
+        ]
+        with np.errstate(over="ignore", invalid="ignore"):
+            out.means[rows] = real[0]
+            out.scales[rows] = np.exp(real[1])
+        out.sh[rows, 0] = raw.color_to_dc(real[2])
+        out.opacities[rows] = fields[2][:, 3] / 255
+        out.quats[rows] = packing.unpack_quats(vertex["packed_rotation"][rows].astype(np.uint32))
+    if names:
+        values = (np.arange(256) + 0.5) / 256
+        values[0], values[255] = 0, 1
+        decoded = ((values - 0.5) * 8).astype(np.float32)
+        third = len(names) // 3
+        for k, name in enumerate(names):
+            out.sh[:, 1 + k % third, k // third] = decoded[tables["sh"][name]]
+    return out
+
+
+def _pack(splats: Splats, old: Splats | None, origin: np.ndarray, record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """The chunk and vertex tables of `splats`."""
+    count = len(splats)
+    starts = np.arange(0, count, CHUNK)
+    chunk = np.arange(count) // CHUNK
+    # A chunk may keep the ranges of the source chunk that its first row comes from; -1 where that row is new.
+    home = np.where(origin[starts] >= 0, origin[starts] // CHUNK, -1) if count else starts
+    chunks = _copies(record.tables["chunk"], home)
+    vertex = _copies(record.tables["vertex"], origin)
+    resident = (origin >= 0) & (np.where(origin >= 0, origin // CHUNK, -1) == home[chunk])
+    calm = presentable(splats) if count else splats
+    values = (
+        calm.means.astype(np.float64),
+        np.clip(raw.log(calm.scales), *LOG_SCALES).astype(np.float64),
+        raw.dc_to_color(calm.sh[:, 0]).astype(np.float64),
+    )
+    same = _same(splats, old, origin)
+    for group, attribute in enumerate(("means", "scales", "base")):
+        axes, word = AXES[group], WORDS[group]
+        low, high = _ranges(chunks, axes)
+        stay = same[attribute] & resident[:, None]
+        fits = _fits(values[group], stay, low[chunk], high[chunk], _levels(group))
+        keep = _all(fits, starts) & (home >= 0)[:, None]
+        if f"min_{axes[0]}" not in (chunks.dtype.names or ()):
+            keep[:] = True  # fixed range 0..1: values beyond it are cut
+        least, most = _reduce(np.minimum, values[group], starts), _reduce(np.maximum, values[group], starts)
+        low, high = np.where(keep, low, least), np.where(keep, high, most)
+        fields = packing.quantise(values[group], low[chunk], high[chunk], _levels(group))
+        packed = _fields(vertex, group)
+        fields = np.where(stay & keep[chunk], packed[:, :3], fields)
+        if group == 2:
+            alpha = np.floor(calm.opacities.astype(np.float64) * 255 + 0.5).astype(np.int64)
+            fields = np.column_stack([fields, np.where(same["opacities"], packed[:, 3], alpha)])
+        vertex[word] = packing.pack_fields(fields, BITS[group])
+        for k, axis in enumerate(axes):
+            if f"min_{axis}" in (chunks.dtype.names or ()):
+                chunks[f"min_{axis}"] = np.where(keep[:, k], chunks[f"min_{axis}"], low[:, k].astype(np.float32))
+                chunks[f"max_{axis}"] = np.where(keep[:, k], chunks[f"max_{axis}"], high[:, k].astype(np.float32))
+    turned = ~same["quats"].all(1)
+    vertex["packed_rotation"][turned] = packing.pack_quats(calm.quats[turned])
+    return chunks, vertex
+
+
+def _pack_sh(splats: Splats, old: Splats | None, origin: np.ndarray, record: Record, dtype: np.dtype) -> np.ndarray:
+    table = np.zeros(len(splats), dtype)
+    third = splats.sh.shape[1] - 1
+    had = len(_rest_names(record.tables)) // 3
+    known = origin >= 0
+    for k in range(3 * third):
+        band, channel = 1 + k % third, k // third
+        with np.errstate(invalid="ignore"):
+            # NaN counts as 0: such rows are not drawn, and 8 bits cannot say NaN.
+            fractions = np.trunc((np.nan_to_num(splats.sh[:, band, channel].astype(np.float64)) / 8 + 0.5) * 256)
+        column = np.clip(fractions, 0, 255).astype(np.uint8)
+        if old is not None and band <= had:
+            before = record.tables["sh"][f"f_rest_{channel * had + band - 1}"]
+            stay = known.copy()
+            stay[known] = ~raw.differs(splats.sh[known, band, channel], old.sh[origin[known], band, channel])
+            column[stay] = before[origin[stay]]
+        table[f"f_rest_{k}"] = column
+    return table
+
+
+def _same(splats: Splats, old: Splats | None, origin: np.ndarray) -> dict[str, np.ndarray]:
+    """Attribute (and "base", the DC colour) -> mask of the values that still are, bit for bit, their source row's."""
+    known = origin >= 0
+    own = {name: getattr(splats, name) for name in ("means", "quats", "scales", "opacities")} | {
+        "base": splats.sh[:, 0]
+    }
+    masks = {name: np.zeros(values.shape, bool) for name, values in own.items()}
+    if old is not None:
+        for name, values in own.items():
+            before = old.sh[:, 0] if name == "base" else getattr(old, name)
+            masks[name][known] = ~raw.differs(values[known], before[origin[known]])
+    return masks
+
+
+def _fits(values: np.ndarray, stay: np.ndarray, low: np.ndarray, high: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    # Half a step beyond the end still rounds to the end; NaN ranges fit nothing.
+    with np.errstate(invalid="ignore"):
+        slack = (high - low) / levels / 2
+        return stay | ((values >= low - slack) & (values <= high + slack))
+
+
+def _all(mask: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    return _reduce(np.logical_and, mask, starts)
+
+
+def _reduce(ufunc: np.ufunc, values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    return ufunc.reduceat(values, starts) if len(starts) else values[:0]
+
+
+def _copies(table: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Rows of a table ([M] indices, -1 for a row of zeros)."""
+    out = np.zeros(len(rows), table.dtype)
+    out[rows >= 0] = table[rows[rows >= 0]]
+    return out
+
+
+def _ranges(chunks: np.ndarray, axes: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """([C, 3], [C, 3]) float64 minima and maxima."""
+    if f"min_{axes[0]}" not in (chunks.dtype.names or ()):
+        return np.zeros((len(chunks), 3)), np.ones((len(chunks), 3))
+    low, high = (np.stack([chunks[f"{side}_{axis}"] for axis in axes], 1) for side in ("min", "max"))
+    return low.astype(np.float64), high.astype(np.float64)
+
+
+def _fields(vertex: np.ndarray, group: int) -> np.ndarray:
+    return packing.unpack_fields(vertex[WORDS[group]].astype(np.uint32), BITS[group])
+
+
+def _levels(group: int) -> np.ndarray:
+    return (1 << np.array(BITS[group][:3])) - 1
+
+
+def _rest_names(tables: Mapping[str, np.ndarray]) -> list[str]:
+    names = tables["sh"].dtype.names or () if "sh" in tables else ()
+    return [f"f_rest_{k}" for k in range(sum(n.startswith("f_rest_") for n in names))]
+
+
+def _standard() -> Record:
+    floats = [f"{side}_{axis}" for axes in AXES for side in ("min", "max") for axis in axes]
+    words = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+    tables = [("chunk", 0, [("float", n) for n in floats]), ("vertex", 0, [("uint", n) for n in words])]
+    header = make_header("binary_little_endian", (), tables)
+    return Record(header, {e.name: np.zeros(0, e.dtype("<")) for e in header.elements}, b"")

@@ -1,0 +1,92 @@
+"""Bytes in and out: whole files and bounded slices in, all-or-nothing files out. Knows no format."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+HEADER_LIMIT = 1 << 20
+"""Bytes; no honest text header is longer, and a hostile one must not be searched to its end."""
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[BinaryIO]:
+    """The file at `path`, open for reading. Missing, a folder, no permission: a one-line ValueError."""
+    try:
+        if path.is_dir():
+            raise ValueError(f"{path}: is a folder; expected a file")
+        with open(path, "rb") as file:
+            yield file
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def read_head(path: Path, count: int) -> bytes:
+    """The first `count` bytes, or fewer where the file is shorter."""
+    with reading(path) as file:
+        return file.read(count)
+
+
+def read_all(path: Path) -> bytes:
+    """The whole file."""
+    with reading(path) as file:
+        return file.read()
+
+
+def sha256(data: bytes | memoryview) -> str:
+    """Hex SHA-256 of `data`."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def take(data: bytes | memoryview, offset: int, count: int, where: Path | str, what: str) -> memoryview:
+    """data[offset : offset + count] without a copy, checked before anything is allocated.
+
+    where: the file, what: the thing wanted, both for the error. Raises ValueError when the bytes are not all there.
+    """
+    if count < 0 or offset < 0:
+        raise ValueError(f"{where}: {what} has a negative size or place ({count} bytes at {offset})")
+    if offset + count > len(data):
+        raise ValueError(f"{where}: truncated: {what} needs {count} bytes at byte {offset}, the file has {len(data)}")
+    return memoryview(data)[offset : offset + count]
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[BinaryIO]:
+    """A file that appears at `path` complete (flushed, synced, renamed) or, when the block raises, not at all.
+
+    An existing file keeps its permissions; a symbolic link keeps pointing where it points. OSError becomes ValueError.
+    """
+    target = Path(os.path.realpath(path))
+    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    try:
+        with open(partial, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        if target.exists():
+            shutil.copymode(target, partial)
+        os.replace(partial, target)
+        sync_folder(target.parent)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a rename inside `folder` durable, where the system can do that."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

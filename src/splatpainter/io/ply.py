@@ -1,0 +1,318 @@
+"""INRIA PLY, the format that 3D Gaussian training writes: read in every variant met in the wild, written back exactly.
+
+Vertex properties, in any order and of any scalar type: x y z, f_dc_0..2, f_rest_0..3(K-1)-1 (channel-major: all red,
+then green, then blue; none for degree 0), opacity (logit), scale_0..2 (natural log), rot_0..3 (w x y z). Without
+f_dc_*, red green blue (0..255 as uchar, else 0..1) are the base colour. Everything else in the file is kept as it is.
+
+Writing over a PLY source: output row i begins as the bytes of source row origin[i] (zeros for -1), and a property is
+encoded anew where, and only where, its value in `Splats` differs in any bit from what the source decoded to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from splatpainter.io import files, raw
+from splatpainter.io.ply_header import Element, Header, element_size, make_header, read_header
+from splatpainter.io.ply_rows import BinaryRows, Rows, text_rows
+from splatpainter.splats import SH_COUNTS, ColorSpace, Source, Splats
+
+DEGREES = {3 * (count - 1): degree for count, degree in SH_COUNTS.items()}
+"""Number of f_rest_* properties -> SH degree."""
+MIP_COMMENT = "SplatRenderMode: mip"
+PLAIN_COMMENT = "SplatRenderMode: default"
+SPACE_COMMENT = "SplatColorSpace: "
+"""Ours: PLY itself cannot say that colours are linear."""
+BLOCK = 1 << 15
+"""Rows encoded at a time when writing."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """Source.detail of a PLY file."""
+
+    header: Header
+    before: bytes
+    """Elements ahead of the vertices."""
+    rows: Rows
+    after: bytes
+    """Elements behind the vertices, and whatever follows them."""
+    unended: bool = False
+    """A text file whose last line has no line ending (`rows` have one)."""
+
+
+def read_ply(path: Path) -> Splats:
+    """Read an INRIA PLY file (not a compressed one, see compressed_ply.py).
+
+    Raises ValueError with one line: broken header, truncated data, a mesh or point cloud, a wrong number of f_rest_*.
+    """
+    with files.reading(path) as file:
+        header = read_header(file, path)
+        vertex = header.element("vertex")
+        if vertex is None:
+            raise ValueError(f"{path}: a PLY file without element 'vertex'; expected Gaussian splats")
+        plan = columns_of(vertex.names, path, header)
+        if vertex.has_lists:
+            raise ValueError(f"{path}: element 'vertex' has a list property; expected single values only")
+        record, problems = _read_body(file, header, vertex, path)
+    with ThreadPoolExecutor(1) as pool:
+        # Hashing lets go of the GIL, so it runs beside the decoding.
+        digest = pool.submit(_sha256, record)
+        splats = _decode(record.rows, plan, vertex, header)
+        own = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
+        extra = [name for name in vertex.names if name not in own]
+        if extra:
+            shown = ", ".join(extra[:8]) + (", ..." if len(extra) > 8 else "")
+            problems.append(f"extra vertex properties (kept as they are): {shown}")
+        others = [e.name for e in header.elements if e.name != "vertex"]
+        if others:
+            problems.append(f"extra elements (kept as they are): {', '.join(others[:8])}")
+        problems += raw.oddities(splats)
+        source = Source(str(path), "ply", splats, digest.result(), record, tuple(problems))
+    return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
+
+
+def write_ply(path: Path, splats: Splats) -> None:
+    """Write a PLY file: over a PLY source exactly (see above), otherwise in INRIA's property order, little endian.
+
+    Splats of another SH degree than their source's: the f_rest_* lines of its header are replaced (float, in the old
+    ones' place), every other property keeps its bytes. `antialiased` and `color_space` are said in a comment where the
+    source says otherwise. Raises ValueError when the file cannot be written.
+    """
+    source = splats.source
+    if source is not None and source.format == "ply" and splats.origin is not None:
+        record, old, origin = source.detail, source.splats, splats.origin
+    else:
+        record, old, origin = _standard(splats.sh_degree), None, np.full(len(splats), -1, np.int64)
+    if old is not None and old.sh_degree != splats.sh_degree:
+        record = _with_degree(record, splats.sh_degree)
+        coefficients = np.zeros((len(old), splats.sh.shape[1], 3), np.float32)
+        shared = min(old.sh.shape[1], splats.sh.shape[1])
+        coefficients[:, :shared] = old.sh[:, :shared]
+        old = replace(old, sh=coefficients)
+    header = record.header.with_counts({"vertex": len(splats)})
+    header = settled_comments(header, splats, old)
+    with files.writing(path) as file:
+        file.write(header.raw)
+        file.write(record.before)
+        for last, block in _encode(splats, record, old, np.asarray(origin, np.int64)):
+            file.write(block.removesuffix(header.newline) if last and record.unended else block)
+        file.write(record.after)
+
+
+def columns_of(names: Sequence[str], path: Path, header: Header | None = None) -> dict[str, tuple[str, ...]]:
+    """Attribute of `Splats` -> the vertex properties that hold its values, in the attribute's own (C) order.
+
+    Raises ValueError when the properties are not those of Gaussian splats or the f_rest_* do not fit an SH degree.
+    """
+    have = set(names)
+    base = ("f_dc_0", "f_dc_1", "f_dc_2")
+    if not have.intersection(base) and have.issuperset(("red", "green", "blue")):
+        base = ("red", "green", "blue")
+    plan = {
+        "means": ("x", "y", "z"),
+        "quats": ("rot_0", "rot_1", "rot_2", "rot_3"),
+        "scales": ("scale_0", "scale_1", "scale_2"),
+        "opacities": ("opacity",),
+        "sh": base,
+    }
+    missing = [name for wanted in plan.values() for name in wanted if name not in have]
+    if missing == ["scale_2"]:
+        raise ValueError(f"{path}: no scale_2: a file of 2D Gaussians (surfels); expected 3D Gaussians")
+    if missing:
+        what = "a mesh" if header is not None and header.element("face") else "not a Gaussian splat file"
+        shown = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
+        raise ValueError(f"{path}: a PLY file, but {what}: its vertices lack {shown}")
+    rest = _rest_count(have, path)
+    if rest:
+        plan["sh"] += tuple(f"f_rest_{c * (rest // 3) + k}" for k in range(rest // 3) for c in range(3))
+    return plan
+
+
+def comment_settings(comments: Sequence[str]) -> tuple[bool, ColorSpace]:
+    """(antialiased, color_space) that header comments ask for: Brush's `SplatRenderMode: mip | default`, Postshot's
+    `antialiased [0 | 1]`, our `SplatColorSpace: linear`. The last one of a kind wins, as in Brush."""
+    antialiased, space = False, "srgb"
+    for comment in comments:
+        words = comment.lower().replace(":", " ").replace("=", " ").split()
+        if len(words) == 2 and words[0] == "splatrendermode":
+            antialiased = words[1] == "mip"
+        elif words and words[0] == "antialiased" and len(words) <= 2:
+            antialiased = words[1:] in ([], ["1"], ["true"])
+        elif words == ["splatcolorspace", "linear"] or words == ["splatcolorspace", "srgb"]:
+            space = words[1]
+    return antialiased, "linear" if space == "linear" else "srgb"
+
+
+def settled_comments(header: Header, splats: Splats, old: Splats | None) -> Header:
+    """The header with comments for what `splats` says otherwise than the file does (`old`: as decoded, None if new)."""
+    if splats.antialiased != (old is not None and old.antialiased):
+        header = header.with_comment(MIP_COMMENT if splats.antialiased else PLAIN_COMMENT)
+    if splats.color_space != (old.color_space if old is not None else "srgb"):
+        header = header.with_comment(SPACE_COMMENT + splats.color_space)
+    return header
+
+
+def _rest_count(names: set[str], path: Path) -> int:
+    rest = {name for name in names if re.fullmatch(r"f_rest_[0-9]{1,4}", name)}
+    if len(rest) not in DEGREES:
+        wanted, degree = next(((n, d) for n, d in DEGREES.items() if n >= len(rest)), max(DEGREES.items()))
+        raise ValueError(f"{path}: expected {wanted} f_rest_* properties for SH degree {degree}, found {len(rest)}")
+    gap = next((k for k in range(len(rest)) if f"f_rest_{k}" not in rest), None)
+    if gap is not None:
+        raise ValueError(f"{path}: expected f_rest_0 to f_rest_{len(rest) - 1}, but f_rest_{gap} is missing")
+    return len(rest)
+
+
+def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path) -> tuple[Record, list[str]]:
+    ahead = header.elements[: header.elements.index(vertex)]
+    behind = header.elements[len(ahead) + 1 :]
+    start = file.tell()
+    available = os.fstat(file.fileno()).st_size - start
+    problems: list[str] = []
+    if header.format == "ascii":
+        body = file.read()
+        whole = body if not body or body.endswith(b"\n") else body + header.newline
+        pairs = [(p.name, p.type) for p in vertex.properties]
+        rows = text_rows(whole, sum(e.count for e in ahead), vertex.count, pairs, header.newline, path)
+        after = body[rows.starts[-1] :]
+        extra_lines = after.count(b"\n") - sum(e.count for e in behind)
+        if extra_lines > 0 and after.strip():
+            problems.append(f"{extra_lines} lines behind the last element (kept as they are)")
+        return Record(header, body[: rows.starts[0]], rows, after, len(whole) > len(body) and not after), problems
+    skipped = 0
+    for element in ahead:
+        file.seek(start + skipped)
+        skipped += element_size(file, header, element, available - skipped, path)
+    size = element_size(file, header, vertex, available - skipped, path)
+    file.seek(start)
+    before = file.read(skipped)
+    # fromfile gives memory of its own: aligned, and safe when this very file is later replaced by a save.
+    records = np.fromfile(file, vertex.dtype(header.order), vertex.count)
+    rest = available - skipped - size
+    for element in behind:
+        try:
+            file.seek(start + available - rest)
+            rest -= element_size(file, header, element, rest, path)
+        except ValueError:
+            problems.append(f"element '{element.name}' is cut short (kept as it is)")
+            rest = 0
+            break
+    if rest:
+        problems.append(f"{rest} trailing bytes (kept as they are)")
+    file.seek(start + skipped + size)
+    return Record(header, before, BinaryRows(records, header.order), file.read()), problems
+
+
+def _sha256(record: Record) -> str:
+    digest = hashlib.sha256(record.header.raw)
+    digest.update(record.before)
+    stored = record.rows.stored()
+    digest.update(stored[: -len(record.header.newline)] if record.unended else stored)
+    digest.update(record.after)
+    return digest.hexdigest()
+
+
+def _decode(rows: Rows, plan: Mapping[str, tuple[str, ...]], vertex: Element, header: Header) -> Splats:
+    values = rows.columns(plan)
+    sh = values["sh"]
+    span = _color_span(plan["sh"][0], vertex)
+    if span is not None:
+        sh[:, :3] = raw.color_to_dc(sh[:, :3] / np.float32(span))
+    antialiased, space = comment_settings(header.comments)
+    return Splats(
+        means=values["means"],
+        quats=values["quats"],
+        scales=raw.exp(values["scales"]),
+        opacities=raw.sigmoid(values["opacities"][:, 0]),
+        sh=sh.reshape(len(rows), len(plan["sh"]) // 3, 3),
+        antialiased=antialiased,
+        color_space=space,
+    )
+
+
+def _encode(splats: Splats, record: Record, old: Splats | None, origin: np.ndarray) -> Iterator[tuple[bool, bytes]]:
+    """(is it the last block, bytes) for BLOCK rows at a time."""
+    vertex = record.header.element("vertex")
+    assert vertex is not None
+    plan = columns_of(vertex.names, Path("source"))
+    span = _color_span(plan["sh"][0], vertex)
+    for start in range(0, len(splats), BLOCK):
+        rows = origin[start : start + BLOCK]
+        block = record.rows.block(rows)
+        known = rows >= 0
+        in_place = np.array_equal(rows, np.arange(start, start + len(rows)))
+        for attribute, names in plan.items():
+            if in_place and old is not None and getattr(old, attribute) is getattr(splats, attribute):
+                continue
+            new = getattr(splats, attribute)[start : start + BLOCK].reshape(-1, len(names))
+            changed = np.ones(new.shape, bool)
+            if old is not None:
+                before = getattr(old, attribute).reshape(-1, len(names))
+                changed[known] = raw.differs(new[known], before[rows[known]])
+            for k in np.flatnonzero(changed.any(0)):
+                where = changed[:, k]
+                block.put(names[k], where, _to_file(attribute, new[where, k], span if k < 3 else None))
+        yield start + BLOCK >= len(splats), block.tobytes()
+
+
+def _to_file(attribute: str, values: np.ndarray, span: float | None) -> np.ndarray:
+    if attribute == "scales":
+        return raw.log(values)
+    if attribute == "opacities":
+        return raw.logit(values)
+    if attribute == "sh" and span is not None:
+        return raw.dc_to_color(values) * np.float32(span)
+    return values
+
+
+def _color_span(first: str, vertex: Element) -> float | None:
+    """What full red is in the file, where colours stand in for f_dc_*; None where they do not."""
+    if first != "red":
+        return None
+    code = next(p.type for p in vertex.properties if p.name == first)
+    return 1.0 if code[0] == "f" else float(np.iinfo(code).max)
+
+
+def _standard(degree: int) -> Record:
+    """INRIA's own layout, without rows."""
+    rest = 3 * (degree + 1) ** 2 - 3
+    names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest))]
+    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    header = make_header("binary_little_endian", (), [("vertex", 0, [("float", name) for name in names])])
+    return Record(header, b"", BinaryRows(np.zeros(0, header.elements[0].dtype("<")), "<"), b"")
+
+
+def _with_degree(record: Record, degree: int) -> Record:
+    """The same file with f_rest_* for another SH degree: shared coefficients keep their bits, new ones are zero."""
+    vertex = record.header.element("vertex")
+    assert vertex is not None
+    old = sorted((n for n in vertex.names if re.fullmatch(r"f_rest_[0-9]{1,4}", n)), key=lambda n: int(n[7:]))
+    had, want = len(old) // 3, (degree + 1) ** 2 - 1
+    kept = [n for n in vertex.names if n not in old]
+    first = vertex.names.index(old[0]) if old else None
+    # Behind f_dc_2 where there were none; all together where the first one stood.
+    place = len([n for n in vertex.names[:first] if n not in old]) if old else _after_base(kept)
+    names: list[tuple[str, str, str | None]] = [(p.name, p.type, p.name) for p in vertex.properties if p.name in kept]
+    rest: list[tuple[str, str, str | None]] = [
+        (f"f_rest_{c * want + k}", "f4", f"f_rest_{c * had + k}" if k < had else None)
+        for c in range(3)
+        for k in range(want)
+    ]
+    header = record.header.with_properties(
+        "vertex", old, [("float", name) for name, _, _ in rest], kept[place - 1] if place else None
+    )
+    return replace(record, header=header, rows=record.rows.relayout(names[:place] + rest + names[place:]))
+
+
+def _after_base(names: Sequence[str]) -> int:
+    return names.index("f_dc_2") + 1 if "f_dc_2" in names else len(names)

@@ -1,0 +1,102 @@
+"""antimatter15 .splat: 32 bytes a row, no header, no SH above degree 0.
+
+    offset  bytes  what
+         0     12  position, 3 x float32, little endian
+        12     12  scale, 3 x float32, linear
+        24      4  red, green, blue, opacity, uint8: round(255 (0.5 + C0 dc)), round(255 alpha)
+        28      4  rotation w x y z, uint8: round(128 q + 128) of the unit quaternion
+
+Writing over a .splat source copies the bytes of every value that did not change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.io import files, raw
+from splatpainter.splats import Source, Splats
+
+ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1"), ("quats", "u1", 4)])
+
+
+@dataclass(frozen=True)
+class Record:
+    """Source.detail of a .splat file."""
+
+    rows: np.ndarray
+    """[N] of ROW."""
+    after: bytes
+    """What is left of a last row that was cut short."""
+
+
+def read_splat(path: Path) -> Splats:
+    """Read a .splat file. Raises ValueError when it cannot be read or is shorter than one row."""
+    data = files.read_all(path)
+    count, rest = divmod(len(data), ROW.itemsize)
+    if not count:
+        raise ValueError(f"{path}: expected a .splat file of 32 bytes a row, got {rest} bytes")
+    record = Record(np.frombuffer(data, ROW, count), data[len(data) - rest :])
+    rows = record.rows
+    splats = Splats(
+        means=rows["means"].astype(np.float32),
+        quats=(rows["quats"].astype(np.float32) - 128) / 128,
+        scales=rows["scales"].astype(np.float32),
+        opacities=rows["alpha"] / np.float32(255),
+        sh=raw.color_to_dc(rows["rgb"] / np.float64(255)).reshape(count, 1, 3),
+    )
+    problems = [f"the last row is cut short: {rest} trailing bytes (kept as they are)"] if rest else []
+    problems += raw.oddities(splats)
+    source = Source(str(path), "splat", splats, files.sha256(data), record, tuple(problems))
+    return replace(splats, source=source, origin=np.arange(count, dtype=np.int64))
+
+
+def write_splat(path: Path, splats: Splats) -> None:
+    """Write a .splat file, rows in their order; SH above degree 0 is dropped.
+
+    NaN colours and opacities, which 8 bits cannot say, become 0; such rows are not drawn anyway.
+    Raises ValueError when there are no rows (such a file would be empty) or the file cannot be written.
+    """
+    if not len(splats):
+        raise ValueError(f"{path}: a .splat file needs at least one row, got none")
+    rows, after = np.zeros(len(splats), ROW), b""
+    changed = {name: np.ones(len(splats), bool) for name in ("means", "scales", "rgb", "alpha", "quats")}
+    source = splats.source
+    if source is not None and source.format == "splat" and splats.origin is not None:
+        after, old, origin = source.detail.after, source.splats, np.asarray(splats.origin)
+        known = origin >= 0
+        rows[known] = source.detail.rows[origin[known]]
+        now, then = _columns(splats), _columns(old)
+        for name, mask in changed.items():
+            changes = raw.differs(now[name][known], then[name][origin[known]])
+            mask[known] = changes if changes.ndim == 1 else changes.any(1)
+    norms = np.linalg.norm(splats.quats.astype(np.float64), axis=1, keepdims=True)
+    values = {
+        "means": splats.means,
+        "scales": splats.scales,
+        "rgb": _to_uint8(raw.dc_to_color(splats.sh[:, 0]) * 255),
+        "alpha": _to_uint8(splats.opacities * 255),
+        "quats": _to_uint8(splats.quats / np.where(norms > 0, norms, 1) * 128 + 128),
+    }
+    for name, mask in changed.items():
+        rows[name][mask] = values[name][mask]
+    with files.writing(path) as file:
+        file.write(rows.tobytes())
+        file.write(after)
+
+
+def _columns(splats: Splats) -> dict[str, np.ndarray]:
+    """What each field of ROW is made from."""
+    return {
+        "means": splats.means,
+        "scales": splats.scales,
+        "rgb": splats.sh[:, 0],
+        "alpha": splats.opacities,
+        "quats": splats.quats,
+    }
+
+
+def _to_uint8(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(np.nan_to_num(values)), 0, 255).astype(np.uint8)
