@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -34,20 +35,25 @@ class Camera:
     """Principal point in pixels (width / 2 for a centred one)."""
     cy: float
     world_to_camera: np.ndarray = field(compare=False)
-    """[4, 4] float64 rigid transform."""
+    """[4, 4] float64 rigid transform; not part of ==."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Colour behind the asset, 0..1, in the asset's colour space."""
     asset_sha256: str | None = None
     """The asset a picture was rendered from, to warn about a wrong one."""
 
     def __post_init__(self) -> None:
-        matrix = np.asarray(self.world_to_camera, np.float64)
+        matrix = np.array(self.world_to_camera, np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise ValueError(f"camera: expected a finite 4x4 world_to_camera, got shape {matrix.shape}")
+        turn = matrix[:3, :3]
+        if abs(turn @ turn.T - np.eye(3)).max() > 0.01 or np.linalg.det(turn) < 0 or (matrix[3] != (0, 0, 0, 1)).any():
+            raise ValueError("camera: expected a rotation and a translation as world_to_camera (last row 0 0 0 1)")
         if not (self.width > 0 and self.height > 0 and self.fx > 0 and self.fy > 0):
             raise ValueError(
                 f"camera: size and focal lengths must be positive, got {self.width}x{self.height}, {self.fx}, {self.fy}"
             )
+        if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy, *self.background))):
+            raise ValueError("camera: focal lengths, principal point and background must be finite")
         object.__setattr__(self, "world_to_camera", matrix)
 
     @property
@@ -108,7 +114,7 @@ class Camera:
         """Parse `to_json`'s object. Raises ValueError naming `where` and the field that is wrong."""
         try:
             data: dict[str, Any] = json.loads(text)
-        except json.JSONDecodeError as error:
+        except (ValueError, RecursionError) as error:  # not only JSONDecodeError: digits and depth have limits
             raise ValueError(f"{where}: expected a camera as JSON, got {text[:40]!r} ({error})") from None
         if not isinstance(data, dict):
             raise ValueError(f"{where}: expected a JSON object, got {type(data).__name__}")
@@ -117,8 +123,8 @@ class Camera:
         try:
             red, green, blue = (float(c) for c in data.get("background") or (0, 0, 0))
             return Camera(
-                width=int(data["width"]),
-                height=int(data["height"]),
+                width=_whole(data["width"]),
+                height=_whole(data["height"]),
                 fx=float(data["fx"]),
                 fy=float(data["fy"]),
                 cx=float(data["cx"]),
@@ -129,8 +135,14 @@ class Camera:
             )
         except KeyError as error:
             raise ValueError(f"{where}: the camera has no {error}") from None
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"{where}: {error}") from None
+
+
+def _whole(value: Any) -> int:
+    if int(value) != float(value):
+        raise ValueError(f"expected whole pixels, got {value}")
+    return int(value)
 
 
 def look_at(
@@ -144,15 +156,18 @@ def look_at(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Camera:
     """A camera at `eye` facing `target`. up: the world direction that points up in the picture (any length, not along
-    the view). fov: vertical field of view in degrees."""
-    position, aim = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+    the view). fov: vertical field of view in degrees, above 0 and below 180. Raises ValueError where these give no
+    camera."""
+    position, aim, upward = (np.asarray(point, np.float64) for point in (eye, target, up))
+    if not np.isfinite([position, aim, upward]).all() or (position == aim).all() or not upward.any():
+        raise ValueError(f"look_at: expected two different points and an up direction, got {eye}, {target}, {up}")
+    if not 0 < fov < 180:
+        raise ValueError(f"look_at: expected a fov between 0 and 180 degrees, got {fov}")
     z = aim - position
-    if not np.linalg.norm(z) > 0:
-        raise ValueError("look_at: eye and target are the same point")
     z /= np.linalg.norm(z)
-    x = np.cross(z, np.asarray(up, np.float64))
-    if np.linalg.norm(x) < 1e-6 * np.linalg.norm(up):  # looking straight along up: any horizontal will do
-        x = np.cross(z, np.roll(np.asarray(up, np.float64), 1) + 1e-3)
+    x = np.cross(z, upward)
+    if np.linalg.norm(x) < 1e-6 * np.linalg.norm(upward):  # looking straight along up: any horizontal will do
+        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
     x /= np.linalg.norm(x)
     y = np.cross(z, x)
     matrix = np.eye(4)
@@ -200,7 +215,10 @@ def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None)
     target = Path(path)
     partial = target.with_name(target.name + ".part")
     try:
-        Image.fromarray(to_uint8(image)).save(partial, "PNG", pnginfo=chunk)
+        with open(partial, "wb") as file:
+            Image.fromarray(to_uint8(image)).save(file, "PNG", pnginfo=chunk)
+            file.flush()
+            os.fsync(file.fileno())
         partial.replace(target)
     finally:
         partial.unlink(missing_ok=True)
@@ -219,15 +237,29 @@ def find_camera(png: str | Path, explicit: str | Path | None = None) -> Camera:
     from PIL import Image
 
     if explicit is not None:
-        return Camera.from_json(Path(explicit).read_text(encoding="utf-8"), str(explicit))
+        return Camera.from_json(_read_text(Path(explicit)), str(explicit))
     picture = Path(png)
-    with Image.open(picture) as image:
-        text = getattr(image, "text", {}).get(CHUNK) or image.info.get(CHUNK)
+    try:
+        with Image.open(picture) as image:
+            text = getattr(image, "text", {}).get(CHUNK) or image.info.get(CHUNK)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
     if text:
         return Camera.from_json(text, f"{picture} (PNG chunk)")
     sidecar = picture.with_suffix(".json")
     if sidecar.exists():
-        return Camera.from_json(sidecar.read_text(encoding="utf-8"), str(sidecar))
+        return Camera.from_json(_read_text(sidecar), str(sidecar))
     raise ValueError(
         f"{picture}: no camera; expected one in the PNG ({CHUNK} chunk), in {sidecar.name}, or given with --camera"
     )
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read as a camera ({_reason(error)})") from None
+
+
+def _reason(error: BaseException) -> str:
+    return getattr(error, "strerror", None) or str(error)

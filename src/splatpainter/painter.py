@@ -9,7 +9,8 @@ edited.splats, edited.receipt
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -39,6 +40,8 @@ class Edit:
     camera: Camera
     mask: np.ndarray | None = field(default=None, repr=False)
     """[H, W] bool, pixels that were edited; None: found by comparing with the current render."""
+    name: str = "edit"
+    """What errors call it, e.g. its file."""
 
     def __post_init__(self) -> None:
         image = np.asarray(self.image)
@@ -114,7 +117,10 @@ class Painter:
             raise ValueError(f"edit: expected 1 to {MAX_VIEWS} edited views, got {len(edits)}")
         chosen, note = _choose(method)
         clock = _Clock()
-        prepared = [_prepare(asset, edit, mode) for edit in edits]
+        prepared = []
+        for edit in edits:
+            with _errors_name(edit.name):
+                prepared.append(_prepare(asset, edit, mode))
         clock.lap("prepare")
         confidence = None
         if mode == "global":
@@ -130,7 +136,10 @@ class Painter:
         else:
             result = self._lift_views(asset, prepared)
         clock.lap(chosen)
-        images = [(v.before, _draw(result, v.camera)[0], v.target, v.mask) for v in prepared]
+        images = [(v.before, _draw(result, v.camera)[0], v.target, v.mask, v.scored) for v in prepared]
+        beside = sum(int((v.mask & ~v.scored).sum()) for v in prepared)
+        if mode == "local" and beside > 0.01 * sum(int(v.mask.sum()) for v in prepared):
+            note = "; ".join(filter(None, [note, f"{beside} edited pixels lie beside the asset and cannot be painted"]))
         touched = changed_rows(asset.splats, result)
         hashes = untouched_hashes(asset.splats, result, touched)
         clock.lap("receipt")
@@ -160,9 +169,9 @@ class Painter:
         options = self.local or LocalOptions()
         for k, view in enumerate(views):
             grid = asset.grid if k == 0 else replace(asset, splats=splats).grid
-            splats = lift_local(
-                splats, view.camera, view.target, view.mask, options, _allowed(grid, splats, view)
-            ).splats
+            with _errors_name(view.name):
+                allowed = _allowed(grid, splats, view)
+                splats = lift_local(splats, view.camera, view.target, view.mask, options, allowed).splats
         return splats
 
 
@@ -172,6 +181,19 @@ class _View:
     target: np.ndarray
     before: np.ndarray
     mask: np.ndarray
+    """[H, W] bool pixels that were edited."""
+    scored: np.ndarray
+    """[H, W] bool: those of them that the asset covers at all (alpha > 0.5)."""
+    name: str
+
+
+@contextmanager
+def _errors_name(name: str) -> Iterator[None]:
+    """Among several edits, the one that is wrong is named."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{name}: {str(error).removeprefix('edit: ')}") from None
 
 
 def _choose(method: Method) -> tuple[str, str]:
@@ -199,7 +221,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode) -> _View:
     if not mask.any():
         what = "the picture does not differ from the render" if edit.mask is None else "the mask is empty"
         raise ValueError(f"edit: nothing to do, {what}")
-    return _View(edit.camera, edit.image, before, mask)
+    return _View(edit.camera, edit.image, before, mask, mask & (covered > 0.5), edit.name)
 
 
 def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -223,7 +245,8 @@ def _fit(asset: Asset, views: Sequence[_View]) -> Splats:
     splats = asset.splats
     reached = np.zeros(len(splats), bool)
     for view in views:
-        reached |= reached_rows(splats, view.camera, view.mask, _allowed(asset.grid, splats, view))
+        with _errors_name(view.name):
+            reached |= reached_rows(splats, view.camera, view.mask, _allowed(asset.grid, splats, view))
     targets = [(v.camera, np.where(v.mask[..., None], v.target, v.before)) for v in views]
     return fit_rows(splats, targets, np.flatnonzero(reached))
 

@@ -25,7 +25,7 @@ class ViewScore:
     """How one edited view fared, in dB (PSNR over 8-bit-range colours 0..1; None where there is no such pixel)."""
 
     psnr_before: float | None
-    """Render before against the edited view, inside the mask."""
+    """Render before against the edited view, inside the mask (where the asset covers the pixel: alpha > 0.5)."""
     psnr_after: float | None
     """Render after against the edited view, inside the mask."""
     psnr_outside: float | None
@@ -174,6 +174,20 @@ class Verification:
     """How the rows were compared."""
 
 
+@dataclass(frozen=True)
+class Comparison:
+    """Two assets, row by row, in the edited one's own format."""
+
+    original_sha256: str
+    before: Splats = field(repr=False)
+    """The original, as its rows are in the format of the edited file."""
+    after: Splats = field(repr=False)
+    differs: np.ndarray = field(repr=False)
+    """[D] int64 ascending rows of `before` that `after` does not hold unchanged at their places."""
+    exact: str
+    """How the rows were compared."""
+
+
 def verify(
     original: str | os.PathLike[str], edited: str | os.PathLike[str], receipt: Receipt | None = None
 ) -> Verification:
@@ -182,23 +196,35 @@ def verify(
 
     Files of different formats are compared by converting the original to the edited file's format first.
     Raises ValueError when a file cannot be read."""
-    before, after = read(original), read(edited)
-    assert before.source is not None and after.source is not None
-    problems = _wrong_files(receipt, before, after) if receipt is not None else []
-    how = "every value of every row, bit for bit"
-    if before.source.format != after.source.format:
-        how = f"the original converted to {after.source.format}, then {how}"
-        before = _converted(before, after)
+    return check(compare(read(original), read(edited)), receipt)
+
+
+def compare(original: Splats, edited: Splats) -> Comparison:
+    """Compare two assets as they were read from their files (both have a source)."""
+    assert original.source is not None and edited.source is not None
+    before, how = original, "every value of every row, bit for bit"
+    if original.source.format != edited.source.format:
+        how = f"the original converted to {edited.source.format}, then {how}"
+        before = _converted(original, edited)
+    if len(edited) < len(before):
+        return Comparison(original.sha256, before, edited, np.arange(len(before)), how)
+    differs = changed_rows(before, edited)
+    raw = _stored_rows_differ(before, edited)
+    if raw is not None:
+        how = "every byte of every stored row"
+        differs = np.union1d(differs, np.flatnonzero(raw))
+    return Comparison(original.sha256, before, edited, differs, how)
+
+
+def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
+    """Judge a comparison, against the receipt of the edit where there is one."""
+    before, after, differs = found.before, found.after, found.differs
+    problems = _wrong_files(receipt, found.original_sha256, after) if receipt is not None else []
     if before.sh.shape[1] != after.sh.shape[1]:
         problems.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
     if len(after) < len(before):
         problems.append(f"{len(before) - len(after)} rows are missing")
-        return Verification(False, len(before), 0, 0, 0, tuple(problems), how)
-    differs = changed_rows(before, after)
-    raw = _stored_rows_differ(before, after)
-    if raw is not None:
-        how = "every byte of every stored row"
-        differs = np.union1d(differs, np.flatnonzero(raw))
+        return Verification(False, len(before), 0, 0, 0, tuple(problems), found.exact)
     if receipt is not None:
         strange = np.setdiff1d(differs, receipt.touched)
         if len(strange):
@@ -213,16 +239,14 @@ def verify(
         len(differs),
         len(after) - len(before),
         tuple(problems),
-        how,
+        found.exact,
     )
 
 
-def _wrong_files(receipt: Receipt, before: Splats, after: Splats) -> list[str]:
+def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:
     out = []
-    if receipt.asset_sha256 != before.sha256:
-        out.append(
-            f"the receipt is of another original (sha256 {receipt.asset_sha256[:12]}..., not {before.sha256[:12]}...)"
-        )
+    if receipt.asset_sha256 != original:
+        out.append(f"the receipt is of another original (sha256 {receipt.asset_sha256[:12]}..., not {original[:12]}...)")
     if receipt.output_sha256 != after.sha256:
         out.append(
             f"the edited file changed since (sha256 {after.sha256[:12]}..., receipt {receipt.output_sha256[:12]}...)"
@@ -260,9 +284,9 @@ def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | No
     return float(psnr(np.clip(pixels, 0, 1), np.clip(other, 0, 1), mask))
 
 
-def scores(images: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> tuple[ViewScore, ...]:
-    """One ViewScore per (render before, render after, edited picture, mask)."""
+def scores(images: Sequence[tuple[np.ndarray, ...]]) -> tuple[ViewScore, ...]:
+    """One ViewScore per (render before, render after, edited picture, mask, scored part of the mask)."""
     return tuple(
-        ViewScore(score(before, edited, mask), score(after, edited, mask), score(after, before, ~mask))
-        for before, after, edited, mask in images
+        ViewScore(score(before, edited, scored), score(after, edited, scored), score(after, before, ~mask))
+        for before, after, edited, mask, scored in images
     )

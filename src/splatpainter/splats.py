@@ -63,8 +63,8 @@ class Splats:
         assert more.sh.shape[1] == self.sh.shape[1], "append: SH degrees differ"
         origin = None
         if self.origin is not None:
-            same = more.origin is not None and more.source is self.source
-            tail = more.origin if same else np.full(len(more), -1, np.int64)
+            known = more.origin if more.source is self.source else None
+            tail = np.full(len(more), -1, np.int64) if known is None else known
             origin = np.concatenate([self.origin, tail])
         if isinstance(self.means, np.ndarray):
             joined = {k: np.concatenate([getattr(self, k), getattr(more, k)]) for k in ATTRIBUTES}
@@ -99,8 +99,8 @@ class Splats:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the file the rows came from, or of the attributes where there is none."""
-        if self.source is not None:
+        """Hash of the file while these are exactly the arrays that were read from it, else of the attributes."""
+        if self.source is not None and all(getattr(self, k) is getattr(self.source.splats, k) for k in ATTRIBUTES):
             return self.source.sha256
         return rows_sha256(self)
 

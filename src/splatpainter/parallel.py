@@ -1,0 +1,84 @@
+"""Run one numba kernel on several threads: `run(kernel, *args)` calls kernel(*args, thread, threads) once per thread.
+
+Kernels are `@njit(nogil=True)` and take their share of the work from (thread, threads). numba's own parallel=True is
+not used: its default layer aborts the process when two Python threads enter it at once, and it compiles twice as long.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+VARIABLE = "SPLATPAINTER_THREADS"
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+_pool: ThreadPoolExecutor | None = None
+_local = threading.local()
+
+
+def threads() -> int:
+    """Threads per kernel: the environment variable SPLATPAINTER_THREADS, else the number of CPUs; 1 inside `each`.
+    Raises ValueError when the variable is not a positive integer."""
+    if getattr(_local, "inside_each", False):
+        return 1
+    text = os.environ.get(VARIABLE)
+    if not text:
+        return os.cpu_count() or 1
+    if not text.isdecimal() or int(text) < 1:
+        raise ValueError(f"{VARIABLE}: expected a positive integer, got {text!r}")
+    return int(text)
+
+
+def run(kernel: Callable[..., Any], *args: Any) -> None:
+    """Call kernel(*args, thread, threads) for every thread and wait for all; the caller's thread does its share.
+    Workers never wait for other workers, so any number of callers may run at once."""
+    count = threads()
+    if count == 1:
+        kernel(*args, 0, 1)
+        return
+    pool = _workers()
+    rest = [pool.submit(kernel, *args, thread, count) for thread in range(1, count)]
+    try:
+        kernel(*args, 0, count)
+    finally:
+        # Also when the caller's own share fails (Ctrl-C): the arrays must outlive every worker.
+        for future in rest:
+            future.result()
+
+
+def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """[function(item) for item in items], the items shared out over threads; kernels inside run on one thread each. For
+    many small jobs, where waking threads for every kernel would cost more than the kernels."""
+    results: list[Any] = [None] * len(items)
+
+    def share(thread: int, count: int) -> None:
+        before = getattr(_local, "inside_each", False)
+        _local.inside_each = True
+        try:
+            for i in range(thread, len(items), count):
+                results[i] = function(items[i])
+        finally:
+            _local.inside_each = before
+
+    run(share)
+    return results
+
+
+def _workers() -> ThreadPoolExecutor:
+    global _pool
+    if _pool is None:
+        _pool = ThreadPoolExecutor(max(32, os.cpu_count() or 1), thread_name_prefix="splatpainter")
+    return _pool
+
+
+def _forget() -> None:
+    """A forked child has none of its parent's threads: waiting for them would hang."""
+    global _pool
+    _pool = None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
