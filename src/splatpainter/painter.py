@@ -52,8 +52,12 @@ class Edit:
             )
         if image.dtype == np.uint8:
             image = image.astype(np.float32) / 255
+        if image.dtype.kind != "f":
+            raise ValueError(f"edit: expected a picture of floats in 0..1 or of uint8, got {image.dtype}")
         if not np.isfinite(image).all():
             raise ValueError("edit: the picture has NaN or infinite pixels")
+        if np.abs(image).max() > 16:  # a little over 1 is what renders do; 255 is a forgotten division
+            raise ValueError(f"edit: expected a picture of floats in 0..1, got values up to {np.abs(image).max():g}")
         object.__setattr__(self, "image", np.ascontiguousarray(image, np.float32))
         if self.mask is not None:
             mask = np.asarray(self.mask)
@@ -115,6 +119,8 @@ class Painter:
         Raises ValueError: no edits, an empty mask, an edit that reaches no row, a camera inside the object."""
         if not 1 <= len(edits) <= MAX_VIEWS:
             raise ValueError(f"edit: expected 1 to {MAX_VIEWS} edited views, got {len(edits)}")
+        if mode not in ("local", "global"):
+            raise ValueError(f"edit: expected mode local or global, got {mode!r}")
         chosen, note = _choose(method)
         clock = _Clock()
         prepared = []
@@ -129,7 +135,8 @@ class Painter:
             from splatpainter.lift.whole import GlobalOptions, lift_global
 
             views = [(v.camera, v.target, v.mask) for v in prepared]
-            regraded = lift_global(asset.splats, views, self.whole or GlobalOptions())
+            with _errors_name(", ".join(dict.fromkeys(v.name for v in prepared))):
+                regraded = lift_global(asset.splats, views, self.whole or GlobalOptions())
             result, confidence = regraded.splats, regraded.confidence
         elif chosen == "fit":
             result = _fit(asset, prepared)
@@ -219,7 +226,8 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode) -> _View:
     else:
         mask = change_mask(edit.image, before) if edit.mask is None else edit.mask
     if not mask.any():
-        what = "the picture does not differ from the render" if edit.mask is None else "the mask is empty"
+        unchanged = "the asset is not in view" if mode == "global" else "the picture does not differ from the render"
+        what = unchanged if edit.mask is None else "the mask is empty"
         raise ValueError(f"edit: nothing to do, {what}")
     return _View(edit.camera, edit.image, before, mask, mask & (covered > 0.5), edit.name)
 

@@ -19,6 +19,11 @@ import numpy as np
 from splatpainter.io import FORMATS, read, write
 from splatpainter.splats import ATTRIBUTES, Splats, rows_sha256
 
+BLOCK = 1 << 14
+"""Rows compared at a time, so that a comparison needs no memory of its own."""
+MOST_ROWS = 1 << 27
+"""Rows of an asset that a receipt may speak of."""
+
 
 @dataclass(frozen=True)
 class ViewScore:
@@ -89,9 +94,9 @@ class Receipt:
             if len(touched) != int(data["touched_rows"]):
                 raise ValueError(f"touched_rows is {data['touched_rows']}, its runs hold {len(touched)}")
             return Receipt(
-                data["asset"]["sha256"],
+                str(data["asset"]["sha256"]),
                 int(data["asset"]["rows"]),
-                data["output"]["sha256"],
+                str(data["output"]["sha256"]),
                 int(data["output"]["rows"]),
                 data["mode"],
                 data["method"],
@@ -104,7 +109,7 @@ class Receipt:
                 dict(data["seconds"]),
                 data.get("note", ""),
             )
-        except (json.JSONDecodeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise ValueError(f"{where}: expected a receipt of splatpainter, got {error!r}") from None
 
 
@@ -123,9 +128,13 @@ def to_runs(rows: np.ndarray) -> np.ndarray:
 
 
 def from_runs(runs: np.ndarray, rows: int) -> np.ndarray:
-    """The inverse of `to_runs`. Raises ValueError for runs outside 0..rows or not ascending."""
+    """The inverse of `to_runs`. Raises ValueError for runs outside 0..rows or not ascending, and for rows beyond
+    MOST_ROWS (a short text may claim any number, and here it becomes memory)."""
+    if rows > MOST_ROWS:
+        raise ValueError(f"expected at most {MOST_ROWS} rows, got {rows}")
     ends = runs.sum(1)
-    if len(runs) and ((runs[:, 1] < 1).any() or (runs[1:, 0] < ends[:-1]).any() or runs[0, 0] < 0 or ends[-1] > rows):
+    wild = ((runs < 0) | (runs > rows)).any()  # their sums could wrap around
+    if len(runs) and (wild or (runs[:, 1] < 1).any() or (runs[1:, 0] < ends[:-1]).any() or ends[-1] > rows):
         raise ValueError(f"touched_runs do not fit {rows} rows")
     return np.concatenate([np.arange(a, a + n) for a, n in runs]) if len(runs) else np.zeros(0, np.int64)
 
@@ -208,12 +217,10 @@ def compare(original: Splats, edited: Splats) -> Comparison:
         before = _converted(original, edited)
     if len(edited) < len(before):
         return Comparison(original.sha256, before, edited, np.arange(len(before)), how)
-    differs = changed_rows(before, edited)
     raw = _stored_rows_differ(before, edited)
-    if raw is not None:
-        how = "every byte of every stored row"
-        differs = np.union1d(differs, np.flatnonzero(raw))
-    return Comparison(original.sha256, before, edited, differs, how)
+    if raw is not None:  # equal bytes of one layout are equal values
+        return Comparison(original.sha256, before, edited, raw, "every byte of every stored row")
+    return Comparison(original.sha256, before, edited, changed_rows(before, edited), how)
 
 
 def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
@@ -246,7 +253,9 @@ def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
 def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:
     out = []
     if receipt.asset_sha256 != original:
-        out.append(f"the receipt is of another original (sha256 {receipt.asset_sha256[:12]}..., not {original[:12]}...)")
+        out.append(
+            f"the receipt is of another original (sha256 {receipt.asset_sha256[:12]}..., not {original[:12]}...)"
+        )
     if receipt.output_sha256 != after.sha256:
         out.append(
             f"the edited file changed since (sha256 {after.sha256[:12]}..., receipt {receipt.output_sha256[:12]}...)"
@@ -265,14 +274,24 @@ def _converted(before: Splats, after: Splats) -> Splats:
 
 
 def _stored_rows_differ(before: Splats, after: Splats) -> np.ndarray | None:
-    """[N] bool for binary PLY files of one row layout: rows whose stored bytes differ (extra properties too); None
-    otherwise."""
+    """[D] int64 ascending, for binary PLY files of one row layout: rows whose stored bytes differ (extra properties
+    too); None otherwise."""
     assert before.source is not None and after.source is not None
     sources = (before.source, after.source)
     old, new = (getattr(getattr(s.detail, "rows", None), "records", None) for s in sources)
     if not (isinstance(old, np.ndarray) and isinstance(new, np.ndarray) and old.dtype == new.dtype):
         return None
-    return (old.view(np.uint8).reshape(len(old), -1) != new[: len(old)].view(np.uint8).reshape(len(old), -1)).any(1)
+    word = np.uint32 if old.dtype.itemsize % 4 == 0 else np.uint8
+    found = [np.zeros(0, np.int64)]
+    for start in range(0, len(old), BLOCK):
+        mine = (
+            np.ascontiguousarray(old[start : start + BLOCK])
+            .view(word)
+            .reshape(-1, old.dtype.itemsize // word(0).nbytes)
+        )
+        theirs = np.ascontiguousarray(new[start : start + len(mine)]).view(word).reshape(mine.shape)
+        found.append(start + np.flatnonzero((mine != theirs).any(1)))
+    return np.concatenate(found)
 
 
 def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | None:

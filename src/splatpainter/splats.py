@@ -85,7 +85,11 @@ class Splats:
         import torch
 
         dtype = torch.float32 if dtype is None else dtype
-        return replace(self, **{k: torch.as_tensor(getattr(self, k)).to(device, dtype) for k in ATTRIBUTES})
+        values = {k: getattr(self, k) for k in ATTRIBUTES}
+        for k, array in values.items():
+            if isinstance(array, np.ndarray) and not array.flags.writeable:  # a tensor would offer to write to it
+                values[k] = array.copy()
+        return replace(self, **{k: torch.as_tensor(array).to(device, dtype) for k, array in values.items()})
 
     @cached_property
     def finite(self) -> np.ndarray:

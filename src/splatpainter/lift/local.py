@@ -13,7 +13,8 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.colors import lift_colors, recolor
-from splatpainter.lift.split import projected_sizes, split
+from splatpainter.lift.detail import detail_rows, grown
+from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.render.cpu.frame import Frame, Sums, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 
@@ -23,17 +24,21 @@ class LocalOptions:
     """How a local lift trades detail for rows."""
 
     rounds: int = 8
-    """Colour rounds after splitting; 0: split only."""
-    goal: float = 1.0
-    """Children are split down to this standard deviation, in pixels of the edited view."""
-    tolerance: float = 0.03
-    """A row is split if the wanted change varies over its footprint by more than this standard deviation (0..1)."""
+    """Colour rounds after splitting; 0: split only, no colours and no detail layer."""
+    goal: float = 2.0
+    """Rows are halved until they are about this wide (standard deviation, pixels of the edited view)."""
+    tolerance: float = 0.1
+    """A row is halved if the wanted change varies over its footprint by more than this standard deviation (0..1)."""
     share: float = 0.05
-    """Only rows that give some masked pixel at least this share of its colour are split."""
-    levels: int = 4
-    """Most rounds of splitting (each divides a row's width by up to 3.6 per axis)."""
-    budget: int = 100_000
-    """About how many rows one edit may append at most."""
+    """Only rows that give some masked pixel at least this share of its colour are halved."""
+    levels: int = 7
+    """Most halvings of a row."""
+    budget: int = 40_000
+    """About how many rows splitting may append at most."""
+    detail: float = 0.05
+    """Pixels that are further than this from the picture afterwards get a row of their own; 1: none do."""
+    rim: int = 8
+    """Pixels around the mask that the detail layer may mend."""
     damping: float = 0.3
     """What is left of SH bands >= 1 in a fully repainted row, 0..1."""
 
@@ -54,6 +59,8 @@ VISIBLE = 0.05
 """Mean share of a row that must reach the camera inside the mask (weight / alpha), or it is behind the surface."""
 FAINTEST = 0.004
 """A row whose largest share of any masked pixel is below this is not written (1/255)."""
+SLACK = 1.4
+"""Rows up to this many goals wide are not halved any more: they end between 0.7 and 1.4 goals."""
 LARGE = 3.0
 """Rows wider than this many goals drag paint over the mask's edge when they are too faint to be split, ..."""
 INSIDE = 0.6
@@ -85,7 +92,8 @@ def lift_local(
         if not coarse.any():
             break
         patch = patch.split(coarse, options)
-    return _assemble(splats, rows, patch.colored(options), patch)
+    painted = replace(patch.splats, sh=patch.colored(options))
+    return _assemble(splats, rows, painted, patch, patch.detail(painted, options))
 
 
 def reached_rows(
@@ -125,9 +133,12 @@ def _hopeless(splats: Splats, frame: Frame, mask: np.ndarray, reached: np.ndarra
 
 @dataclass(frozen=True)
 class _Patch:
-    """The rows around an edit while they are being split: S current rows, children of the patch's first rows."""
+    """The rows around an edit while they are being split."""
 
+    lattice: Lattice
+    """Of S rows."""
     splats: Splats
+    """The same, as rows."""
     frame: Frame
     """Of the tiles that editable rows touch; fewer from split to split."""
     wanted: np.ndarray
@@ -138,10 +149,8 @@ class _Patch:
     """[H, W] bool: where the edit counts."""
     editable: np.ndarray
     """[S] bool."""
-    owner: np.ndarray
-    """[S] index of the first row that each came from."""
-    slot: np.ndarray
-    """[S] bool: rows that take their owner's place in the file; the others are appended."""
+    share: np.ndarray
+    """[S] largest share of a masked pixel that the row's owner gave at the start."""
 
     @staticmethod
     def start(
@@ -151,8 +160,9 @@ class _Patch:
         image, alpha, _ = frame.draw()
         inside = mask & (alpha > 0.02)  # tiles that are not drawn have none
         change = np.where(inside[..., None], target - image, 0).astype(np.float32)
-        every = np.arange(len(splats))
-        return _Patch(splats, frame, image + change, change, inside, editable, every, np.ones(len(splats), bool))
+        share = np.zeros(len(splats), np.float32)
+        share[frame.rows] = _inside(frame, change, inside).peak
+        return _Patch(Lattice.of(splats, camera), splats, frame, image + change, change, inside, editable, share)
 
     def too_coarse(self, options: LocalOptions) -> np.ndarray:
         """[S] bool rows over whose footprint the wanted change varies too much, if they are large enough to split."""
@@ -163,10 +173,11 @@ class _Patch:
         total = np.maximum(over.weight, 1e-6)
         spread = over.values[:, 0] / total - ((inside.values / total[:, None]) ** 2).mean(1)
         rows = frame.rows
-        able = self.editable[rows] & (inside.peak > options.share) & (spread > options.tolerance**2)
-        able[able] = projected_sizes(self.splats.take(rows[able]), frame.camera).max(1) > options.goal * 1.15
-        room = options.budget - int((~self.slot).sum())
-        most = max(room // 8, 0)  # a split adds about eight rows
+        able = self.editable[rows] & (inside.peak > FAINTEST) & (spread > options.tolerance**2)
+        able &= self.share[rows] > options.share
+        able &= self.lattice.widths.max(1)[rows] > SLACK * options.goal
+        room = options.budget - int((~self.lattice.slot).sum())
+        most = max(room // 6, 0)  # a split adds about six rows
         if able.sum() > most:  # keep those with most to gain
             gain = np.where(able, spread * total, 0)
             able &= gain >= (np.partition(gain, -most)[-most] if most else np.inf)
@@ -175,12 +186,9 @@ class _Patch:
         return out
 
     def split(self, coarse: np.ndarray, options: LocalOptions) -> _Patch:
-        """Replace the coarse rows by their children; those without paint inside the mask are no longer editable."""
-        kept, parents = np.flatnonzero(~coarse), np.flatnonzero(coarse)
-        children, index = split(self.splats.take(parents), self.frame.camera, options.goal)
-        source = np.concatenate([kept, parents[index]])
-        first = np.concatenate([np.ones(len(kept), bool), np.diff(index, prepend=-1) > 0])
-        splats = self.splats.take(kept).append(children)
+        """Halve the coarse rows; children without a share of the mask are no longer editable."""
+        lattice, source = self.lattice.halved(coarse, SLACK * options.goal)
+        splats = lattice.splats()
         frame = project(splats, self.frame.camera, tiles=self.frame.tiles)
         painted = np.zeros(len(splats), bool)
         painted[frame.rows] = _inside(frame, self.change, self.mask).peak > FAINTEST
@@ -190,11 +198,11 @@ class _Patch:
             frame = project(splats, self.frame.camera, tiles=tiles)
         return replace(
             self,
+            lattice=lattice,
             splats=splats,
             frame=frame,
             editable=editable,
-            owner=self.owner[source],
-            slot=self.slot[source] & first,
+            share=self.share[source],
         )
 
     def movable(self, options: LocalOptions) -> np.ndarray:
@@ -204,8 +212,7 @@ class _Patch:
         whole = _inside(self.frame, self.change, np.ones(self.mask.shape, bool)).weight
         able = self.editable[rows] & (inside.peak > FAINTEST)
         large = np.zeros(len(rows), bool)
-        sizes = projected_sizes(self.splats.take(rows[able]), self.frame.camera).max(1)
-        large[able] = sizes > LARGE * options.goal
+        large[able] = self.lattice.widths.max(1)[rows[able]] > LARGE * options.goal
         return able & (inside.weight > np.where(large, INSIDE, INSIDE_SMALL) * whole)
 
     def colored(self, options: LocalOptions) -> np.ndarray:
@@ -220,12 +227,35 @@ class _Patch:
         sh[rows[moved]] = recolor(sh[rows[moved]], seen[moved], colors[moved], options.damping)
         return sh
 
+    def detail(self, painted: Splats, options: LocalOptions) -> tuple[Splats, np.ndarray] | None:
+        """(rows, [A] the patch's row that each lies on) of the detail layer over the painted patch, if it needs one."""
+        if options.detail >= 1 or options.rounds == 0:
+            return None
+        camera = self.frame.camera
+        frame = project(painted, camera, tiles=self.frame.tiles)
+        image, alpha, _ = frame.draw()
+        wrong = np.abs(self.wanted - np.clip(image, 0, 1)).max(-1) > options.detail
+        pixels = wrong & grown(self.mask, options.rim) & (alpha > 0.5)
+        layer = detail_rows(painted, frame, pixels, self.wanted, options.damping)
+        if layer is None:
+            return None
+        host = frame.rows[layer.host]
+        both = painted.append(layer.splats)
+        frame, count = project(both, camera, tiles=self.frame.tiles), len(painted)
+        added = frame.rows >= count
+        colors, _ = lift_colors(frame, self.wanted, np.ones(self.mask.shape, np.float32), added, options.rounds)
+        sh, rows = layer.splats.sh.copy(), frame.rows[added] - count
+        sh[rows] = recolor(sh[rows], frame.raw_colors[added], colors[added], 1.0)
+        return replace(layer.splats, sh=sh), host
 
-def _assemble(splats: Splats, rows: np.ndarray, sh: np.ndarray, patch: _Patch) -> Lifted:
-    """Put the patch's rows back: slots in place, the others appended."""
-    new = replace(patch.splats, sh=sh)
-    place = rows[patch.owner[patch.slot]]  # rows of the asset that the slots go back to
-    inner = new.take(np.flatnonzero(patch.slot))
+
+def _assemble(
+    splats: Splats, rows: np.ndarray, new: Splats, patch: _Patch, detail: tuple[Splats, np.ndarray] | None
+) -> Lifted:
+    """Put the patch's rows back: slots in place, the others appended, then the detail layer."""
+    slot, owner = patch.lattice.slot, patch.lattice.owner
+    place = rows[owner[slot]]  # rows of the asset that the slots go back to
+    inner = new.take(np.flatnonzero(slot))
     changed = np.zeros(len(place), bool)
     for name in ATTRIBUTES:
         differs = getattr(inner, name) != getattr(splats, name)[place]
@@ -239,7 +269,11 @@ def _assemble(splats: Splats, rows: np.ndarray, sh: np.ndarray, patch: _Patch) -
         whole[place[changed]] = values
         written[name] = whole
     result = replace(splats, **written)
-    appended = np.flatnonzero(~patch.slot)
+    appended = np.flatnonzero(~slot)
+    parents = rows[owner[appended]]
     if len(appended):
         result = result.append(new.take(appended))
-    return Lifted(result, np.sort(place[changed]), rows[patch.owner[appended]])
+    if detail is not None:
+        result = result.append(detail[0])
+        parents = np.concatenate([parents, rows[owner[detail[1]]]])
+    return Lifted(result, np.sort(place[changed]), parents)

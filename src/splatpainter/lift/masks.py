@@ -8,31 +8,60 @@ LEAST = 3.5 / 255
 """Differences up to here are rounding."""
 MOST = 24 / 255
 """No picture is so noisy that larger differences are not edits."""
+LOSSLESS = 0.3 / 255
+"""Where a picture has detail, JPEG even of quality 100 leaves more than this at all but one pixel in twenty."""
+BINS = 8
+"""Levels of detail with a noise of their own."""
 
 
 def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
     """[H, W] bool: pixels where `edited` differs from `render` (both [H, W, 3], 0..1) by more than the picture's noise.
 
-    The noise is measured where the two agree best, so JPEG artefacts and dithering raise the bar for the whole picture;
-    single stray pixels are dropped, and what remains grows by one pixel (the soft rim of a stroke)."""
-    rounded = np.round(np.clip(render, 0, 1) * 255) / 255
-    difference = np.abs(edited - rounded).max(-1)
-    bar = float(np.clip(4 * np.median(_box(difference)) + LEAST, LEAST, MOST))
-    core = _box(difference) > bar
-    core &= _count(core) >= 4
-    near = _count(core) > 0
-    return near & (difference > LEAST) if bar <= 2 * LEAST else near
+    JPEG's noise grows with the detail around a pixel and is nil on a flat background: it is measured among pixels of
+    like detail, in the quarter of them that agrees best. It averages out over 5x5 pixels, an edit does not. Lone specks
+    are dropped, and what remains grows by one pixel (the soft rim of a stroke).
+
+    Measured on four captures, 384 px, JPEG of quality 85 to 95: of a red rectangle nothing was missed, of a pale one
+    (10 % opaque) up to 5 %; of the other pixels up to 0.5 % were taken for edits, without an edit up to 0.1 %."""
+    shown = np.clip(render, 0, 1)
+    signed = np.clip(edited, 0, 1) - shown
+    signed[np.abs(signed) < 0.51 / 255] = 0  # what rounding to 8 bits leaves
+    difference = _largest(np.abs(signed))
+    near, contrast = _mean(difference, 1), _contrast(shown)
+    detailed = contrast > 0.5 / 255
+    if not detailed.any() or np.quantile(near[detailed], 0.05) <= LOSSLESS:
+        core = near > LEAST
+    else:
+        shift = _largest(np.abs(_mean(signed, 2)))
+        noise = _noise(shift, _mean(contrast, 8))  # 17 x 17: the reach of JPEG's blocks
+        core = (shift > np.clip(LEAST + 6 * noise, LEAST, MOST)) | (near > MOST)
+    core &= _mean(core, 1) > 3.5 / 9
+    return (_mean(core, 1) > 0.5 / 9) & (difference > LEAST)
 
 
-def _box(values: np.ndarray) -> np.ndarray:
-    """3x3 mean."""
-    padded = np.pad(values, 1, mode="edge")
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    return (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9
+def _contrast(image: np.ndarray) -> np.ndarray:
+    """[H, W] difference of each pixel's grey to its right and lower neighbours'."""
+    grey = image @ np.full(3, 1 / 3, image.dtype)
+    return np.abs(np.diff(grey, axis=1, append=grey[:, -1:])) + np.abs(np.diff(grey, axis=0, append=grey[-1:]))
 
 
-def _count(mask: np.ndarray) -> np.ndarray:
-    """[H, W] int: set pixels in each 3x3 neighbourhood (outside the picture: none)."""
-    padded = np.pad(mask.astype(np.int32), 1)
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    return rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
+def _largest(values: np.ndarray) -> np.ndarray:
+    """[H, W, 3] -> [H, W]; numpy's own max over so short an axis is several times slower."""
+    return np.maximum(np.maximum(values[..., 0], values[..., 1]), values[..., 2])
+
+
+def _noise(values: np.ndarray, detail: np.ndarray) -> np.ndarray:
+    """[H, W]: the lower quartile of `values` [H, W] over the pixels of about the same detail; 0 where there is none."""
+    busy = detail > 1e-4
+    edges = np.quantile(detail[busy], np.linspace(0, 1, BINS + 1)[1:-1])
+    label = np.where(busy, 1 + np.searchsorted(edges, detail), 0)
+    levels = [np.quantile(values[label == k], 0.25) if k and (label == k).any() else 0.0 for k in range(BINS + 1)]
+    return np.array(levels)[label]
+
+
+def _mean(values: np.ndarray, radius: int) -> np.ndarray:
+    """[H, W, ...] float32 mean over the square of 2 radius + 1 around each pixel; edges are repeated."""
+    (height, width), size = values.shape[:2], 2 * radius + 1
+    padded = np.pad(values.astype(np.float32), [(radius, radius)] * 2 + [(0, 0)] * (values.ndim - 2), mode="edge")
+    rows = sum(padded[k : k + height] for k in range(1, size)) + padded[:height]
+    return (sum(rows[:, k : k + width] for k in range(1, size)) + rows[:, :width]) / size**2

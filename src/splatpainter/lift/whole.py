@@ -50,12 +50,21 @@ def lift_global(
     options: GlobalOptions = GlobalOptions(),
 ) -> Regraded:
     """Regrade all rows by (camera, target [H, W, 3], mask [H, W] bool) views. Pixels that the asset covers by less than
-    0.9 are not learnt from (their colour is the background's too). Raises ValueError when the views show no row."""
+    0.9 are not learnt from (their colour is the background's too). Rows that cannot be drawn keep their bits. Raises
+    ValueError when the views show no solid part of the asset."""
+    drawable = splats.finite
+    if not drawable.all():  # a NaN would spread through the regression
+        some = lift_global(splats.take(drawable), views, options)
+        sh, certain = splats.sh.copy(), np.zeros(len(splats), np.float32)
+        sh[drawable], certain[drawable] = some.splats.sh, some.confidence
+        return Regraded(replace(splats, sh=sh), certain)
     old = 0.5 + SH_C0 * splats.sh[:, 0]  # [N, 3] base colours
     change, weight = _lift_seen(splats, views, options.rounds)
     seen = weight > 0.05
     if not seen.any():
-        raise ValueError("edit: the views show no row of the asset; check the cameras")
+        raise ValueError(
+            "edit: the views show no solid part of the asset (alpha above 0.9); check the cameras and masks"
+        )
     features = _features(np.clip(old, 0, 1), outward_normals(splats, options.ring))
     solution, spread = _ridge(features[seen], change[seen], weight[seen], options)
     predicted = features @ solution  # [N, 3] change of base colour
@@ -66,12 +75,10 @@ def lift_global(
     sh[:, 0] = (new - 0.5) / SH_C0
     if sh.shape[1] > 1:
         sh[:, 1:] = np.einsum("nij,nkj->nki", _matrices(features, solution), sh[:, 1:])
-    drawable = splats.finite
-    sh[~drawable] = splats.sh[~drawable]
     leverage = np.einsum("nf,fg,ng->n", features, spread, features)
     typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
     certain = trust[:, 0] + (1 - trust[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
-    return Regraded(replace(splats, sh=sh.astype(splats.sh.dtype)), np.where(drawable, certain, 0).astype(np.float32))
+    return Regraded(replace(splats, sh=sh.astype(splats.sh.dtype)), certain.astype(np.float32))
 
 
 CONFLICT = 0.15
@@ -115,15 +122,12 @@ def _lift_seen(
 
 def outward_normals(splats: Splats, ring: int) -> np.ndarray:
     """[N, 3] unit shortest axes, turned towards the side from which a ring of views sees the row (else away from the
-    asset's centre)."""
+    asset's centre). All rows must be drawable."""
     n = len(splats)
     shortest = splats.scales.argmin(1)
     normal = rotations(splats.quats)[np.arange(n), :, shortest]
-    good = splats.finite
-    if not good.any():
-        return normal
-    center = np.median(splats.means[good], 0)
-    radius = float(np.quantile(np.linalg.norm(splats.means[good] - center, axis=1), 0.98))
+    center = np.median(splats.means, 0)
+    radius = float(np.quantile(np.linalg.norm(splats.means - center, axis=1), 0.98))
     towards = 1e-3 * (splats.means - center) / max(radius, 1e-9)  # [N, 3] mean direction to the views that see it
     for k in range(ring):
         tilt = 35.0 if k % 2 else -20.0
@@ -131,10 +135,12 @@ def outward_normals(splats: Splats, ring: int) -> np.ndarray:
         frame = project(splats, camera)
         sums = frame.accumulate(np.zeros((160, 160, 3), np.float32), np.ones((160, 160), np.float32))
         away = camera.position.astype(np.float32) - splats.means[frame.rows]
-        towards[frame.rows] += sums.weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+        # What shimmers through the far wall is seen from within.
+        weight = np.where(sums.weight > 0.1 * sums.alpha, sums.weight, 0)
+        towards[frame.rows] += weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
     side = np.einsum("ni,ni->n", normal, towards)
     normal = np.where(side[:, None] < 0, -normal, normal)
-    return np.nan_to_num(normal).astype(np.float32)
+    return normal.astype(np.float32)
 
 
 def _features(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -1,0 +1,144 @@
+"""Turning rows from one coordinate frame into another: axis flips (exact) and rotations with their SH matrices.
+
+Every asset in memory uses the frame of INRIA PLY files (usually x right, y down, z forward). Formats that store another
+frame convert here, in their reader, and back in their writer. Knows no format.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from splatpainter.splats import SH_COUNTS, Splats
+
+
+def flip(splats: Splats, signs: tuple[int, int, int]) -> Splats:
+    """Rows with the axes whose sign is -1 reversed; changes signs only, so flipping twice restores every bit.
+
+    A rotation R becomes F R F, which keeps w and gives the same ellipsoid (a diagonal F commutes with the scales).
+    """
+    axes = np.array(signs, np.float32)
+    turn = np.array([1, axes[1] * axes[2], axes[0] * axes[2], axes[0] * axes[1]], np.float32)
+    bands = sh_flip_signs(splats.sh.shape[1], signs)
+    return replace(splats, means=splats.means * axes, quats=splats.quats * turn, sh=splats.sh * bands[:, None])
+
+
+def sh_flip_signs(count: int, signs: tuple[int, int, int]) -> np.ndarray:
+    """[count] factors of the SH coefficients under an axis flip, from the parity of each basis function in x, y, z.
+
+    Y_lm is even or odd in every axis: of order l - |m| in z; for m < 0 (sines) odd in y and of order |m| - 1 in x; for
+    m >= 0 (cosines) even in y and of order m in x.
+    """
+    factors = []
+    for l in range(SH_COUNTS[count] + 1):
+        for m in range(-l, l + 1):
+            powers = (abs(m) - (m < 0), int(m < 0), l - abs(m))
+            factors.append(math.prod(sign**power for sign, power in zip(signs, powers, strict=True)))
+    return np.array(factors, np.float32)
+
+
+def move(splats: Splats, matrix: np.ndarray, scale: float = 1.0, shift: np.ndarray | None = None) -> Splats:
+    """Rows under x -> scale * matrix @ x + shift, computed in float64.
+
+    matrix: [3, 3] rotation; scale > 0; shift: [3] or None. A half turn about an axis only permutes and negates numbers.
+    """
+    with np.errstate(all="ignore"):  # rows may hold NaN or overflow; they are reported where they are read
+        means = scale * (splats.means.astype(np.float64) @ _snap(matrix).T)
+        return _turned(splats, means if shift is None else means + shift, matrix, quaternion_of(matrix), scale)
+
+
+def move_back(splats: Splats, matrix: np.ndarray, scale: float = 1.0, shift: np.ndarray | None = None) -> Splats:
+    """The inverse of `move` with the same arguments; after a half turn every bit is back, quaternion signs included."""
+    turn = quaternion_of(matrix) * (1, -1, -1, -1)
+    with np.errstate(all="ignore"):
+        means = splats.means.astype(np.float64) - (0 if shift is None else shift)
+        return _turned(splats, (means @ _snap(matrix)) / scale, matrix.T, turn, 1 / scale)
+
+
+def _turned(splats: Splats, means: np.ndarray, matrix: np.ndarray, turn: np.ndarray, scale: float) -> Splats:
+    rotations = sh_rotations(matrix, SH_COUNTS[splats.sh.shape[1]])
+    if all(np.array_equal(rotation, np.diag(np.diag(rotation))) for rotation in rotations):  # only signs: half turns
+        sh = splats.sh * np.concatenate([np.diag(rotation) for rotation in rotations]).astype(np.float32)[:, None]
+    else:
+        sh = splats.sh.astype(np.float64)
+        for l, rotation in enumerate(rotations):
+            band = slice(l * l, (l + 1) * (l + 1))
+            sh[:, band] = np.einsum("ab,nbc->nac", rotation, sh[:, band])
+    return replace(
+        splats,
+        means=means.astype(np.float32),
+        quats=_multiply(turn, splats.quats.astype(np.float64)).astype(np.float32),
+        scales=(splats.scales.astype(np.float64) * scale).astype(np.float32),
+        sh=sh.astype(np.float32),
+    )
+
+
+def quaternion_of(matrix: np.ndarray) -> np.ndarray:
+    """[4] unit quaternion w, x, y, z of a rotation matrix [3, 3]; the largest component is positive."""
+    m = np.asarray(matrix, np.float64)
+    # Four estimates of the squares of the components; the largest one is safe to divide by (Shepperd 1978).
+    d = np.diagonal(m)
+    squares = np.array([1 + d.sum(), 1 + d[0] - d[1] - d[2], 1 - d[0] + d[1] - d[2], 1 - d[0] - d[1] + d[2]]) / 4
+    largest = int(np.argmax(squares))
+    products = np.array(
+        [
+            [0, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], 0, m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], 0, m[2, 1] + m[1, 2]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], 0],
+        ]
+    )
+    quat = products[largest] / 4
+    quat[largest] = squares[largest]
+    return _snap(quat / np.linalg.norm(quat))
+
+
+def sh_basis(directions: np.ndarray, degree: int) -> np.ndarray:
+    """[J, (degree + 1)^2] real spherical harmonics with the Condon-Shortley phase, as INRIA and KHR_gaussian_splatting.
+
+    directions: [J, 3] unit vectors. Y_lm = n_lm p_lm(z) Re or Im (x + iy)^|m|, p by the Legendre recursion.
+    """
+    x, y, z = np.asarray(directions, np.float64).T
+    circle = x + 1j * y
+    out = np.empty((len(x), (degree + 1) ** 2))
+    for m in range(degree + 1):
+        before, here = np.zeros_like(z), np.full_like(z, (-1) ** m * math.prod(range(2 * m - 1, 0, -2)))
+        for l in range(m, degree + 1):
+            if l > m:
+                before, here = here, (z * (2 * l - 1) * here - (l + m - 1) * before) / (l - m)
+            norm = math.sqrt((2 * l + 1) / (4 * math.pi) * math.factorial(l - m) / math.factorial(l + m))
+            part = norm * (math.sqrt(2) if m else 1) * here * circle**m
+            out[:, l * l + l + m] = part.real
+            if m:
+                out[:, l * l + l - m] = part.imag
+    return out
+
+
+def sh_rotations(matrix: np.ndarray, degree: int) -> list[np.ndarray]:
+    """For every band l, the [2l+1, 2l+1] matrix that turns its coefficients with the object: c'(d) = c(matrix^T d).
+
+    Solved from the basis functions at more directions than unknowns; exact to float64 rounding.
+    """
+    golden = np.arange(64) * math.pi * (3 - math.sqrt(5))
+    z = 1 - (2 * np.arange(64) + 1) / 64
+    radius = np.sqrt(1 - z * z)
+    directions = np.stack([radius * np.cos(golden), radius * np.sin(golden), z], 1)
+    old, new = sh_basis(directions @ np.asarray(matrix, np.float64), degree), sh_basis(directions, degree)
+    bands = [slice(l * l, (l + 1) * (l + 1)) for l in range(degree + 1)]
+    return [_snap(np.linalg.lstsq(new[:, band], old[:, band], rcond=None)[0]) for band in bands]
+
+
+def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Hamilton product of one quaternion [4] with quaternions [N, 4]."""
+    w, x, y, z = a
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return b @ left.T
+
+
+def _snap(values: np.ndarray) -> np.ndarray:
+    """Rounding noise around -1, 0 and 1 removed, so that turns by multiples of 90 degrees stay clean."""
+    values = np.asarray(values, np.float64)
+    nearest = np.round(values)
+    return np.where(np.abs(values - nearest) < 1e-12, nearest, values)

@@ -1,0 +1,246 @@
+"""The glTF 2.0 binary container: chunks, JSON, accessors, node transforms. Knows no splats.
+
+12 bytes: "glTF", u32 version 2, u32 length;  then chunks: u32 size, u32 type ("JSON", "BIN\\0", others kept), content
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatpainter.io import files
+
+MAGIC = b"glTF"
+JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
+FLOAT = 5126
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+@dataclass(frozen=True)
+class Glb:
+    """A file's chunks."""
+
+    doc: dict[str, Any]
+    binary: bytes
+    others: tuple[tuple[int, bytes], ...]
+    """(type, content) of further chunks."""
+    tail: bytes
+    """Bytes after the declared length."""
+
+
+def parse(data: bytes, path: Path) -> Glb:
+    """Raises ValueError: not GLB 2, truncated, or JSON that is none."""
+    head = files.take(data, 0, 12, path, "the GLB header")
+    magic, version, length = struct.unpack("<4sII", head)
+    if magic != MAGIC or version != 2:
+        raise ValueError(f"{path}: expected a GLB file of version 2, found {magic!r} version {version}")
+    if length > len(data):
+        raise ValueError(f"{path}: truncated: the header says {length} bytes, the file has {len(data)}")
+    chunks, at = [], 12
+    while at + 8 <= length:
+        size, kind = struct.unpack_from("<II", data, at)
+        content = files.take(data, at + 8, size, path, "a GLB chunk")
+        if at + 8 + size > length:
+            raise ValueError(
+                f"{path}: a GLB chunk of {size} bytes at byte {at} ends after the file's declared {length}"
+            )
+        chunks.append((kind, bytes(content)))
+        at += 8 + size
+    if not chunks or chunks[0][0] != JSON_CHUNK:
+        raise ValueError(f"{path}: expected JSON as the first GLB chunk")
+    try:
+        doc = json.loads(chunks[0][1], parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: the JSON chunk is damaged ({' '.join(str(error).split())[:80]})") from None
+    if not isinstance(doc, dict):
+        raise ValueError(f"{path}: expected an object as glTF JSON, found {type(doc).__name__}")
+    _check(doc, path)
+    binary = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == BIN_CHUNK else b""
+    others = chunks[2:] if binary else chunks[1:]
+    return Glb(doc, binary, tuple(others), data[length:])
+
+
+def serialise(glb: Glb) -> bytes:
+    """The file of `glb`, chunks padded to 4 bytes."""
+    text = json.dumps(glb.doc, separators=(",", ":"), allow_nan=False).encode()
+    chunks = [(JSON_CHUNK, text + b" " * (-len(text) % 4))]
+    if glb.binary:
+        chunks.append((BIN_CHUNK, glb.binary + b"\0" * (-len(glb.binary) % 4)))
+    body = b"".join(struct.pack("<II", len(data), kind) + data for kind, data in (*chunks, *glb.others))
+    return struct.pack("<4sII", MAGIC, 2, 12 + len(body)) + body + glb.tail
+
+
+def _check(doc: dict[str, Any], path: Path) -> None:
+    """The forms on which this module and its callers rely; what they do not name may be anything."""
+    for key in ("accessors", "buffers", "bufferViews", "meshes", "nodes"):
+        _objects(doc, key, path)
+    for view in doc.get("bufferViews", []):
+        for key in ("buffer", "byteOffset", "byteLength"):
+            whole(view, key, path, 0 if key == "byteOffset" else None)
+    for mesh in doc.get("meshes", []):
+        for primitive in _objects(mesh, "primitives", path):
+            groups = [primitive.get("attributes", {}), *_objects(primitive, "targets", path)]
+            if not all(isinstance(g, dict) and all(type(v) is int for v in g.values()) for g in groups):
+                raise ValueError(f"{path}: expected accessor numbers as the attributes of a glTF primitive")
+            if not isinstance(primitive.get("extensions", {}), dict):
+                raise ValueError(f"{path}: expected an object as the extensions of a glTF primitive")
+    if not isinstance(doc.get("extensionsUsed", []), list):
+        raise ValueError(f"{path}: expected a list as glTF extensionsUsed")
+
+
+def _objects(item: dict[str, Any], key: str, path: Path) -> list[dict[str, Any]]:
+    value = item.get(key, [])
+    if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
+        raise ValueError(f"{path}: expected a list of objects as glTF {key}")
+    return value
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is not a JSON number")
+
+
+def entry(doc: dict[str, Any], kind: str, index: Any, path: Path) -> dict[str, Any]:
+    """doc[kind][index], checked. Raises ValueError where there is none."""
+    items = doc.get(kind)
+    if items is None or type(index) is not int or not 0 <= index < len(items):
+        raise ValueError(f"{path}: glTF names {kind}[{str(index)[:20]}], which does not exist")
+    return items[index]
+
+
+def whole(item: dict[str, Any], key: str, path: Path, default: int | None = None) -> int:
+    """A non-negative integer property."""
+    value = item.get(key, default)
+    if type(value) is not int or value < 0:
+        raise ValueError(f"{path}: expected a non-negative integer for glTF {key!r}, found {str(value)[:20]}")
+    return value
+
+
+def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.ndarray:
+    """[count, width] view into `binary` (the file's, or a copy of it) in the stored component type.
+
+    Raises ValueError: sparse, compressed or external data, unknown types, bytes outside of the buffer.
+    """
+    item = entry(glb.doc, "accessors", index, path)
+    kind, width = COMPONENTS.get(whole(item, "componentType", path)), WIDTHS.get(str(item.get("type")))
+    if kind is None or width is None or "sparse" in item or "bufferView" not in item:
+        raise ValueError(
+            f"{path}: accessor {index} is of a kind that splats do not use (sparse, empty or {item.get('type')})"
+        )
+    view = entry(glb.doc, "bufferViews", item["bufferView"], path)
+    if view.get("extensions"):
+        names = str(view["extensions"])[:60]
+        raise ValueError(
+            f"{path}: buffer view {item['bufferView']} is compressed ({names}); decompress it with gltf-transform"
+        )
+    if whole(view, "buffer", path) != 0 or "uri" in entry(glb.doc, "buffers", 0, path):
+        raise ValueError(f"{path}: accessor {index} lies in an external file; expected all data inside the GLB")
+    size = np.dtype(kind).itemsize
+    count, start, length = (
+        whole(item, "count", path),
+        whole(view, "byteOffset", path, 0),
+        whole(view, "byteLength", path),
+    )
+    stride, offset = whole(view, "byteStride", path, width * size), whole(item, "byteOffset", path, 0)
+    files.take(memoryview(binary), start, length, path, f"buffer view {item['bufferView']}")
+    if stride < width * size or (count and offset + (count - 1) * stride + width * size > length):
+        raise ValueError(
+            f"{path}: accessor {index} with {count} elements does not fit its buffer view of {length} bytes"
+        )
+    return np.ndarray((count, width), kind, binary, start + offset, (stride, size))
+
+
+def decode(values: np.ndarray, normalized: Any) -> np.ndarray:
+    """Stored components -> float32; normalised integers as glTF 2.0 section 3.11 says."""
+    if values.dtype.kind == "f":
+        return np.ascontiguousarray(values, np.float32)
+    wide = values.astype(np.float64)
+    if normalized is True:
+        wide = np.maximum(wide / np.iinfo(values.dtype).max, -1)
+    return wide.astype(np.float32)
+
+
+def global_matrix(doc: dict[str, Any], node: int, path: Path) -> np.ndarray:
+    """[4, 4] float64 transform of a node, its ancestors' included."""
+    parents: dict[int, int] = {}
+    for index, item in enumerate(doc["nodes"]):
+        children = item.get("children")
+        for child in children if isinstance(children, list) else []:
+            if type(child) is int:
+                parents.setdefault(child, index)
+    matrix, seen = np.eye(4), set()
+    while node not in seen:
+        seen.add(node)
+        matrix = _local_matrix(entry(doc, "nodes", node, path), path) @ matrix
+        if node not in parents:
+            return matrix
+        node = parents[node]
+    raise ValueError(f"{path}: glTF node {node} is its own ancestor")
+
+
+def _local_matrix(node: dict[str, Any], path: Path) -> np.ndarray:
+    defaults = {"translation": [0, 0, 0], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]}
+    found = {}
+    for key, default in (*defaults.items(), ("matrix", np.eye(4).T.ravel().tolist())):
+        value = node.get(key, default)
+        if not isinstance(value, list) or len(value) != len(default) or not all(type(v) in (int, float) for v in value):
+            raise ValueError(f"{path}: expected {len(default)} numbers as a node's {key}, found {str(value)[:40]}")
+        try:
+            found[key] = np.array(value, np.float64)
+        except OverflowError:
+            raise ValueError(f"{path}: a node's {key} is out of range") from None
+    if "matrix" in node:
+        return found["matrix"].reshape(4, 4).T
+    x, y, z, w = found["rotation"] / max(float(np.linalg.norm(found["rotation"])), 1e-30)
+    out = np.eye(4)
+    out[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    out[:3, :3] *= found["scale"]
+    out[:3, 3] = found["translation"]
+    return out
+
+
+def compact(doc: dict[str, Any], binary: bytes | bytearray) -> bytes:
+    """The binary chunk with only the buffer views that something still names; `doc` is renumbered in place.
+
+    Views that an extension packs point into the buffer in ways unknown here; then everything stays where it is.
+    """
+    views = doc["bufferViews"]
+    if any(view.get("extensions") for view in views):
+        return bytes(binary)
+    named = {holder["bufferView"] for holder in _holders(doc)}
+    used = [i for i, view in enumerate(views) if i in named or view["buffer"] != 0]
+    place = {old: new for new, old in enumerate(used)}
+    for holder in _holders(doc):
+        holder["bufferView"] = place.get(holder["bufferView"], len(views))  # what named nothing still does
+    out = bytearray()
+    for index in used:
+        view = views[index]
+        if view["buffer"] == 0:
+            start = view.get("byteOffset", 0)
+            view["byteOffset"] = len(out)
+            out += binary[start : start + view["byteLength"]]
+            out += b"\0" * (-len(out) % 4)
+    doc["bufferViews"] = [views[index] for index in used]
+    return bytes(out)
+
+
+def _holders(item: Any) -> Iterator[dict[str, Any]]:
+    """Every object of a glTF document with a `bufferView`, wherever an extension may have put it."""
+    if isinstance(item, dict):
+        if type(item.get("bufferView")) is int:
+            yield item
+        for value in item.values():
+            yield from _holders(value)
+    elif isinstance(item, list):
+        for value in item:
+            yield from _holders(value)

@@ -1,0 +1,305 @@
+"""Niantic SPZ (.spz), versions 1 to 4, little-endian.
+
+    versions 1-3, one gzip member:                    version 4, plain:
+      u32 "NGSP", u32 version, u32 N                    u32 "NGSP", u32 4, u32 N
+      u8 SH degree, u8 fractional bits, u8 flags, u8 0  u8 SH degree, u8 fractional bits, u8 flags, u8 streams
+      positions    N * 9 (version 1: 6)                 u32 offset of the table, 12 bytes 0
+      alphas       N                                    extensions, up to the table
+      colors       N * 3                                table: streams * (u64 packed size, u64 size)
+      scales       N * 3                                streams in the order on the left, each one zstd frame;
+      rotations    N * 4 (versions 1, 2: 3)             empty ones are left out
+      sh           N * 3 (K - 1)
+      extensions
+
+Flags: 1 trained with antialiasing, 2 extensions present: records of u32 type, u32 size, payload.
+
+Frame: SPZ is x right, y up, z back, unless extension 0xADBE0003 names another one; here rows are in the PLY frame
+(y and z reversed). Words are in spz_codec.
+
+Writing over a source of this format keeps its version, fractional bits, frame, extensions and trailing bytes, and the
+packed words of every value that did not change; only changed values are quantised. An untouched asset is written back
+byte for byte. Other sources become version 3, which every current reader opens (4 holds the same words, better packed,
+but is newer), or version 4 for SH degree 4.
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.io import files, frames, raw
+from splatpainter.io import spz_codec as codec
+from splatpainter.io.bounded import TAIL, Gunzip, allow, unzstd
+from splatpainter.io.reuse import Kept, kept, presentable
+from splatpainter.splats import Source, Splats
+
+MAGIC = b"NGSP"
+STREAMS = ("positions", "alphas", "colors", "scales", "rotations", "sh")
+ANTIALIASED, EXTENDED = 1, 2
+COORDINATE_SYSTEM = 0xADBE0003
+RUB, RDF = 4, 6
+"""Codes of COORDINATE_SYSTEM. Less 1, bits 0-2 say right, up, front; bit 3 says that y and z are exchanged."""
+QUARTER_TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
+"""About x, (x, y, z) -> (x, z, -y): from the frames of bit 3 to the others."""
+SH_BITS = (7, 7)
+"""Precision of the SH bytes that we quantise. The reference keeps (5, 4); on a view-dependent asset that costs 6.0/255
+of colour (rms over directions), (7, 7) costs 0.75/255 and 26 % more file, (8, 8) 0.3/255 and 35 %."""
+
+
+@dataclass(frozen=True)
+class SpzFile:
+    """What a file said, enough to say it again."""
+
+    version: int
+    degree: int
+    fractional_bits: int
+    flags: int
+    reserved: bytes
+    """The unused byte of the short header, the last 12 of the long one."""
+    streams: dict[str, np.ndarray]
+    """STREAMS -> uint8 [N, width]."""
+    extensions: bytes
+    tail: bytes
+    """What follows the last stream or the gzip member."""
+    whole: bytes
+    """The file."""
+
+
+def read_spz(path: Path) -> Splats:
+    """Read any version. Raises ValueError: truncated, damaged, unknown version, or a size that cannot be honest."""
+    data = files.read_all(path)
+    if data[:4] == MAGIC:
+        file = _parse_plain(data, path)
+    elif data[:2] == b"\x1f\x8b":
+        file = _parse_gzip(data, path)
+    else:
+        raise ValueError(f"{path}: not an SPZ file: expected a gzip stream or 'NGSP', found {bytes(data[:4])!r}")
+    problems: list[str] = []
+    frame = _frame(file, problems)
+    rows = _to_ply_frame(_decode(file), frame)
+    problems += raw.oddities(rows)
+    source = Source(str(path), "spz", rows, files.sha256(data), file, tuple(problems))
+    return replace(rows, source=source, origin=np.arange(len(rows)))
+
+
+def write_spz(path: Path, splats: Splats, version: int | None = None) -> None:
+    """Write `splats`. version: 2, 3 or 4; None keeps the source's, and is 3 for other formats (4 for SH degree 4).
+
+    Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, or a version not writable.
+    """
+    splats = splats.numpy()
+    same = kept(splats, "spz")
+    old: SpzFile | None = splats.source.detail if same and splats.source else None
+    before = (same, old) if same and old else None
+    if version is None:
+        version = old.version if old else 3
+        if splats.sh_degree > 3:
+            version = 4
+    if version not in (2, 3, 4) and not (old and version == old.version):
+        raise ValueError(f"{path}: expected SPZ version 2, 3 or 4, got {version}")
+    if splats.sh_degree > 3 and version < 4:
+        raise ValueError(
+            f"{path}: SPZ version {version} holds SH up to degree 3, got {splats.sh_degree}; use version 4"
+        )
+    if before and before[0].identity and version == before[1].version:
+        out = before[1].whole
+    else:
+        file = _encode(splats, before, version, path)
+        out = _plain_bytes(file) if version >= 4 else _gzip_bytes(file)
+    with files.writing(path) as target:
+        target.write(out)
+
+
+def _widths(version: int, degree: int) -> dict[str, int]:
+    rotations = 3 if version < 3 else 4
+    return dict(zip(STREAMS, (6 if version == 1 else 9, 1, 3, 3, rotations, 3 * ((degree + 1) ** 2 - 1)), strict=True))
+
+
+def _check_header(version: int, degree: int, bits: int, path: Path) -> None:
+    if degree > 4:
+        raise ValueError(f"{path}: expected SH degree 0-4, found {degree}")
+    if version > 1 and bits > 23:
+        raise ValueError(f"{path}: expected 0-23 fractional bits in a 24-bit position, found {bits}")
+
+
+def _parse_gzip(data: bytes, path: Path) -> SpzFile:
+    stream = Gunzip(data, path)
+    magic, version, count, degree, bits, flags, reserved = struct.unpack("<4sIIBBBB", stream.take(16, "the SPZ header"))
+    if magic != MAGIC:
+        raise ValueError(f"{path}: not an SPZ file: expected 'NGSP' inside the gzip stream, found {magic!r}")
+    if version not in (1, 2, 3):
+        raise ValueError(f"{path}: expected SPZ version 1-3 in a gzip stream, found {version}")
+    _check_header(version, degree, bits, path)
+    widths = _widths(version, degree)
+    rows = stream.take(count * sum(widths.values()), f"{count} rows of SPZ version {version}")
+    streams, at = {}, 0
+    for name, width in widths.items():
+        streams[name] = np.frombuffer(rows, np.uint8, count * width, at).reshape(count, width)
+        at += count * width
+    extensions, tail = stream.rest()
+    return SpzFile(version, degree, bits, flags, bytes([reserved]), streams, extensions, tail, data)
+
+
+def _parse_plain(data: bytes, path: Path) -> SpzFile:
+    header = files.take(data, 0, 32, path, "the SPZ header")
+    _, version, count, degree, bits, flags, stored, table = struct.unpack("<4sIIBBBBI", header[:20])
+    if version != 4:
+        raise ValueError(f"{path}: expected SPZ version 4 after a plain 'NGSP', found {version}")
+    _check_header(version, degree, bits, path)
+    sizes = {name: count * width for name, width in _widths(version, degree).items()}
+    wanted = [name for name in STREAMS if sizes[name]]
+    # Writers leave empty streams out; one that is listed all the same must say that it is empty.
+    listed = wanted if stored == len(wanted) else list(STREAMS)
+    if stored != len(listed):
+        raise ValueError(f"{path}: expected {len(wanted)} streams for SH degree {degree}, found {stored}")
+    if not 32 <= table <= 32 + TAIL:
+        raise ValueError(f"{path}: expected the table of streams at byte 32 or after the extensions, found {table}")
+    entries = struct.unpack(f"<{2 * stored}Q", files.take(data, table, 16 * stored, path, "the table of streams"))
+    at = table + 16 * stored
+    if sum(entries[::2]) > len(data) - at:
+        raise ValueError(f"{path}: truncated: the streams need {sum(entries[::2])} bytes, {len(data) - at} are left")
+    for name, size in zip(listed, entries[1::2], strict=True):
+        if size != sizes[name]:
+            raise ValueError(f"{path}: expected {sizes[name]} bytes of {name} for {count} rows, the table says {size}")
+    # All claims together, before the first is unpacked.
+    allow(len(data), sum(sizes.values()), path, f"{count} rows of SPZ version 4")
+    streams = {}
+    for name, packed in zip(listed, entries[::2], strict=True):
+        piece = unzstd(files.take(data, at, packed, path, name), sizes[name], path, f"the stream of {name}")
+        streams[name] = np.frombuffer(piece, np.uint8).reshape(count, -1)
+        at += packed
+    for name in STREAMS:
+        streams.setdefault(name, np.zeros((count, 0 if count else _widths(version, degree)[name]), np.uint8))
+    reserved, extensions = bytes(header[20:]), data[32:table]
+    return SpzFile(version, degree, bits, flags, reserved, streams, extensions, data[at:], data)
+
+
+def _decode(file: SpzFile) -> Splats:
+    """Rows in the file's own frame."""
+    streams = file.streams
+    if file.version == 1:
+        means = codec.unpack_half_positions(streams["positions"])
+    else:
+        means = codec.unpack_positions(streams["positions"], file.fractional_bits)
+    unpack_quats = codec.unpack_quats_first_three if file.version < 3 else codec.unpack_quats_smallest_three
+    base = codec.unpack_colors(streams["colors"])[:, None]
+    rest = codec.unpack_sh(streams["sh"]) if streams["sh"].shape[1] else base[:, :0]
+    return Splats(
+        means,
+        unpack_quats(streams["rotations"]),
+        codec.unpack_scales(streams["scales"]),
+        codec.unpack_opacities(streams["alphas"]),
+        np.concatenate([base, rest], 1),
+        antialiased=bool(file.flags & ANTIALIASED),
+    )
+
+
+def _encode(splats: Splats, before: tuple[Kept, SpzFile] | None, version: int, path: Path) -> SpzFile:
+    old = before[1] if before else SpzFile(version, 0, 0, 0, b"", {}, b"", b"", b"")
+    rows = _from_ply_frame(presentable(splats), _frame(old, []))
+    # Version 1 has no fixed point; 2 shares all words but the rotations with 3 and 4.
+    keeps = {"positions": (old.version == 1) == (version == 1), "rotations": (old.version < 3) == (version < 3)}
+    bits = old.fractional_bits if before and keeps["positions"] else _fractional_bits(rows)
+    pack_quats = codec.pack_quats_first_three if version < 3 else codec.pack_quats_smallest_three
+    streams = {
+        "positions": codec.pack_half_positions(rows.means) if version == 1 else _pack_positions(rows, bits, path),
+        "alphas": codec.pack_opacities(rows.opacities),
+        "colors": codec.pack_colors(rows.sh[:, 0]),
+        "scales": codec.pack_scales(rows.scales),
+        "rotations": pack_quats(rows.quats),
+        "sh": codec.pack_sh(rows.sh[:, 1:], SH_BITS),
+    }
+    if before:
+        same = before[0]
+        masks = (same.means, same.opacities, same.base, same.scales, same.quats, same.rest)
+        for name, mask in zip(STREAMS, masks, strict=True):
+            if keeps.get(name, True) and mask.any():
+                streams[name][mask] = old.streams[name][same.rows[mask]]
+    flags = old.flags & ~ANTIALIASED | (ANTIALIASED if splats.antialiased else 0)
+    return SpzFile(version, splats.sh_degree, bits, flags, old.reserved, streams, old.extensions, old.tail, b"")
+
+
+def _pack_positions(rows: Splats, bits: int, path: Path) -> np.ndarray:
+    # Words of the file are within reach by themselves: unpacking and packing them is exact.
+    clear = codec.fits(rows.means, bits)
+    if not clear.all():
+        row = int(np.argmin(clear))
+        raise ValueError(
+            f"{path}: row {row} at {rows.means[row].tolist()} lies outside of the "
+            f"+-{codec.POSITION_LIMIT / 2**bits:g} units that {bits} fractional bits leave; write .ply instead"
+        )
+    return codec.pack_positions(rows.means, bits)
+
+
+def _fractional_bits(rows: Splats) -> int:
+    """12 bits as the reference, or as many as small rows need: a step of a quarter of the 5th percentile of the
+    middle scale. Twice the present extent must fit, so that later edits do. 0-20."""
+    if not len(rows):
+        return 12
+    thin = float(np.percentile(np.sort(rows.scales, 1)[:, 1], 5))
+    wanted = np.ceil(-np.log2(max(thin / 4, 2.0**-20)))
+    extent = max(float(np.abs(rows.means).max()), 2.0**-10)
+    room = np.floor(np.log2(codec.POSITION_LIMIT / (2 * extent)))
+    return int(np.clip(min(max(wanted, 12), room), 0, 20))
+
+
+def _gzip_bytes(file: SpzFile) -> bytes:
+    count, reserved = len(file.streams["alphas"]), (file.reserved or b"\0")[:1]
+    header = struct.pack("<4sIIBBB", MAGIC, file.version, count, file.degree, file.fractional_bits, file.flags)
+    body = b"".join([header, reserved, *(file.streams[name].tobytes() for name in STREAMS), file.extensions])
+    return gzip.compress(body, 6, mtime=0) + file.tail
+
+
+def _plain_bytes(file: SpzFile) -> bytes:
+    import zstandard
+
+    count, reserved = len(file.streams["alphas"]), file.reserved.ljust(12, b"\0")
+    pieces = [file.streams[name].tobytes() for name in STREAMS]
+    pieces = [piece for piece in pieces if piece]
+    packed = [zstandard.ZstdCompressor(level=12).compress(piece) for piece in pieces]
+    counts = (file.degree, file.fractional_bits, file.flags, len(pieces), 32 + len(file.extensions))
+    header = struct.pack("<4sIIBBBBI", MAGIC, 4, count, *counts)
+    table = b"".join(struct.pack("<QQ", len(a), len(b)) for a, b in zip(packed, pieces, strict=True))
+    return b"".join([header, reserved[:12], file.extensions, table, *packed, file.tail])
+
+
+def _frame(file: SpzFile, problems: list[str]) -> int:
+    """Code of the frame that the rows are stored in."""
+    at, data = 0, file.extensions if file.flags & EXTENDED else b""
+    while len(data) - at >= 8:
+        kind, size = struct.unpack_from("<II", data, at)
+        if kind == COORDINATE_SYSTEM and size == 4 and len(data) - at >= 12:
+            (code,) = struct.unpack_from("<I", data, at + 8)
+            if 1 <= code <= 16:
+                return code
+            problems.append(f"extension names the unknown coordinate system {code}; read as right-up-back")
+        at += 8 + size
+    return RUB
+
+
+def _flips(code: int) -> tuple[int, int, int]:
+    differ = (code - 1) ^ (RDF - 1)
+    return (-1 if differ & 1 else 1, -1 if differ & 2 else 1, -1 if differ & 4 else 1)
+
+
+def _to_ply_frame(rows: Splats, code: int) -> Splats:
+    rows = _flip(rows, code)
+    return frames.move(rows, QUARTER_TURN) if code > 8 else rows
+
+
+def _from_ply_frame(rows: Splats, code: int) -> Splats:
+    rows = frames.move_back(rows, QUARTER_TURN) if code > 8 else rows
+    return _flip(rows, code)
+
+
+def _flip(rows: Splats, code: int) -> Splats:
+    signs = _flips(code)
+    rows = frames.flip(rows, signs)
+    if signs[1] < 0 and rows.sh.shape[1] == 25:
+        # The reference reverses the last coefficient of band 4 with y, although Y_44 is even in y; it made the files.
+        rows.sh[:, 24] *= -1
+    return rows

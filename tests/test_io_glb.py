@@ -1,0 +1,479 @@
+"""GLB: files built by hand, splat-transform's as oracle, node transforms, integers, bytes that stay, damaged files."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from io_assets import random_splats
+from io_packed import alone, covariances, damages, quats_apart, same_bits, survives
+
+from splatpainter import io
+from splatpainter.io.frames import sh_basis
+from splatpainter.io.glb import read_glb, write_glb
+from splatpainter.splats import SH_C0, Splats
+
+pytest_plugins = ["node_oracle"]
+
+Oracle = Callable[..., str]
+KHR = "KHR_gaussian_splatting"
+CODES = {"float32": 5126, "int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123}
+TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+
+
+def parts(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """JSON and binary chunk, without the package."""
+    size = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + size]), data[28 + size : 28 + size + struct.unpack_from("<I", data, 20 + size)[0]]
+
+
+def columns(data: bytes) -> dict[str, np.ndarray]:
+    """Every attribute of the first primitive of a file with tight buffer views, without the package."""
+    doc, binary = parts(data)
+    kinds, widths = {v: k for k, v in CODES.items()}, {v: k for k, v in TYPES.items()}
+    out = {}
+    for name, index in doc["meshes"][0]["primitives"][0]["attributes"].items():
+        item = doc["accessors"][index]
+        width = widths[item["type"]]
+        start = doc["bufferViews"][item["bufferView"]]["byteOffset"]
+        values = np.frombuffer(binary, kinds[item["componentType"]], item["count"] * width, start)
+        out[name.removeprefix(f"{KHR}:")] = values.reshape(-1, width)
+    return out
+
+
+def build(attributes: dict[str, np.ndarray], nodes: list[dict[str, Any]] | None = None, **extension: Any) -> bytes:
+    """A GLB file of one Gaussian primitive (mesh 1), a mesh without data (mesh 0), an unknown chunk and a tail."""
+    accessors, views, names, binary = [], [], {}, b""
+    for name, values in attributes.items():
+        names[name if ":" in name or name in ("POSITION", "COLOR_0") else f"{KHR}:{name}"] = len(accessors)
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes, "name": f"view of {name}"})
+        accessors.append(
+            {"bufferView": len(views) - 1, "componentType": CODES[values.dtype.name], "count": len(values)}
+        )
+        accessors[-1] |= {"type": TYPES[values.shape[1]], "normalized": values.dtype.kind != "f"}
+        binary += values.tobytes() + bytes(-values.nbytes % 4)
+    khr = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"} | extension
+    primitive = {"attributes": names, "mode": 0, "extensions": {KHR: khr}, "material": 0}
+    doc = {
+        "asset": {"version": "2.0", "extras": {"author": "by hand"}},
+        "extensionsUsed": [KHR],
+        "materials": [{"name": "kept"}],
+        "nodes": nodes or [{"mesh": 1}],
+        "scenes": [{"nodes": [0]}],
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": views,
+        "accessors": accessors,
+        "meshes": [{"primitives": [{"attributes": {}}], "name": "other"}, {"primitives": [primitive]}],
+    }
+    text = json.dumps(doc).encode()
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
+    body += struct.pack("<II", 4, 0x12345678) + b"more"
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body + b"tail"
+
+
+def attributes_of(splats: Splats) -> dict[str, np.ndarray]:
+    """In the primitive's own frame: the rows as they are, quaternions made unit."""
+    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    out = {"POSITION": splats.means, "ROTATION": unit[:, [1, 2, 3, 0]], "SCALE": splats.scales}
+    out["OPACITY"] = splats.opacities[:, None]
+    names = [f"SH_DEGREE_{l}_COEF_{n}" for l in range(splats.sh_degree + 1) for n in range(2 * l + 1)]
+    return out | {name: np.ascontiguousarray(splats.sh[:, k]) for k, name in enumerate(names)}
+
+
+@pytest.mark.shared
+def test_real_file(shared: Path, tmp_path: Path) -> None:
+    """splat-transform made it from the asset whose PLY lies beside it: the same rows, in the same frame, exactly."""
+    path = shared / "data" / "splats" / "playbot_lod4.glb"
+    splats, truth = io.read(path), io.read(path.with_name("playbot_lod4_sh3.ply"))
+    assert splats.source is not None and not splats.source.problems and splats.sh_degree == 2
+    assert np.array_equal(splats.means, truth.means) and np.array_equal(splats.sh, truth.sh[:, :9])
+    assert np.allclose(splats.scales, truth.scales, rtol=1e-6) and np.allclose(
+        splats.opacities, truth.opacities, atol=1e-6
+    )
+    unit = truth.quats / np.linalg.norm(truth.quats, axis=1, keepdims=True)
+    assert np.abs(splats.quats - unit).max() < 1e-6  # signs too
+    write_glb(tmp_path / "a.glb", splats)
+    assert (tmp_path / "a.glb").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_beside_splat_transform(degree: int, tmp_path: Path, splat_transform: Oracle) -> None:
+    """Its GLB of our rows reads as our rows; our GLB holds what its GLB holds."""
+    splats = random_splats(300, degree)
+    io.write(tmp_path / "a.ply", splats)
+    splat_transform(tmp_path / "a.ply", tmp_path / "theirs.glb")
+    back = read_glb(tmp_path / "theirs.glb")
+    assert np.array_equal(back.means, splats.means)
+    assert np.abs(back.sh - splats.sh).max() < 1e-6 and quats_apart(back.quats, splats.quats) < 1e-6
+    assert np.allclose(back.scales, splats.scales, rtol=1e-6) and np.allclose(
+        back.opacities, splats.opacities, atol=1e-6
+    )
+    io.write(tmp_path / "ours.glb", splats)
+    ours, theirs = columns((tmp_path / "ours.glb").read_bytes()), columns((tmp_path / "theirs.glb").read_bytes())
+    assert ours.keys() == theirs.keys()
+    for name in ours.keys() - {"COLOR_0", "ROTATION"}:
+        assert np.allclose(ours[name], theirs[name], rtol=1e-6, atol=1e-6), name
+    # It does not make quaternions unit here; the standard asks for that.
+    assert np.abs(np.linalg.norm(ours["ROTATION"], axis=1) - 1).max() < 1e-6
+    assert quats_apart(ours["ROTATION"], theirs["ROTATION"]) < 1e-6
+    doc, _ = parts((tmp_path / "ours.glb").read_bytes())
+    position = doc["accessors"][doc["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    assert position["min"] == ours["POSITION"].min(0).tolist() and position["max"] == ours["POSITION"].max(0).tolist()
+    # Vertex colours are linear in glTF (splat-transform leaves them sRGB); alpha is the opacity.
+    color = np.clip(0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64), 0, 1)
+    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+    assert np.abs(ours["COLOR_0"][:, :3] / 255 - linear).max() <= 0.5 / 255 + 1e-6
+    assert np.abs(ours["COLOR_0"][:, 3] / 255 - splats.opacities).max() <= 0.5 / 255 + 1e-6
+
+
+def test_round_trip_is_exact(tmp_path: Path) -> None:
+    splats = random_splats(200, 3)
+    splats = replace(splats, quats=splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True))
+    for flags in ({}, {"antialiased": True}, {"color_space": "linear"}):
+        said = replace(splats, **flags)
+        write_glb(tmp_path / "a.glb", said)
+        back = read_glb(tmp_path / "a.glb")
+        assert same_bits(back, splats)
+        assert (back.antialiased, back.color_space) == (said.antialiased, said.color_space)
+        write_glb(tmp_path / "b.glb", replace(back, antialiased=not said.antialiased))
+        again = read_glb(tmp_path / "b.glb")
+        assert again.antialiased is not said.antialiased and again.color_space == said.color_space
+        assert same_bits(again, splats)
+
+
+def test_by_hand(tmp_path: Path) -> None:
+    """glTF's frame is half a turn about z away; everything that is not ours survives an edit."""
+    rows = random_splats(4, 1)
+    path = tmp_path / "a.glb"
+    path.write_bytes(build(attributes_of(rows) | {"_EXTRA:ID": np.arange(4, dtype=np.uint16)[:, None]}))
+    splats = read_glb(path)
+    assert np.array_equal(splats.means, rows.means * np.array([-1, -1, 1], np.float32))
+    turn = np.diag([-1.0, -1, 1])
+    assert np.allclose(covariances(splats), turn @ covariances(rows) @ turn, rtol=1e-5, atol=1e-9)
+    assert np.array_equal(splats.sh, rows.sh * np.array([1, -1, 1, -1], np.float32)[:, None])
+    assert np.array_equal(splats.scales, rows.scales) and np.array_equal(splats.opacities, rows.opacities)
+    opacities = splats.opacities.copy()
+    opacities[2] = 0.125
+    write_glb(tmp_path / "b.glb", replace(splats, opacities=opacities))
+    data, before = (tmp_path / "b.glb").read_bytes(), path.read_bytes()
+    (doc, binary), (old_doc, old_binary) = parts(data), parts(before)
+    assert doc == old_doc and data.endswith(struct.pack("<II", 4, 0x12345678) + b"moretail")
+    changed = [k for k in range(len(binary)) if binary[k] != old_binary[k]]
+    start = old_doc["bufferViews"][3]["byteOffset"]
+    assert changed and set(changed) <= set(range(start + 8, start + 12))  # the third float of OPACITY, nothing else
+    more = splats.take(np.array([3, 0, 1, 2, 2]))
+    write_glb(tmp_path / "b.glb", more)
+    doc, binary = parts((tmp_path / "b.glb").read_bytes())
+    assert (
+        doc["asset"] == old_doc["asset"]
+        and doc["materials"] == old_doc["materials"]
+        and doc["nodes"] == old_doc["nodes"]
+    )
+    assert (
+        doc["meshes"][0] == old_doc["meshes"][0]
+        and len(binary) == doc["buffers"][0]["byteLength"] < len(old_binary) * 1.6
+    )
+    back = read_glb(tmp_path / "b.glb")
+    assert same_bits(back, more)
+    index = doc["meshes"][1]["primitives"][0]["attributes"]["_EXTRA:ID"]
+    view = doc["bufferViews"][doc["accessors"][index]["bufferView"]]
+    ids = [struct.unpack_from("<H", binary, view["byteOffset"] + k * view["byteStride"])[0] for k in range(5)]
+    assert ids == [3, 0, 1, 2, 2] and doc["accessors"][index]["count"] == 5
+
+
+def test_edits_keep_the_other_rows(tmp_path: Path, splat_transform: Oracle) -> None:
+    rows = random_splats(500, 2)
+    io.write(tmp_path / "a.ply", rows)
+    splat_transform(tmp_path / "a.ply", tmp_path / "a.glb")
+    splats, rng = read_glb(tmp_path / "a.glb"), np.random.default_rng(0)
+    touched = rng.random(500) < 0.2
+    new = {name: getattr(splats, name).copy() for name in ("means", "quats", "scales", "opacities", "sh")}
+    for name, values in new.items():
+        values[touched] = np.clip(values[touched] * 0.9, 0, 1) if name == "opacities" else values[touched] * 0.9
+    children = splats.take(np.flatnonzero(touched))
+    edited = replace(splats, **new).append(replace(children, scales=children.scales * np.float32(0.5)))
+    write_glb(tmp_path / "b.glb", edited)
+    back = read_glb(tmp_path / "b.glb")
+    assert same_bits(back, edited, np.flatnonzero(~touched))
+    for name in ("means", "scales", "opacities", "sh"):
+        assert np.array_equal(getattr(back, name), getattr(edited, name))
+    assert quats_apart(back.quats, edited.quats) < 1e-6
+    # splat-transform's fallback colours are sRGB; those of changed rows follow its habit.
+    color = columns((tmp_path / "b.glb").read_bytes())["COLOR_0"]
+    wanted = np.clip(0.5 + SH_C0 * edited.sh[:, 0].astype(np.float64), 0, 1)
+    assert np.abs(color[:, :3] / 255 - wanted).max() <= 0.51 / 255
+
+
+QUARTER = {"rotation": [0, np.sqrt(0.5), 0, np.sqrt(0.5)], "scale": [2, 2, 2], "translation": [1, 2, 3]}
+
+
+@pytest.mark.parametrize(
+    ("nodes", "matrix"),
+    [
+        ([{"mesh": 1, "translation": [1, 2, 3]}], [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3]]),
+        ([{"mesh": 1} | QUARTER], [[0, 0, 2, 1], [0, 2, 0, 2], [-2, 0, 0, 3]]),
+        ([{"children": [1]} | QUARTER, {"mesh": 1, "matrix": [1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 5, 0, 0, 1]}],
+         [[0, 2, 0, 1], [0, 0, -2, 2], [-2, 0, 0, -7]]),
+    ],
+)  # fmt: skip
+def test_node_transforms(nodes: list[dict[str, Any]], matrix: list[list[float]], tmp_path: Path) -> None:
+    """The rows are where the node shows them, and go back to where they were."""
+    rows, path, m = random_splats(40, 2), tmp_path / "a.glb", np.array(matrix, float)
+    path.write_bytes(build(attributes_of(rows), nodes))
+    splats = read_glb(path)
+    assert splats.source is not None and not splats.source.problems
+    half = np.diag([-1.0, -1, 1])
+    linear, scale = half @ m[:, :3], np.cbrt(np.linalg.det(m[:, :3]))
+    assert np.allclose(splats.means, rows.means @ linear.T + half @ m[:, 3], atol=1e-5)
+    assert np.allclose(covariances(splats), linear @ covariances(rows) @ linear.T, rtol=1e-4, atol=1e-7)
+    d = np.random.default_rng(0).normal(size=(20, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    assert np.abs(sh_basis(d @ (linear / scale).T, 2) @ splats.sh - sh_basis(d, 2) @ rows.sh).max() < 1e-5
+    means = splats.means.copy()
+    means[5] += 0.25
+    write_glb(tmp_path / "b.glb", replace(splats, means=means))
+    back = read_glb(tmp_path / "b.glb")
+    assert same_bits(back, splats, np.delete(np.arange(40), 5)) and np.abs(back.means - means).max() < 1e-5
+    assert parts((tmp_path / "b.glb").read_bytes())[0]["nodes"] == nodes
+
+
+def test_transform_that_rows_cannot_follow(tmp_path: Path) -> None:
+    rows, path = random_splats(5, 1), tmp_path / "a.glb"
+    for bad in ({"scale": [1, 2, 1]}, {"scale": [-1, 1, 1]}, {"scale": [0, 0, 0]}):
+        path.write_bytes(build(attributes_of(rows), [{"mesh": 1} | bad]))
+        splats = read_glb(path)
+        assert splats.source is not None and "not a rotation with uniform scale" in splats.source.problems[0]
+        assert np.array_equal(splats.means, rows.means * np.array([-1, -1, 1], np.float32))
+
+
+def test_integers(tmp_path: Path) -> None:
+    """Quantised attributes mean what glTF says; an edit keeps those values in every row that it did not touch."""
+    rng, path = np.random.default_rng(0), tmp_path / "a.glb"
+    attributes = attributes_of(random_splats(30, 0))
+    attributes["ROTATION"] = np.rint(attributes["ROTATION"] * 127).astype(np.int8)
+    attributes["SCALE"] = rng.integers(1, 65536, (30, 3)).astype(np.uint16)
+    attributes["OPACITY"] = rng.integers(0, 256, (30, 1)).astype(np.uint8)
+    path.write_bytes(build(attributes))
+    splats = read_glb(path)
+    assert np.allclose(splats.scales, attributes["SCALE"] / 65535, atol=1e-7)
+    assert np.allclose(splats.opacities, attributes["OPACITY"][:, 0] / 255, atol=1e-7)
+    x, y, z, w = np.maximum(attributes["ROTATION"] / 127, -1).T
+    assert quats_apart(splats.quats, np.stack([-z, -y, x, w], 1)) < 1e-6  # half a turn about z, then the stored one
+    edited = replace(
+        splats,
+        opacities=splats.opacities.copy(),
+        scales=splats.scales * np.where(np.arange(30) == 7, 3, 1)[:, None].astype(np.float32),
+    )
+    edited.opacities[4] = 0.3
+    write_glb(tmp_path / "b.glb", edited)
+    back = read_glb(tmp_path / "b.glb")
+    assert same_bits(back, edited) and back.opacities[4] == np.float32(0.3)
+    doc, _ = parts((tmp_path / "b.glb").read_bytes())
+    kinds = {
+        name: doc["accessors"][i]["componentType"]
+        for name, i in doc["meshes"][1]["primitives"][0]["attributes"].items()
+    }
+    assert (
+        kinds[f"{KHR}:ROTATION"] == CODES["int8"]
+        and kinds[f"{KHR}:SCALE"] == kinds[f"{KHR}:OPACITY"] == CODES["float32"]
+    )
+
+
+def test_interleaved(tmp_path: Path) -> None:
+    """All attributes in one buffer view, a row after the other: an edit changes four bytes of it."""
+    rows, path = random_splats(6, 0), tmp_path / "a.glb"
+    names = attributes_of(rows)
+    table = np.concatenate(list(names.values()), 1).astype("<f4")
+    data = build(names)
+    doc, _ = parts(data)
+    offset = 0
+    for values, item in zip(names.values(), doc["accessors"], strict=True):
+        item |= {"bufferView": 0, "byteOffset": offset}
+        offset += values.shape[1] * 4
+    doc["bufferViews"] = [{"buffer": 0, "byteLength": table.nbytes, "byteStride": table.shape[1] * 4}]
+    doc["buffers"] = [{"byteLength": table.nbytes}]
+    text = json.dumps(doc).encode()
+    text += b" " * (-len(text) % 4)
+    body = (
+        struct.pack("<II", len(text), 0x4E4F534A)
+        + text
+        + struct.pack("<II", table.nbytes, 0x004E4942)
+        + table.tobytes()
+    )
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
+    splats = read_glb(path)
+    assert np.array_equal(splats.opacities, rows.opacities)
+    edited = replace(splats, opacities=np.where(np.arange(6) == 3, np.float32(0.5), splats.opacities))
+    write_glb(tmp_path / "b.glb", edited)
+    new, old = parts((tmp_path / "b.glb").read_bytes())[1], parts(path.read_bytes())[1]
+    assert len(new) == len(old) and 0 < sum(a != b for a, b in zip(new, old, strict=True)) <= 4
+    grown = edited.append(edited.take(np.array([0])))
+    write_glb(tmp_path / "b.glb", grown)
+    assert same_bits(read_glb(tmp_path / "b.glb"), grown)
+
+
+def test_lenient_names(tmp_path: Path) -> None:
+    """Early files: names with an underscore or bare, colours and opacities only in COLOR_0."""
+    rows, path = random_splats(8, 0), tmp_path / "a.glb"
+    full = attributes_of(rows)
+    color = np.concatenate([0.5 + SH_C0 * rows.sh[:, 0], rows.opacities[:, None]], 1).astype(np.float32)
+    data = build({"POSITION": full["POSITION"], "x:R": full["ROTATION"], "x:S": full["SCALE"], "COLOR_0": color})
+    path.write_bytes(data.replace(b'"x:R"', b'"_ROTATION"').replace(b'"x:S"', b'"SCALE"'))
+    text = data.replace(b'"x:R":', b'"_ROTATION":').replace(b'"x:S":', b'"SCALE":')
+    size = struct.unpack_from("<I", data, 12)[0] + len(text) - len(data)
+    pad = -size % 4
+    text = text[: 20 + size] + b" " * pad + text[20 + size :]
+    head = struct.pack("<4sIII", b"glTF", 2, struct.unpack_from("<I", data, 8)[0] + len(text) - len(data), size + pad)
+    path.write_bytes(head + text[16:])
+    splats = read_glb(path)
+    assert splats.source is not None and len(splats.source.problems) == 2
+    assert np.allclose(splats.sh, rows.sh, atol=1e-5) and np.array_equal(splats.opacities, rows.opacities)
+    assert np.array_equal(splats.scales, rows.scales)
+    write_glb(tmp_path / "b.glb", replace(splats, opacities=splats.opacities * np.float32(0.5)))
+    back = read_glb(tmp_path / "b.glb")
+    assert np.array_equal(back.opacities, splats.opacities * np.float32(0.5)) and np.array_equal(back.sh, splats.sh)
+
+
+def test_other_degrees(tmp_path: Path) -> None:
+    write_glb(tmp_path / "a.glb", random_splats(30, 1))
+    splats = read_glb(tmp_path / "a.glb")
+    for degree in (0, 3):
+        sh = np.zeros((30, (degree + 1) ** 2, 3), np.float32)
+        sh[:, :4] = splats.sh[:, : sh.shape[1]]
+        write_glb(tmp_path / "b.glb", replace(splats, sh=sh))
+        assert same_bits(read_glb(tmp_path / "b.glb"), replace(splats, sh=sh))
+    with pytest.raises(ValueError, match="SH up to degree 3, got 4"):
+        write_glb(tmp_path / "b.glb", random_splats(5, 4))
+    with pytest.raises(ValueError, match="0 rows"):
+        write_glb(tmp_path / "b.glb", random_splats(0, 0))
+
+
+def test_rows_that_cannot_be_drawn(tmp_path: Path) -> None:
+    splats = random_splats(50, 1)
+    splats.means[3], splats.scales[4, 1], splats.quats[5], splats.sh[6] = np.nan, 0, 0, np.inf
+    write_glb(tmp_path / "a.glb", splats)
+    back = read_glb(tmp_path / "a.glb")
+    others = np.delete(np.arange(50), [3, 4, 5, 6])
+    assert back.finite.all() and not back.opacities[3:7].any()
+    assert same_bits(replace(back, quats=splats.quats), splats, others)
+    # Already in a file, they keep their bytes when other rows change.
+    broken = attributes_of(random_splats(20, 0))
+    broken["POSITION"][4] = np.nan
+    (tmp_path / "b.glb").write_bytes(build(broken))
+    source = read_glb(tmp_path / "b.glb")
+    edited = replace(source, opacities=np.full(20, 0.5, np.float32))
+    write_glb(tmp_path / "c.glb", edited.append(edited.take(np.array([0]))))
+    assert same_bits(read_glb(tmp_path / "c.glb"), edited, np.delete(np.arange(20), 4))
+    assert np.isnan(read_glb(tmp_path / "c.glb").means[4]).any()
+
+
+def test_two_primitives(tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    write_glb(path, random_splats(30, 0))
+    doc, binary = parts(path.read_bytes())
+    doc["meshes"].append(doc["meshes"][0])
+    path.write_bytes(pack(doc, binary))
+    splats = read_glb(path)
+    assert splats.source is not None and "2 Gaussian primitives; only the first" in splats.source.problems[0]
+    edited = replace(splats, opacities=np.full(30, 0.5, np.float32))
+    write_glb(tmp_path / "b.glb", edited)
+    assert same_bits(read_glb(tmp_path / "b.glb"), edited)
+    # The other primitive shares the old accessors: what it shows has not changed.
+    new, packed = parts((tmp_path / "b.glb").read_bytes())
+    index = new["meshes"][1]["primitives"][0]["attributes"][f"{KHR}:OPACITY"]
+    view = new["bufferViews"][new["accessors"][index]["bufferView"]]
+    assert np.array_equal(np.frombuffer(packed, "<f4", 30, view["byteOffset"]), splats.opacities)
+
+
+def pack(doc: dict[str, Any], binary: bytes) -> bytes:
+    text = json.dumps(doc).encode()
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+@pytest.mark.shared
+def test_meshes_are_refused(shared: Path) -> None:
+    for path in sorted((shared / "data" / "meshes").glob("kh_*.glb"))[:3]:
+        with pytest.raises(ValueError, match="this glTF file holds no Gaussians"):
+            io.read(path)
+
+
+def edited_json(change: Callable[[dict[str, Any]], Any]) -> bytes:
+    data = build(attributes_of(random_splats(4, 0)))
+    doc, binary = parts(data)
+    change(doc)
+    return pack(doc, binary)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "truncated"),
+        (b"glTF" + bytes(8), "expected a GLB file of version 2"),
+        (struct.pack("<4sII", b"glTF", 2, 12), "expected JSON as the first GLB chunk"),
+        (struct.pack("<4sII", b"glTF", 2, 1 << 31), "truncated: the header says 2147483648 bytes"),
+        (struct.pack("<4sIIII", b"glTF", 2, 20, 1 << 30, 0x4E4F534A), "truncated: a GLB chunk"),
+        (pack({}, b""), "holds no Gaussians"),
+        (edited_json(lambda d: d["accessors"][0].update(count=1 << 40)), "does not fit its buffer view"),
+        (edited_json(lambda d: d["accessors"][0].update(count=-1)), "expected a non-negative integer for glTF 'count'"),
+        (edited_json(lambda d: d["accessors"][1].update(count=3)), "expected ROTATION of 4 x 4 numbers"),
+        (edited_json(lambda d: d["accessors"][0].update(sparse={})), "is of a kind that splats do not use"),
+        (edited_json(lambda d: d["accessors"][0].update(bufferView=99)), r"bufferViews\[99\], which does not exist"),
+        (edited_json(lambda d: d["bufferViews"][0].update(byteLength=1 << 40)), "truncated: buffer view 0"),
+        (edited_json(lambda d: d["bufferViews"][0].update(byteStride=1)), "does not fit its buffer view"),
+        (
+            edited_json(lambda d: d["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {}})),
+            "is compressed",
+        ),
+        (edited_json(lambda d: d["buffers"][0].update(uri="other.bin")), "lies in an external file"),
+        (
+            edited_json(lambda d: d["meshes"][1]["primitives"][0]["attributes"].pop(f"{KHR}:SCALE")),
+            "no attribute .*:SCALE",
+        ),
+        (
+            edited_json(lambda d: d["meshes"][1]["primitives"][0]["extensions"][KHR].update(extensions={"X_spz": {}})),
+            "stored by X_spz, which is not supported",
+        ),
+        (edited_json(lambda d: d["nodes"][0].update(children=[0])), "glTF node 0 is its own ancestor"),
+        (edited_json(lambda d: d["nodes"][0].update(translation=[1, 2])), "expected 3 numbers as a node's translation"),
+        (edited_json(lambda d: d.update(meshes=[[]])), "expected a list of objects as glTF meshes"),
+    ],
+)
+def test_refusals(data: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    assert survives(read_glb, path, iter([data]), peak=1 << 20) == (0, 1)
+    with pytest.raises(ValueError, match=message):
+        read_glb(path)
+
+
+def test_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    data = build(attributes_of(random_splats(10, 1)), [{"mesh": 1} | QUARTER])
+    assert sum(survives(read_glb, path, damages(data, 1000, head=5000))) == 1064
+    # JSON of the right form with wrong values in it: any leaf or branch replaced.
+    doc, binary = parts(data)
+    rng = np.random.default_rng(0)
+
+    def wrong(item: Any) -> Any:
+        if rng.random() < 0.01:
+            return [None, -1, 10**30, 1.5, "x", [], {}, [[]], True, 99][rng.integers(0, 10)]
+        if isinstance(item, dict):
+            return {key: wrong(value) for key, value in item.items() if rng.random() > 0.003}
+        return [wrong(value) for value in item] if isinstance(item, list) else item
+
+    def both(path: Path) -> Splats:
+        splats = read_glb(path)
+        if len(splats):  # whatever can be read can be written with an edit
+            write_glb(path.with_name("b.glb"), alone(splats))
+            write_glb(path.with_name("b.glb"), splats.take(np.arange(len(splats))[::-1]))
+        return splats
+
+    assert sum(survives(both, path, (pack(wrong(doc), binary) for _ in range(500)))) == 500
