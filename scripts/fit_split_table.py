@@ -2,7 +2,7 @@
 
 For a unit Gaussian of peak alpha o, children half as wide along x, as wide across, on sites SPACING / 2 apart, get
 symmetric peaks p_j such that 1 - prod_j(1 - a_j) equals the parent's alpha in the plane (least squares). Alpha
-compositing is not additive; what the fit leaves is printed (1.4 % of the parent's rms for faint rows, 6.6 % for opaque).
+compositing is not additive; what the fit leaves is printed (1.4 % of the parent for faint rows, 6.6 % for opaque).
 
 Run: python scripts/fit_split_table.py (a few seconds; needs scipy).
 """

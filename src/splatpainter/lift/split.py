@@ -43,7 +43,7 @@ def child_peaks(opacities: np.ndarray) -> np.ndarray:
     known, peaks = table()
     inner = np.clip(opacities, known[0], known[-1])
     half = np.stack([np.interp(inner, known, column) for column in peaks.T], 1)
-    half *= (opacities / inner)[:, None]  # below the table alpha is additive
+    half *= np.minimum(opacities / inner, 1)[:, None]  # below the table alpha is additive
     return half[:, np.abs(np.arange(-REACH, REACH + 1))]
 
 

@@ -1,0 +1,7 @@
+"""`python -m splatpainter` is `splatpainter`."""
+
+import sys
+
+from splatpainter.cli import main
+
+sys.exit(main())

@@ -1,0 +1,133 @@
+"""The `splatpainter` command: find the command, parse its options, print what it found, turn every failure into one
+line and an exit code.
+
+0 done; 1 `verify` found a difference; 2 bad input or options; 70 a fault of ours; 130 Ctrl-C; 143 terminated.
+Importing this module loads neither numpy nor torch.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from splatpainter import __version__
+from splatpainter.commands import SUMMARIES, Outcome
+from splatpainter.commands.terminal import PROGRAM, complain, reason
+
+DEBUG = "SPLATPAINTER_DEBUG"
+"""Set to 1: errors show where they come from."""
+BAD_INPUT, FAULT, INTERRUPTED, TERMINATED = 2, 70, 130, 143
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line (default: the process's own) and return its exit code. Raises nothing for users, unless
+    SPLATPAINTER_DEBUG is set."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        with _terminated_like_interrupted():
+            return _show(_run(words))
+    except SystemExit as done:  # --help of a command, SIGTERM
+        return done.code if isinstance(done.code, int) else 0
+    except KeyboardInterrupt:
+        complain("interrupted; every file that was there before is unharmed")
+        return INTERRUPTED
+    except (ValueError, OSError, MemoryError) as error:
+        if os.environ.get(DEBUG):
+            raise
+        complain(_one_line(error))
+        return BAD_INPUT
+    except Exception as error:
+        if os.environ.get(DEBUG):
+            raise
+        complain(f"fault in splatpainter: {type(error).__name__}: {error}; set {DEBUG}=1 to see where")
+        return FAULT
+
+
+def _run(words: list[str]) -> Outcome:
+    if not words or words[0] in ("-h", "--help", "help") and len(words) == 1:
+        return Outcome({"commands": SUMMARIES}, [_help()])
+    if words[0] in ("-V", "--version"):
+        return Outcome({"version": __version__}, [f"{PROGRAM} {__version__}"])
+    name, rest = (words[1], ["--help"]) if words[0] == "help" else (words[0], words[1:])
+    if name not in SUMMARIES:
+        import difflib  # wanted once in a while
+
+        near = difflib.get_close_matches(name, SUMMARIES, 1)
+        hint = f"; did you mean {near[0]}?" if near else f"; see {PROGRAM} --help"
+        raise ValueError(f"expected a command ({', '.join(SUMMARIES)}), got {name!r}{hint}")
+    command: Any = importlib.import_module("splatpainter.commands." + name)
+    if hasattr(command, "dispatch"):  # a command of commands
+        return command.dispatch(rest)
+    from splatpainter.commands.options import parse
+
+    config = parse(command.Config, f"{PROGRAM} {name}", rest)
+    outcome = command.run(config)
+    return outcome.as_json() if config.json else outcome
+
+
+def _help() -> str:
+    rows = [f"  {name:<9} {line}" for name, line in SUMMARIES.items()]
+    return "\n".join(
+        [
+            f"usage: {PROGRAM} COMMAND ...",
+            "",
+            "Edit a picture of a 3D Gaussian asset, and the asset changes; untouched rows stay bit for bit the same.",
+            "",
+            "commands:",
+            *rows,
+            "",
+            "example:",
+            f"  {PROGRAM} render vase.ply --out views     # paint on views/view_000.png, save it, then:",
+            f"  {PROGRAM} edit vase.ply views/view_000.png --out painted.ply",
+            "",
+            f"{PROGRAM} COMMAND --help shows the options of a command; --json makes it print one JSON object.",
+        ]
+    )
+
+
+def _show(outcome: Outcome) -> int:
+    try:
+        print("\n".join(outcome.lines), flush=True)
+    except BrokenPipeError:  # `| head` took what it wanted
+        _abandon_stdout()
+    except OSError as error:
+        _abandon_stdout()
+        raise ValueError(f"standard output: cannot be written ({reason(error)})") from None
+    return outcome.code
+
+
+def _one_line(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return "out of memory; use a smaller --size, or an asset with fewer rows"
+    if isinstance(error, OSError):
+        return reason(error) if error.filename is None else f"{error.filename}: {reason(error)}"
+    return str(error)
+
+
+def _abandon_stdout() -> None:
+    """Python flushes stdout once more when it ends, and would complain a second time."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextlib.contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """SIGTERM unwinds like Ctrl-C does, so that files in the making are removed."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise SystemExit(TERMINATED)
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,40 @@
+"""The commands: one small module each, with a frozen dataclass `Config` and `run(config) -> Outcome`.
+
+The dataclass is the command line, its help and its JSON: one docstring line under each field, an example in the class's
+own. Commands print nothing themselves; what they found goes back in the Outcome, warnings and progress go to stderr
+through `terminal`. Wrong input is a ValueError of one line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+SUMMARIES = {
+    "demo": "paint on the bundled asset: before, edited picture, after, turntable, receipt",
+    "info": "what a splat file holds, and what is odd about it",
+    "convert": "from one splat format to another",
+    "render": "pictures of an asset that carry their camera",
+    "edit": "write edited pictures of an asset onto the asset",
+    "verify": "prove which rows of an edited asset are the same; exit 1 if a wrong one differs",
+    "bench": "measure speed, or quality on given assets",
+}
+"""Command -> one line for `splatpainter --help`, in the order shown."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command did."""
+
+    record: dict[str, Any]
+    """What --json prints; may hold paths, numpy numbers and infinities (`terminal.to_json`)."""
+    lines: list[str] = field(default_factory=list)
+    """What people read, without --json."""
+    code: int = 0
+    """Exit code."""
+
+    def as_json(self) -> Outcome:
+        """The same, its lines replaced by the record as JSON."""
+        from splatpainter.commands.terminal import to_json
+
+        return Outcome(self.record, [to_json(self.record)], self.code)

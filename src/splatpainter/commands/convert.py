@@ -1,0 +1,91 @@
+"""`splatpainter convert`: from one format to another, and what that costs. Renders nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.info import file_size
+from splatpainter.commands.options import AssetFile
+from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.terminal import count, size, stages
+from splatpainter.io import FORMATS, read, write
+from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class Config:
+    """Convert a splat file; the name of OUT says the format, rows keep their order.
+
+    Formats: .ply, .compressed.ply, .splat, .spz, .sog, FOLDER/meta.json (SOG), .glb; .ksplat can only be read.
+
+    example:
+      splatpainter convert vase.ply vase.sog
+    """
+
+    asset: AssetFile
+    """The file to read."""
+    out: Annotated[Positional[Path], arg(metavar="OUT")]
+    """The file to write."""
+    overwrite: bool = False
+    """Replace OUT if it exists."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Read, write, and read again to see what arrived."""
+    entry = splat_format(config.out)
+    check_target(config.out, config.overwrite, [config.asset])
+    with stages(3) as bar:
+        bar.enter("reading")
+        before = read(config.asset)
+        before_size = file_size(config.asset)
+        with placed(config.out) as partial:
+            bar.enter("writing")
+            write(partial, before)
+            bar.enter("checking")
+            after = read(partial)
+    assert before.source is not None
+    record = {
+        "input": {"file": config.asset, "format": before.source.format, "bytes": before_size, "rows": len(before)},
+        "output": {
+            "file": config.out,
+            "format": entry.key,
+            "bytes": file_size(config.out),
+            "rows": len(after),
+            "sha256": after.sha256,
+        },
+        "lost": losses(before, after),
+    }
+    lines = [
+        f"{config.asset} -> {config.out}",
+        f"{count(len(after), 'row')}; {size(before_size)} -> {size(record['output']['bytes'])}",
+        *(f"lost: {line}" for line in record["lost"] or ["nothing"]),
+    ]
+    return Outcome(record, lines)
+
+
+def losses(before: Splats, after: Splats) -> list[str]:
+    """What the new file does not hold, one line each."""
+    assert before.source is not None and after.source is not None
+    entry = FORMATS[after.source.format]
+    lines = []
+    if len(after) != len(before):
+        lines.append(f"{len(before):,} rows became {len(after):,}")
+    if after.sh_degree != before.sh_degree:
+        lines.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
+    if entry.lossy and before.source.format != entry.key:
+        lines.append(entry.lossy)
+    if before.antialiased and not after.antialiased:
+        lines.append("the mark that says: trained antialiased")
+    if before.color_space != after.color_space:
+        lines.append(f"colour space {before.color_space} became {after.color_space}")
+    hidden = int((~before.finite).sum()) - int((~after.finite).sum())
+    if hidden > 0:
+        lines.append(f"{count(hidden, 'row')} with NaN or zero scale became transparent")
+    return lines

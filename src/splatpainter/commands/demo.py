@@ -1,0 +1,186 @@
+"""`splatpainter demo`: the main job on the bundled asset, done with the same commands that a person would type."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from tyro.conf import arg
+
+from splatpainter.cameras import Camera, look_at
+from splatpainter.commands import Outcome, edit
+from splatpainter.commands.demo_paint import evening, painted
+from splatpainter.commands.demo_sheet import Panel, animation, overview
+from splatpainter.commands.targets import check_folder, make_folder, save_picture
+from splatpainter.commands.terminal import decibels, size, stages
+from splatpainter.io import files, read, write
+from splatpainter.splats import Splats
+
+FRAMES = 36
+DUSK = (0.150, 0.125, 0.165)
+"""Background of the evening pictures, display sRGB."""
+HALF_TURN = (-1, -1, 1)
+"""The bundled asset is made with y up; files in the frame of captures, as every other program expects, have y down."""
+_Made = TypeVar("_Made")
+
+
+@dataclass(frozen=True)
+class Config:
+    """Paint on the bundled asset and see everything that comes of it.
+
+    Writes to DIR: asset.ply, before.png, edited.png (painted on in 2D), painted.ply with its receipt, pictures of it
+    from three sides, a regraded picture and the whole asset in that light (evening.ply), overview.png, turntable.webp.
+
+    example:
+      splatpainter demo --out demo
+    """
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("demo")
+    """Folder; made if missing, files of the same names are replaced."""
+    size: Annotated[int, arg(metavar="PX")] = 800
+    """Pixels of the pictures' edges."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Make, render, paint, edit, look."""
+    from splatpainter.demo_asset import BACKGROUND, demo_asset
+    from splatpainter.io.frames import flip
+    from splatpainter.warmup import ensure_compiled
+
+    if not 64 <= config.size <= 2048:
+        raise ValueError(f"splatpainter demo: expected --size from 64 to 2048, got {config.size}")
+    check_folder(config.out)
+    make_folder(config.out)
+    ensure_compiled()
+    out, clock = config.out, _Steps()
+    with stages(6) as bar:
+        bar.enter("asset")
+        made = clock.lap("make the asset", lambda: flip(demo_asset(), HALF_TURN))
+        clock.lap("write it", lambda: write(out / "asset.ply", made, overwrite=True))
+        splats = read(out / "asset.ply")
+        hero = replace(view(0, 0, config.size, BACKGROUND), asset_sha256=splats.sha256)
+        before = clock.lap("render a view", lambda: _shot(splats, hero))
+        save_picture(out / "before.png", before, hero)
+        bar.enter("paint")
+        edited = clock.lap("paint on the picture (2D)", lambda: painted(before, hero))
+        save_picture(out / "edited.png", edited, hero)
+        bar.enter("edit")
+        local = _edit(out / "asset.ply", out / "edited.png", out / "painted.ply", "local")
+        clock.add("local edit", local)
+        after = read(out / "painted.ply")
+        bar.enter("regrade")
+        shown = {
+            "after": _shot(after, hero),
+            "after_left": _shot(after, view(-38, 2, config.size, BACKGROUND)),
+            "after_above": _shot(after, view(24, 24, config.size, BACKGROUND, 1.15)),
+        }
+        for name, pixels in shown.items():
+            save_picture(out / f"{name}.png", pixels)
+        regraded = evening(shown["after"])
+        save_picture(out / "regraded.png", regraded, replace(hero, asset_sha256=after.sha256))
+        whole = _edit(out / "painted.ply", out / "regraded.png", out / "evening.ply", "global")
+        clock.add("global edit", whole)
+        last = read(out / "evening.ply")
+        bar.enter("overview")
+        shown["evening"] = _shot(last, view(-62, 4, config.size, DUSK, 1.1))
+        save_picture(out / "evening.png", shown["evening"])
+        save_picture(out / "overview.png", overview(_panels(before, edited, regraded, shown, local["receipt"])))
+        bar.enter("turntable")
+        frames = [_shot(last, view(360 * k / FRAMES, 4, config.size // 2, DUSK)) for k in range(FRAMES)]
+        film, ending = clock.lap(f"turntable, {FRAMES} views", lambda: animation(frames))
+        with files.writing(out / f"turntable{ending}") as file:
+            file.write(film)
+    record = {"out": out, "steps": clock.steps, "turntable_bytes": len(film), "rows": len(last)}
+    lines = [*clock.table(), "", f"{out / 'overview.png'} shows it all; turntable{ending} ({size(len(film))}) turns it"]
+    return Outcome(record, lines)
+
+
+def view(
+    azimuth: float, elevation: float, size: int, background: tuple[float, float, float], back: float = 1.0
+) -> Camera:
+    """The recommended view of the bundled asset, in the frame of its file, moved to the right by `azimuth` and up by
+    `elevation` degrees around its target, at `back` times the distance."""
+    from splatpainter.demo_asset import HERO_EYE, HERO_FOV, HERO_TARGET
+
+    eye, target = np.array(HERO_EYE) * HALF_TURN, np.array(HERO_TARGET) * HALF_TURN
+    x, y, z = eye - target
+    far = float(np.hypot(np.hypot(x, y), z))
+    side = np.arctan2(x, z) - np.radians(azimuth)  # y points down, so right is towards -x
+    rise = np.arcsin(-y / far) + np.radians(elevation)
+    moved = back * far * np.array([np.sin(side) * np.cos(rise), -np.sin(rise), np.cos(side) * np.cos(rise)])
+    return look_at(target + moved, target, (0, -1, 0), width=size, height=size, fov=HERO_FOV, background=background)
+
+
+def _shot(splats: Splats, camera: Camera) -> np.ndarray:
+    from splatpainter.render import render
+
+    return np.clip(render(splats, camera).colors[0], 0, 1)
+
+
+def _edit(asset: Path, picture: Path, out: Path, mode: Any) -> dict[str, Any]:
+    return edit.run(edit.Config(asset, (picture,), out, mode=mode, overwrite=True)).record
+
+
+def _panels(
+    before: np.ndarray, edited: np.ndarray, regraded: np.ndarray, shown: dict[str, np.ndarray], receipt: dict
+) -> list[Panel]:
+    rows, touched, added = receipt["asset"]["rows"], receipt["touched_rows"], receipt["appended_rows"]
+    spent = receipt["seconds"]["prepare"] + receipt["seconds"]["lift"]
+    return [
+        Panel(before, "1  the asset", f"{rows:,} Gaussians"),
+        Panel(edited, "2  a picture of it, painted on", "text, a brush stroke, a sticker: any 2D editor will do"),
+        Panel(shown["after"], "3  the asset, edited", f"{touched:,} rows changed, {added:,} added in {spent:.1f} s"),
+        Panel(shown["after_left"], "4  from the left", f"{rows - touched:,} rows are byte for byte what they were"),
+        Panel(shown["after_above"], "5  from above", "the paint lies on the surface"),
+        Panel(
+            shown["evening"],
+            "6  one regraded picture, the whole asset",
+            "the small picture was all it took",
+            regraded,
+        ),
+    ]
+
+
+class _Steps:
+    """What was done, in how many seconds, with what result."""
+
+    def __init__(self) -> None:
+        self.steps: list[dict[str, Any]] = []
+
+    def lap(self, name: str, work: Callable[[], _Made]) -> _Made:
+        start = time.perf_counter()
+        made = work()
+        self.steps.append({"what": name, "seconds": round(time.perf_counter() - start, 3)})
+        return made
+
+    def add(self, name: str, record: dict[str, Any]) -> None:
+        receipt = record["receipt"]
+        keys = ("touched_rows", "appended_rows")
+        self.steps.append(
+            {
+                "what": name,
+                "seconds": round(sum(receipt["seconds"].values()), 3),
+                **receipt["views"][0],
+                **{key: receipt[key] for key in keys},
+                "same_rows": record["same_rows"],
+            }
+        )
+
+    def table(self) -> list[str]:
+        lines = [
+            f"{'':<26}{'seconds':>8}  {'edited part':>20}  {'elsewhere':>9}  {'changed':>8}  {'added':>8}  {'same':>8}"
+        ]
+        for step in self.steps:
+            line = f"{step['what']:<26}{step['seconds']:>8.2f}"
+            if "same_rows" in step:
+                change = f"{decibels(step['psnr_before'])} -> {decibels(step['psnr_after'])}"
+                line += f"  {change:>20}  {decibels(step['psnr_outside']):>9}  {step['touched_rows']:>8,}"
+                line += f"  {step['appended_rows']:>8,}  {step['same_rows']:>8,}"
+            lines.append(line)
+        return lines

@@ -1,0 +1,163 @@
+"""What the demo paints: lettering, a brush stroke, a sticker, evening light. Pictures in, pictures out; knows no asset.
+
+All places are parts of the picture's size, so that any size looks the same.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+    from PIL.ImageDraw import ImageDraw
+
+RED = (196, 44, 38)
+TEAL = (14, 124, 122)
+SPOT = (-0.02, 0.45, 0.80)
+"""Where the sticker lies: on the board's top, in front of the pot (frame of demo.py: y down)."""
+FINE = 4
+"""Drawn this much larger, then averaged down: Pillow's own shapes have hard edges."""
+STICKER = 768
+"""Pixels of the flat sticker before it is laid down."""
+
+
+def over(picture: np.ndarray, color: tuple[int, int, int], alpha: np.ndarray) -> np.ndarray:
+    """Paint: picture [H, W, 3] 0..1 under a colour 0..255 with alpha [H, W] 0..1."""
+    return picture + alpha[..., None] * (np.array(color) / 255 - picture)
+
+
+def lettering(size: int, text: str, center: tuple[float, float], height: float, bend: float) -> np.ndarray:
+    """[size, size] alpha of a line of text around `center` (x, y), letters `height` tall, its ends lifted by `bend`."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    big = size * FINE
+    layer = Image.new("L", (big, big))
+    font = ImageFont.load_default(height * big)
+    place, weight = (center[0] * big, center[1] * big), round(0.02 * height * big)
+    ImageDraw.Draw(layer).text(place, text, fill=255, font=font, anchor="mm", stroke_width=weight, stroke_fill=255)
+    flat = np.asarray(layer)
+    columns = np.arange(big)
+    lift = np.round(bend * big * ((columns / big - center[0]) / 0.15) ** 2).astype(int)
+    rows = np.clip(columns[:, None] + lift[None], 0, big - 1)
+    return _reduced(flat[rows, columns[None]])
+
+
+def stroke(size: int, start: tuple[float, float], end: tuple[float, float], width: float, wave: float) -> np.ndarray:
+    """[size, size] alpha of one pull of a flat brush from left to right: pressure swells and fades, hairs run dry one
+    after the other, edges are soft. width: at full pressure; wave: how far the path swings."""
+    y, x = (np.mgrid[:size, :size] + 0.5) / size
+    t = (x - start[0]) / (end[0] - start[0])
+    s = np.clip(t, 1e-3, 0.999)
+    path = start[1] + (end[1] - start[1]) * s + wave * np.sin(math.pi * (2.1 * s - 0.15)) * (1 - 0.35 * s)
+    pressure = 0.2 + 0.8 * np.sin(math.pi * s**0.6) ** 0.6
+    cap = np.sqrt(1 - (1 - np.minimum(s / 0.03, 1)) ** 2)  # the brush touches down round
+    radius = width / 2 * pressure * cap
+    across = (y - path) / radius  # -1..1 over the width
+    soft = np.clip((1 - np.abs(across)) * radius * size / 1.5, 0, 1)  # an edge of 1.5 pixels
+    soft *= (t > 0) * np.clip((1 - t) * 40, 0, 1)
+    hairs = np.random.default_rng(4).uniform(0, 1, 15)  # how late each runs dry
+    place = np.clip((across + 1) / 2 * (len(hairs) - 1), 0, len(hairs) - 1.001)
+    left = place.astype(int)
+    wet = hairs[left] * (left + 1 - place) + hairs[left + 1] * (place - left)
+    dry = np.clip((s - 0.5 - 0.45 * wet) / 0.10, 0, 1)
+    return soft * (1 - 0.85 * dry) * 0.97
+
+
+def sun() -> Image:
+    """A sticker: a smiling sun with a white border, on a transparent square."""
+    from PIL import Image, ImageDraw, ImageFilter
+
+    big = STICKER * 2
+    middle = big / 2
+    picture = Image.new("RGBA", (big, big))
+    draw = ImageDraw.Draw(picture)
+    rays, outer, inner = 12, 0.43 * big, 0.30 * big
+    corners = []
+    for k in range(rays * 2):
+        reach = outer if k % 2 == 0 else inner
+        angle = math.pi * k / rays
+        corners.append((middle + reach * math.sin(angle), middle - reach * math.cos(angle)))
+    draw.polygon(corners, fill=(240, 120, 24, 255))
+    _disc(draw, middle, middle, 0.285 * big, (255, 205, 52, 255))
+    for side in (-1, 1):
+        _disc(draw, middle + side * 0.105 * big, middle - 0.055 * big, 0.030 * big, (70, 36, 20, 255))
+        _disc(draw, middle + side * 0.165 * big, middle + 0.045 * big, 0.043 * big, (250, 140, 90, 255))
+    smile = [middle - 0.12 * big, middle - 0.09 * big, middle + 0.12 * big, middle + 0.13 * big]
+    draw.arc(smile, 25, 155, fill=(70, 36, 20, 255), width=round(0.026 * big))
+    silhouette = picture.getchannel("A").resize((STICKER, STICKER), Image.Resampling.BOX)
+    blurred = np.asarray(silhouette.filter(ImageFilter.GaussianBlur(0.02 * STICKER)))
+    grown = Image.fromarray(np.where(blurred > 20, 255, 0).astype(np.uint8))
+    border = Image.merge("RGBA", [Image.new("L", grown.size, 252)] * 3 + [grown.filter(ImageFilter.GaussianBlur(1))])
+    return Image.alpha_composite(border, picture.resize((STICKER, STICKER), Image.Resampling.BOX))
+
+
+def laid_down(
+    sticker: Image, camera: Camera, center: tuple[float, float, float], radius: float, facing: float
+) -> np.ndarray:
+    """[H, W, 4] 0..1, colours times alpha: the sticker lying flat (on a plane of constant y) as the camera sees it.
+    center: [3] and radius: world units; facing: degrees by which its foot is turned from +z towards +x."""
+    from PIL import Image
+
+    turn = math.radians(facing)
+    right, near = np.array([math.cos(turn), 0, -math.sin(turn)]), np.array([math.sin(turn), 0, math.cos(turn)])
+    middle = np.array(center)
+    world = [middle + radius * (a * right + b * near) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    seen = np.array([_project(camera, point) for point in world]) * FINE
+    flat = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * sticker.width
+    solution = _homography(seen, flat)
+    big = (camera.width * FINE, camera.height * FINE)
+    straight = np.asarray(sticker, np.float32) / 255
+    straight[..., :3] *= straight[..., 3:]  # averaging wants colours times alpha
+    packed = Image.fromarray((straight * 255 + 0.5).astype(np.uint8), "RGBA")
+    out = packed.transform(big, Image.Transform.PERSPECTIVE, solution.tolist(), Image.Resampling.BILINEAR)
+    return np.asarray(out.reduce(FINE), np.float32) / 255
+
+
+def evening(picture: np.ndarray) -> np.ndarray:
+    """[H, W, 3] 0..1 in the light of a low sun from the left: golden there, dim and violet on the other side."""
+    width = picture.shape[1]
+    x = (np.arange(width) + 0.5) / width
+    light = 1 / (1 + np.exp(8 * (x - 0.56)))  # 1 left .. 0 right
+    warm, cool = np.array([1.20, 0.94, 0.62]), np.array([0.62, 0.52, 0.66])
+    gain = cool + light[None, :, None] * (warm - cool)
+    return np.clip(np.clip(picture, 0, 1) ** 1.1 * gain, 0, 1).astype(np.float32)
+
+
+def painted(picture: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W, 3] 0..1: the recommended view of the bundled asset with lettering and a stroke on the pot, and the sticker
+    on the board."""
+    size = camera.width
+    out = np.clip(picture, 0, 1).astype(np.float64)
+    out = over(out, RED, lettering(size, "tea time", (0.497, 0.487), 0.088, 0.0085))
+    out = over(out, TEAL, stroke(size, (0.358, 0.562), (0.645, 0.548), 0.028, 0.010))
+    sticker = laid_down(sun(), camera, SPOT, 0.215, -6)
+    return (out * (1 - sticker[..., 3:]) + sticker[..., :3]).astype(np.float32)
+
+
+def _disc(draw: ImageDraw, x: float, y: float, radius: float, fill: tuple[int, ...]) -> None:
+    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=fill)
+
+
+def _project(camera: Camera, point: np.ndarray) -> tuple[float, float]:
+    """Pixel coordinates of a world point."""
+    x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
+    return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+
+
+def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """[8] coefficients of Pillow's perspective transform that takes four points [4, 2] to four others."""
+    rows = []
+    for (x, y), (u, v) in zip(source, target, strict=True):
+        rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
+        rows.append([0, 0, 0, x, y, 1, -v * x, -v * y])
+    return np.linalg.solve(np.array(rows), target.reshape(-1))
+
+
+def _reduced(values: np.ndarray) -> np.ndarray:
+    size = values.shape[0] // FINE
+    return values.reshape(size, FINE, size, FINE).mean((1, 3)) / 255

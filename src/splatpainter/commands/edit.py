@@ -1,0 +1,166 @@
+"""`splatpainter edit`: the main job. Edited pictures in; edited asset and receipt out, verified before they appear."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.options import AssetFile, CameraFiles, OutFile
+from splatpainter.commands.proof import prove
+from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
+from splatpainter.commands.verify import receipt_of, same_words
+from splatpainter.io import files, read, write
+from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
+from splatpainter.receipts import Receipt, Verification
+from splatpainter.sources import FileEdit, edit_from_files
+from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class Config:
+    """Write edited pictures of an asset onto the asset. Rows that the edit does not reach stay as they are, byte for
+    byte where the format allows it, and the receipt proves it.
+
+    Pictures: PNG, JPEG, WebP or TIFF, painted on what `splatpainter render` made. Transparent pixels mean: unchanged.
+    Later pictures win where several disagree.
+
+    example:
+      splatpainter edit vase.ply views/view_000.png --out painted.ply
+      splatpainter edit vase.ply warm.png --mode global --out warm.ply
+    """
+
+    asset: AssetFile
+    """The splat file to edit; it is not changed."""
+    views: Annotated[Positional[tuple[Path, ...]], arg(metavar="VIEW.png ...", help_behavior_hint="(required)")]
+    """1 to 16 edited pictures of it."""
+    out: OutFile
+    """The file to write; its name says the format."""
+    camera: CameraFiles = ()
+    """Cameras of the pictures, in their order, where the pictures lost theirs (CAM.json)."""
+    mask: Annotated[tuple[Path, ...], arg(metavar="M.png ...", help_behavior_hint="")] = ()
+    """Masks of the pictures, in their order: what is not black was edited. Default: what differs from the asset."""
+    mode: Mode = "local"
+    """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
+    method: Method = "auto"
+    """How: lift (analytic), fit (plain optimisation, to compare), ttt (needs trained weights); auto chooses."""
+    receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
+    """Where the receipt goes; default: OUT.receipt.json."""
+    overwrite: bool = False
+    """Replace OUT and the receipt if they exist."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Check everything that can be checked for nothing, then read, paint, write, verify."""
+    receipt_path = config.receipt or receipt_of(config.out)
+    _check(config, receipt_path)
+    sources = _pictures(config)
+    clock = time.perf_counter()
+    with stages(4) as bar:
+        bar.enter("reading")
+        splats = read(config.asset)
+        laps = {"read": time.perf_counter() - clock}
+        _warn_of_other_assets(sources, splats)
+        _compile()
+        bar.enter("painting")
+        edited = paint(splats, sources, config.mode, config.method)
+        assert edited.receipt is not None
+        clock = time.perf_counter()
+        # Left in reverse order: OUT takes its name first, the receipt, which is on disk by then, after it.
+        with files.writing(receipt_path) as file, placed(config.out) as partial:
+            bar.enter("writing")
+            write(partial, edited.splats)
+            laps["write"] = time.perf_counter() - clock
+            bar.enter("verifying")
+            clock = time.perf_counter()
+            receipt, found = prove(splats, partial, edited.receipt)
+            laps["verify"] = time.perf_counter() - clock
+            spent = {"read": laps.pop("read"), **receipt.seconds, **laps}
+            receipt = replace(receipt, seconds=spent)
+            file.write(receipt.to_json().encode())
+            file.flush()
+            os.fsync(file.fileno())
+    rounded = len(receipt.touched) - len(edited.receipt.touched)
+    return Outcome(
+        _record(config, receipt_path, receipt, found, sources), _lines(config, receipt, found, sources, rounded)
+    )
+
+
+def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method) -> Asset:
+    """The asset after the pictures."""
+    painter = Painter.load()
+    asset = painter.encode(splats)
+    return painter.apply(asset, [source.edit(splats, mode) for source in sources], mode, method)
+
+
+def _check(config: Config, receipt_path: Path) -> None:
+    if not 1 <= len(config.views) <= MAX_VIEWS:
+        got = len(config.views) or "none"
+        raise ValueError(f"splatpainter edit: expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {got}")
+    for name, given in (("--camera", config.camera), ("--mask", config.mask)):
+        if given and len(given) != len(config.views):
+            raise ValueError(
+                f"splatpainter edit: expected as many {name} files as pictures ({len(config.views)}), got {len(given)}"
+            )
+    splat_format(config.out)
+    pictures = [*config.views, *config.camera, *config.mask]
+    check_target(config.out, config.overwrite, [config.asset], pictures)
+    check_target(receipt_path, config.overwrite, [], [config.asset, *pictures])
+    if receipt_path.absolute() == config.out.absolute():
+        raise ValueError(f"{receipt_path}: OUT and the receipt need different names")
+
+
+def _pictures(config: Config) -> list[FileEdit]:
+    cameras = config.camera or (None,) * len(config.views)
+    masks = config.mask or (None,) * len(config.views)
+    return [edit_from_files(*files) for files in zip(config.views, cameras, masks, strict=True)]
+
+
+def _warn_of_other_assets(sources: list[FileEdit], splats: Splats) -> None:
+    for source in sources:
+        told = source.camera.asset_sha256
+        if told is not None and told != splats.sha256:
+            warn(f"{source.path}: was rendered from another asset (sha256 {told[:12]}...); differences count as paint")
+
+
+def _compile() -> None:
+    from splatpainter.warmup import ensure_compiled
+
+    ensure_compiled()
+
+
+def _record(config: Config, path: Path, receipt: Receipt, found: Verification, sources: list[FileEdit]) -> dict:
+    import json
+
+    return {
+        "out": config.out,
+        "receipt_file": path,
+        "verified": found.ok,
+        "same_rows": found.same,
+        "compared": found.exact,
+        "notes": [f"{source.path}: {note}" for source in sources for note in source.notes],
+        "receipt": json.loads(receipt.to_json()),
+    }
+
+
+def _lines(config: Config, receipt: Receipt, found: Verification, sources: list[FileEdit], rounded: int) -> list[str]:
+    lines = [f"{config.asset} -> {config.out}"]
+    lines += [f"{source.path}: {note}" for source in sources for note in source.notes]
+    lines.append(f"method {receipt.method}, mode {receipt.mode}")
+    lines += [f"note: {note}" for note in receipt.note.split("; ") if note]
+    for source, view in zip(sources, receipt.views, strict=True):
+        inside = f"{decibels(view.psnr_before)} -> {decibels(view.psnr_after)} against the picture, where it was edited"
+        lines.append(f"{source.path}: {inside}; elsewhere {decibels(view.psnr_outside)} against before")
+    again = f", {rounded:,} more rounded anew by the format" if rounded else ""
+    lines.append(f"{count(len(receipt.touched) - rounded, 'row')} changed{again}, {receipt.appended_rows:,} appended")
+    lines.append(f"{found.same:,} of {count(found.rows, 'row')} {same_words(found)}, verified")
+    lines.append(seconds(receipt.seconds))
+    return lines

@@ -1,0 +1,97 @@
+"""`splatpainter info`: what a file holds. Loads neither torch nor numba."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.framing import reach
+from splatpainter.commands.options import AssetFile
+from splatpainter.commands.terminal import count, size, stages
+from splatpainter.io import FORMATS, read
+from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class Config:
+    """Show what a splat file holds, and what is odd about it.
+
+    example:
+      splatpainter info vase.ply
+    """
+
+    asset: AssetFile
+    """A splat file, or a SOG folder."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Read the file and describe it."""
+    with stages(1) as bar:
+        bar.enter("reading")
+        record = describe(read(config.asset), config.asset)
+    return Outcome(record, _lines(record))
+
+
+def describe(splats: Splats, path: Path) -> dict:
+    """The record of `info`: bounds are [2, 3] (min, max) of finite centres; null where there are none."""
+    assert splats.source is not None
+    entry = FORMATS[splats.source.format]
+    drawable = splats.finite
+    placed = splats.means[np.isfinite(splats.means).all(1)]
+    center, radius = reach(splats)
+    return {
+        "file": path,
+        "bytes": file_size(path),
+        "sha256": splats.sha256,
+        "format": entry.key,
+        "description": entry.description,
+        "rows": len(splats),
+        "rows_not_drawn": int((~drawable).sum()),
+        "sh_degree": splats.sh_degree,
+        "color_space": splats.color_space,
+        "antialiased": splats.antialiased,
+        "bounds": [placed.min(0), placed.max(0)] if len(placed) else None,
+        "reach": {"center": center, "radius": radius} if drawable.any() else None,
+        "problems": list(splats.source.problems),
+        "exact": entry.exact,
+        "lossy": entry.lossy,
+        "writable": entry.write is not None,
+    }
+
+
+def file_size(path: Path) -> int:
+    """Bytes of a file, or of the files in a folder (of a SOG asset, by its folder or its meta.json)."""
+    folder = path.parent if path.name.lower() == "meta.json" else path
+    if folder.is_dir():
+        return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
+    return path.stat().st_size
+
+
+def _lines(record: dict) -> list[str]:
+    bounds, around = record["bounds"], record["reach"]
+    rows = count(record["rows"], "row")
+    if record["rows_not_drawn"]:
+        rows += f", of which {record['rows_not_drawn']:,} cannot be drawn (NaN, infinite, or zero scale)"
+    fields = {
+        "file": f"{record['file']} ({size(record['bytes'])})",
+        "format": record["description"],
+        "rows": rows,
+        "SH degree": str(record["sh_degree"]),
+        "colours": f"{record['color_space']}{', antialiased (2D filter)' if record['antialiased'] else ''}",
+        "bounds": f"{_point(bounds[0])} to {_point(bounds[1])}" if bounds else "no row has a finite centre",
+        "most rows": f"within {around['radius']:.3g} of {_point(around['center'])}" if around else "none can be drawn",
+        "sha256": record["sha256"],
+        "kept": record["exact"],
+        "lost": f"When written anew: {record['lossy']}" if record["lossy"] else "",
+    }
+    lines = [f"{name:<10} {text}" for name, text in fields.items() if text]
+    return lines + [f"{'problem':<10} {problem}" for problem in record["problems"]]
+
+
+def _point(values: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in values) + ")"

@@ -1,0 +1,74 @@
+"""Command-line words to a Config, by tyro; its framed complaints become one line. Knows no command."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import difflib
+import io
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import tyro
+from tyro.conf import Positional, arg
+
+AssetFile: TypeAlias = Annotated[Positional[Path], arg(metavar="ASSET")]
+OutFile: TypeAlias = Annotated[Path, arg(metavar="OUT")]
+CameraFiles: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="CAM.json ...", help_behavior_hint="")]
+WIDE = "4000"
+"""Columns: tyro breaks no line where they are joined again."""
+
+
+def parse(kind: type, program: str, words: Sequence[str]) -> Any:
+    """An instance of the dataclass `kind` from command-line words.
+
+    Raises ValueError with tyro's complaint in one line; --help prints the help and raises SystemExit(0)."""
+    _refuse_repeats_and_typos(kind, program, words)
+    marks = (tyro.conf.FlagCreatePairsOff,)
+    if "--help" in words or "-h" in words:
+        return tyro.cli(kind, prog=program, args=list(words), config=marks)
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box), _environment("COLUMNS", WIDE):
+            return tyro.cli(kind, prog=program, args=list(words), config=marks)
+    except SystemExit as done:
+        if done.code in (0, None):
+            raise
+        raise ValueError(f"{program}: {unboxed(box.getvalue(), program)}; see {program} --help") from None
+
+
+def unboxed(text: str, program: str) -> str:
+    """What tyro's framed error says, in one line: the words above the first rule, without the options' help.
+
+    The frame is public behaviour and parse hooks are not (tyro 1.0 keeps them in a private module), so text it is."""
+    body = [line.strip().removeprefix("│ ").removesuffix("│").rstrip() for line in text.splitlines()][1:]
+    rules = [at for at, line in enumerate(body) if line.strip("─╰╯ ") == ""] + [len(body)]
+    said = [line.strip() for line in body[: rules[0]] if not line.startswith(8 * " ")]  # deeper: help of an option
+    line = " ".join(said).replace(f"Missing from {program}:", "missing").replace("Error parsing ", "")
+    return line.rstrip(". ") or "options that cannot be understood"
+
+
+def _refuse_repeats_and_typos(kind: type, program: str, words: Sequence[str]) -> None:
+    """tyro lets the last of two equal options win without a word, and blames positional words for a mistyped option."""
+    options = [word.split("=", 1)[0].replace("_", "-") for word in words if word.startswith("--") and len(word) > 2]
+    names = [field.name.replace("_", "-") for field in dataclasses.fields(kind)]
+    known = {f"{dashes}{name}" for name in ["help", *names] for dashes in ("--", "--no-")}
+    for option in options:
+        if option not in known and "." not in option:
+            near = difflib.get_close_matches(option, sorted(known), 1)
+            hint = f"; perhaps you meant {near[0]}" if near else ""
+            raise ValueError(f"{program}: unknown option {option}{hint}; see {program} --help")
+        if options.count(option) > 1:
+            raise ValueError(f"{program}: {option} was given twice; give it once, with all its values behind it")
+
+
+@contextlib.contextmanager
+def _environment(name: str, value: str) -> Iterator[None]:
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        os.environ.pop(name) if before is None else os.environ.update({name: before})

@@ -1,0 +1,141 @@
+"""Files that a command writes: refused before any work where they cannot be, whole or not at all afterwards."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.cameras import Camera, write_png
+from splatpainter.commands.terminal import reason
+from splatpainter.io import FORMATS, Format, files, format_of_name
+
+META = "meta.json"
+"""A target of this name is a folder of SOG planes."""
+
+
+def splat_format(path: Path) -> Format:
+    """The format that the name of an output asks for. Raises ValueError: unknown, or one that can only be read."""
+    key = format_of_name(path)
+    names = ", ".join(entry.suffixes[0] for entry in FORMATS.values() if entry.write is not None)
+    if key is None:
+        raise ValueError(f"{path}: unknown format; expected a name ending in {names}")
+    if FORMATS[key].write is None:
+        raise ValueError(f"{path}: {FORMATS[key].description}; expected a name ending in {names}")
+    return FORMATS[key]
+
+
+def check_target(path: Path, overwrite: bool, inputs: Sequence[Path] = (), untouchable: Sequence[Path] = ()) -> None:
+    """Refuse an output before any work is done. inputs: files that the command reads and may replace; untouchable:
+    those that it may not.
+
+    Raises ValueError: it exists (or is an input) and overwrite is False, is untouchable, is no plain file, its folder
+    is missing or cannot be written to."""
+    for source in untouchable:
+        if _same(path, source):
+            raise ValueError(f"{path}: is an input; choose another name")
+    for source in inputs:
+        if _same(path, source) and not overwrite:
+            raise ValueError(f"{path}: is the input itself; choose another name, or replace it with --overwrite")
+    if path.exists() and not path.is_file():
+        what = "a folder" if path.is_dir() else "no plain file"
+        raise ValueError(f"{path}: is {what}; expected the name of a file to write")
+    if path.exists() and not overwrite:
+        raise ValueError(f"{path}: already exists; choose another name, or replace it with --overwrite")
+    folder = path.parent
+    if path.name.lower() == META and not folder.exists():
+        folder = folder.parent  # the folder of planes is made
+    if not folder.is_dir():
+        raise ValueError(f"{path}: no such folder: {folder}; make it first")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise ValueError(f"{path}: cannot be written: no permission in {folder}")
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder for several files before any work is done; it may be missing. Raises ValueError."""
+    if path.exists() and not path.is_dir():
+        raise ValueError(f"{path}: is a file; expected a folder")
+    above = path
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if not above.is_dir():
+        raise ValueError(f"{path}: cannot be made: {above} is a file")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise ValueError(f"{path}: cannot be written: no permission in {above}")
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it. Raises ValueError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be made ({reason(error)})") from None
+
+
+@contextlib.contextmanager
+def placed(path: Path) -> Iterator[Path]:
+    """A name beside `path` of the same format, to write and to check; it becomes `path` when the block ends well and
+    is removed otherwise. An existing file keeps its permissions, a link keeps pointing where it points."""
+    target = Path(os.path.realpath(path))
+    whole_folder = target.name.lower() == META
+    final = target.parent if whole_folder else target
+    partial = final.with_name(f".{os.getpid()}.part.{final.name}")  # the ending says the format
+    try:
+        if whole_folder:
+            make_folder(partial)
+        yield partial / target.name if whole_folder else partial
+        try:
+            if whole_folder and final.exists():
+                _move_into(partial, final)
+            else:
+                if final.exists():
+                    shutil.copymode(final, partial)
+                os.replace(partial, final)
+                files.sync_folder(final.parent)
+        except OSError as error:
+            raise ValueError(f"{path}: cannot be written ({reason(error)})") from None
+    except ValueError as error:  # the user knows the name that was asked for
+        raise ValueError(str(error).replace(str(partial), str(path))) from None
+    finally:
+        if partial.is_dir():
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
+
+
+def _move_into(partial: Path, final: Path) -> None:
+    """Planes first, the meta.json that names them last."""
+    for file in sorted(partial.iterdir(), key=lambda file: file.name == META):
+        os.replace(file, final / file.name)
+    files.sync_folder(final)
+
+
+def save_text(path: Path, text: str) -> None:
+    """A text file, UTF-8, whole or not at all. Raises ValueError."""
+    with files.writing(path) as file:
+        file.write(text.encode())
+
+
+def save_picture(path: Path, pixels: np.ndarray, camera: Camera | None = None) -> None:
+    """A PNG of [H, W, 3] display colours; with its camera inside and in the sidecar NAME.json, if there is one.
+    Raises ValueError."""
+    try:
+        write_png(path, pixels, camera)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written ({reason(error)})") from None
+    if camera is not None:
+        save_text(path.with_suffix(".json"), camera.to_json() + "\n")
+
+
+def _same(a: Path, b: Path) -> bool:
+    """Whether two names mean one asset; a SOG folder is its meta.json."""
+    a, b = (place / META if place.is_dir() else place for place in (a, b))
+    try:
+        return os.path.samefile(a, b)
+    except OSError:
+        return False

@@ -1,0 +1,134 @@
+"""What reaches the terminal: one-line errors and warnings, progress bars, JSON. Knows no splats."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+PROGRAM = "splatpainter"
+PATIENCE = 1.0
+"""Seconds without a bar."""
+_Item = TypeVar("_Item")
+
+
+def complain(text: str) -> None:
+    """One line on stderr: `splatpainter: text`."""
+    line = " ".join(str(text).split())
+    print(
+        line if line.startswith((f"{PROGRAM}: ", f"{PROGRAM} ")) else f"{PROGRAM}: {line}", file=sys.stderr, flush=True
+    )
+
+
+def warn(text: str) -> None:
+    """One line on stderr about something that did not stop the command."""
+    complain(f"warning: {text}")
+
+
+def reason(error: BaseException) -> str:
+    """What the system said, without errno and file name."""
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
+def progress(items: Iterable[_Item], total: int, what: str) -> Iterator[_Item]:
+    """`items`, with a bar on stderr once it has taken a second; only where a person is looking."""
+    if not watched():
+        yield from items
+        return
+    from tqdm import tqdm
+
+    yield from tqdm(items, total=total, desc=what, delay=PATIENCE, leave=False, file=sys.stderr)
+
+
+class Stages:
+    """A bar over named stages, from a second on: `enter("lift")` before each; at the end `close()`."""
+
+    def __init__(self, total: int) -> None:
+        self._bar, self._timer, self._entered, self._start = None, None, 0, time.monotonic()
+        if watched():
+            from tqdm import tqdm
+
+            form = "{desc:<10} {bar} {n_fmt}/{total_fmt} [{elapsed}]"
+            self._bar = tqdm(total=total, delay=PATIENCE, leave=False, file=sys.stderr, bar_format=form)
+            self._timer = threading.Timer(PATIENCE, self._bar.refresh)  # the second may end within a long stage
+            self._timer.daemon = True
+            self._timer.start()
+
+    def enter(self, name: str) -> None:
+        if self._bar is not None:
+            self._bar.set_description_str(name, refresh=False)
+            self._bar.n = self._entered
+            if time.monotonic() - self._start > PATIENCE:
+                self._bar.refresh()
+        self._entered += 1
+
+    def close(self) -> None:
+        if self._bar is not None and self._timer is not None:
+            self._timer.cancel()
+            self._bar.close()
+
+
+@contextlib.contextmanager
+def stages(total: int) -> Iterator[Stages]:
+    """Stages that are closed at the end, also by an error."""
+    bar = Stages(total)
+    try:
+        yield bar
+    finally:
+        bar.close()
+
+
+def watched() -> bool:
+    """Whether a person is looking at stderr."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def to_json(record: Any) -> str:
+    """Indented JSON. Infinities and NaN, which JSON does not know, become null."""
+    return json.dumps(_plain(record), indent=2, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (Path, os.PathLike)):
+        return os.fspath(value)
+    if hasattr(value, "tolist"):  # numpy numbers and arrays
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def count(number: int, singular: str, plural: str = "") -> str:
+    """`1 row`, `12,345 rows`."""
+    return f"{number:,} {singular if number == 1 else plural or singular + 's'}"
+
+
+def size(number: int) -> str:
+    """Bytes for people: `3.99 MB`."""
+    for unit, power in (("GB", 9), ("MB", 6), ("kB", 3)):
+        if number >= 10**power:
+            return f"{number / 10**power:.2f} {unit}"
+    return f"{number} bytes"
+
+
+def seconds(laps: dict[str, float]) -> str:
+    """`read 0.12 s, lift 0.31 s`."""
+    return ", ".join(f"{name} {value:.2f} s" for name, value in laps.items())
+
+
+def decibels(value: float | None) -> str:
+    """`28.4 dB`; None: there was no such pixel; identical pictures have no number."""
+    if value is None:
+        return "no pixels"
+    return f"{value:.1f} dB" if math.isfinite(value) and value < 999 else "identical"

@@ -1,0 +1,77 @@
+"""`splatpainter verify`: which rows of an edited asset are the same, read from the files alone."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.targets import META
+from splatpainter.commands.terminal import count, stages
+from splatpainter.io import files
+from splatpainter.receipts import Receipt, Verification, verify
+
+LARGEST_RECEIPT = 256 << 20
+
+
+@dataclass(frozen=True)
+class Config:
+    """Compare an edited asset with its original, row by row, and with the receipt of the edit.
+
+    Exit code 0: every row that the receipt does not list is unchanged. 1: some other row differs or is missing, or the
+    files are not those of the receipt. Without a receipt only missing rows are wrong; differing ones are counted.
+
+    example:
+      splatpainter verify vase.ply painted.ply
+    """
+
+    original: Annotated[Positional[Path], arg(metavar="ORIGINAL")]
+    """The asset before the edit."""
+    edited: Annotated[Positional[Path], arg(metavar="EDITED")]
+    """The asset after it."""
+    receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
+    """The receipt; default: EDITED.receipt.json where it exists."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Read both files and the receipt."""
+    path = config.receipt
+    if path is None and receipt_of(config.edited).exists():
+        path = receipt_of(config.edited)
+    receipt = read_receipt(path) if path is not None else None
+    with stages(1) as bar:
+        bar.enter("comparing")
+        found = verify(config.original, config.edited, receipt)
+    record = {"original": config.original, "edited": config.edited, "receipt": path, **asdict(found)}
+    lines = [
+        f"{found.same:,} of {count(found.rows, 'row')} {same_words(found)}; "
+        f"{found.changed:,} changed, {found.appended:,} appended",
+        f"receipt: {path}" if path is not None else "no receipt: changed rows are counted, not judged",
+        f"compared: {found.exact}",
+        *(f"wrong: {problem}" for problem in found.problems),
+        "verified" if found.ok else "NOT verified",
+    ]
+    return Outcome(record, lines, 0 if found.ok else 1)
+
+
+def receipt_of(edited: Path) -> Path:
+    """Where `edit` puts the receipt unless told otherwise; of a folder of SOG planes: beside the folder."""
+    asset = Path(os.path.abspath(edited)).parent if edited.name.lower() == META else edited
+    return asset.with_name(asset.name + ".receipt.json")
+
+
+def read_receipt(path: Path) -> Receipt:
+    """Raises ValueError: missing, unreadable, not a receipt."""
+    data = files.read_head(path, LARGEST_RECEIPT)
+    return Receipt.from_json(data.decode(errors="replace"), str(path))
+
+
+def same_words(found: Verification) -> str:
+    """How strongly equal the same rows are."""
+    return "byte-identical" if "byte" in found.exact else "identical, bit for bit"

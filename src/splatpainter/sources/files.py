@@ -1,0 +1,122 @@
+"""An edited picture from a file becomes an Edit: its camera found, its size fitted, transparent parts left alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.cameras import Camera, find_camera
+from splatpainter.painter import Edit, Mode
+from splatpainter.sources.color import from_display, to_display
+from splatpainter.sources.pictures import LIMIT, Picture, read_mask, read_picture, resample
+from splatpainter.splats import Splats
+
+ASPECT = 0.01
+"""A picture's aspect ratio may differ from its camera's by this part (one pixel of rounding, and some)."""
+CLEAR = 0.02
+"""Alpha up to here is transparent (resampling leaves ripples around an edge)."""
+
+
+@dataclass(frozen=True)
+class FileEdit:
+    """A picture and its camera, read but not yet compared with an asset."""
+
+    path: Path
+    picture: Picture
+    """At the camera's size."""
+    original_size: tuple[int, int]
+    """(width, height) of the file."""
+    camera: Camera
+    mask: np.ndarray | None
+    """[H, W] bool at the camera's size, where one was given."""
+    notes: tuple[str, ...]
+
+    def edit(self, splats: Splats, mode: Mode = "local") -> Edit:
+        """The edit of this asset. Transparent pixels show the asset's own render, so they change nothing; a mode
+        "global" edit does not learn from them. Renders the asset where it has to."""
+        alpha, mask = self.picture.alpha, self.mask
+        blurred = self.original_size != (self.camera.width, self.camera.height)
+        colors = from_display(self.picture.colors, splats.color_space)
+        if alpha is not None or (blurred and mask is None and mode == "local"):
+            render = _draw(splats, self.camera)
+            if alpha is not None:
+                colors = alpha[..., None] * colors + (1 - alpha[..., None]) * np.clip(render, 0, 1)
+            if blurred and mask is None and mode == "local":
+                mask = self._changed(colors, render, splats)
+            if alpha is not None and (mask is not None or mode == "global"):
+                mask = (alpha > CLEAR) & (True if mask is None else mask)
+        return Edit(np.ascontiguousarray(colors, np.float32), self.camera, mask, str(self.path))
+
+    def _changed(self, colors: np.ndarray, render: np.ndarray, splats: Splats) -> np.ndarray:
+        """Pixels that differ from a render that went through the same change of size and back: resampling alone
+        moves every edge by more than an edit's tolerance."""
+        from splatpainter.lift.masks import change_mask
+
+        shown = np.clip(to_display(render, splats.color_space), 0, 1)
+        there = resample(shown, *self.original_size)
+        back = from_display(resample(there, self.camera.width, self.camera.height), splats.color_space)
+        return change_mask(colors, back)
+
+
+def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None = None) -> FileEdit:
+    """Read an edited picture, its camera (given: CAM.json or a PNG that carries one; else in the picture, else in its
+    sidecar NAME.json) and its mask. A picture of another size but the same aspect ratio is resampled.
+
+    Raises ValueError, one line naming the file: unreadable or too large a picture, no camera or a broken one, an aspect
+    ratio more than 1 % off, an empty mask."""
+    shown = read_picture(picture)
+    found = camera_from(camera) if camera is not None else find_camera(picture)
+    _bearable(found, camera or picture)
+    notes = list(shown.notes)
+    wanted = (found.width, found.height)
+    _check_aspect(picture, "the picture", shown.size, wanted)
+    if shown.size != wanted:
+        notes.append(f"resampled from {shown.size[0]}x{shown.size[1]} to its camera's {found.width}x{found.height}")
+    marked = None
+    if mask is not None:
+        marked = read_mask(mask)
+        _check_aspect(mask, "the mask", (marked.shape[1], marked.shape[0]), wanted)
+        if not marked.any():
+            raise ValueError(f"{mask}: empty mask; expected some pixels that are not black (or not transparent)")
+        if marked.shape[::-1] != wanted:
+            marked = resample(marked.astype(np.float32), *wanted) > 0.25  # a thin stroke survives being shrunk
+    return FileEdit(picture, shown.resized(*wanted), shown.size, found, marked, tuple(notes))
+
+
+def camera_from(path: Path) -> Camera:
+    """The camera in a JSON file, or in a PNG that carries one. Raises ValueError naming the file."""
+    if not path.exists():
+        raise ValueError(f"{path}: no such file; expected a camera (CAM.json, or a PNG rendered by splatpainter)")
+    if path.suffix.lower() in (".png", ".webp", ".tif", ".tiff", ".jpg", ".jpeg"):
+        camera = find_camera(path)
+    else:
+        camera = find_camera(path, path)
+    _bearable(camera, path)
+    return camera
+
+
+def _bearable(camera: Camera, where: Path) -> None:
+    if camera.width * camera.height > LIMIT:
+        raise ValueError(
+            f"{where}: expected a camera of at most {LIMIT // 10**6} megapixels, got {camera.width}x{camera.height}"
+        )
+
+
+def _check_aspect(path: Path, what: str, size: tuple[int, int], wanted: tuple[int, int]) -> None:
+    """Equal sizes pass; others must have the wanted aspect ratio within ASPECT, or be a pixel's rounding off."""
+    (width, height), (w, h) = size, wanted
+    scale = (width * height / (w * h)) ** 0.5
+    rounding = abs(width - w * scale) <= 1 and abs(height - h * scale) <= 1
+    if not rounding and abs((width / height) / (w / h) - 1) > ASPECT:
+        raise ValueError(
+            f"{path}: expected {what} to have the aspect ratio of its camera ({w}x{h}), got {width}x{height}; "
+            "resize without cropping"
+        )
+
+
+def _draw(splats: Splats, camera: Camera) -> np.ndarray:
+    from splatpainter.render import render
+
+    return render(splats, camera).colors[0]

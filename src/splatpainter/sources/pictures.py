@@ -1,0 +1,186 @@
+"""Picture files in: any depth, palette, alpha, orientation and colour profile become plain sRGB. Knows no asset.
+
+Nothing is decoded before its size is known to be bearable. 8 and 16 bits are read; of 16-bit colour Pillow keeps the
+upper 8, of 16-bit grey all.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
+LIMIT = 64_000_000
+"""Pixels; a picture of an asset has no use for more, and a few hundred bytes can claim any number."""
+LOSSY = ("JPEG", "WEBP")
+MASK_NOISE = 16
+"""8-bit levels that lossy compression leaves on black."""
+SAME_PROFILE = 2
+"""8-bit levels by which an embedded profile may differ from sRGB and still be taken for it (there are a dozen)."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A decoded picture."""
+
+    colors: np.ndarray
+    """[H, W, 3] float32 sRGB 0..1, not multiplied by alpha."""
+    alpha: np.ndarray | None
+    """[H, W] float32 0..1; None where every pixel is opaque."""
+    notes: tuple[str, ...] = ()
+    """What was done to it that its owner may want to know, one line each."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.colors.shape[1], self.colors.shape[0]
+
+    def resized(self, width: int, height: int) -> Picture:
+        """The same picture at another size; colours that show nowhere (alpha 0) do not bleed in."""
+        if self.size == (width, height):
+            return self
+        if self.alpha is None:
+            return replace(self, colors=resample(self.colors, width, height))
+        alpha = resample(self.alpha, width, height)
+        solid = resample(self.colors * self.alpha[..., None], width, height) / np.maximum(alpha, 1e-3)[..., None]
+        return replace(self, colors=np.clip(solid, 0, 1).astype(np.float32), alpha=alpha)
+
+
+def read_picture(path: Path) -> Picture:
+    """Decode a PNG, JPEG, WebP or TIFF file as its owner sees it: turned as EXIF says, converted from its embedded
+    profile to sRGB. Raises ValueError: missing, unreadable, damaged, another kind of file, more than LIMIT pixels."""
+    with _opened(path) as image:
+        from PIL import ImageOps
+
+        turned = ImageOps.exif_transpose(image)
+        notes: list[str] = []
+        if turned.mode.startswith("I") or turned.mode == "F":
+            return Picture(*_deep_grey(turned))
+        profile = image.info.get("icc_profile")
+        alpha = _alpha(turned)
+        colors, note = _srgb(turned, profile)
+        notes += [note] if note else []
+        pixels = np.asarray(colors, np.float32) / 255
+        return Picture(pixels, alpha, tuple(notes))
+
+
+def read_mask(path: Path) -> np.ndarray:
+    """[H, W] bool: where a mask picture is not black or, if any of it is transparent, where it is not transparent.
+    Raises ValueError as `read_picture`."""
+    with _opened(path) as image:
+        lossy = image.format in LOSSY
+    picture = read_picture(path)
+    if picture.alpha is not None:
+        return picture.alpha > 0
+    return picture.colors.max(-1) > (MASK_NOISE / 255 if lossy else 0)
+
+
+def resample(values: np.ndarray, width: int, height: int) -> np.ndarray:
+    """[H, W] or [H, W, 3] float32 0..1 at another size, by Lanczos (which averages when it shrinks)."""
+    from PIL import Image
+
+    planes = values[..., None] if values.ndim == 2 else values
+    out = [
+        np.asarray(Image.fromarray(plane, "F").resize((width, height), Image.Resampling.LANCZOS))
+        for plane in np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
+    ]
+    stacked = np.clip(np.stack(out, -1), 0, 1)
+    return stacked[..., 0] if values.ndim == 2 else stacked
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image]:
+    """The picture, its size judged and its pixels decoded. Decoders of damaged files raise anything: all of it becomes
+    one line."""
+    from PIL import Image, UnidentifiedImageError
+
+    if not path.exists():
+        raise ValueError(f"{path}: no such file")
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder; expected a picture")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's own size warning and remarks about EXIF: judged here or harmless
+        try:
+            image = Image.open(path, formats=KINDS)
+        except UnidentifiedImageError:
+            raise ValueError(f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got another kind of file") from None
+        except Image.DecompressionBombError:
+            raise ValueError(f"{path}: expected at most {LIMIT // 10**6} megapixels; scale it down") from None
+        except Exception as error:
+            raise ValueError(f"{path}: cannot be read as a picture ({_short(error)})") from None
+        with image:
+            if image.width * image.height > LIMIT:
+                got = f"{image.width}x{image.height}"
+                raise ValueError(f"{path}: expected at most {LIMIT // 10**6} megapixels, got {got}; scale it down")
+            try:
+                image.load()
+            except Exception as error:
+                raise ValueError(f"{path}: damaged picture ({_short(error)})") from None
+            yield image
+
+
+def _short(error: Exception) -> str:
+    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(said.split())[:120]
+
+
+def _deep_grey(image: Image) -> tuple[np.ndarray, None]:
+    """16-bit integers of 0..65535, floats of 0..1."""
+    values = np.asarray(image).astype(np.float32)
+    grey = np.clip(np.nan_to_num(values if image.mode == "F" else values / 65535), 0, 1)
+    return np.repeat(grey[..., None], 3, -1), None
+
+
+def _alpha(image: Image) -> np.ndarray | None:
+    if not image.has_transparency_data:
+        return None
+    alpha = np.asarray(image.convert("RGBA").getchannel("A"), np.float32) / 255
+    return None if alpha.min() == 1 else alpha
+
+
+def _srgb(image: Image, profile: bytes | None) -> tuple[Image, str]:
+    """(8-bit RGB picture, a note or "")."""
+    kinds = {"RGB": "RGB", "L": "L", "CMYK": "CMYK", "LAB": "LAB", "LA": "L", "La": "L", "1": "L", "YCbCr": "YCbCr"}
+    if image.mode in ("LA", "La", "RGBA", "RGBa", "PA", "P"):
+        # Straight colours first: what lies under transparent pixels does not matter, half-transparent ones do.
+        image = image.convert("RGBA")
+    base = image.convert(kinds.get(image.mode, "RGB"))
+    if not profile:
+        return base.convert("RGB"), ""
+    from PIL import ImageCms
+
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        if getattr(source.profile, "xcolor_space", "").strip() == "GRAY":
+            base = base.convert("L")
+        intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
+        flags = ImageCms.Flags.BLACKPOINTCOMPENSATION
+        turn = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), base.mode, "RGB", intent, flags)
+        if base.mode == "RGB" and _same(turn):
+            return base, ""
+        converted = ImageCms.applyTransform(base, turn)
+    except (ImageCms.PyCMSError, ValueError, TypeError, OSError):
+        return base.convert("RGB"), "its colour profile cannot be used; its colours are taken as sRGB"
+    assert converted is not None
+    name = ImageCms.getProfileDescription(source).strip() or "embedded"
+    return converted, f"converted from its colour profile ({name}) to sRGB"
+
+
+def _same(turn: object) -> bool:
+    """Whether a transform to sRGB leaves a ramp of colours where it was."""
+    from PIL import Image, ImageCms
+
+    steps = np.linspace(0, 255, 9).astype(np.uint8)
+    ramp = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(27, 27, 3)
+    out = ImageCms.applyTransform(Image.fromarray(ramp), turn)  # type: ignore[arg-type]
+    return bool(np.abs(np.asarray(out).astype(int) - ramp).max() <= SAME_PROFILE)

@@ -1,0 +1,193 @@
+"""The rows themselves: selection, origins, hashes; torch and numpy hold the same bits."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from lift_scenes import bits, same_bits
+from numpy.typing import DTypeLike
+
+import splatpainter as sp
+from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Source, Splats, rows_sha256
+
+
+def splats(rows: int = 6, degree: int = 1, seed: int = 0, dtype: DTypeLike = np.float32) -> Splats:
+    rng = np.random.default_rng(seed)
+    return Splats(
+        means=rng.normal(0, 1, (rows, 3)).astype(dtype),
+        quats=rng.normal(0, 1, (rows, 4)).astype(dtype),
+        scales=np.exp(rng.normal(-3, 1, (rows, 3))).astype(dtype),
+        opacities=rng.uniform(0, 1, rows).astype(dtype),
+        sh=rng.normal(0, 0.3, (rows, (degree + 1) ** 2, 3)).astype(dtype),
+    )
+
+
+def from_file(rows: int = 6, seed: int = 0) -> Splats:
+    """As a reader returns them."""
+    own = splats(rows, seed=seed)
+    return replace(own, source=Source(f"{seed}.ply", "ply", own, f"{seed:064x}"), origin=np.arange(rows))
+
+
+@pytest.mark.parametrize(
+    "rows", [[4, 1, 1, 5], [True, False, False, True, True, False], []], ids=["rows", "mask", "none"]
+)
+def test_take(rows):
+    own, chosen = from_file(), np.array(rows, bool if rows[:1] == [True] else np.int64)
+    some = own.take(chosen)
+    order = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
+    assert len(some) == len(order) and some.sh_degree == 1
+    for name in ATTRIBUTES:
+        np.testing.assert_array_equal(
+            getattr(some, name), np.array([getattr(own, name)[k] for k in order]).reshape(getattr(some, name).shape)
+        )
+    assert some.origin is not None and some.origin.tolist() == list(order)
+    assert some.source is own.source
+    assert splats().take(chosen).origin is None
+
+
+def test_children_carry_their_parents_origin_and_new_rows_none():
+    own = from_file()
+    children = own.take(np.array([5, 5, 2]))
+    grown = own.append(children).append(splats(2, seed=9))
+    assert grown.origin is not None
+    assert grown.origin.tolist() == [0, 1, 2, 3, 4, 5, 5, 5, 2, -1, -1]
+    assert same_bits(grown.take(np.arange(6)), own)
+    assert same_bits(grown.take(np.arange(6, 9)), children)
+    assert same_bits(grown.take(np.arange(9, 11)), splats(2, seed=9))
+    assert len(own) == 6 and own.origin is not None and len(own.origin) == 6
+    # Without a source there are no origins, whatever is appended.
+    assert splats().append(own).origin is None
+
+
+def test_rows_of_another_file_do_not_claim_rows_of_this_one():
+    grown = from_file(4).append(from_file(6, seed=1))
+    assert grown.origin is not None and grown.origin.tolist() == [0, 1, 2, 3] + [-1] * 6
+    assert grown.source is not None and grown.source.path == "0.ply"
+
+
+def test_append_refuses_another_degree():
+    with pytest.raises(AssertionError, match="degree"):
+        splats(degree=1).append(splats(degree=2))
+
+
+def test_degrees():
+    for count, degree in SH_COUNTS.items():
+        assert count == (degree + 1) ** 2
+        assert splats(2, degree).sh_degree == degree
+
+
+def test_rows_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        splats().means = np.zeros((6, 3))  # type: ignore[misc]
+
+
+ODD = {
+    "NaN mean": ("means", (1,), np.nan),
+    "infinite mean": ("means", (2,), -np.inf),
+    "NaN rotation": ("quats", (0,), np.nan),
+    "zero rotation": ("quats", slice(None), 0),
+    "infinite scale": ("scales", (1,), np.inf),
+    "zero scale": ("scales", (2,), 0),
+    "negative scale": ("scales", (0,), -0.1),
+    "NaN opacity": ("opacities", (), np.nan),
+    "infinite colour": ("sh", (3, 2), np.inf),
+}
+
+
+@pytest.mark.parametrize("case", ODD)
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+def test_rows_that_cannot_be_drawn(case, kind):
+    name, place, value = ODD[case]
+    own = splats()
+    getattr(own, name)[(2, *place) if isinstance(place, tuple) else 2] = value
+    own = own if kind == "numpy" else own.torch()
+    assert own.finite.tolist() == [True, True, False, True, True, True]
+
+
+def test_tiny_rows_and_unnormalised_rotations_can_be_drawn():
+    own = splats()
+    own.quats[0] *= 1e-20
+    own.scales[1] = 1e-30
+    own.opacities[2] = 0
+    assert own.finite.all()
+
+
+def test_the_hash_is_that_of_the_values_one_attribute_after_the_other():
+    own = Splats(
+        np.array([[1, 2, 3], [4, 5, 6]], np.float32),
+        np.array([[1, 0, 0, 0], [0, 1, 0, 0]], np.float32),
+        np.array([[0.5, 0.25, 1], [2, 2, 2]], np.float32),
+        np.array([0.125, 1], np.float32),
+        np.array([[[7, 8, 9]], [[-1, -0.0, np.nan]]], np.float32),
+    )
+    first = struct.pack("<3f", 1, 2, 3), struct.pack("<4f", 1, 0, 0, 0), struct.pack("<3f", 0.5, 0.25, 1)
+    first += struct.pack("<f", 0.125), struct.pack("<3f", 7, 8, 9)
+    second = struct.pack("<3f", 4, 5, 6), struct.pack("<4f", 0, 1, 0, 0), struct.pack("<3f", 2, 2, 2)
+    second += struct.pack("<f", 1), struct.pack("<2f", -1, -0.0) + b"\x00\x00\xc0\x7f"
+    whole = hashlib.sha256(b"".join(a + b for a, b in zip(first, second, strict=True))).hexdigest()
+    assert rows_sha256(own) == own.sha256 == whole
+    assert rows_sha256(own.torch()) == whole
+    assert rows_sha256(own, np.array([1])) == hashlib.sha256(b"".join(second)).hexdigest()
+    assert rows_sha256(own, np.array([True, False])) == hashlib.sha256(b"".join(first)).hexdigest()
+    swapped = hashlib.sha256(b"".join(b + a for a, b in zip(first, second, strict=True))).hexdigest()
+    assert rows_sha256(own, np.array([1, 0])) == swapped
+    assert rows_sha256(own, np.zeros(0, np.int64)) == hashlib.sha256(b"").hexdigest()
+    big = replace(own, **{name: getattr(own, name).astype(">f4") for name in ATTRIBUTES})
+    assert rows_sha256(big) == whole
+
+
+def test_sha256_is_the_files_until_a_row_changes(tmp_path):
+    path = tmp_path / "a.ply"
+    sp.write(path, splats())
+    own = sp.read(path)
+    assert own.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    sh = own.sh.copy()
+    sh[3, 0, 1] += 1
+    edited = replace(own, sh=sh)
+    assert edited.sha256 == rows_sha256(edited) != own.sha256
+    assert own.append(own.take(np.array([0]))).sha256 != own.sha256
+
+
+def test_torch_and_numpy_hold_the_same_bits():
+    own = splats(degree=2)
+    patterns = np.array([0x7FC00001, 0xFFC12345, 0x00000001, 0x80000000, 0x7F800000, 0x00800000], np.uint32)
+    own.opacities[:] = patterns.view(np.float32)  # NaN with payload, denormal, -0.0, infinity
+    there = own.torch()
+    assert all(getattr(there, name).dtype == torch.float32 for name in ATTRIBUTES)
+    back = there.numpy()
+    for name in ATTRIBUTES:
+        np.testing.assert_array_equal(bits(getattr(back, name)), bits(getattr(own, name)), err_msg=name)
+    assert own.numpy() is own
+    assert len(there) == 6 and there.sh_degree == 2
+    assert there.take(torch.tensor([1, 0])).means.tolist() == own.means[[1, 0]].tolist()
+    assert there.append(there.take(torch.tensor([5]))).opacities.shape == (7,)
+
+
+def test_torch_shares_memory_and_numpy_leaves_the_graph():
+    own = splats()
+    assert own.torch().means.data_ptr() == own.means.ctypes.data
+    own.sh.flags.writeable = False  # tensors can be written to, so they may not share this one
+    apart = own.torch().sh
+    apart[0] = 7
+    assert (own.sh != 7).all() and (apart[0] == 7).all()
+    double = own.torch(dtype=torch.float64)
+    assert double.means.dtype == torch.float64
+    graph = replace(double, means=double.means.requires_grad_(True))
+    np.testing.assert_array_equal(graph.numpy().means, own.means)
+    assert graph.numpy().sh.dtype == np.float32
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat"])
+def test_rows_of_a_file_become_tensors_without_a_warning(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    sp.write(path, splats(degree=0))
+    own = sp.read(path)
+    there = own.torch()
+    assert there.source is own.source
+    np.testing.assert_array_equal(there.means.numpy(), own.means)
