@@ -11,80 +11,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from glb_files import CODES, KHR, QUARTER, attributes_of, build, columns, pack, parts
 from io_assets import random_splats
-from io_packed import alone, covariances, damages, quats_apart, same_bits, survives
+from io_packed import covariances, quats_apart, same_bits
 
 from splatpainter import io
 from splatpainter.io.frames import sh_basis
 from splatpainter.io.glb import read_glb, write_glb
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import SH_C0
 
 pytest_plugins = ["node_oracle"]
 
 Oracle = Callable[..., str]
-KHR = "KHR_gaussian_splatting"
-CODES = {"float32": 5126, "int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123}
-TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-
-
-def parts(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """JSON and binary chunk, without the package."""
-    size = struct.unpack_from("<I", data, 12)[0]
-    return json.loads(data[20 : 20 + size]), data[28 + size : 28 + size + struct.unpack_from("<I", data, 20 + size)[0]]
-
-
-def columns(data: bytes) -> dict[str, np.ndarray]:
-    """Every attribute of the first primitive of a file with tight buffer views, without the package."""
-    doc, binary = parts(data)
-    kinds, widths = {v: k for k, v in CODES.items()}, {v: k for k, v in TYPES.items()}
-    out = {}
-    for name, index in doc["meshes"][0]["primitives"][0]["attributes"].items():
-        item = doc["accessors"][index]
-        width = widths[item["type"]]
-        start = doc["bufferViews"][item["bufferView"]]["byteOffset"]
-        values = np.frombuffer(binary, kinds[item["componentType"]], item["count"] * width, start)
-        out[name.removeprefix(f"{KHR}:")] = values.reshape(-1, width)
-    return out
-
-
-def build(attributes: dict[str, np.ndarray], nodes: list[dict[str, Any]] | None = None, **extension: Any) -> bytes:
-    """A GLB file of one Gaussian primitive (mesh 1), a mesh without data (mesh 0), an unknown chunk and a tail."""
-    accessors, views, names, binary = [], [], {}, b""
-    for name, values in attributes.items():
-        names[name if ":" in name or name in ("POSITION", "COLOR_0") else f"{KHR}:{name}"] = len(accessors)
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes, "name": f"view of {name}"})
-        accessors.append(
-            {"bufferView": len(views) - 1, "componentType": CODES[values.dtype.name], "count": len(values)}
-        )
-        accessors[-1] |= {"type": TYPES[values.shape[1]], "normalized": values.dtype.kind != "f"}
-        binary += values.tobytes() + bytes(-values.nbytes % 4)
-    khr = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"} | extension
-    primitive = {"attributes": names, "mode": 0, "extensions": {KHR: khr}, "material": 0}
-    doc = {
-        "asset": {"version": "2.0", "extras": {"author": "by hand"}},
-        "extensionsUsed": [KHR],
-        "materials": [{"name": "kept"}],
-        "nodes": nodes or [{"mesh": 1}],
-        "scenes": [{"nodes": [0]}],
-        "buffers": [{"byteLength": len(binary)}],
-        "bufferViews": views,
-        "accessors": accessors,
-        "meshes": [{"primitives": [{"attributes": {}}], "name": "other"}, {"primitives": [primitive]}],
-    }
-    text = json.dumps(doc).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    body += struct.pack("<II", 4, 0x12345678) + b"more"
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body + b"tail"
-
-
-def attributes_of(splats: Splats) -> dict[str, np.ndarray]:
-    """In the primitive's own frame: the rows as they are, quaternions made unit."""
-    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
-    out = {"POSITION": splats.means, "ROTATION": unit[:, [1, 2, 3, 0]], "SCALE": splats.scales}
-    out["OPACITY"] = splats.opacities[:, None]
-    names = [f"SH_DEGREE_{l}_COEF_{n}" for l in range(splats.sh_degree + 1) for n in range(2 * l + 1)]
-    return out | {name: np.ascontiguousarray(splats.sh[:, k]) for k, name in enumerate(names)}
 
 
 @pytest.mark.shared
@@ -209,9 +147,6 @@ def test_edits_keep_the_other_rows(tmp_path: Path, splat_transform: Oracle) -> N
     color = columns((tmp_path / "b.glb").read_bytes())["COLOR_0"]
     wanted = np.clip(0.5 + SH_C0 * edited.sh[:, 0].astype(np.float64), 0, 1)
     assert np.abs(color[:, :3] / 255 - wanted).max() <= 0.51 / 255
-
-
-QUARTER = {"rotation": [0, np.sqrt(0.5), 0, np.sqrt(0.5)], "scale": [2, 2, 2], "translation": [1, 2, 3]}
 
 
 @pytest.mark.parametrize(
@@ -390,90 +325,3 @@ def test_two_primitives(tmp_path: Path) -> None:
     index = new["meshes"][1]["primitives"][0]["attributes"][f"{KHR}:OPACITY"]
     view = new["bufferViews"][new["accessors"][index]["bufferView"]]
     assert np.array_equal(np.frombuffer(packed, "<f4", 30, view["byteOffset"]), splats.opacities)
-
-
-def pack(doc: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(doc).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
-
-
-@pytest.mark.shared
-def test_meshes_are_refused(shared: Path) -> None:
-    for path in sorted((shared / "data" / "meshes").glob("kh_*.glb"))[:3]:
-        with pytest.raises(ValueError, match="this glTF file holds no Gaussians"):
-            io.read(path)
-
-
-def edited_json(change: Callable[[dict[str, Any]], Any]) -> bytes:
-    data = build(attributes_of(random_splats(4, 0)))
-    doc, binary = parts(data)
-    change(doc)
-    return pack(doc, binary)
-
-
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (b"", "truncated"),
-        (b"glTF" + bytes(8), "expected a GLB file of version 2"),
-        (struct.pack("<4sII", b"glTF", 2, 12), "expected JSON as the first GLB chunk"),
-        (struct.pack("<4sII", b"glTF", 2, 1 << 31), "truncated: the header says 2147483648 bytes"),
-        (struct.pack("<4sIIII", b"glTF", 2, 20, 1 << 30, 0x4E4F534A), "truncated: a GLB chunk"),
-        (pack({}, b""), "holds no Gaussians"),
-        (edited_json(lambda d: d["accessors"][0].update(count=1 << 40)), "does not fit its buffer view"),
-        (edited_json(lambda d: d["accessors"][0].update(count=-1)), "expected a non-negative integer for glTF 'count'"),
-        (edited_json(lambda d: d["accessors"][1].update(count=3)), "expected ROTATION of 4 x 4 numbers"),
-        (edited_json(lambda d: d["accessors"][0].update(sparse={})), "is of a kind that splats do not use"),
-        (edited_json(lambda d: d["accessors"][0].update(bufferView=99)), r"bufferViews\[99\], which does not exist"),
-        (edited_json(lambda d: d["bufferViews"][0].update(byteLength=1 << 40)), "truncated: buffer view 0"),
-        (edited_json(lambda d: d["bufferViews"][0].update(byteStride=1)), "does not fit its buffer view"),
-        (
-            edited_json(lambda d: d["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {}})),
-            "is compressed",
-        ),
-        (edited_json(lambda d: d["buffers"][0].update(uri="other.bin")), "lies in an external file"),
-        (
-            edited_json(lambda d: d["meshes"][1]["primitives"][0]["attributes"].pop(f"{KHR}:SCALE")),
-            "no attribute .*:SCALE",
-        ),
-        (
-            edited_json(lambda d: d["meshes"][1]["primitives"][0]["extensions"][KHR].update(extensions={"X_spz": {}})),
-            "stored by X_spz, which is not supported",
-        ),
-        (edited_json(lambda d: d["nodes"][0].update(children=[0])), "glTF node 0 is its own ancestor"),
-        (edited_json(lambda d: d["nodes"][0].update(translation=[1, 2])), "expected 3 numbers as a node's translation"),
-        (edited_json(lambda d: d.update(meshes=[[]])), "expected a list of objects as glTF meshes"),
-    ],
-)
-def test_refusals(data: bytes, message: str, tmp_path: Path) -> None:
-    path = tmp_path / "a.glb"
-    assert survives(read_glb, path, iter([data]), peak=1 << 20) == (0, 1)
-    with pytest.raises(ValueError, match=message):
-        read_glb(path)
-
-
-def test_damaged(tmp_path: Path) -> None:
-    path = tmp_path / "a.glb"
-    data = build(attributes_of(random_splats(10, 1)), [{"mesh": 1} | QUARTER])
-    assert sum(survives(read_glb, path, damages(data, 1000, head=5000))) == 1064
-    # JSON of the right form with wrong values in it: any leaf or branch replaced.
-    doc, binary = parts(data)
-    rng = np.random.default_rng(0)
-
-    def wrong(item: Any) -> Any:
-        if rng.random() < 0.01:
-            return [None, -1, 10**30, 1.5, "x", [], {}, [[]], True, 99][rng.integers(0, 10)]
-        if isinstance(item, dict):
-            return {key: wrong(value) for key, value in item.items() if rng.random() > 0.003}
-        return [wrong(value) for value in item] if isinstance(item, list) else item
-
-    def both(path: Path) -> Splats:
-        splats = read_glb(path)
-        if len(splats):  # whatever can be read can be written with an edit
-            write_glb(path.with_name("b.glb"), alone(splats))
-            write_glb(path.with_name("b.glb"), splats.take(np.arange(len(splats))[::-1]))
-        return splats
-
-    assert sum(survives(both, path, (pack(wrong(doc), binary) for _ in range(500)))) == 500

@@ -20,7 +20,6 @@ from lift_scenes import (
 )
 from render_scenes import cameras, scene, with_odd_rows
 from scipy.ndimage import binary_dilation
-from scipy.spatial.transform import Rotation
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
@@ -60,7 +59,7 @@ def project_by_hand(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndar
 
 
 def check_bookkeeping(before: Splats, lifted: Lifted, camera: Camera) -> None:
-    """Touched rows are exactly those that differ, and lie where they lay; appended ones are drawn over their parents."""
+    """Touched rows are those that differ, and lie where they lay; appended ones are drawn over their parents."""
     n, after = len(before), lifted.splats
     np.testing.assert_array_equal(lifted.touched, np.flatnonzero(differing(before, after)))
     assert len(lifted.appended) == len(after) - n and after.sh_degree == before.sh_degree

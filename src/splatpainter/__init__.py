@@ -40,7 +40,21 @@ _HOME = {
     "Receipt": "receipts",
     "verify": "receipts",
 }
-__all__ = sorted(_HOME)
+__all__ = [
+    "Asset",
+    "Camera",
+    "Edit",
+    "Painter",
+    "Receipt",
+    "Render",
+    "Splats",
+    "look_at",
+    "orbit",
+    "read",
+    "render",
+    "verify",
+    "write",
+]
 
 
 def __getattr__(name: str) -> Any:

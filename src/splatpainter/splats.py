@@ -36,7 +36,7 @@ class Splats:
     opacities: Array
     """[N] peak alpha, 0..1 (not logit)."""
     sh: Array
-    """[N, K, 3] spherical harmonics, K = (degree + 1)^2 in 1, 4, 9, 16, 25; colour(d) = max(0.5 + sum_k Y_k(d) sh_k, 0)."""
+    """[N, K, 3] spherical harmonics, K = (degree + 1)^2, 1 to 25; colour(d) = max(0.5 + sum_k Y_k(d) sh_k, 0)."""
     antialiased: bool = False
     """True: trained with Mip-Splatting's 2D filter; the renderer compensates opacity for the 0.3 px blur."""
     color_space: ColorSpace = "srgb"
@@ -44,7 +44,7 @@ class Splats:
     source: Source | None = field(default=None, repr=False, compare=False)
     """The file these rows were read from, kept so that untouched rows are written back byte for byte."""
     origin: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """[N] int64 source row whose bytes each row carries (children carry their parent's), -1 for none; None without source."""
+    """[N] int64 source row whose bytes each row carries (of a child: its parent), -1: none; None without source."""
 
     def __len__(self) -> int:
         return int(self.means.shape[0])
@@ -114,7 +114,7 @@ ATTRIBUTES = ("means", "quats", "scales", "opacities", "sh")
 
 @dataclass(frozen=True)
 class Source:
-    """What a file held, beyond the attributes, so that the same format can be written back unchanged where unchanged."""
+    """What a file held beyond the attributes, so that the same format can be written back unchanged where unchanged."""
 
     path: str
     format: str
@@ -130,7 +130,7 @@ class Source:
 
 
 def rows_sha256(splats: Splats, rows: Array | None = None) -> str:
-    """SHA-256 over the float32 little-endian attributes of the given rows (all by default), attribute after attribute."""
+    """SHA-256 over the float32 little-endian attributes of the given rows (default: all), attribute after attribute."""
     own = splats.numpy()
     digest = hashlib.sha256()
     for name in ATTRIBUTES:

@@ -41,9 +41,9 @@ class Detail:
     """[A] entries of the frame (0..M) that gave those pixels most of their colour."""
 
 
-def detail_rows(splats: Splats, frame: Frame, pixels: np.ndarray, wanted: np.ndarray, damping: float) -> Detail | None:
-    """One row per wanted pixel, of the wanted colour. pixels: [H, W] bool; wanted: [H, W, 3]; frame: of `splats`.
-    None when no pixel has a surface."""
+def detail_rows(splats: Splats, frame: Frame, pixels: np.ndarray, wanted: np.ndarray) -> Detail | None:
+    """One row per wanted pixel, of the wanted colour and the host's SH bands >= 1. pixels: [H, W] bool; wanted:
+    [H, W, 3]; frame: of `splats`. None when no pixel has a surface."""
     camera = frame.camera
     depth, host = surface(frame, grown(pixels, 2 * _SMOOTH))
     ys, xs = np.nonzero(pixels & (depth > 0) & (host >= 0))
@@ -65,7 +65,7 @@ def detail_rows(splats: Splats, frame: Frame, pixels: np.ndarray, wanted: np.nda
     means = (_points(z, ys, xs, camera) - camera.world_to_camera[:3, 3]) @ turn
     entries = host[ys, xs]
     hosts = splats.take(frame.rows[entries])
-    sh = recolor(hosts.sh, frame.raw_colors[entries], wanted[ys, xs], damping)
+    sh = recolor(hosts.sh, frame.raw_colors[entries], wanted[ys, xs], 1.0)
     kind = splats.means.dtype
     rows = Splats(
         means.astype(kind),

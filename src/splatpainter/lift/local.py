@@ -59,6 +59,8 @@ VISIBLE = 0.05
 """Mean share of a row that must reach the camera inside the mask (weight / alpha), or it is behind the surface."""
 FAINTEST = 0.004
 """A row whose largest share of any masked pixel is below this is not written (1/255)."""
+SOLID = 0.9
+"""Detail rows are nearly opaque: less covered pixels, such as a silhouette's, would gain alpha from one."""
 SLACK = 1.4
 """Rows up to this many goals wide are not halved any more: they end between 0.7 and 1.4 goals."""
 LARGE = 3.0
@@ -235,8 +237,8 @@ class _Patch:
         frame = project(painted, camera, tiles=self.frame.tiles)
         image, alpha, _ = frame.draw()
         wrong = np.abs(self.wanted - np.clip(image, 0, 1)).max(-1) > options.detail
-        pixels = wrong & grown(self.mask, options.rim) & (alpha > 0.5)
-        layer = detail_rows(painted, frame, pixels, self.wanted, options.damping)
+        pixels = wrong & grown(self.mask, options.rim) & (alpha > SOLID)
+        layer = detail_rows(painted, frame, pixels, self.wanted)
         if layer is None:
             return None
         host = frame.rows[layer.host]

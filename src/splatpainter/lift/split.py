@@ -48,9 +48,12 @@ def child_peaks(opacities: np.ndarray) -> np.ndarray:
 
 
 def merged_peak(total: np.ndarray) -> np.ndarray:
-    """Peak of the one row that replaces several of the same shape at one site, with peaks of this sum: it composites to
-    the same integral of alpha over the plane (1 - exp(-A G) integrates to A - A^2/4 + A^3/18 - ...)."""
-    return np.minimum(total - total**2 / 4 + total**3 / 18 - total**4 / 96, 0.999)
+    """Peak of the one row that replaces several of the same shape at one site, with peaks of this sum A: A - A^2 / 10.
+
+    By measurement: after three halvings of one row the integral of alpha over the plane is within 2 % of the parent's
+    for peaks from 0.4 to 0.98 (rms error 4-6 %). Rows of one site alone would want A - A^2 / 4; but their neighbours
+    overlap them, and with it opaque rows lose 13 % (rms 18 %)."""
+    return np.minimum(total - total**2 / 10, 0.999)
 
 
 def rotations(quats: np.ndarray) -> np.ndarray:
