@@ -106,14 +106,16 @@ def test_peaks_below_the_table_are_in_proportion_and_symmetric():
     assert (np.diff(many[:, 2]) > -1e-9).all() and (many[1:, 2] > many[1:, 1]).all()
 
 
-def test_rows_on_one_site_merge_into_one_of_the_same_integral():
-    r = np.linspace(0, 8, 4001)
-    shape = np.exp(-(r**2) / 2)
-    for total in (0.01, 0.2, 0.5, 0.9, 1.2):
-        # Many faint rows of this sum: transmittances multiply. Integrals over the plane, by radius.
-        covered = np.trapezoid((1 - np.exp(-total * shape)) * r, r) / np.trapezoid(shape * r, r)
-        assert merged_peak(np.array([total]))[0] == pytest.approx(covered, rel=0.01)
-    assert merged_peak(np.array([2.0]))[0] <= 1
+@pytest.mark.parametrize("opacity", [0.4, 0.8, 0.98])
+def test_merging_on_shared_sites_keeps_the_parents_mass(opacity):
+    parent = flat(opacity)
+    alone = plane(parent, parent)
+    for times in (2, 3):
+        _, children, _ = halved(parent, goal=1e-6, times=times)
+        together = plane(children, parent)
+        assert together.sum() == pytest.approx(alone.sum(), rel=0.03)
+        assert np.sqrt(((together - alone) ** 2).sum() / (alone**2).sum()) < 0.09
+    assert merged_peak(np.array([0.0, 5.0])).tolist() == [0, 0.999]
 
 
 def test_children_lie_in_their_parents_plane_and_look_like_it():
