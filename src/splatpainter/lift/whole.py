@@ -74,8 +74,8 @@ def lift_global(
     sh = splats.sh.copy()
     sh[:, 0] = (new - 0.5) / SH_C0
     if sh.shape[1] > 1:
-        sh[:, 1:] = np.einsum("nij,nkj->nki", _matrices(features, solution), sh[:, 1:])
-    leverage = np.einsum("nf,fg,ng->n", features, spread, features)
+        sh[:, 1:] = sh[:, 1:] @ _matrices(features, solution).transpose(0, 2, 1)
+    leverage = ((features @ spread.astype(np.float32)) * features).sum(1)
     typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
     certain = trust[:, 0] + (1 - trust[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
     return Regraded(replace(splats, sh=sh.astype(splats.sh.dtype)), certain.astype(np.float32))
@@ -156,12 +156,12 @@ def _ridge(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(solution [36, 3], inverse normal matrix [36, 36]) in float64."""
     capped = np.minimum(weight, 50.0).astype(np.float64)  # a huge row must not outvote a thousand small ones
-    scaled = features.astype(np.float64) * np.sqrt(capped)[:, None]
-    gram = scaled.T @ scaled
+    scaled = features * np.sqrt(capped).astype(np.float32)[:, None]
+    gram = (scaled.T @ scaled).astype(np.float64)
     penalty = np.full(36, options.ridge_normals)
     penalty[:4] = options.ridge
     inverse = np.linalg.inv(gram + np.diag(penalty * capped.sum()))
-    return inverse @ (scaled.T @ (change * np.sqrt(capped)[:, None])), inverse
+    return inverse @ (scaled.T @ (change * np.sqrt(capped)[:, None]).astype(np.float32)), inverse
 
 
 def _matrices(features: np.ndarray, solution: np.ndarray) -> np.ndarray:
@@ -169,7 +169,7 @@ def _matrices(features: np.ndarray, solution: np.ndarray) -> np.ndarray:
     diagonal so that an extrapolation never inverts a highlight."""
     basis = features.reshape(-1, 9, 4)[:, :, 3]  # the SH of the normal (the feature that multiplies 1)
     linear = solution.reshape(9, 4, 3)[:, :3]  # [9, in, out]
-    matrix = np.einsum("nb,bio->noi", basis, linear) + np.eye(3)
+    matrix = (basis @ linear.transpose(0, 2, 1).reshape(9, 9).astype(np.float32)).reshape(-1, 3, 3) + np.eye(3)
     diagonal = np.clip(np.einsum("nii->ni", matrix), 0, 2)
     matrix[:, [0, 1, 2], [0, 1, 2]] = diagonal
     return matrix.astype(np.float32)

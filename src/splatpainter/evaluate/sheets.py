@@ -1,0 +1,70 @@
+"""Contact sheets: rows of captioned pictures on one page. Knows no splats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.cameras import to_uint8
+from splatpainter.io import files
+
+PAPER, INK, FAINT = (250, 250, 248), (20, 20, 22), (110, 110, 115)
+GAP = 6
+"""Pixels between pictures."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One row of a sheet."""
+
+    caption: str
+    """One line above the pictures."""
+    cells: tuple[tuple[str, np.ndarray], ...]
+    """(label, picture [H, W, 3], float 0..1 or uint8)."""
+
+
+def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
+    """[H, W, 3] uint8: one strip below the other, every picture fitted into cell x cell pixels."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    small, large = max(cell // 18, 9), max(cell // 14, 11)
+    line, label = round(large * 1.7), round(small * 1.5)
+    most = max(len(strip.cells) for strip in strips)
+    width = most * (cell + GAP) + GAP
+    top = line if title else 0
+    page = Image.new("RGB", (width, top + len(strips) * (line + label + cell + GAP) + GAP), PAPER)
+    pen = ImageDraw.Draw(page)
+    body, fine = ImageFont.load_default(large), ImageFont.load_default(small)
+    if title:
+        pen.text((GAP, GAP), title, FAINT, fine)
+    for k, strip in enumerate(strips):
+        y = top + k * (line + label + cell + GAP)
+        pen.text((GAP, y + line // 5), strip.caption, INK, body)
+        for column, (name, picture) in enumerate(strip.cells):
+            x = GAP + column * (cell + GAP)
+            pen.text((x, y + line), name, FAINT, fine)
+            image = Image.fromarray(to_uint8(np.asarray(picture)))
+            image.thumbnail((cell, cell), Image.Resampling.LANCZOS)
+            if image.width < cell and image.height < cell:
+                image = image.resize((cell, round(cell * image.height / image.width)), Image.Resampling.NEAREST)
+            page.paste(image, (x, y + line + label))
+    return np.asarray(page)
+
+
+def error_map(image: np.ndarray, wanted: np.ndarray, most: float = 0.25) -> np.ndarray:
+    """[H, W, 3] largest channel difference of two pictures [H, W, 3], black at 0 through red and yellow to white at
+    `most`."""
+    level = np.clip(np.abs(image - wanted).max(-1) / most, 0, 1)[..., None]
+    return np.clip(3 * level - np.array([0.0, 1.0, 2.0]), 0, 1)
+
+
+def write_sheet(path: Path, picture: np.ndarray) -> None:
+    """[H, W, 3] uint8 as a PNG (or what the name says)."""
+    from PIL import Image
+
+    form = {".png": "PNG", ".webp": "WEBP", ".jpg": "JPEG"}.get(path.suffix.lower(), "PNG")
+    with files.writing(path) as file:
+        Image.fromarray(picture).save(file, form)

@@ -1,0 +1,74 @@
+"""Rows of frozen dataclasses as CSV and Markdown. Knows nothing of what they mean."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from splatpainter.io import files
+
+
+def columns(row: Any) -> list[str]:
+    """Field names of a dataclass or of its instance, in order."""
+    return [field.name for field in fields(row)]
+
+
+def write_csv(path: Path, rows: Sequence[Any], heading: str) -> None:
+    """Numbers in full; None and infinities as nothing and inf; `heading` as a comment in the first line."""
+    text = io.StringIO()
+    text.write(f"# {heading}\n")
+    table = csv.writer(text, lineterminator="\n")
+    if rows:
+        table.writerow(columns(rows[0]))
+    for row in rows:
+        table.writerow(["" if value is None else value for value in _values(row)])
+    _write(path, text.getvalue())
+
+
+def write_markdown(path: Path, rows: Sequence[Any], heading: str, notes: Sequence[str] = ()) -> None:
+    """A table for people, `heading` above it and `notes` below."""
+    _write(path, "\n\n".join([heading, markdown(rows), *notes]) + "\n")
+
+
+def markdown(rows: Sequence[Any]) -> str:
+    """Numbers to three significant digits, None as a dash."""
+    if not rows:
+        return "(nothing was measured)"
+    names = columns(rows[0])
+    numeric = [any(isinstance(getattr(row, name), (int, float)) for row in rows) for name in names]
+    lines = [
+        "| " + " | ".join(name.replace("_", " ") for name in names) + " |",
+        "|" + "|".join("---:" if right else "---" for right in numeric) + "|",
+    ]
+    lines += ["| " + " | ".join(shown(value) for value in _values(row)) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def shown(value: Any) -> str:
+    """A cell for people."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "NO"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return "–" if math.isnan(value) else "inf"
+        digits = 2 - math.floor(math.log10(abs(value))) if value else 0
+        return f"{value:,.{min(max(digits, 0), 5)}f}"
+    return str(value).replace("|", "/")
+
+
+def _values(row: Any) -> list[Any]:
+    return [getattr(row, name) for name in columns(row)]
+
+
+def _write(path: Path, text: str) -> None:
+    with files.writing(path) as file:
+        file.write(text.encode())

@@ -1,0 +1,286 @@
+"""Sizes and switches of the model: frozen dataclasses, the presets `paper` and `compact`, and their JSON.
+
+The dataclass is the command line, the JSON in the checkpoint and the documentation. The defaults are the paper's
+(arXiv 2512.05354). Every switch of the ablation tables is a field here. Knows no torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+Grouping = Literal["feats_query", "latent_query", "voxel_mean"]
+Mixer = Literal["ttt", "cross_attention"]
+InnerLoss = Literal["dot", "l2"]
+ImageChannels = Literal["edited", "rays", "render", "geometry", "mask"]
+Representation = Literal["native", "copy"]
+Decoder = Literal["residual", "absolute"]
+
+CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1}
+"""Channels per pixel of each group that an image token of an edit can hold."""
+LARGEST = 1 << 20
+"""Bytes; no honest config is longer."""
+
+
+@dataclass(frozen=True)
+class LrmConfig:
+    """The Gaussian LRM (GS-LRM, Zhang et al. 2024): canonical views in, patch tokens and one Gaussian per pixel out."""
+
+    patch: int = 8
+    """Pixels per edge of a patch."""
+    dim: int = 1024
+    """Width of a token."""
+    layers: int = 24
+    """Transformer blocks over the tokens of all views."""
+    heads: int = 16
+    """Attention heads per block; dim is a multiple of it."""
+    hidden: int = 4096
+    """Hidden width of each block's MLP."""
+    sh_degree: int = 3
+    """Degree of the spherical harmonics of the predicted Gaussians, 0..4."""
+    views: int = 9
+    """Canonical views that an asset is rendered from, 1..16."""
+    image_size: int = 512
+    """Edge of a canonical view, pixels; a multiple of patch."""
+    geometry: bool = False
+    """Also see rendered depth and alpha and predict offsets from that depth: geometry is given, not guessed."""
+    checkpoint_activations: bool = False
+    """Recompute each block in the backward pass: less memory, one more forward pass."""
+
+    def __post_init__(self) -> None:
+        _positive(self, "patch", "dim", "layers", "heads", "hidden", "views", "image_size")
+        _multiple(self, "dim", "heads")
+        _multiple(self, "image_size", "patch")
+        _degree(self)
+        if self.views > 16:
+            raise ValueError(f"config: expected at most 16 canonical views, got {self.views}")
+
+
+@dataclass(frozen=True)
+class CompressConfig:
+    """Stage I, the transformer inside each voxel: rows with their LRM tokens in, latents out."""
+
+    dim: int = 512
+    """Width of a latent, in Stage I and Stage II."""
+    heads: int = 8
+    """Attention heads; dim is a multiple of it."""
+    encoder_layers: int = 6
+    """Self-attention layers over all rows of a voxel."""
+    decoder_layers: int = 6
+    """Self-attention layers over the kept rows of a voxel."""
+    hidden: int = 1344
+    """Hidden width of the SwiGLU MLPs; the paper is silent: 8/3 of dim (Shazeer 2020), to a multiple of 64."""
+    keep: float = 0.25
+    """Share of a voxel's rows that `copy` keeps, K = max(floor(keep * N_k), 1); `native` keeps all."""
+    grouping: Grouping = "feats_query"
+    """feats_query: the kept rows' own codes query their voxel. Ablations: latent_query (learned queries) and
+    voxel_mean (VoxelAtt: every kept row gets the mean of its voxel's tokens, no attention between rows)."""
+    latent_queries: int = 64
+    """Learned queries of latent_query; the k-th kept row of a voxel asks with query k modulo this."""
+    resolution: int = 128
+    """Voxels per edge of the asset's bounding cube."""
+    min_opacity: float = 0.005
+    """`copy` drops the LRM's Gaussians at or below this opacity before anything else; the paper is silent."""
+    largest_group: int = 0
+    """Voxels with more rows are cut into runs of at most this many rows of falling opacity; 0: never (the paper)."""
+    checkpoint_activations: bool = False
+    """Recompute each layer in the backward pass."""
+
+    def __post_init__(self) -> None:
+        _positive(self, "dim", "heads", "hidden", "latent_queries", "resolution")
+        _positive(self, "encoder_layers", "decoder_layers", "largest_group", least=0)
+        _multiple(self, "dim", "heads")
+        if not 0 < self.keep <= 1:
+            raise ValueError(f"config: expected keep above 0 and at most 1, got {self.keep}")
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """Stage II: blocks that adapt to the edited pictures and are read by picture tokens and by latents."""
+
+    blocks: int = 8
+    """Blocks of (mixer, MLP)."""
+    mixer: Mixer = "ttt"
+    """ttt: fast weights trained by the edit; cross_attention: the ablation, latents attend to the pictures' tokens."""
+    fast_hidden: int = 2048
+    """Hidden width of the fast SwiGLU network."""
+    hidden: int = 1344
+    """Hidden width of the slow SwiGLU MLPs, one for pictures and one for latents per block."""
+    heads: int = 8
+    """Attention heads of cross_attention and of image_attention; the TTT layer has one."""
+    patch: int = 8
+    """Pixels per edge of a picture token."""
+    image_channels: tuple[ImageChannels, ...] = ("edited", "rays")
+    """What a picture token holds: the edited colours, the rays, and beyond the paper the current render, its positions
+    and alpha ("geometry"), and the edit mask."""
+    image_attention: bool = False
+    """Self-attention inside each picture before the TTT layer, as LaCT has it for novel view synthesis."""
+    mask_tokens: bool = False
+    """Tokens train the fast weights in proportion to their share of edited pixels; False: all alike."""
+    lift_features: bool = False
+    """Latents are told the analytic lift's answer: colour before and after, and how much of the row was seen."""
+    detail: bool = True
+    """An extra layer that makes a second set of latents for local edits (the count doubles there)."""
+    inner_loss: InnerLoss = "l2"
+    """What the fast weights minimise: l2, |f(k) - v|^2 / 2 (the paper's equation), or dot, -<f(k), v> (LaCT's code)."""
+    inner_steps: int = 1
+    """Updates per edit, 1..16."""
+    newton_schulz_steps: int = 5
+    """Iterations that orthogonalise an update; 0: plain gradient ascent."""
+    edit_strength: float = 1.0
+    """Factor on every update of the fast weights; 1 is the paper's."""
+    checkpoint_activations: bool = False
+    """Recompute each block in the backward pass."""
+
+    def __post_init__(self) -> None:
+        _positive(self, "blocks", "fast_hidden", "hidden", "heads", "patch")
+        _positive(self, "newton_schulz_steps", least=0)
+        if not 1 <= self.inner_steps <= 16:
+            raise ValueError(f"config: expected inner_steps 1..16, got {self.inner_steps}")
+        if not 0 <= self.edit_strength < float("inf"):
+            raise ValueError(f"config: expected an edit_strength of 0 or more, got {self.edit_strength}")
+        if "edited" not in self.image_channels or len(set(self.image_channels)) < len(self.image_channels):
+            raise ValueError(f"config: expected image_channels with 'edited', each once, got {self.image_channels}")
+
+    @property
+    def channels(self) -> int:
+        """Channels per pixel of a picture token."""
+        return sum(CHANNELS[name] for name in self.image_channels)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The whole model."""
+
+    preset: str = "paper"
+    """Name under which checkpoints of this model are found."""
+    representation: Representation = "copy"
+    """native: the voxels hold the user's own rows, all kept; copy: the LRM's Gaussians, thinned out (the paper)."""
+    sh_degree: int = 3
+    """Degree of the spherical harmonics that Stage I sees and the decoder changes, 0..4; higher bands of a row stay."""
+    lrm: LrmConfig = field(default_factory=LrmConfig)
+    """The Gaussian LRM."""
+    compress: CompressConfig = field(default_factory=CompressConfig)
+    """Stage I."""
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    """Stage II."""
+    decoder: Decoder = "residual"
+    """residual: on the row's own attributes, zero at first, so that an untrained model is the identity; absolute: the
+    paper's, relative to nothing but the voxel."""
+
+    def __post_init__(self) -> None:
+        _degree(self)
+        if self.compress.dim % self.refine.heads:
+            sizes = f"{self.compress.dim} and {self.refine.heads}"
+            raise ValueError(f"config: expected compress.dim a multiple of refine.heads, got {sizes}")
+
+    def to_json(self) -> str:
+        """Every field, nested as here, two spaces per level."""
+        return json.dumps(dataclasses.asdict(self), indent=2)
+
+    @staticmethod
+    def from_json(text: str, where: str = "config") -> ModelConfig:
+        """Parse what `to_json` wrote. Raises ValueError naming `where` and the key that is unknown, missing or of the
+        wrong kind."""
+        if len(text) > LARGEST:
+            raise ValueError(f"{where}: expected a model config of at most {LARGEST} characters, got {len(text)}")
+        try:
+            data = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{where}: expected a model config as JSON ({error})") from None
+        return _build(ModelConfig, data, where, "")
+
+
+def _build(kind: type, data: Any, where: str, path: str) -> Any:
+    """An instance of the dataclass `kind` from a JSON object. path: dotted, for errors."""
+    if not isinstance(data, dict):
+        raise ValueError(f"{where}: expected an object as {path or 'model config'}, got {type(data).__name__}")
+    hints = get_type_hints(kind)
+    names = [f.name for f in dataclasses.fields(kind)]
+    prefix = f"{path}." if path else ""
+    for name in data:
+        if name not in names:
+            raise ValueError(f"{where}: unknown key '{prefix}{name}'; known there: {', '.join(names)}")
+    for name in names:
+        if name not in data:
+            raise ValueError(f"{where}: missing key '{prefix}{name}'")
+    values = {name: _value(hints[name], data[name], where, prefix + name) for name in names}
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}: {path or 'model config'}: {error}") from None
+
+
+def _value(hint: Any, value: Any, where: str, path: str) -> Any:
+    """`value` from JSON as what the annotation `hint` wants."""
+    if dataclasses.is_dataclass(hint):
+        assert isinstance(hint, type)
+        return _build(hint, value, where, path)
+    if get_origin(hint) is tuple:
+        if not isinstance(value, list):
+            raise ValueError(f"{where}: expected a list as '{path}', got {value!r}")
+        return tuple(_value(get_args(hint)[0], item, where, path) for item in value)
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            raise ValueError(f"{where}: expected one of {', '.join(get_args(hint))} as '{path}', got {value!r}")
+        return value
+    accepted = (int, float) if hint is float else hint
+    # bool is an int to Python, and a config that says layers: true is broken.
+    if not isinstance(value, accepted) or (isinstance(value, bool) and hint is not bool):
+        raise ValueError(f"{where}: expected {hint.__name__} as '{path}', got {value!r}")
+    return float(value) if hint is float else value
+
+
+def _positive(config: Any, *names: str, least: int = 1) -> None:
+    for name in names:
+        if getattr(config, name) < least:
+            raise ValueError(f"config: expected {name} of at least {least}, got {getattr(config, name)}")
+
+
+def _multiple(config: Any, whole: str, part: str) -> None:
+    a, b = getattr(config, whole), getattr(config, part)
+    if a % b:
+        raise ValueError(f"config: expected {whole} a multiple of {part}, got {a} and {b}")
+
+
+def _degree(config: Any) -> None:
+    if not 0 <= config.sh_degree <= 4:
+        raise ValueError(f"config: expected sh_degree 0..4, got {config.sh_degree}")
+
+
+PAPER = ModelConfig()
+"""Every number as the paper states it."""
+
+COMPACT = ModelConfig(
+    preset="compact",
+    representation="native",
+    lrm=LrmConfig(dim=256, layers=6, heads=4, hidden=768, sh_degree=1, views=8, image_size=256, geometry=True),
+    compress=CompressConfig(
+        dim=256, heads=4, encoder_layers=2, decoder_layers=2, hidden=256, latent_queries=16, largest_group=512
+    ),
+    refine=RefineConfig(
+        blocks=4,
+        fast_hidden=512,
+        inner_loss="dot",
+        hidden=256,
+        heads=4,
+        image_channels=("edited", "rays", "render", "geometry", "mask"),
+        mask_tokens=True,
+        lift_features=True,
+    ),
+)
+"""What ships trained: one unified model for local and global edits, on two CPU cores."""
+
+PRESETS = {"paper": PAPER, "compact": COMPACT}
+
+
+def shallow(config: ModelConfig, layers: int = 1) -> ModelConfig:
+    """The same model with `layers` LRM blocks, encoder and decoder layers and refinement blocks: for tests."""
+    return replace(
+        config,
+        lrm=replace(config.lrm, layers=layers),
+        compress=replace(config.compress, encoder_layers=layers, decoder_layers=layers),
+        refine=replace(config.refine, blocks=layers),
+    )

@@ -1,0 +1,134 @@
+"""The decoder: one linear layer from latents to attributes, as a residual on the row's own or absolutely.
+
+The only place in models/ that turns what a network says into activated attributes, and the guard of the exact promise:
+a residual of exactly zero returns the very same bits. M latents with their rows, D width, C outputs per row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from splatpainter.models.config import Decoder
+from splatpainter.splats import Splats
+
+CHILD_SCALE = 0.5
+"""A child is born this much smaller than its parent: detail is finer than what is there."""
+CHILD_OPACITY = 0.1
+"""... and this much fainter, so that appending it hardly changes a picture, yet its pixels have gradients (renderers
+skip alpha below 1/255, so that a child born invisible would never learn)."""
+OPAQUE = 1e-6
+"""Opacities this near to 0 or 1 count as this near: from exactly 1 no logit could move."""
+
+
+def output_count(degree: int) -> int:
+    """C: 3 for the centre, 3 scales, 4 quaternion, 1 opacity, 3 (degree + 1)^2 SH."""
+    return 11 + 3 * (degree + 1) ** 2
+
+
+class AttributeHead(nn.Module):
+    """LayerNorm and one linear layer, [M, D] -> [M, C] float32 (also under autocast: bits of a mean matter).
+
+    residual: weights and bias start at zero; absolute: weights N(0, 0.02), zero bias."""
+
+    def __init__(self, dim: int, degree: int, kind: Decoder) -> None:
+        super().__init__()
+        self.kind = kind
+        self.norm = nn.LayerNorm(dim)
+        self.linear = nn.Linear(dim, output_count(degree))
+        nn.init.zeros_(self.linear.bias)
+        if kind == "residual":
+            nn.init.zeros_(self.linear.weight)
+        else:
+            nn.init.normal_(self.linear.weight, std=0.02)
+
+    def forward(self, latents: Tensor) -> Tensor:
+        with torch.autocast(latents.device.type, enabled=False):
+            return self.linear(self.norm(latents.float()))
+
+    def attributes(self, raw: Tensor, rows: Splats, centers: Tensor, voxel: float) -> Splats:
+        """The decoded rows. raw: [M, C]; rows: the M rows, torch float32; centers: [M, 3] of their voxels, and voxel,
+        the edge of one, world units."""
+        if self.kind == "residual":
+            return apply_residual(rows, raw, voxel)
+        return absolute(rows, raw, centers, voxel)
+
+
+def apply_residual(rows: Splats, residual: Tensor, voxel: float) -> Splats:
+    """Rows moved by a residual [M, C]: centre in voxels, log scale, quaternion (of the row's own norm), logit opacity,
+    SH of the bands that C has (others stay). Where a number of the residual is exactly 0, the row's own number returns
+    bit for bit. Differentiable in both, at 0 too.
+
+    Formulas: design.md 3; log and logit are never taken: exp(log s + d) = s exp(d), and
+    sigmoid(logit o + d) = o e^d / (1 - o + o e^d).
+    """
+    centre, scale, turn, opacity, sh = _split(residual)
+    norm = rows.quats.norm(dim=1, keepdim=True)
+    odds = torch.exp(opacity.clamp(-16, 16))
+    o = rows.opacities.clamp(OPAQUE, 1 - OPAQUE)
+    bands = min(sh.shape[1], rows.sh.shape[1])
+    low = _keep(rows.sh[:, :bands] + sh[:, :bands], rows.sh[:, :bands], sh[:, :bands])
+    return replace(
+        rows,
+        means=_keep(rows.means + voxel * centre, rows.means, centre),
+        scales=_keep(rows.scales * torch.exp(scale.clamp(-8, 8)), rows.scales, scale),
+        quats=_keep(rows.quats + norm * turn, rows.quats, turn),
+        opacities=_keep(o * odds / (1 - o + o * odds), rows.opacities, opacity),
+        sh=low if bands == rows.sh.shape[1] else torch.cat([low, rows.sh[:, bands:]], dim=1),
+    )
+
+
+def absolute(rows: Splats, raw: Tensor, centers: Tensor, voxel: float) -> Splats:
+    """Rows as raw [M, C] says, with constants so that raw 0 is a grey, round, half transparent row of half a voxel in
+    its voxel's middle. rows gives only the number of SH bands and what is not an attribute."""
+    centre, scale, turn, opacity, sh = _split(raw)
+    bands = rows.sh.shape[1]
+    sh = sh[:, :bands]
+    if sh.shape[1] < bands:
+        sh = torch.cat([sh, sh.new_zeros(len(sh), bands - sh.shape[1], 3)], dim=1)
+    return replace(
+        rows,
+        means=centers.to(raw.dtype) + voxel * centre,
+        scales=0.5 * voxel * torch.exp(scale.clamp(-8, 8)),
+        quats=turn + turn.new_tensor([1.0, 0.0, 0.0, 0.0]),
+        opacities=torch.sigmoid(opacity),
+        sh=sh,
+    )
+
+
+def newborn(parents: Splats) -> Splats:
+    """What children of `native` are a residual on: their parents, smaller and fainter (CHILD_SCALE, CHILD_OPACITY)."""
+    return replace(parents, scales=parents.scales * CHILD_SCALE, opacities=parents.opacities * CHILD_OPACITY)
+
+
+def is_born(raw: Tensor) -> Tensor:
+    """[M] bool: rows of raw [M, C] that say anything at all. A second set whose decoder says exactly nothing is not
+    appended: so an untrained model adds no rows."""
+    return (raw != 0).any(dim=1)
+
+
+def _split(raw: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Centre [M, 3], scale [M, 3], quaternion [M, 4], opacity [M], SH [M, K, 3]."""
+    centre, scale, turn, opacity, sh = raw.split([3, 3, 4, 1, raw.shape[1] - 11], dim=1)
+    return centre, scale, turn, opacity[:, 0], sh.unflatten(1, (-1, 3))
+
+
+class _Keep(torch.autograd.Function):
+    """where(residual == 0, old, new), with the gradient of `new` everywhere.
+
+    Plain torch.where would give a zero-initialised head a zero gradient, for ever; x + 0 would turn -0.0 into 0.0."""
+
+    @staticmethod
+    def forward(ctx: Any, new: Tensor, old: Tensor, residual: Tensor) -> Tensor:
+        return torch.where(residual == 0, old, new)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        return grads[0], None, None  # new is a function of old, which gets its gradient through it
+
+
+def _keep(new: Tensor, old: Tensor, residual: Tensor) -> Tensor:
+    return _Keep.apply(new, old, residual)  # type: ignore[return-value]

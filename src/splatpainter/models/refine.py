@@ -1,0 +1,223 @@
+"""Stage II: blocks that adapt to an edit's picture tokens and are then read by latents (arXiv 2512.05354, 3.2, 3.3).
+
+The state (fast weights, per block) is a value that goes in and comes out: the second edit starts where the first ended,
+and undo is keeping the old value. Pictures never see latents, so a whole edit adapts first and any number of latents
+read afterwards, in runs of any size, with the same result. T picture tokens, K latents, D width.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
+
+from splatpainter.models.config import RefineConfig
+from splatpainter.models.pictures import PictureTokens
+from splatpainter.nn.attention import CrossGroups, Groups
+from splatpainter.nn.fast_weights import FastWeights
+from splatpainter.nn.layers import CrossAttention, SelfAttention, SwiGLU, layer_norm, linear
+from splatpainter.nn.ttt import TTTLayer
+
+CHUNK = 1 << 13
+"""Latents that are worked on at once without gradients (as in compress.py)."""
+LIFT_FEATURES = 7
+"""Numbers per latent that the analytic lift says: colour before and after (3 + 3), and how much was seen."""
+Memory = FastWeights | Tensor
+"""What a block knows of the edits so far: fast weights, or (cross_attention) the [T, D] tokens of all of them."""
+
+
+@dataclass(frozen=True)
+class RefineState:
+    """What the model has learnt from the edits of a session."""
+
+    blocks: tuple[Memory, ...] = field(repr=False)
+    """One per block."""
+    detail: Memory | None = field(repr=False)
+    """Of the extra layer for local detail; None where the model has none."""
+
+
+class FastMixer(nn.Module):
+    """Memory by test-time training."""
+
+    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool) -> None:
+        """pictures: whether picture tokens read too (not where nothing reads them afterwards)."""
+        super().__init__()
+        self.ttt = TTTLayer(
+            dim,
+            config.fast_hidden,
+            inner_loss=config.inner_loss,
+            inner_steps=config.inner_steps,
+            newton_schulz_steps=config.newton_schulz_steps,
+            edit_strength=config.edit_strength,
+            streams=("image", "voxel") if pictures else ("voxel",),
+        )
+
+    def initial(self) -> Memory:
+        return self.ttt.initial_state()
+
+    def learn(self, memory: Memory, tokens: Tensor, weights: Tensor | None, strength: float | None) -> Memory:
+        assert isinstance(memory, FastWeights)
+        return self.ttt.update(memory, tokens, weights, edit_strength=strength)
+
+    def tell_pictures(self, memory: Memory, tokens: Tensor) -> Tensor:
+        assert isinstance(memory, FastWeights)
+        return self.ttt.read(memory, tokens, "image")
+
+    def tell_rows(self, memory: Memory, tokens: Tensor) -> Tensor:
+        assert isinstance(memory, FastWeights)
+        return self.ttt.read(memory, tokens, "voxel")
+
+
+class AttentionMixer(nn.Module):
+    """The ablation: memory is all tokens so far, read by cross-attention; weights and strength mean nothing here."""
+
+    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool) -> None:
+        super().__init__()
+        self.dim = dim
+        self.rows = CrossAttention(dim, config.heads)
+        self.pictures = CrossAttention(dim, config.heads) if pictures else None
+
+    def initial(self) -> Memory:
+        weight = self.rows.out.weight
+        return weight.new_zeros(0, self.dim)
+
+    def learn(self, memory: Memory, tokens: Tensor, weights: Tensor | None, strength: float | None) -> Memory:
+        assert isinstance(memory, Tensor)
+        return torch.cat([memory, tokens.to(memory.dtype)])
+
+    def tell_pictures(self, memory: Memory, tokens: Tensor) -> Tensor:
+        assert isinstance(memory, Tensor) and self.pictures is not None
+        return self.pictures(tokens, memory, CrossGroups.of([len(tokens)], [len(memory)], tokens.device))
+
+    def tell_rows(self, memory: Memory, tokens: Tensor) -> Tensor:
+        assert isinstance(memory, Tensor)
+        return self.rows(tokens, memory, CrossGroups.of([len(tokens)], [len(memory)], tokens.device))
+
+
+def _mixer(dim: int, config: RefineConfig, *, pictures: bool) -> FastMixer | AttentionMixer:
+    kind = FastMixer if config.mixer == "ttt" else AttentionMixer
+    return kind(dim, config, pictures=pictures)
+
+
+class RefineBlock(nn.Module):
+    """A mixer with one memory for both streams, and an MLP for each; pre-norm, residual."""
+
+    def __init__(self, dim: int, config: RefineConfig, *, last: bool) -> None:
+        """last: nothing reads this block's picture tokens, so it has no weights to make them."""
+        super().__init__()
+        self.last = last
+        if config.image_attention:
+            self.norm_attention = layer_norm(dim)
+            self.attention = SelfAttention(dim, config.heads)
+        self.mixer = _mixer(dim, config, pictures=not last)
+        self.norm_pictures = layer_norm(dim)
+        self.norm_rows = layer_norm(dim)
+        self.norm_rows_mlp = layer_norm(dim)
+        self.mlp_rows = SwiGLU(dim, config.hidden)
+        if not last:
+            self.norm_pictures_mlp = layer_norm(dim)
+            self.mlp_pictures = SwiGLU(dim, config.hidden)
+
+    def adapt(
+        self, memory: Memory, x: Tensor, weights: Tensor | None, groups: Groups | None, strength: float | None
+    ) -> tuple[Memory, Tensor]:
+        """The memory after the edit, and the picture tokens [T, D] for the next block. groups: pictures."""
+        if groups is not None:
+            x = x + self.attention(self.norm_attention(x), groups)
+        tokens = self.norm_pictures(x)
+        memory = self.mixer.learn(memory, tokens, weights, strength)
+        if self.last:
+            return memory, x
+        x = x + self.mixer.tell_pictures(memory, tokens)
+        return memory, x + self.mlp_pictures(self.norm_pictures_mlp(x))
+
+    def read(self, memory: Memory, x: Tensor) -> Tensor:
+        """Latents [K, D] after this block."""
+        x = x + self.mixer.tell_rows(memory, self.norm_rows(x))
+        return x + self.mlp_rows(self.norm_rows_mlp(x))
+
+
+class Refiner(nn.Module):
+    """Stage II with its slow weights."""
+
+    def __init__(self, config: RefineConfig, dim: int) -> None:
+        """dim: width of the latents."""
+        super().__init__()
+        self.config = config
+        self.pictures = linear(config.patch**2 * config.channels, dim)
+        if config.lift_features:
+            self.lift = nn.Linear(LIFT_FEATURES, dim, bias=False)  # torch's own spread: 0.02 would drown 7 numbers
+        last = config.blocks - 1
+        self.blocks = nn.ModuleList(RefineBlock(dim, config, last=i == last) for i in range(config.blocks))
+        if config.detail:
+            self.detail_mixer = _mixer(dim, config, pictures=False)
+            self.norm_refined = layer_norm(dim)
+            self.norm_original = layer_norm(dim)
+
+    def initial_state(self) -> RefineState:
+        """The state before any edit: the learned first fast weights (the parameters themselves: do not write)."""
+        blocks = tuple(block.mixer.initial() for block in self._blocks())
+        return RefineState(blocks, self.detail_mixer.initial() if self.config.detail else None)
+
+    def adapt(self, state: RefineState, tokens: PictureTokens, *, strength: float | None = None) -> RefineState:
+        """The state after an edit. strength: overrides config.edit_strength. An edit without tokens changes nothing.
+        Permuting the pictures changes the state by rounding only."""
+        if len(tokens.pixels) == 0:
+            return state
+        x = self.pictures(tokens.pixels)
+        groups = Groups.of(tokens.lengths, x.device) if self.config.image_attention else None
+        weights = tokens.weights if self.config.mask_tokens else None
+        memories = []
+        for block, memory in zip(self._blocks(), state.blocks, strict=True):
+            if self._recompute():
+                memory, x = checkpoint(block.adapt, memory, x, weights, groups, strength, use_reentrant=False)  # type: ignore[misc]
+            else:
+                memory, x = block.adapt(memory, x, weights, groups, strength)
+            memories.append(memory)
+        return replace(state, blocks=tuple(memories))
+
+    def prepare(self, latents: Tensor, lift: Tensor | None) -> Tensor:
+        """[K, D] latents with what the lift says about their rows. lift: [K, 7] colour before, colour after (0..1), and
+        seen (0..1). Raises ValueError where a model with lift features gets none."""
+        if not self.config.lift_features:
+            return latents
+        if lift is None or list(lift.shape) != [len(latents), LIFT_FEATURES]:
+            got = None if lift is None else list(lift.shape)
+            raise ValueError(f"refine: expected lift features [{len(latents)}, {LIFT_FEATURES}], got {got}")
+        before, after, seen = lift.split([3, 3, 1], dim=1)
+        told = torch.cat([2 * before - 1, 2 * (after - before), seen], dim=1)
+        return latents + self.lift(told.to(self.lift.weight.dtype))
+
+    def read(self, state: RefineState, latents: Tensor, *, chunk: int | None = None) -> Tensor:
+        """Refined latents [K, D]; each depends on the state and on itself alone. latents: [K, D] from `prepare`;
+        chunk: latents at once (CHUNK without gradients, else all)."""
+        size = chunk or (max(len(latents), 1) if torch.is_grad_enabled() else CHUNK)
+        parts = []
+        for x in latents.split(size):
+            for block, memory in zip(self._blocks(), state.blocks, strict=True):
+                x = (
+                    checkpoint(block.read, memory, x, use_reentrant=False)
+                    if self._recompute()
+                    else block.read(memory, x)
+                )
+                assert isinstance(x, Tensor)
+            parts.append(x)
+        return parts[0] if len(parts) == 1 else torch.cat(parts)
+
+    def detail(
+        self, state: RefineState, original: Tensor, refined: Tensor, *, strength: float | None = None
+    ) -> tuple[RefineState, Tensor]:
+        """A second set of latents [K, D] for a local edit: the extra layer learns from the refined latents and is read
+        by the original ones (both [K, D], of the edited region)."""
+        assert self.config.detail and state.detail is not None, "a model without detail layer"
+        memory = self.detail_mixer.learn(state.detail, self.norm_refined(refined), None, strength)
+        second = original + self.detail_mixer.tell_rows(memory, self.norm_original(original))
+        return replace(state, detail=memory), second
+
+    def _blocks(self) -> list[RefineBlock]:
+        return [block for block in self.blocks if isinstance(block, RefineBlock)]
+
+    def _recompute(self) -> bool:
+        return self.config.checkpoint_activations and torch.is_grad_enabled()

@@ -1,0 +1,1 @@
+"""Building blocks of the networks: packed attention, SwiGLU layers, fast weights. Know no splats and no cameras."""

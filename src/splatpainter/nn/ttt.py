@@ -1,0 +1,116 @@
+"""The test-time-training layer: slow heads that turn tokens into keys, values, queries and rates for fast weights.
+
+The state is a value: `update` takes one and returns the next, the layer holds only the learned first one. So undo is
+keeping the old value, and the second edit starts where the first ended. T tokens, D width, H heads of D / H.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from splatpainter.nn import fast_weights
+from splatpainter.nn.fast_weights import FastWeights, InnerLoss
+from splatpainter.nn.layers import EPS, linear
+
+Stream = Literal["image", "voxel"]
+BASE_RATE = 0.01
+"""Rate of a token whose head says 0."""
+RATE_OFFSET = math.log(math.expm1(BASE_RATE))
+"""softplus of this is BASE_RATE."""
+
+
+class TTTLayer(nn.Module):
+    """One fast network per head, trained by image tokens and read by image and voxel tokens (arXiv 2512.05354, 3.2).
+
+    No norm before and no residual around it: the block has them.
+    """
+
+    def __init__(
+        self,
+        dim: int,
+        fast_hidden: int,
+        *,
+        heads: int = 1,
+        inner_loss: InnerLoss = "dot",
+        inner_steps: int = 1,
+        newton_schulz_steps: int = 5,
+        edit_strength: float = 1.0,
+        streams: tuple[Stream, ...] = ("image", "voxel"),
+    ) -> None:
+        """dim: D, a multiple of heads. fast_hidden: hidden width of a head's fast network. streams: who may read; each
+        has its own query head. The other settings: as in fast_weights.step."""
+        super().__init__()
+        if heads < 1 or dim % heads:
+            raise ValueError(f"ttt: expected a width that is a multiple of the heads, got {dim} and {heads}")
+        self.heads = heads
+        self.inner_loss: InnerLoss = inner_loss
+        self.inner_steps = inner_steps
+        self.newton_schulz_steps = newton_schulz_steps
+        self.edit_strength = edit_strength
+        self.kv = linear(dim, 2 * dim)
+        self.queries = nn.ModuleDict({stream: linear(dim, dim) for stream in streams})
+        self.rates = linear(dim, 3 * heads)
+        self.gain = nn.Parameter(torch.ones(dim // heads))
+        self.out = linear(dim, dim)
+        first = fast_weights.initial(dim // heads, fast_hidden, heads)
+        self.w0, self.w1, self.w2 = (nn.Parameter(w) for w in first)
+
+    def initial_state(self) -> FastWeights:
+        """The learned first state: w0, w2 [H, D/H, F], w1 [H, F, D/H]. The parameters themselves: do not write."""
+        return FastWeights(self.w0, self.w1, self.w2)
+
+    def update(
+        self,
+        state: FastWeights,
+        tokens: Tensor,
+        mask: Tensor | None = None,
+        *,
+        edit_strength: float | Tensor | None = None,
+    ) -> FastWeights:
+        """The state after an edit; the given one stays as it is.
+
+        tokens: [T, D] of the whole edit, normalised. mask: [T] bool or 0..1, how much each token counts; 0 leaves it
+        out exactly, and an edit of none returns the same bits. edit_strength: overrides the layer's.
+        """
+        # Keys and values under the caller's autocast, the state and its norms in float32.
+        k, v = functional.silu(self.kv(tokens)).unflatten(-1, (2, self.heads, -1)).unbind(1)
+        rates = self._rates(tokens)  # [H, T, 3]
+        if mask is not None:
+            # where, not a product: a token that is left out may hold anything.
+            seen = (mask > 0)[:, None]
+            rates = torch.where(seen, rates * mask.to(rates.dtype)[:, None], 0)
+            k, v = (torch.where(seen[..., None], x, 0) for x in (k, v))
+        return fast_weights.step(
+            state,
+            _unit(k).transpose(0, 1),
+            v.transpose(0, 1),
+            rates,
+            loss=self.inner_loss,
+            inner_steps=self.inner_steps,
+            newton_schulz_steps=self.newton_schulz_steps,
+            edit_strength=self.edit_strength if edit_strength is None else edit_strength,
+        )
+
+    def read(self, state: FastWeights, tokens: Tensor, stream: Stream) -> Tensor:
+        """What the fast network says to tokens [T, D] of a stream, -> [T, D]."""
+        q = functional.silu(self.queries[stream](tokens)).unflatten(-1, (self.heads, -1))
+        said = fast_weights.apply(state, _unit(q).transpose(0, 1)).transpose(0, 1)  # [T, H, D/H]
+        said = functional.rms_norm(said.float(), said.shape[-1:], self.gain.float(), EPS)
+        return self.out(said.flatten(1))
+
+    def _rates(self, tokens: Tensor) -> Tensor:
+        """[H, T, 3] rates of the tokens, in float32 also under autocast: bf16 would round them by 0.4 %."""
+        with torch.autocast(tokens.device.type, enabled=False):
+            raw = functional.linear(tokens.float(), self.rates.weight.float())
+            return functional.softplus(raw + RATE_OFFSET).unflatten(-1, (self.heads, 3)).transpose(0, 1)
+
+
+def _unit(x: Tensor) -> Tensor:
+    """x over its norm in the last dimension, in x's dtype."""
+    wide = x.float()
+    return (wide / (wide.norm(dim=-1, keepdim=True) + EPS)).to(x.dtype)
