@@ -35,9 +35,9 @@ class LocalOptions:
     """Most halvings of a row."""
     budget: int = 40_000
     """About how many rows splitting may append at most."""
-    detail: float = 0.05
+    detail: float = 0.03
     """Pixels that are further than this from the picture afterwards get a row of their own; 1: none do."""
-    rim: int = 8
+    rim: int = 24
     """Pixels around the mask that the detail layer may mend."""
     damping: float = 0.3
     """What is left of SH bands >= 1 in a fully repainted row, 0..1."""
