@@ -83,10 +83,9 @@ def closeup(
 
 
 def default_up(splats: Splats) -> np.ndarray:
-    """[3] what is up where nobody says: -y in files that come from structure from motion, +y in glTF and for rows that
-    come from no file."""
-    y_up = splats.source is None or splats.source.format == "glb"
-    return np.array([0.0, 1.0 if y_up else -1.0, 0.0])
+    """[3] what is up where nobody says: -y for rows from files (every reader turns them into the frame of PLY captures),
+    +y for rows that come from no file."""
+    return np.array([0.0, 1.0 if splats.source is None else -1.0, 0.0])
 
 
 @dataclass(frozen=True)
