@@ -83,8 +83,8 @@ def closeup(
 
 
 def default_up(splats: Splats) -> np.ndarray:
-    """[3] what is up where nobody says: -y for rows from files (every reader turns them into the frame of PLY captures),
-    +y for rows that come from no file."""
+    """[3] what is up where nobody says: -y for rows from files (every reader turns them into the frame of PLY
+    captures), +y for rows that come from no file."""
     return np.array([0.0, 1.0 if splats.source is None else -1.0, 0.0])
 
 
