@@ -213,6 +213,28 @@ def test_bench_speed_writes_its_table(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "speed.md").read_text().startswith(heading.removeprefix("# "))
 
 
+def test_bench_speed_knows_the_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from model_scenes import TINY
+
+    from splatpainter.evaluate.operations import OPERATIONS
+    from splatpainter.evaluate.scenes import Scene, save_scene
+    from splatpainter.models import config
+
+    monkeypatch.setattr(config, "COMPACT", TINY)
+    save_scene(tmp_path / "scene", with_rows(box(), 2000, 1))
+    scene = Scene(tmp_path / "scene", 64)
+    encoded, local, whole = (
+        OPERATIONS[name].prepare(scene)()
+        for name in ("encode, compact", "local edit ttt, compact", "global edit ttt, compact")
+    )
+    assert encoded.learnt is not None and encoded.receipt is None
+    assert (local.receipt.method, local.receipt.mode) == ("ttt", "local") and local.receipt.appended_rows > 0
+    assert (whole.receipt.method, whole.receipt.mode) == ("ttt", "global") and len(whole.receipt.touched) == 2000
+    # Only on scenes that are large enough.
+    folder = tmp_path / "out"
+    assert not speed.run(speed.SpeedBench(folder, only=("ttt",), rows=(2000,), sizes=(64,)))
+
+
 @pytest.mark.parametrize(
     "wrong, said",
     [

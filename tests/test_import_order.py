@@ -29,7 +29,9 @@ ORDER = (
     ("session",),
     ("sources",),
     ("studio",),
-    ("data", "train", "evaluate"),
+    ("data",),
+    ("train",),
+    ("evaluate",),
     ("commands",),
     ("cli", "__main__"),
 )
@@ -37,8 +39,8 @@ ORDER = (
 on one line may import each other. The package's own __init__ is the public face: it names everybody, and nobody in the
 package imports a name from it but the version."""
 LEAVES = {"data", "train", "evaluate"}
-FRONT = {"commands", "cli"}
-"""Those that may import leaves."""
+FRONT = {"train", "evaluate", "commands", "cli"}
+"""Those that may import leaves: training and the tables stand on the data, and the command line on all of them."""
 LEVEL = {name: level for level, names in enumerate(ORDER) for name in names}
 LONGEST = 450
 
@@ -114,8 +116,22 @@ def later():
 
 
 def test_the_checker_refuses_what_the_design_forbids() -> None:
-    refused = [("io", "render"), ("voxels", "raycast"), ("lift", "painter"), ("painter", "evaluate"), ("data", "train")]
-    allowed = [("lift", "voxels"), ("painter", "receipts"), ("cli", "evaluate"), ("io", "io"), ("train", "models")]
+    refused = [
+        ("io", "render"),
+        ("voxels", "raycast"),
+        ("lift", "painter"),
+        ("painter", "evaluate"),
+        ("data", "train"),
+        ("session", "data"),
+    ]
+    allowed = [
+        ("lift", "voxels"),
+        ("painter", "receipts"),
+        ("cli", "evaluate"),
+        ("io", "io"),
+        ("train", "models"),
+        ("train", "data"),
+    ]
     assert all(complaint(*pair) for pair in [*refused, ("lift", ""), ("lift", "Splats")])
     assert not any(complaint(*pair) for pair in allowed)
 

@@ -86,3 +86,13 @@ def test_every_field_says_what_it_is() -> None:
         for entry in fields(kind):
             at = next(i for i in range(start, len(lines)) if lines[i].startswith(f"    {entry.name}:"))
             assert lines[at + 1].lstrip().startswith('"""'), f"{kind.__name__}.{entry.name}"
+
+
+def test_a_residual_on_the_lift_has_no_second_set_and_no_absolute_decoder() -> None:
+    compact = PRESETS["compact"]
+    with pytest.raises(ValueError, match="expected detail=False with base='lift'"):
+        replace(compact.refine, base="lift")
+    refine = replace(compact.refine, base="lift", detail=False)
+    assert ModelConfig.from_json(replace(compact, refine=refine).to_json()).refine.base == "lift"
+    with pytest.raises(ValueError, match="expected decoder='residual'"):
+        replace(compact, refine=refine, decoder="absolute")

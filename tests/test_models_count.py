@@ -69,7 +69,7 @@ def test_operations_equal_what_torch_counts(loss: str, representation: str) -> N
     groups = replace(whole, starts=np.arange(0, 201, 4), centers=np.repeat(whole.centers[:1], 50, axis=0))
     assert isinstance(tokens, torch.Tensor)
     tied, rows = links(200, len(tokens)), splats.torch()
-    total, latents = counted(lambda: model.encode_rows(tokens, rows, tied, groups))
+    total, latents = counted(lambda: model.compressor(tokens, rows, tied, groups))
     projection = 2 * len(tokens) * config.lrm.dim * config.compress.dim
     # A kept row alone in its group needs no products for its attention.
     alone = 0 if native else config.compress.decoder_layers * 0.25 * 4 * config.compress.dim
@@ -84,7 +84,7 @@ def test_operations_equal_what_torch_counts(loss: str, representation: str) -> N
     total, refined = counted(lambda: model.refiner.read(state, model.refiner.prepare(values, lift)))  # type: ignore[arg-type]
     head, _ = counted(lambda: model.head(values))
     assert total + head == pytest.approx(len(values) * cost.latent, rel=1e-6)
-    total, _ = counted(lambda: model.refiner.detail(state, values, refined))  # type: ignore[arg-type]
+    total, _ = counted(lambda: model.refiner.read_detail(model.refiner.learn_detail(state, refined), values))  # type: ignore[arg-type]
     one_layer = cost.edit / config.refine.blocks
     assert total + head == pytest.approx(len(values) * cost.detail + one_layer, rel=1e-6)
 

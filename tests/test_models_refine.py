@@ -216,18 +216,23 @@ def test_strength_zero_and_an_empty_edit_change_nothing() -> None:
     assert 0 < distance[0] < 0.3 * distance[1]
 
 
+def second_set(net: Refiner, state: RefineState, original: Tensor, refined: Tensor) -> tuple[RefineState, Tensor]:
+    state = net.learn_detail(state, refined)
+    return state, net.read_detail(state, original)
+
+
 @torch.no_grad()
 def test_the_second_set_learns_from_the_refined_latents() -> None:
     net = refiner()
     state = net.adapt(net.initial_state(), tokenize(pictures(), GROUPS, TINY.refine))
     original = some_latents()
     refined = net.read(state, original)
-    after, second = net.detail(state, original, refined)
+    after, second = second_set(net, state, original, refined)
     assert second.shape == original.shape and not torch.allclose(second, refined, atol=1e-2)
-    _, other = net.detail(state, original, refined.flip(1))
+    _, other = second_set(net, state, original, refined.flip(1))
     assert not torch.allclose(second, other, atol=1e-3)
     turn = torch.randperm(len(original), generator=torch.Generator().manual_seed(2))
-    _, turned = net.detail(state, original[turn], refined[turn])
+    _, turned = second_set(net, state, original[turn], refined[turn])
     torch.testing.assert_close(turned, second[turn], rtol=1e-3, atol=1e-3)
     assert all(a is b for a, b in zip(after.blocks, state.blocks, strict=True)) and after.detail is not state.detail
 
@@ -240,6 +245,7 @@ ABLATIONS = [
     {"mixer": "cross_attention"},
     {"lift_features": False, "mask_tokens": False, "image_channels": ("edited", "rays")},
     {"detail": False},
+    {"base": "lift", "detail": False},
 ]
 
 
@@ -249,10 +255,11 @@ def test_no_parameter_of_any_configuration_is_dead(changes: dict) -> None:
     config = with_refine(TINY, **changes).refine
     net = refiner(with_refine(TINY, **changes))
     state = net.adapt(net.initial_state(), tokenize(pictures(), GROUPS, config))
-    original = net.prepare(some_latents(), some_lift() if config.lift_features else None)
+    drift = torch.randn(len(some_latents()), 7, generator=torch.Generator().manual_seed(4))
+    original = net.prepare(some_latents(), some_lift() if config.lift_features else None, drift)
     values = net.read(state, original)
     if config.detail:
-        values = torch.cat([values, net.detail(state, original, values)[1]])
+        values = torch.cat([values, second_set(net, state, original, values)[1]])
     (values * torch.randn(values.shape, generator=torch.Generator().manual_seed(3))).sum().backward()
     dead = [name for name, p in net.named_parameters() if p.grad is None or not p.grad.any()]
     assert dead == []

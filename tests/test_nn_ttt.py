@@ -183,3 +183,14 @@ def test_bf16_autocast_follows_float32() -> None:
 def test_heads_must_divide_the_width() -> None:
     with pytest.raises(ValueError, match="got 16 and 3"):
         layer(heads=3)
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 19, 20, 50])
+@pytest.mark.parametrize("masked", [False, True])
+def test_an_edit_in_parts_is_the_edit(chunk: int, masked: bool) -> None:
+    made, x = layer(inner_loss="l2", inner_steps=2), tokens()
+    mask = torch.linspace(0, 1, len(x)) if masked else None
+    whole = made.update(made.initial_state(), x, mask)
+    parts = made.update(made.initial_state(), x, mask, chunk=chunk)
+    for one, two in zip(parts, whole, strict=True):
+        torch.testing.assert_close(one, two, rtol=1e-3, atol=1e-4)

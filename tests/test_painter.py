@@ -42,7 +42,7 @@ def dab(splats: Splats, color, x: float = 48, y: float = 48, radius: float = 10,
 
 
 def apply(splats: Splats, edits: list[Edit], **how) -> Asset:
-    painter = Painter.load()
+    painter = Painter.load("lift")
     return painter.apply(painter.encode(splats), edits, **how)
 
 
@@ -69,8 +69,8 @@ def test_an_edit_does_not_touch_its_asset(mode, method):
         getattr(splats, name).flags.writeable = False
     edit = dab(splats, RED)
     image = edit.image.copy()
-    asset = Painter.load().encode(splats)
-    result = Painter.load().apply(asset, [edit], mode=mode, method=method)
+    asset = Painter.load("lift").encode(splats)
+    result = Painter.load("lift").apply(asset, [edit], mode=mode, method=method)
     assert asset.splats is splats and asset.receipt is None and asset.confidence is None
     for name in NAMES:
         np.testing.assert_array_equal(bits(getattr(splats, name)), bits(copies[name]))
@@ -210,7 +210,7 @@ def test_a_second_edit_starts_from_the_first_ones_result(tmp_path):
     sp.write(tmp_path / "a.ply", splats)
     read = sp.read(tmp_path / "a.ply")
     first = apply(read, [dab(read, RED, 30)])
-    second = Painter.load().apply(first, [dab(first.splats, BLUE, 66)])
+    second = Painter.load("lift").apply(first, [dab(first.splats, BLUE, 66)])
     one, two = receipt_of(first), receipt_of(second)
     assert one.asset_sha256 == hashlib.sha256((tmp_path / "a.ply").read_bytes()).hexdigest()
     # The second is not an edit of that file any more.
@@ -299,9 +299,9 @@ ERRORS: dict[str, tuple[Callable[[Splats], object], str]] = {
     "unknown method": (edit_once(method="magic"), "auto, ttt, lift or fit.*'magic'"),
     "unknown mode": (edit_once(mode="everywhere"), "local or global.*'everywhere'"),
     "fit is local": (edit_once(mode="global", method="fit"), "'fit' is for local"),
-    "unknown preset": (lambda s: Painter.load("paper"), "'lift'.*'paper'"),
+    "unknown preset": (lambda s: Painter.load("paper"), "'paper': no trained weights.*'lift'"),
     "nothing to draw": (
-        lambda s: Painter.load().encode(replace(s, opacities=np.full(len(s), np.nan, np.float32))),
+        lambda s: Painter.load("lift").encode(replace(s, opacities=np.full(len(s), np.nan, np.float32))),
         "none of the 2427 rows",
     ),
 }
@@ -331,9 +331,9 @@ def test_the_wrong_one_of_several_edits_is_named():
 
 def test_tensors_become_an_asset_too():
     splats = object_()
-    asset = Painter.load().encode(splats.torch())
+    asset = Painter.load("lift").encode(splats.torch())
     assert same_bits(asset.splats, splats)
-    assert Painter.load().encode(splats).splats is splats
+    assert Painter.load("lift").encode(splats).splats is splats
 
 
 def test_pictures_may_be_bytes_or_floats():

@@ -62,7 +62,7 @@ def edited_files(folder: Path, suffix: str = ".ply") -> tuple[Path, Path, Receip
     splats, camera = sp.read(original), front(64)
     mask = disk(camera, 30, 34, 9)
     image = np.where(mask[..., None], [0.9, 0.1, 0.1], sp.render(splats, camera).colors[0])
-    painter = Painter.load()
+    painter = Painter.load("lift")
     result = painter.apply(painter.encode(splats), [Edit(image, camera, mask)])
     sp.write(edited, result.splats)
     assert result.receipt is not None
@@ -389,7 +389,7 @@ def test_a_capture_keeps_every_byte_that_was_not_painted(shared, tmp_path, name)
     camera = orbit(center, 2.2 * radius, 1, width=192, height=192)[0]
     mask = disk(camera, 96, 96, 12)
     image = np.where(mask[..., None], [0.9, 0.1, 0.1], sp.render(splats, camera).colors[0])
-    painter = Painter.load()
+    painter = Painter.load("lift")
     result = painter.apply(painter.encode(splats), [Edit(image, camera, mask)])
     sp.write(edited, result.splats)
     assert result.receipt is not None

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from splatpainter.receipts import verify as verify
     from splatpainter.render import Render as Render
     from splatpainter.render import render as render
+    from splatpainter.session import Session as Session
     from splatpainter.splats import Splats as Splats
+    from splatpainter.studio.server import studio as studio
 
 __version__ = "0.1.0"
 
@@ -37,8 +39,10 @@ _HOME = {
     "Painter": "painter",
     "Asset": "painter",
     "Edit": "painter",
+    "Session": "session",
     "Receipt": "receipts",
     "verify": "receipts",
+    "studio": "studio",
 }
 __all__ = [
     "Asset",
@@ -47,11 +51,13 @@ __all__ = [
     "Painter",
     "Receipt",
     "Render",
+    "Session",
     "Splats",
     "look_at",
     "orbit",
     "read",
     "render",
+    "studio",
     "verify",
     "write",
 ]

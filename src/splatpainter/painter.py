@@ -1,6 +1,6 @@
-"""The painter: pure functions from (asset, edits) to asset. Knows no files, no layers and no history.
+"""The painter: pure functions from (asset, edits) to asset. Knows no layers and no history.
 
-painter = Painter.load()                      # the analytic lift; presets with weights come with the models
+painter = Painter.load()                      # trained weights where there are some, else the analytic lift
 asset = painter.encode(splats)                # once per asset
 edited = painter.apply(asset, [Edit(picture, camera)])
 edited.splats, edited.receipt
@@ -24,6 +24,10 @@ from splatpainter.splats import Splats
 if TYPE_CHECKING:
     from splatpainter.lift.local import LocalOptions
     from splatpainter.lift.whole import GlobalOptions
+    from splatpainter.models.draft import Draft, EditView
+    from splatpainter.models.encode import Encoded
+    from splatpainter.models.model import SplatPainterModel
+    from splatpainter.models.refine import RefineState
     from splatpainter.voxels import VoxelGrid
 
 Mode = Literal["local", "global"]
@@ -68,13 +72,16 @@ class Edit:
 
 @dataclass(frozen=True)
 class Asset:
-    """An encoded asset: its rows, and what a painter keeps beside them. Immutable; edits return new ones."""
+    """An asset that can be edited: its rows, and what a painter keeps beside them. Immutable; edits return new ones,
+    and to undo one is to go on from the old."""
 
     splats: Splats
     receipt: Receipt | None = None
     """Of the edit that made it; None for a fresh one."""
     confidence: np.ndarray | None = field(default=None, repr=False)
     """[N] float32 0..1 after a global edit: seen (1) or predicted (towards 0)."""
+    learnt: Learnt | None = field(default=None, repr=False)
+    """What a model knows of it; None where no edit has needed that yet."""
 
     @cached_property
     def grid(self) -> VoxelGrid:
@@ -85,178 +92,290 @@ class Asset:
 
 
 @dataclass(frozen=True)
+class Learnt:
+    """What a model knows of an asset: its encoding, and what the edits since have taught it."""
+
+    model: SplatPainterModel
+    """Whose they are; another one starts afresh."""
+    encoded: Encoded
+    """Of the asset as it was before all edits."""
+    parents: np.ndarray
+    """[N] int64 the encoded row whose latent each row of the asset reads: itself, or the one that it was split from."""
+    state: RefineState | None = None
+    """Fast weights, which the next edit starts from; None before the first."""
+
+
+@dataclass(frozen=True)
 class Painter:
     """A method with its settings."""
 
-    preset: str = "lift"
+    preset: str = ""
+    """What receipts call it; by default the model's preset, or "lift"."""
     local: LocalOptions | None = None
     """Settings of local lifts; None: the defaults."""
     whole: GlobalOptions | None = None
     """Settings of global lifts; None: the defaults."""
+    model: SplatPainterModel | None = field(default=None, repr=False)
+    """The networks for method "ttt", on any device; None: the lift alone."""
+    polish: bool = False
+    """Two rounds of the lift's colours after the network, on the rows that the edit may change."""
+    cache: bool = False
+    """Keep encoded assets on disk (models/cache.py); for models whose weights stay as they are."""
+    why: str = ""
+    """Said in receipts where method "auto" chooses the lift."""
+
+    def __post_init__(self) -> None:
+        if not self.preset:
+            object.__setattr__(self, "preset", "lift" if self.model is None else self.model.config.preset)
 
     @staticmethod
-    def load(preset: str = "lift") -> Painter:
-        """The painter of a preset. Raises ValueError for one that this version does not have."""
-        if preset != "lift":
-            raise ValueError(
-                f"preset: expected 'lift' (presets with trained weights are not part of this version), got {preset!r}"
-            )
-        return Painter(preset)
+    def load(preset: str = "auto", *, polish: bool = False, cache: bool = True) -> Painter:
+        """The painter of a preset: "lift", "compact", "paper", or a folder of weights; "auto" is "compact" where its
+        weights are there, else "lift". polish, cache: as the fields.
 
-    def encode(self, splats: Splats) -> Asset:
-        """Prepare an asset for edits. Raises ValueError when it has no row that can be drawn."""
+        Raises ValueError for a preset that is not known, or has no weights or wrong ones."""
+        from splatpainter.models import weights
+
+        if preset == "auto":
+            preset = "compact" if weights.find("compact") is not None else "lift"
+            why = "no trained weights: the analytic lift"
+        else:
+            why = "preset 'lift': the analytic lift"
+        if preset == "lift":
+            return Painter(why=why)
+        return Painter(model=weights.load(preset), polish=polish, cache=cache)
+
+    def encode(self, splats: Splats, method: Method = "auto") -> Asset:
+        """Prepare an asset for edits by `method`: for "ttt", run the LRM and Stage I. In `copy` representation the
+        asset's rows are then Stage I's. Raises ValueError when it has no row that can be drawn."""
         own = splats.numpy()
         if not own.finite.any():
             raise ValueError(f"asset: none of the {len(own)} rows can be drawn (NaN, zero scale or zero quaternion)")
-        return Asset(own)
+        asset = Asset(own)
+        return self._encoded(asset) if self._choose(method)[0] == "ttt" else asset
 
     def apply(self, asset: Asset, edits: Sequence[Edit], mode: Mode = "local", method: Method = "auto") -> Asset:
         """The asset after 1..16 edits; `asset` itself does not change. Later edits win where edits conflict.
 
         mode "local": only rows that visibly make the edited pixels change, rows finer than the old ones are appended.
         mode "global": every row changes; what the views do not show is predicted from what they do.
+        method "ttt": the networks (pictures of one size); "lift": analytic; "fit": plain optimisation; "auto": ttt
+        where the painter has a model. An asset that its model has not encoded yet is encoded first.
         Rows that did not have to change keep their bits, and old rows keep their indices.
         Raises ValueError: no edits, an empty mask, an edit that reaches no row, a camera inside the object."""
         if not 1 <= len(edits) <= MAX_VIEWS:
             raise ValueError(f"edit: expected 1 to {MAX_VIEWS} edited views, got {len(edits)}")
         if mode not in ("local", "global"):
             raise ValueError(f"edit: expected mode local or global, got {mode!r}")
-        chosen, note = _choose(method)
+        chosen, note = self._choose(method)
+        if mode == "global" and chosen == "fit":
+            raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
         clock = _Clock()
-        prepared = []
-        for edit in edits:
-            with _errors_name(edit.name):
-                prepared.append(_prepare(asset, edit, mode))
+        if chosen == "ttt":
+            _one_size(edits)
+            asset = self._encoded(asset)
+            clock.lap("encode")
+        views = [_prepare(asset, edit, mode) for edit in edits]
         clock.lap("prepare")
-        confidence = None
-        if mode == "global":
-            if chosen == "fit":
-                raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
-            from splatpainter.lift.whole import GlobalOptions, lift_global
-
-            views = [(v.camera, v.target, v.mask) for v in prepared]
-            with _errors_name(", ".join(dict.fromkeys(v.name for v in prepared))):
-                regraded = lift_global(asset.splats, views, self.whole or GlobalOptions())
-            result, confidence = regraded.splats, regraded.confidence
-        elif chosen == "fit":
-            result = _fit(asset, prepared)
-        else:
-            result = self._lift_views(asset, prepared)
-        clock.lap(chosen)
-        images = [(v.before, _draw(result, v.camera)[0], v.target, v.mask, v.scored) for v in prepared]
-        beside = sum(int((v.mask & ~v.scored).sum()) for v in prepared)
-        if mode == "local" and beside > 0.01 * sum(int(v.mask.sum()) for v in prepared):
-            note = "; ".join(filter(None, [note, f"{beside} edited pixels lie beside the asset and cannot be painted"]))
-        touched = changed_rows(asset.splats, result)
-        hashes = untouched_hashes(asset.splats, result, touched)
+        result = self._edited(asset, views, mode, chosen, clock)
+        notes = [note, _beside(views) if mode == "local" else ""]
+        if chosen == "ttt":
+            assert self.model is not None
+            notes.append("polished: two rounds of the lift after the network" if self.polish else "")
+            if self.model.config.representation == "copy":
+                notes.append(f"the asset is a copy of {len(asset.splats)} rows that the model made")
+        touched = changed_rows(asset.splats, result.splats)
+        hashes = untouched_hashes(asset.splats, result.splats, touched)
+        judged = scores([(v.before, _draw(result.splats, v.camera)[0], v.target, v.mask, _scored(v)) for v in views])
         clock.lap("receipt")
         receipt = Receipt(
             asset_sha256=asset.splats.sha256,
             asset_rows=len(asset.splats),
             output_sha256="",
-            output_rows=len(result),
+            output_rows=len(result.splats),
             mode=mode,
             method=chosen,
-            preset=self.preset,
+            preset=self.preset if chosen == "ttt" else "lift",
             touched=touched,
-            appended_rows=len(result) - len(asset.splats),
+            appended_rows=len(result.splats) - len(asset.splats),
             untouched_sha256_before=hashes[0],
             untouched_sha256_after=hashes[1],
-            views=scores(images),
+            views=judged,
             seconds=clock.laps,
-            note=note,
+            note="; ".join(filter(None, notes)),
         )
-        return Asset(result, receipt, confidence)
+        return replace(result, receipt=receipt)
 
-    def _lift_views(self, asset: Asset, views: Sequence[_View]) -> Splats:
-        """One view after the other, each on the result of those before: the latest wins."""
-        from splatpainter.lift.local import LocalOptions, lift_local
+    def _edited(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: str, clock: _Clock) -> Asset:
+        """The asset after the views, still with the old receipt."""
+        if chosen == "fit":
+            result = replace(asset, splats=_fit(asset, views), confidence=None)
+            clock.lap("fit")
+            return result
+        draft = self._draft(asset, views, mode, chosen)
+        clock.lap("lift")
+        if chosen == "lift":
+            owners = draft.owners(len(asset.splats))
+            return replace(asset, splats=draft.splats, confidence=draft.confidence, learnt=_owned(asset, owners))
+        result = self._refined(asset, draft, views)
+        clock.lap("ttt")
+        if self.polish:
+            result = replace(result, splats=_polished(asset.splats, result.splats, draft, views, mode))
+            clock.lap("polish")
+        return result
 
-        splats = asset.splats
-        options = self.local or LocalOptions()
-        for k, view in enumerate(views):
-            grid = asset.grid if k == 0 else replace(asset, splats=splats).grid
-            with _errors_name(view.name):
-                allowed = _allowed(grid, splats, view)
-                splats = lift_local(splats, view.camera, view.target, view.mask, options, allowed).splats
-        return splats
+    def _choose(self, method: Method) -> tuple[str, str]:
+        """(method, the one line that says why)."""
+        if method == "ttt" and self.model is None:
+            raise ValueError(
+                "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
+            )
+        if method == "auto":
+            if self.model is not None:
+                return "ttt", f"weights of preset '{self.preset}': test-time training"
+            return "lift", self.why or "no trained weights: the analytic lift"
+        if method not in ("ttt", "lift", "fit"):
+            raise ValueError(f"method: expected auto, ttt, lift or fit, got {method!r}")
+        return method, ""
 
+    def _encoded(self, asset: Asset) -> Asset:
+        """The asset with what the model knows of it; the same one where that is there already."""
+        model = self.model
+        assert model is not None
+        if asset.learnt is not None and asset.learnt.model is model:
+            return asset
+        from splatpainter.models.cache import encode_cached, encode_half
 
-@dataclass(frozen=True)
-class _View:
-    camera: Camera
-    target: np.ndarray
-    before: np.ndarray
-    mask: np.ndarray
-    """[H, W] bool pixels that were edited."""
-    scored: np.ndarray
-    """[H, W] bool: those of them that the asset covers at all (alpha > 0.5)."""
-    name: str
+        with _inference(model):
+            if self.cache:
+                encoded = encode_cached(model, asset.splats, asset.grid, weights=self._digest)
+            else:
+                encoded = encode_half(model, asset.splats, asset.grid)
+        if model.config.representation == "copy":
+            asset = Asset(encoded.rows.numpy())
+        return replace(asset, learnt=Learnt(model, encoded, np.arange(len(asset.splats))))
+
+    @cached_property
+    def _digest(self) -> str:
+        from splatpainter.models.cache import digest
+
+        assert self.model is not None
+        return digest(self.model)
+
+    def _draft(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: str) -> Draft:
+        from splatpainter.models.draft import draft_global, draft_local
+
+        config = None if chosen == "lift" or self.model is None else self.model.config.refine
+        base, features = ("lift", False) if config is None else (config.base, config.lift_features)
+        if mode == "global":
+            return draft_global(asset.splats, views, base, self.whole, features=features)
+        return draft_local(asset.splats, asset.grid, views, base, self.local, features=features)
+
+    def _refined(self, asset: Asset, draft: Draft, views: Sequence[EditView]) -> Asset:
+        """What the network makes of a draft."""
+        from splatpainter.models.draft import assemble, refine_draft
+
+        assert self.model is not None and asset.learnt is not None
+        learnt = asset.learnt
+        known = replace(draft, parents=learnt.parents[draft.parents])
+        with _inference(self.model):
+            state = learnt.state or self.model.initial_state()
+            state, rows, further = refine_draft(self.model, state, learnt.encoded, known, views)
+            splats = assemble(draft, rows, further)
+        owners = draft.owners(len(asset.splats))
+        owners = owners if further is None else np.append(owners, draft.parents)
+        after = _owned(asset, owners)
+        assert after is not None
+        return replace(asset, splats=splats, confidence=draft.confidence, learnt=replace(after, state=state))
 
 
 @contextmanager
-def _errors_name(name: str) -> Iterator[None]:
-    """Among several edits, the one that is wrong is named."""
+def _inference(model: SplatPainterModel) -> Iterator[None]:
+    """No gradients, the fastest arithmetic of the model's device, and eval mode; the model's own mode comes back."""
+    import torch
+
+    from splatpainter.models.model import fast_math
+
+    training = model.training
+    model.eval()
     try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"{name}: {str(error).removeprefix('edit: ')}") from None
+        with torch.inference_mode(), fast_math(next(model.parameters()).device):
+            yield
+    finally:
+        model.train(training)
 
 
-def _choose(method: Method) -> tuple[str, str]:
-    """(method, the one line that says why)."""
-    if method == "ttt":
-        raise ValueError("method 'ttt' needs trained weights, which this version does not have; use 'lift' or 'auto'")
-    if method == "auto":
-        return "lift", "no trained weights: the analytic lift"
-    if method not in ("lift", "fit"):
-        raise ValueError(f"method: expected auto, ttt, lift or fit, got {method!r}")
-    return method, ""
+def _owned(asset: Asset, owners: np.ndarray) -> Learnt | None:
+    """What is known of an asset whose rows come from the rows `owners` of this one."""
+    return None if asset.learnt is None else replace(asset.learnt, parents=asset.learnt.parents[owners])
 
 
-def _prepare(asset: Asset, edit: Edit, mode: Mode) -> _View:
+def _one_size(edits: Sequence[Edit]) -> None:
+    from splatpainter.models.pictures import one_size
+
+    one_size([edit.camera for edit in edits])
+
+
+def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
+    """The edit beside what the asset shows. Raises ValueError, naming the edit, where there is nothing to do."""
     from splatpainter.lift.masks import change_mask
+    from splatpainter.models.draft import EditView, errors_name
     from splatpainter.raycast import inside
 
-    if inside(asset.grid, asset.grid.occupancy, edit.camera.position):
-        raise ValueError("edit: the camera is inside the object; step back until the surface is in view")
-    before, covered = _draw(asset.splats, edit.camera)
-    if mode == "global":
-        mask = covered > 0.5 if edit.mask is None else edit.mask
-    else:
-        mask = change_mask(edit.image, before) if edit.mask is None else edit.mask
-    if not mask.any():
-        unchanged = "the asset is not in view" if mode == "global" else "the picture does not differ from the render"
-        what = unchanged if edit.mask is None else "the mask is empty"
-        raise ValueError(f"edit: nothing to do, {what}")
-    return _View(edit.camera, edit.image, before, mask, mask & (covered > 0.5), edit.name)
+    with errors_name(edit.name):
+        if inside(asset.grid, asset.grid.occupancy, edit.camera.position):
+            raise ValueError("edit: the camera is inside the object; step back until the surface is in view")
+        before, depth, alpha = _draw(asset.splats, edit.camera)
+        mask = edit.mask
+        if mask is None:
+            mask = alpha > 0.5 if mode == "global" else change_mask(edit.image, before)
+        if not mask.any():
+            unchanged = (
+                "the asset is not in view" if mode == "global" else "the picture does not differ from the render"
+            )
+            what = unchanged if edit.mask is None else "the mask is empty"
+            raise ValueError(f"edit: nothing to do, {what}")
+    return EditView(edit.camera, edit.image, mask, before, depth, alpha, edit.name)
 
 
-def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """(colours [H, W, 3], alpha [H, W])."""
+def _scored(view: EditView) -> np.ndarray:
+    """[H, W] bool: edited pixels that the asset covers at all."""
+    assert view.alpha is not None
+    return view.mask & (view.alpha > 0.5)
+
+
+def _beside(views: Sequence[EditView]) -> str:
+    """A line about edited pixels that no row can paint, or none."""
+    edited = sum(int(view.mask.sum()) for view in views)
+    beside = edited - sum(int(_scored(view).sum()) for view in views)
+    return f"{beside} edited pixels lie beside the asset and cannot be painted" if beside > 0.01 * edited else ""
+
+
+def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(colours [H, W, 3], expected depth [H, W], alpha [H, W])."""
     from splatpainter.render import render
 
     picture = render(splats, camera)
-    return picture.colors[0], picture.alphas[0, ..., 0]
+    return picture.colors[0], picture.depths[0, ..., 0], picture.alphas[0, ..., 0]
 
 
-def _allowed(grid: VoxelGrid, splats: Splats, view: _View) -> np.ndarray:
-    from splatpainter.raycast import editable_rows
+def _polished(before: Splats, after: Splats, draft: Draft, views: Sequence[EditView], mode: Mode) -> Splats:
+    from splatpainter.models.polish import polish_global, polish_local
 
-    return editable_rows(grid, splats, view.camera, view.mask)
+    if mode == "global":
+        return polish_global(after, [(v.camera, v.target, v.mask) for v in views])
+    rows = np.ones(len(after), bool)
+    rows[: len(before)] = False
+    rows[draft.rows] = True
+    return polish_local(after, [(v.camera, v.wanted) for v in views], rows)
 
 
-def _fit(asset: Asset, views: Sequence[_View]) -> Splats:
+def _fit(asset: Asset, views: Sequence[EditView]) -> Splats:
     from splatpainter.lift.fit import fit_rows
-    from splatpainter.lift.local import reached_rows
+    from splatpainter.models.draft import rows_reached
 
-    splats = asset.splats
-    reached = np.zeros(len(splats), bool)
-    for view in views:
-        with _errors_name(view.name):
-            reached |= reached_rows(splats, view.camera, view.mask, _allowed(asset.grid, splats, view))
-    targets = [(v.camera, np.where(v.mask[..., None], v.target, v.before)) for v in views]
-    return fit_rows(splats, targets, np.flatnonzero(reached))
+    reached = np.flatnonzero(rows_reached(asset.splats, asset.grid, views))
+    return fit_rows(asset.splats, [(v.camera, v.wanted) for v in views], reached)
 
 
 class _Clock:

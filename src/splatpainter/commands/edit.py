@@ -49,7 +49,12 @@ class Config:
     mode: Mode = "local"
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
     method: Method = "auto"
-    """How: lift (analytic), fit (plain optimisation, to compare), ttt (needs trained weights); auto chooses."""
+    """How: lift (analytic), fit (plain optimisation, to compare), ttt (the networks); auto: ttt with weights, else
+    lift."""
+    preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
+    """Weights: compact, paper, a folder of weights, or lift (none); auto: compact where its weights are, else lift."""
+    polish: bool = False
+    """After the networks, two colour rounds of the lift: nearer to the picture, further from what was learnt."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False
@@ -65,13 +70,14 @@ def run(config: Config) -> Outcome:
     sources = _pictures(config)
     clock = time.perf_counter()
     with stages(4) as bar:
+        painter = _painter(config)
         bar.enter("reading")
         splats = read(config.asset)
         laps = {"read": time.perf_counter() - clock}
         _warn_of_other_assets(sources, splats)
         _compile()
         bar.enter("painting")
-        edited = paint(splats, sources, config.mode, config.method)
+        edited = paint(splats, sources, config.mode, config.method, painter)
         assert edited.receipt is not None
         clock = time.perf_counter()
         # Left in reverse order: OUT takes its name first, the receipt, which is on disk by then, after it.
@@ -94,11 +100,24 @@ def run(config: Config) -> Outcome:
     )
 
 
-def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method) -> Asset:
-    """The asset after the pictures."""
-    painter = Painter.load()
-    asset = painter.encode(splats)
+def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method, painter: Painter | None = None) -> Asset:
+    """The asset after the pictures. painter: by default that of preset "auto"."""
+    painter = painter or Painter.load()
+    asset = painter.encode(splats, method)
     return painter.apply(asset, [source.edit(splats, mode) for source in sources], mode, method)
+
+
+def _painter(config: Config) -> Painter:
+    """Before anything is read that takes time: weights that are missing or wrong are the likeliest complaint."""
+    painter = Painter.load(config.preset, polish=config.polish)
+    if painter.model is not None and painter.model.config.representation == "copy" and config.method in ("auto", "ttt"):
+        raise ValueError(
+            f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no row could be "
+            "verified; use it from Python, or a preset of representation native"
+        )
+    if config.polish and (painter.model is None or config.method in ("lift", "fit")):
+        raise ValueError("splatpainter edit: --polish is for the networks (method ttt); the lift is what it would add")
+    return painter
 
 
 def _check(config: Config, receipt_path: Path) -> None:
@@ -154,7 +173,8 @@ def _record(config: Config, path: Path, receipt: Receipt, found: Verification, s
 def _lines(config: Config, receipt: Receipt, found: Verification, sources: list[FileEdit], rounded: int) -> list[str]:
     lines = [f"{config.asset} -> {config.out}"]
     lines += [f"{source.path}: {note}" for source in sources for note in source.notes]
-    lines.append(f"method {receipt.method}, mode {receipt.mode}")
+    weights = f" with preset {receipt.preset}" if receipt.method == "ttt" else ""
+    lines.append(f"method {receipt.method}{weights}, mode {receipt.mode}")
     lines += [f"note: {note}" for note in receipt.note.split("; ") if note]
     for source, view in zip(sources, receipt.views, strict=True):
         inside = f"{decibels(view.psnr_before)} -> {decibels(view.psnr_after)} against the picture, where it was edited"

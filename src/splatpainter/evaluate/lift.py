@@ -156,7 +156,7 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
     with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as place:
         ply = Path(place) / "original.ply"
         write(ply, source)
-        painter = Painter.load()
+        painter = Painter.load("lift")
         start = time.perf_counter()
         asset = painter.encode(read(ply))
         assert asset.grid is not None

@@ -18,7 +18,11 @@ from splatpainter.evaluate.scenes import Scene
 from splatpainter.evaluate.timing import measure
 from splatpainter.splats import ATTRIBUTES, Splats
 
+DISC = 0.131
+"""Radius of the painted disc that the networks are timed with: about 3,000 of 100,000 rows."""
 Work = Callable[[], Any]
+NETWORKS = 100_000
+"""Rows from which the networks are timed: on fewer, what an edit costs whatever its size hides the rest."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,10 @@ class Operation:
     """Least picture size that it makes sense for, pixels."""
     throughput: bool = True
     """Whether it works on all rows, so that rows per second mean something."""
+    least_rows: int = 0
+    """Scenes with fewer rows are left out."""
+    largest: int = 1 << 20
+    """Largest picture that it is timed with, pixels."""
 
 
 def render_forward(scene: Scene) -> Work:
@@ -104,11 +112,61 @@ def edit_global(scene: Scene) -> Work:
 def _edit(scene: Scene, kind: str, mode: Any) -> Work:
     from splatpainter.painter import Edit, Painter
 
-    painter = Painter.load()
+    painter = Painter.load("lift")
     asset = painter.encode(scene.splats)
     assert asset.grid is not None  # once per asset; timed as "voxels"
     edit = Edit(scene.edited(kind)[0], scene.camera)
     return lambda: painter.apply(asset, [edit], mode=mode)
+
+
+def encode(scene: Scene) -> Work:
+    """Canonical views, LRM and Stage I of the preset `compact`; nothing from the cache. Times do not depend on the
+    weights, so untrained ones will do."""
+    painter, splats = _networks(), scene.splats
+    return lambda: painter.encode(replace(splats))
+
+
+def edit_networks_local(scene: Scene) -> Work:
+    """A whole edit by the networks: a disc on the pot's belly that about 3,000 rows of a hundred thousand make."""
+    return _edit_networks(scene, "local")
+
+
+def edit_networks_global(scene: Scene) -> Work:
+    """A whole global edit by the networks from one regraded view."""
+    return _edit_networks(scene, "global")
+
+
+def _edit_networks(scene: Scene, mode: Any) -> Work:
+    from splatpainter.painter import Edit
+
+    painter = _networks()
+    asset = painter.encode(scene.splats)
+    assert asset.grid is not None
+    picture, mask = _disc(scene) if mode == "local" else (scene.edited("grade")[0], None)
+    edit = Edit(picture, scene.camera, mask)
+    return lambda: painter.apply(asset, [edit], mode=mode)
+
+
+def _disc(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """([H, W, 3] float32 picture, [H, W] bool) a red disc around the dab, DISC of the picture in radius."""
+    v, u = np.nonzero(scene.edited("dab")[1])
+    across = np.hypot(*(np.indices((scene.size, scene.size)) - np.array([v.mean(), u.mean()])[:, None, None]))
+    mask = across < DISC * scene.size
+    return np.where(mask[..., None], np.array([0.8, 0.2, 0.15], np.float32), scene.render), mask
+
+
+def _networks() -> Any:
+    """Untrained, but with a decoder that says something, so that every row is written and children are appended."""
+    import torch
+
+    from splatpainter.models.config import COMPACT
+    from splatpainter.models.model import SplatPainterModel
+    from splatpainter.painter import Painter
+
+    torch.manual_seed(0)
+    model = SplatPainterModel(COMPACT)
+    torch.nn.init.normal_(model.head.linear.weight, std=1e-3)
+    return Painter(model=model)
 
 
 def lift_dab(scene: Scene) -> Work:
@@ -184,6 +242,11 @@ OPERATIONS: dict[str, Operation] = {
     "preview round, dab": Operation(preview_round, smallest=512, throughput=False),
     "preview round and projection": Operation(preview_project, smallest=512, throughput=False),
     "global edit, one view": Operation(edit_global, smallest=512),
+    "encode, compact": Operation(encode, views=False, least_rows=NETWORKS, large=False),
+    "local edit ttt, compact": Operation(
+        edit_networks_local, least_rows=NETWORKS, large=False, largest=256, throughput=False
+    ),
+    "global edit ttt, compact": Operation(edit_networks_global, least_rows=NETWORKS, large=False, largest=256),
     "open PLY": Operation(open_file, views=False),
     "save PLY": Operation(save_file, views=False),
 }
@@ -242,7 +305,7 @@ def edit_file(ply: str, picture: str) -> dict[str, float]:
     lap("imports")
     splats = read(ply)
     lap("open PLY")
-    painter = Painter.load()
+    painter = Painter.load("lift")
     asset = painter.encode(splats)
     edited = painter.apply(asset, [edit_from_files(Path(picture)).edit(splats)])
     lap("edit")

@@ -9,16 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.sources.layers import face, filled, over
+
+__all__ = ["PALETTE", "color_against", "over", "recolored", "stroke_layer", "text_layer", "wave"]
 SUPERSAMPLING = 4
 """Text is drawn at this many times the size per axis and averaged."""
 PALETTE = ((0.76, 0.09, 0.13), (0.09, 0.26, 0.72), (0.98, 0.82, 0.12), (0.94, 0.95, 0.93), (0.05, 0.45, 0.25))
 """Crimson, ultramarine, yellow, white, green: paint that is not the colour of what it is put on."""
-
-
-def over(image: np.ndarray, layer: np.ndarray) -> np.ndarray:
-    """[H, W, 3] image with a layer on top."""
-    share = layer[..., 3:]
-    return (image * (1 - share) + layer[..., :3] * share).astype(np.float32)
 
 
 def color_against(image: np.ndarray, coverage: np.ndarray, but: tuple[float, ...] | None = None) -> tuple:
@@ -44,22 +41,16 @@ def text_layer(
     """Bold antialiased text. shape: (H, W) of the layer; middle: x, y of the text's middle, pixels; height: of its
     capitals, pixels. font: a TrueType or OpenType file, by default Pillow's own scalable font.
     Raises ValueError when the font cannot be read."""
-    from PIL import Image, ImageDraw, ImageFont
+    from PIL import Image, ImageDraw
 
     scale = SUPERSAMPLING
-    probe = 100
-    try:
-        load = (lambda size: ImageFont.truetype(str(font), size)) if font else ImageFont.load_default
-        _, top, _, bottom = load(probe).getbbox("H")
-        face = load(max(round(probe * height * scale / max(bottom - top, 1)), 1))
-    except OSError as error:
-        raise ValueError(f"{font}: expected a TrueType or OpenType font ({error})") from None
+    letters = face(font, height * scale)
     canvas = Image.new("L", (shape[1] * scale, shape[0] * scale))
     place = (middle[0] * scale, middle[1] * scale)
     bold = round(0.04 * height * scale)  # the built-in font has one weight
-    ImageDraw.Draw(canvas).text(place, text, 255, face, anchor="mm", stroke_width=bold, stroke_fill=255)
+    ImageDraw.Draw(canvas).text(place, text, 255, letters, anchor="mm", stroke_width=bold, stroke_fill=255)
     coverage = canvas.resize((shape[1], shape[0]), Image.Resampling.BOX)
-    return _layer(np.asarray(coverage, np.float32) / 255, color)
+    return filled(np.asarray(coverage, np.float32) / 255, color)
 
 
 def stroke_layer(
@@ -76,7 +67,7 @@ def stroke_layer(
         t = np.clip(((x - a[0]) * along[0] + (y - a[1]) * along[1]) / length, 0, 1) if length else 0.0
         nearest = np.minimum(nearest, (x - a[0] - t * along[0]) ** 2 + (y - a[1] - t * along[1]) ** 2)
     fall = np.clip((width / 2 - np.sqrt(nearest)) / max(softness, 1e-3), 0, 1)
-    return _layer(fall * fall * (3 - 2 * fall), color)
+    return filled(fall * fall * (3 - 2 * fall), color)
 
 
 def wave(shape: tuple[int, int], height: float) -> np.ndarray:
@@ -88,11 +79,4 @@ def wave(shape: tuple[int, int], height: float) -> np.ndarray:
 
 def recolored(layer: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
     """The same coverage in another colour."""
-    return _layer(layer[..., 3], color)
-
-
-def _layer(coverage: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
-    out = np.empty((*coverage.shape, 4), np.float32)
-    out[..., :3] = color
-    out[..., 3] = coverage
-    return out
+    return filled(layer[..., 3], color)

@@ -1,4 +1,5 @@
-"""How large the model is and what it costs: parameters and floating-point operations per stage, row and view.
+"""How large the model is and what it costs: parameters and floating-point operations per stage, row and view
+(`python -m splatpainter.models.count` prints them for both presets).
 
 Counts matrix products only (2 per multiply-add), which is what the time goes into. D width of a latent, F hidden width
 of the fast network, T tokens, G rows per voxel.
@@ -147,11 +148,17 @@ def _orthogonalise(config: RefineConfig, dim: int) -> float:
 
 def _read(config: RefineConfig, dim: int) -> float:
     """Per latent."""
-    lift = 14 * dim if config.lift_features else 0
+    told = 14 * dim * (config.lift_features + (config.base == "lift"))
     block = 4 * dim**2 + 6 * dim * config.fast_hidden + 6 * dim * config.hidden
-    return float(lift + config.blocks * block)
+    return float(told + config.blocks * block)
 
 
 def _detail(config: RefineConfig, dim: int) -> float:
     """Per latent."""
     return float(_learn(config, dim) + 4 * dim**2 + 6 * dim * config.fast_hidden)
+
+
+if __name__ == "__main__":
+    from splatpainter.models.config import PRESETS
+
+    print("\n".join(table(config) for config in PRESETS.values()))

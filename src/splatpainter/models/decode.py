@@ -49,6 +49,11 @@ class AttributeHead(nn.Module):
         with torch.autocast(latents.device.type, enabled=False):
             return self.linear(self.norm(latents.float()))
 
+    @property
+    def silent(self) -> bool:
+        """Whether every weight is zero, so that it says exactly nothing about anything: an untrained residual."""
+        return not (self.linear.weight.any() or self.linear.bias.any())
+
     def attributes(self, raw: Tensor, rows: Splats, centers: Tensor, voxel: float) -> Splats:
         """The decoded rows. raw: [M, C]; rows: the M rows, torch float32; centers: [M, 3] of their voxels, and voxel,
         the edge of one, world units."""
@@ -102,12 +107,6 @@ def absolute(rows: Splats, raw: Tensor, centers: Tensor, voxel: float) -> Splats
 def newborn(parents: Splats) -> Splats:
     """What children of `native` are a residual on: their parents, smaller and fainter (CHILD_SCALE, CHILD_OPACITY)."""
     return replace(parents, scales=parents.scales * CHILD_SCALE, opacities=parents.opacities * CHILD_OPACITY)
-
-
-def is_born(raw: Tensor) -> Tensor:
-    """[M] bool: rows of raw [M, C] that say anything at all. A second set whose decoder says exactly nothing is not
-    appended: so an untrained model adds no rows."""
-    return (raw != 0).any(dim=1)
 
 
 def _split(raw: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:

@@ -175,6 +175,12 @@ def nearest_points(origins: Tensor, directions: Tensor) -> Tensor:
     return origins[:, None, None] + _nearest_along(origins, directions) * directions
 
 
+def slants(cameras: Sequence[Camera], directions: Tensor) -> Tensor:
+    """[V, H, W, 1] z-depth per length along the rays of unit directions [V, H, W, 3]."""
+    forward = np.stack([camera.forward for camera in cameras]).astype(np.float32)
+    return (directions * torch.from_numpy(forward).to(directions.device)[:, None, None]).sum(-1, keepdim=True)
+
+
 def patchify(images: Tensor, patch: int) -> Tensor:
     """[V, H, W, C] -> [V * L, p * p * C]: row by row inside a patch, channels fastest. H and W are multiples of p."""
     views, height, width, channels = images.shape
@@ -199,8 +205,7 @@ def _depth_range(views: AssetViews, origins: Tensor, directions: Tensor, geometr
     if not geometry:
         return nearest, torch.full_like(nearest, REACH)
     assert views.depth is not None and views.alpha is not None
-    forward = np.stack([camera.forward for camera in views.cameras]).astype(np.float32)
-    slant = (directions * torch.from_numpy(forward).to(directions.device)[:, None, None]).sum(-1, keepdim=True)
+    slant = slants(views.cameras, directions)
     known = (views.alpha > KNOWN_ALPHA) & (views.depth > 0)
     # z-depth to distance along the ray; clamped, since a background row may lie far behind the cube.
     along = (views.depth / (slant * views.half) - nearest).clamp(-REACH, REACH) + nearest

@@ -1,7 +1,7 @@
 """The whole model as pure calls: views to tokens, rows to latents, edits to a next state, latents to attributes.
 
     tokens  = model.encode_views(views)                           once per asset: the Gaussian LRM
-    latents = model.encode_rows(tokens, rows, links, groups)      once per asset: Stage I
+    latents = model.compressor(tokens, rows, links, groups)       once per asset: Stage I
     refined = model.refine(state, latents, pictures, ...)         per edit: Stage II, state in and state out
     decoded = model.decode(latents, refined, rows)                new attributes of the chosen rows, and further rows
     state, decoded = model.edit(state, latents, pictures, rows)   both at once, in bounded memory
@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from splatpainter.models import checkpoint
 from splatpainter.models.compress import Compressor, Latents
 from splatpainter.models.config import ModelConfig
-from splatpainter.models.decode import AttributeHead, is_born, newborn
+from splatpainter.models.decode import AttributeHead, newborn
 from splatpainter.models.lrm import AssetViews, GaussianLrm
 from splatpainter.models.pictures import Pictures, tokenize
 from splatpainter.models.refine import CHUNK, Refiner, RefineState
@@ -79,7 +79,7 @@ class Decoded:
     rows: np.ndarray
     """[J] int64 the rows of the asset that they replace."""
     further: Splats | None
-    """Rows to append (J, or fewer: none that the decoder says nothing about), or None where there was no second set."""
+    """Rows to append: J; none from a decoder that says nothing yet; or None where there was no second set."""
     parents: np.ndarray | None
     """[len(further)] int64 the rows of the asset that they belong to."""
 
@@ -146,21 +146,6 @@ class SplatPainterModel(nn.Module):
         links = TokenLinks(patches, np.ones(patches.shape, np.float32))
         return Copy(output.splats.take(shown), output.tokens, links)
 
-    def encode_rows(
-        self,
-        tokens: Tensor,
-        rows: Splats,
-        links: TokenLinks,
-        groups: RowGroups,
-        *,
-        chunk: int | None = None,
-        dtype: torch.dtype = torch.float32,
-    ) -> Latents:
-        """Stage I. tokens: [P, token width]; rows: N, torch, on the tokens' device; links: of the N rows; groups: of
-        them (`self.groups`); chunk: rows at once; dtype: how latents are kept. Raises ValueError where links and rows
-        do not fit."""
-        return self.compressor(tokens, rows, links, groups, chunk=chunk, dtype=dtype)
-
     def initial_state(self) -> RefineState:
         """Before any edit: the learned first fast weights (the parameters themselves: do not write)."""
         return self.refiner.initial_state()
@@ -173,26 +158,29 @@ class SplatPainterModel(nn.Module):
         *,
         places: np.ndarray | None = None,
         lift: Tensor | None = None,
+        drift: Tensor | None = None,
         detail: bool = False,
         strength: float | None = None,
         chunk: int | None = None,
     ) -> Refined:
         """Stage II: adapt to the pictures of one edit, then read the chosen latents.
 
-        places: [J] int64 latents that may change (local), None: all (global); lift: [J, 7] what the analytic lift says
-        about their rows (`Refiner.prepare`); detail: also make the second set; strength: overrides
-        config.refine.edit_strength; chunk: latents at once. The same edit in other batches gives the same values up to
-        rounding. Raises ValueError for pictures or features that this model cannot use.
+        places: [J] int64 latents to read, the same one for several rows if wanted (local), None: all (global); lift:
+        [J, 7] what the analytic lift says about their rows, drift: [J, 7] how these differ from the encoded ones
+        (`Refiner.prepare`); detail: also make the second set; strength: overrides config.refine.edit_strength; chunk:
+        latents at once. The same edit in other batches gives the same values up to rounding. Raises ValueError for
+        pictures or features that this model cannot use.
         """
         if detail and not self.config.refine.detail:
             raise ValueError("refine: this model has no detail layer; use detail=False")
         state = self.refiner.adapt(state, tokenize(pictures, latents.groups, self.config.refine), strength=strength)
         chosen, original = self._chosen(latents, places)
-        original = self.refiner.prepare(original, lift)
+        original = self.refiner.prepare(original, lift, drift)
         values = self.refiner.read(state, original, chunk=chunk)
         second = None
         if detail:
-            state, second = self.refiner.detail(state, original, values, strength=strength)
+            state = self.refiner.learn_detail(state, values, strength=strength)
+            second = self.refiner.read_detail(state, original)
         return Refined(state, chosen, values, second)
 
     def edit(
@@ -204,51 +192,70 @@ class SplatPainterModel(nn.Module):
         *,
         places: np.ndarray | None = None,
         lift: Tensor | None = None,
+        drift: Tensor | None = None,
+        base: Splats | None = None,
         detail: bool = False,
         strength: float | None = None,
     ) -> tuple[RefineState, Decoded]:
-        """`refine` and `decode` in one. Without a second set the latents are read and decoded run by run, so that a
+        """`refine` and `decode` in one. Without gradients the latents are read and decoded run by run, so that a
         million rows need little more than themselves."""
-        if detail or torch.is_grad_enabled():
-            refined = self.refine(state, latents, pictures, places=places, lift=lift, detail=detail, strength=strength)
-            return refined.state, self.decode(latents, refined, rows)
-        state = self.refiner.adapt(state, tokenize(pictures, latents.groups, self.config.refine), strength=strength)
+        if torch.is_grad_enabled():
+            refined = self.refine(
+                state, latents, pictures, places=places, lift=lift, drift=drift, detail=detail, strength=strength
+            )
+            return refined.state, self.decode(latents, refined, rows, base)
+        if detail and not self.config.refine.detail:
+            raise ValueError("refine: this model has no detail layer; use detail=False")
         chosen = np.arange(len(latents.values)) if places is None else np.asarray(places, np.int64)
-        if lift is not None and len(lift) != len(chosen):
-            raise ValueError(f"refine: expected lift features of {len(chosen)} latents, got {len(lift)}")
-        index = latents.groups.order[chosen]
-        parts: dict[str, list[Tensor]] = {name: [] for name in ATTRIBUTES}
-        for first in range(0, max(len(chosen), 1), CHUNK):
-            run = chosen[first : first + CHUNK]
-            told = None if lift is None else lift[first : first + CHUNK]
-            values = self.refiner.read(state, self.refiner.prepare(self._chosen(latents, run)[1], told))
-            part = self._decoded(latents, values, run, rows, children=False)[0]
-            for name in ATTRIBUTES:
-                parts[name].append(getattr(part, name))
-        origin = None if rows.origin is None else rows.origin[index]
-        splats = replace(rows, **{name: torch.cat(parts[name]) for name in ATTRIBUTES}, origin=origin)
-        return state, Decoded(splats, index, None, None)
+        for name, told in (("lift features", lift), ("drift", drift)):
+            if told is not None and len(told) != len(chosen):
+                raise ValueError(f"refine: expected {name} of {len(chosen)} latents, got {len(told)}")
+        state = self.refiner.adapt(state, tokenize(pictures, latents.groups, self.config.refine), strength=strength)
+        runs = [slice(first, first + CHUNK) for first in range(0, max(len(chosen), 1), CHUNK)]
 
-    def decode(self, latents: Latents, refined: Refined, rows: Splats) -> Decoded:
-        """Attributes of refined latents. rows: the N rows of the asset that the latents belong to, torch float32.
+        def original(run: slice) -> Tensor:
+            told = (None if values is None else values[run] for values in (lift, drift))
+            return self.refiner.prepare(self._chosen(latents, chosen[run])[1], *told)
+
+        def decoded(values: Tensor, second: Tensor | None, run: slice) -> Decoded:
+            part = None if base is None else base.take(np.arange(len(chosen))[run])
+            return self.decode(latents, Refined(state, chosen[run], values, second), rows, part)
+
+        if not detail:
+            return state, _joined([decoded(self.refiner.read(state, original(run)), None, run) for run in runs])
+        # The extra layer learns from all refined latents before any is read again.
+        values = torch.cat([self.refiner.read(state, original(run)) for run in runs])
+        state = self.refiner.learn_detail(state, values, strength=strength)
+        seconds = ((run, self.refiner.read_detail(state, original(run))) for run in runs)
+        return state, _joined([decoded(values[run], second, run) for run, second in seconds])
+
+    def decode(self, latents: Latents, refined: Refined, rows: Splats, base: Splats | None = None) -> Decoded:
+        """Attributes of refined latents. rows: the N rows of the asset that the latents belong to, torch float32; base:
+        J rows that the residuals are added to (the lift's answer), by default the latents' own of `rows`.
 
         `native` decodes the second set as children, on a smaller and fainter copy of their row; `copy` like the first.
-        A residual that is exactly zero returns a row's bits and, unless in training mode, appends nothing."""
-        splats, index, _ = self._decoded(latents, refined.values, refined.places, rows, children=False)
+        Where `base` rows are given and Stage I has decoded them before (`copy`), they get only what changed: the
+        residual of the refined latent minus that of the latent before. A residual that is exactly zero returns a row's
+        bits and, unless in training mode, appends nothing."""
+        index = latents.groups.order[refined.places]
+        native = self.config.representation == "native"
+        own = rows.take(index) if base is None else base
+        again = base is not None and not native and self.config.decoder == "residual"
+        told = self.head(self._chosen(latents, refined.places)[1]) if again else None
+        splats = self._decoded(latents, refined.values, refined.places, own, told)
         if refined.second is None:
             return Decoded(splats, index, None, None)
-        native = self.config.representation == "native"
-        further, _, born = self._decoded(latents, refined.second, refined.places, rows, children=native)
-        if self.config.decoder == "absolute" or self.training:
+        parents = newborn(own) if native else own
+        further = self._decoded(latents, refined.second, refined.places, parents, told)
+        if self.head.silent and not self.training:
             # In training mode all are drawn: what is never drawn never learns.
-            return Decoded(splats, index, further, index)
-        alive = born.cpu().numpy()
-        return Decoded(splats, index, further.take(alive), index[alive])
+            return Decoded(splats, index, further.take(index[:0]), index[:0])
+        return Decoded(splats, index, further, index)
 
     def decode_latents(self, latents: Latents, rows: Splats, places: np.ndarray | None = None) -> Splats:
         """What Stage I alone says: the chosen latents (all by default), decoded as they are. J rows."""
         chosen, values = self._chosen(latents, places)
-        return self._decoded(latents, values, chosen, rows, children=False)[0]
+        return self._decoded(latents, values, chosen, rows.take(latents.groups.order[chosen]))
 
     def _chosen(self, latents: Latents, places: np.ndarray | None) -> tuple[np.ndarray, Tensor]:
         """([J] indices, [J, D] float32 latents)."""
@@ -258,12 +265,30 @@ class SplatPainterModel(nn.Module):
         return chosen, latents.values[torch.from_numpy(chosen).to(latents.values.device)].float()
 
     def _decoded(
-        self, latents: Latents, values: Tensor, places: np.ndarray, rows: Splats, *, children: bool
-    ) -> tuple[Splats, np.ndarray, Tensor]:
-        """(J rows, [J] the rows of the asset, [J] bool whether the decoder says anything)."""
-        index = latents.groups.order[places]
-        base = rows.take(index)
+        self, latents: Latents, values: Tensor, places: np.ndarray, base: Splats, told: Tensor | None = None
+    ) -> Splats:
+        """J rows. values: [J, D]; base: J rows; told: [J, C] what the decoder has said about them already."""
         centers = torch.from_numpy(latents.groups.row_centers(places)).to(base.means)
         raw = self.head(values)
-        base = newborn(base) if children else base
-        return self.head.attributes(raw, base, centers, latents.groups.voxel), index, is_born(raw)
+        raw = raw if told is None else raw - told
+        return self.head.attributes(raw, base, centers, latents.groups.voxel)
+
+
+def _joined(parts: list[Decoded]) -> Decoded:
+    """One after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    further = [part.further for part in parts if part.further is not None]
+    parents = [part.parents for part in parts if part.parents is not None]
+    return Decoded(
+        _stacked([part.splats for part in parts]),
+        np.concatenate([part.rows for part in parts]),
+        _stacked(further) if further else None,
+        np.concatenate(parents) if parents else None,
+    )
+
+
+def _stacked(parts: list[Splats]) -> Splats:
+    joined = {name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
+    origins = [part.origin for part in parts if part.origin is not None]
+    return replace(parts[0], **joined, origin=np.concatenate(origins) if origins else None)

@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
 from splatpainter.cameras import Camera
 from splatpainter.models.config import RefineConfig
-from splatpainter.models.lrm import AssetViews, nearest_points, patchify, rays
+from splatpainter.models.lrm import AssetViews, nearest_points, patchify, rays, slants
 from splatpainter.models.rows import RowGroups
 
 MOST = 16
@@ -40,20 +39,25 @@ class Pictures:
     """[V, H, W, 1] 1 where a pixel was edited, else 0; None: everywhere."""
 
     def __post_init__(self) -> None:
-        sizes = sorted({(camera.width, camera.height) for camera in self.cameras})
-        if not 1 <= len(self.cameras) <= MOST:
-            raise ValueError(f"edit: expected 1 to {MOST} pictures, got {len(self.cameras)}")
-        if len(sizes) > 1:
-            listed = ", ".join(f"{w}x{h}" for w, h in sizes)
-            raise ValueError(
-                f"edit: expected pictures of one size, got {listed}; resize them, or edit one after the other"
-            )
-        width, height = sizes[0]
+        width, height = one_size(self.cameras)
         for name, channels in (("edited", 3), ("render", 3), ("depth", 1), ("alpha", 1), ("mask", 1)):
             values = getattr(self, name)
             shape = [len(self.cameras), height, width, channels]
             if values is not None and list(values.shape) != shape:
                 raise ValueError(f"edit: expected {name} {shape}, got {list(values.shape)}")
+
+
+def one_size(cameras: Sequence[Camera]) -> tuple[int, int]:
+    """(width, height) of the pictures of one edit. Raises ValueError for none, too many, or several sizes."""
+    if not 1 <= len(cameras) <= MOST:
+        raise ValueError(f"edit: expected 1 to {MOST} pictures, got {len(cameras)}")
+    sizes = sorted({(camera.width, camera.height) for camera in cameras})
+    if len(sizes) > 1:
+        listed = ", ".join(f"{w}x{h}" for w, h in sizes)
+        raise ValueError(
+            f"edit: expected pictures of one size, got {listed}; resize them, edit one after the other, or use the lift"
+        )
+    return sizes[0]
 
 
 @dataclass(frozen=True)
@@ -105,9 +109,8 @@ def _channels(pictures: Pictures, mask: Tensor, groups: RowGroups, config: Refin
             parts.append(2 * _present(pictures.render, name) - 1)
         elif name == "geometry":
             alpha = _present(pictures.alpha, name)
-            forward = np.stack([camera.forward for camera in pictures.cameras]).astype(np.float32)
-            slant = (directions * torch.from_numpy(forward).to(edited.device)[:, None, None]).sum(-1, keepdim=True)
-            position = origins[:, None, None] + directions * (_present(pictures.depth, name) / (groups.half * slant))
+            along = _present(pictures.depth, name) / (groups.half * slants(pictures.cameras, directions))
+            position = origins[:, None, None] + directions * along
             parts += [position.clamp(-2, 2) * alpha, 2 * alpha - 1]
         else:
             parts.append(mask)

@@ -24,6 +24,8 @@ CHUNK = 1 << 13
 """Latents that are worked on at once without gradients (as in compress.py)."""
 LIFT_FEATURES = 7
 """Numbers per latent that the analytic lift says: colour before and after (3 + 3), and how much was seen."""
+DRIFT_FEATURES = 7
+"""Numbers per latent that say how its row differs from the one that was encoded (rows.drift_features)."""
 Memory = FastWeights | Tensor
 """What a block knows of the edits so far: fast weights, or (cross_attention) the [T, D] tokens of all of them."""
 
@@ -59,7 +61,9 @@ class FastMixer(nn.Module):
 
     def learn(self, memory: Memory, tokens: Tensor, weights: Tensor | None, strength: float | None) -> Memory:
         assert isinstance(memory, FastWeights)
-        return self.ttt.update(memory, tokens, weights, edit_strength=strength)
+        # Without gradients in parts: the second set learns from every latent of the edit.
+        chunk = None if torch.is_grad_enabled() else CHUNK
+        return self.ttt.update(memory, tokens, weights, edit_strength=strength, chunk=chunk)
 
     def tell_pictures(self, memory: Memory, tokens: Tensor) -> Tensor:
         assert isinstance(memory, FastWeights)
@@ -149,6 +153,8 @@ class Refiner(nn.Module):
         self.pictures = linear(config.patch**2 * config.channels, dim)
         if config.lift_features:
             self.lift = nn.Linear(LIFT_FEATURES, dim, bias=False)  # torch's own spread: 0.02 would drown 7 numbers
+        if config.base == "lift":
+            self.drift = nn.Linear(DRIFT_FEATURES, dim, bias=False)
         last = config.blocks - 1
         self.blocks = nn.ModuleList(RefineBlock(dim, config, last=i == last) for i in range(config.blocks))
         if config.detail:
@@ -178,17 +184,22 @@ class Refiner(nn.Module):
             memories.append(memory)
         return replace(state, blocks=tuple(memories))
 
-    def prepare(self, latents: Tensor, lift: Tensor | None) -> Tensor:
-        """[K, D] latents with what the lift says about their rows. lift: [K, 7] colour before, colour after (0..1), and
-        seen (0..1). Raises ValueError where a model with lift features gets none."""
-        if not self.config.lift_features:
-            return latents
-        if lift is None or list(lift.shape) != [len(latents), LIFT_FEATURES]:
-            got = None if lift is None else list(lift.shape)
-            raise ValueError(f"refine: expected lift features [{len(latents)}, {LIFT_FEATURES}], got {got}")
-        before, after, seen = lift.split([3, 3, 1], dim=1)
-        told = torch.cat([2 * before - 1, 2 * (after - before), seen], dim=1)
-        return latents + self.lift(told.to(self.lift.weight.dtype))
+    def prepare(self, latents: Tensor, lift: Tensor | None, drift: Tensor | None = None) -> Tensor:
+        """[K, D] latents with what is known of their rows beyond. lift: [K, 7] colour before, colour after (0..1), and
+        seen (0..1), for a model with lift features; drift: [K, 7] of `rows.drift_features`, for one with base "lift"
+        (None: the rows are those that were encoded). Raises ValueError where they are missing or of another shape."""
+        wanted = [len(latents), LIFT_FEATURES]
+        if self.config.lift_features:
+            if lift is None or list(lift.shape) != wanted:
+                raise ValueError(f"refine: expected lift features {wanted}, got {_shape(lift)}")
+            before, after, seen = lift.split([3, 3, 1], dim=1)
+            told = torch.cat([2 * before - 1, 2 * (after - before), seen], dim=1)
+            latents = latents + self.lift(told.to(self.lift.weight.dtype))
+        if self.config.base == "lift" and drift is not None:
+            if list(drift.shape) != [len(latents), DRIFT_FEATURES]:
+                raise ValueError(f"refine: expected drift [{len(latents)}, {DRIFT_FEATURES}], got {_shape(drift)}")
+            latents = latents + self.drift(drift.to(self.drift.weight.dtype))
+        return latents
 
     def read(self, state: RefineState, latents: Tensor, *, chunk: int | None = None) -> Tensor:
         """Refined latents [K, D]; each depends on the state and on itself alone. latents: [K, D] from `prepare`;
@@ -206,18 +217,24 @@ class Refiner(nn.Module):
             parts.append(x)
         return parts[0] if len(parts) == 1 else torch.cat(parts)
 
-    def detail(
-        self, state: RefineState, original: Tensor, refined: Tensor, *, strength: float | None = None
-    ) -> tuple[RefineState, Tensor]:
-        """A second set of latents [K, D] for a local edit: the extra layer learns from the refined latents and is read
-        by the original ones (both [K, D], of the edited region)."""
+    def learn_detail(self, state: RefineState, refined: Tensor, *, strength: float | None = None) -> RefineState:
+        """The state after the extra layer has learnt from the refined latents [K, D] of a local edit."""
         assert self.config.detail and state.detail is not None, "a model without detail layer"
         memory = self.detail_mixer.learn(state.detail, self.norm_refined(refined), None, strength)
-        second = original + self.detail_mixer.tell_rows(memory, self.norm_original(original))
-        return replace(state, detail=memory), second
+        return replace(state, detail=memory)
+
+    def read_detail(self, state: RefineState, original: Tensor) -> Tensor:
+        """A second set of latents [K, D]: what the extra layer says to the original ones, from `prepare`; each by
+        itself."""
+        assert state.detail is not None, "a model without detail layer"
+        return original + self.detail_mixer.tell_rows(state.detail, self.norm_original(original))
 
     def _blocks(self) -> list[RefineBlock]:
         return [block for block in self.blocks if isinstance(block, RefineBlock)]
 
     def _recompute(self) -> bool:
         return self.config.checkpoint_activations and torch.is_grad_enabled()
+
+
+def _shape(values: Tensor | None) -> list[int] | None:
+    return None if values is None else list(values.shape)

@@ -40,16 +40,20 @@ class RowGroups:
 
     @staticmethod
     def of(grid: VoxelGrid, largest: int = 0) -> RowGroups:
-        """The groups of a grid. largest: voxels with more rows than this become several groups; 0: never."""
+        """The groups of a grid, shorter ones first: in every run of groups attention then finds batches of one length
+        as they lie. largest: voxels with more rows than this become several groups; 0: never."""
         starts = np.asarray(grid.starts, np.int64)
         lengths = np.diff(starts)
         pieces = np.maximum(-(-lengths // largest), 1) if largest else np.ones_like(lengths)
         nth = _within(pieces)  # 0, 1, ... inside each voxel
-        cut = np.repeat(starts[:-1], pieces) + nth * largest
+        cut = np.append(np.repeat(starts[:-1], pieces) + nth * largest, starts[-1])
+        rank = np.argsort(np.diff(cut), kind="stable")
+        counts = np.diff(cut)[rank]
+        places = np.repeat(cut[:-1][rank], counts) + _within(counts)
         return RowGroups(
-            order=np.asarray(grid.order, np.int64),
-            starts=np.append(cut, starts[-1]),
-            centers=np.repeat(grid.centers(grid.keys), pieces, axis=0),
+            order=np.asarray(grid.order, np.int64)[places],
+            starts=np.append(0, np.cumsum(counts)).astype(np.int64),
+            centers=np.repeat(grid.centers(grid.keys), pieces, axis=0)[rank],
             voxel=grid.voxel,
             middle=grid.lo + grid.size / 2,
             half=grid.size / 2,
@@ -131,6 +135,18 @@ def attribute_features(rows: Splats, groups: RowGroups, degree: int) -> torch.Te
     sh = torch.nn.functional.pad(sh.flatten(1), (0, 3 * (wanted - sh.shape[1])))
     parts = (offset.float().clamp(-4, 4), place.float(), scale / 4, quat, opacity[:, None] / 4, sh)
     return torch.cat(parts, dim=1)
+
+
+def drift_features(now: Splats, encoded: Splats, voxel: float) -> torch.Tensor:
+    """[J, 7] float32 how rows differ from those that their latents describe: centre (voxels), log scale, opacity. Zeros
+    for the same rows; a row that the lift split off says where in its parent it lies.
+
+    now, encoded: J rows each, torch; voxel: edge of a voxel, world units. Bounded, as attribute_features."""
+    import torch
+
+    place = ((now.means - encoded.means) / voxel).clamp(-4, 4)
+    size = torch.log((now.scales / encoded.scales).clamp(1e-6, 1e6))
+    return torch.cat([place, size / 4, (now.opacities - encoded.opacities)[:, None]], dim=1).float()
 
 
 @dataclass(frozen=True)

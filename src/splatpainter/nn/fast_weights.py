@@ -10,6 +10,7 @@ T tokens, D width of a head, F hidden width; every tensor may have a leading hea
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import torch
@@ -105,22 +106,41 @@ def step(
     edit_strength: float | Tensor = 1.0,
     norms: FastWeights | None = None,
 ) -> FastWeights:
-    """The weights after an edit with keys k [T, D], values v [T, D] and token rates [T, 3].
+    """The weights after an edit with keys k [T, D], values v [T, D] and token rates [T, 3]: `advance` by `ascent`. An
+    edit whose rates are all 0 returns the very same bits."""
+    return advance(
+        weights,
+        lambda now: ascent(now, k, v, rates, loss),
+        inner_steps=inner_steps,
+        newton_schulz_steps=newton_schulz_steps,
+        edit_strength=edit_strength,
+        norms=norms,
+    )
 
-    inner_steps times: W_m + edit_strength * newton_schulz(ascent_m), then every column back to its norm.
-    newton_schulz_steps: 0 adds the plain gradient. edit_strength: 1 is the paper; offered because the orthogonalised
-    step is equally long for a brush dot and for a relit view (a common factor of the rates cancels). norms: of
-    `column_norms`, those of the incoming weights by default, so that they survive any number of edits. An edit whose
-    rates are all 0 returns the very same bits.
+
+def advance(
+    weights: FastWeights,
+    direction: Callable[[FastWeights], FastWeights],
+    *,
+    inner_steps: int = 1,
+    newton_schulz_steps: int = 5,
+    edit_strength: float | Tensor = 1.0,
+    norms: FastWeights | None = None,
+) -> FastWeights:
+    """inner_steps times: W_m + edit_strength * newton_schulz(direction(W)_m), then every column back to its norm.
+
+    direction: `ascent` of the whole edit; a sum over tokens, so an edit may be summed up in parts. newton_schulz_steps:
+    0 adds the plain gradient. edit_strength: 1 is the paper; offered because the orthogonalised step is equally long
+    for a brush dot and for a relit view (a common factor of the rates cancels). norms: of `column_norms`, those of the
+    incoming weights by default, so that they survive any number of edits.
     """
     norms = column_norms(weights) if norms is None else norms
     for _ in range(inner_steps):
-        directions = ascent(weights, k, v, rates, loss)
         moved = []
-        for w, direction, norm in zip(weights, directions, norms, strict=True):
+        for w, towards, norm in zip(weights, direction(weights), norms, strict=True):
             if newton_schulz_steps:
-                direction = newton_schulz(direction, newton_schulz_steps)
-            w = w + edit_strength * direction
+                towards = newton_schulz(towards, newton_schulz_steps)
+            w = w + edit_strength * towards
             # The reference adds 1e-5 to the divisor; a floor does the same job and keeps w where nothing moved.
             moved.append(w * (norm / w.norm(dim=-2, keepdim=True).clamp_min(1e-5)))
         weights = FastWeights(*moved)

@@ -7,6 +7,7 @@ keeping the old value, and the second edit starts where the first ended. T token
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import Literal
 
 import torch
@@ -71,26 +72,30 @@ class TTTLayer(nn.Module):
         mask: Tensor | None = None,
         *,
         edit_strength: float | Tensor | None = None,
+        chunk: int | None = None,
     ) -> FastWeights:
         """The state after an edit; the given one stays as it is.
 
         tokens: [T, D] of the whole edit, normalised. mask: [T] bool or 0..1, how much each token counts; 0 leaves it
-        out exactly, and an edit of none returns the same bits. edit_strength: overrides the layer's.
+        out exactly, and an edit of none returns the same bits. edit_strength: overrides the layer's. chunk: tokens in
+        work at once, which bounds the memory; the same up to rounding, since the direction is a sum over tokens.
         """
-        # Keys and values under the caller's autocast, the state and its norms in float32.
-        k, v = functional.silu(self.kv(tokens)).unflatten(-1, (2, self.heads, -1)).unbind(1)
-        rates = self._rates(tokens)  # [H, T, 3]
-        if mask is not None:
-            # where, not a product: a token that is left out may hold anything.
-            seen = (mask > 0)[:, None]
-            rates = torch.where(seen, rates * mask.to(rates.dtype)[:, None], 0)
-            k, v = (torch.where(seen[..., None], x, 0) for x in (k, v))
-        return fast_weights.step(
+        size = chunk or max(len(tokens), 1)
+        parts = tokens.split(size)
+        masks = [None] * len(parts) if mask is None else mask.split(size)
+        # One part is kept over the inner steps, many are made again in each.
+        whole = self._lesson(tokens, mask) if len(parts) == 1 else None
+
+        def direction(weights: FastWeights) -> FastWeights:
+            if whole is not None:
+                return fast_weights.ascent(weights, *whole, self.inner_loss)
+            lessons = (self._lesson(part, shares) for part, shares in zip(parts, masks, strict=True))
+            ways = (fast_weights.ascent(weights, *lesson, self.inner_loss) for lesson in lessons)
+            return reduce(lambda one, two: FastWeights(*(a + b for a, b in zip(one, two, strict=True))), ways)
+
+        return fast_weights.advance(
             state,
-            _unit(k).transpose(0, 1),
-            v.transpose(0, 1),
-            rates,
-            loss=self.inner_loss,
+            direction,
             inner_steps=self.inner_steps,
             newton_schulz_steps=self.newton_schulz_steps,
             edit_strength=self.edit_strength if edit_strength is None else edit_strength,
@@ -102,6 +107,18 @@ class TTTLayer(nn.Module):
         said = fast_weights.apply(state, _unit(q).transpose(0, 1)).transpose(0, 1)  # [T, H, D/H]
         said = functional.rms_norm(said.float(), said.shape[-1:], self.gain.float(), EPS)
         return self.out(said.flatten(1))
+
+    def _lesson(self, tokens: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        """Keys and values [H, T, D/H] and rates [H, T, 3] of tokens [T, D]; mask as in `update`."""
+        # Keys and values under the caller's autocast, the state and its norms in float32.
+        k, v = functional.silu(self.kv(tokens)).unflatten(-1, (2, self.heads, -1)).unbind(1)
+        rates = self._rates(tokens)
+        if mask is not None:
+            # where, not a product: a token that is left out may hold anything.
+            seen = (mask > 0)[:, None]
+            rates = torch.where(seen, rates * mask.to(rates.dtype)[:, None], 0)
+            k, v = (torch.where(seen[..., None], x, 0) for x in (k, v))
+        return _unit(k).transpose(0, 1), v.transpose(0, 1), rates
 
     def _rates(self, tokens: Tensor) -> Tensor:
         """[H, T, 3] rates of the tokens, in float32 also under autocast: bf16 would round them by 0.4 %."""

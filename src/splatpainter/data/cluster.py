@@ -1,0 +1,163 @@
+"""Numbered work on other processes: a pool on this machine, or Ray on many. Knows no scenes and writes no files.
+
+A worker that dies (killed, out of memory, crashed in native code) costs a retry of what it was doing; work whose worker
+dies again and again comes back as `Lost`, and the rest goes on. Exceptions of the work itself are raised here.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import Any, TypeAlias, TypeVar
+
+Result = TypeVar("Result")
+RETRIES = 3
+"""Of one piece of work, after its worker died."""
+AHEAD = 2
+"""Pieces handed out per worker: one in work, one waiting, so that results do not pile up."""
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Work that no worker survived."""
+
+    reason: str
+
+
+Results: TypeAlias = Generator[tuple[int, "Result | Lost"]]
+"""To be closed by who stops before the end."""
+
+
+def run_here(work: Callable[[int], Result], numbers: Iterable[int]) -> Results[Result]:
+    """(number, work(number)), one after another in this process."""
+    for number in numbers:
+        yield number, work(number)
+
+
+def run_in_pool(
+    work: Callable[[int], Result], numbers: Iterable[int], workers: int, retries: int = RETRIES
+) -> Results[Result]:
+    """(number, work(number)) as they finish, by `workers` processes of this machine. work: picklable.
+
+    When a worker dies, nobody knows which work it was doing: everything in progress is done again, each piece alone in
+    a process of its own, so that only the guilty one is tried `retries` times."""
+    remaining = list(numbers)[::-1]
+    while remaining:
+        running: dict[Future[Result], int] = {}
+        pool = _pool(workers)
+        try:
+            while remaining or running:
+                while remaining and len(running) < AHEAD * workers:
+                    running[pool.submit(work, remaining[-1])] = remaining[-1]
+                    remaining.pop()
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    result = future.result()
+                    yield running.pop(future), result
+        except BrokenProcessPool:
+            pass
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+        for future, number in running.items():
+            yield number, future.result() if _ended_well(future) else _alone(work, number, retries)
+
+
+def _ended_well(future: Future[Any]) -> bool:
+    """Before its pool broke."""
+    return future.done() and not future.cancelled() and future.exception() is None
+
+
+def _alone(work: Callable[[int], Result], number: int, retries: int) -> Result | Lost:
+    for _ in range(max(retries, 1)):
+        with _pool(1) as pool:
+            try:
+                return pool.submit(work, number).result()
+            except BrokenProcessPool:
+                continue
+    return Lost(f"its worker died {max(retries, 1) + 1} times (killed, or out of memory)")
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    from multiprocessing import get_context
+
+    share = max(1, (os.cpu_count() or 1) // workers)
+    # spawn: a forked child of a process with threads (torch, numba, Mitsuba) can hang.
+    return ProcessPoolExecutor(workers, get_context("spawn"), initializer=limit_threads, initargs=(share,))
+
+
+def limit_threads(count: int) -> None:
+    """Let this process use `count` threads wherever numbers are crunched. Loads nothing: what is not imported yet reads
+    the environment when it is."""
+    for name in ("SPLATPAINTER_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = str(count)
+    for module, setter in (("torch", "set_num_threads"), ("drjit", "set_thread_count")):
+        if module in sys.modules:
+            getattr(sys.modules[module], setter)(count)
+
+
+def run_on_ray(
+    work: Callable[[int], Result],
+    numbers: Iterable[int],
+    address: str | None = None,
+    workers: int | None = None,
+    retries: int = RETRIES,
+    cpus_per_worker: int = 1,
+) -> Results[Result]:
+    """(number, work(number)) as they finish, as Ray tasks.
+
+    address: of a cluster ("auto", "HOST:PORT", "ray://HOST:PORT"); None: a Ray of `workers` processes on this machine,
+    ended afterwards. Ray itself starts work again when its worker dies, on another machine if need be. The package must
+    be installed on the cluster and the work's files be reachable there. Raises ValueError when Ray is not installed or
+    the cluster cannot be reached."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    try:
+        import ray
+    except ImportError as error:
+        raise ValueError(f"--ray needs Ray ({error}); pip install 'splatpainter[cluster]'") from None
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR", "include_dashboard": False}
+    if address is None:
+        count = workers or os.cpu_count() or 1
+        options |= {"num_cpus": count * cpus_per_worker, "object_store_memory": 1 << 28}
+    else:
+        options = {"address": address, "log_to_driver": False, "logging_level": "ERROR"}
+    try:
+        ray.init(**options)
+    except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
+        where = address or "a local Ray"
+        raise ValueError(
+            f"--ray: {where} cannot be reached or started ({' '.join(str(error).split())[:200]})"
+        ) from None
+    try:
+        yield from _ray_results(ray, work, numbers, workers, retries, cpus_per_worker)
+    finally:
+        ray.shutdown()
+
+
+def _ray_results(
+    ray: Any, work: Callable[[int], Result], numbers: Iterable[int], workers: int | None, retries: int, cpus: int
+) -> Results[Result]:
+    @ray.remote(num_cpus=cpus, max_retries=retries, retry_exceptions=False)
+    def task(kept: Callable[[int], Result], number: int) -> Result:
+        limit_threads(cpus)
+        return kept(number)
+
+    held = ray.put(work)
+    wanted = workers or max(1, int(ray.cluster_resources().get("CPU", 1)) // cpus)
+    remaining, running = list(numbers)[::-1], {}
+    while remaining or running:
+        while remaining and len(running) < AHEAD * wanted:
+            number = remaining.pop()
+            running[task.remote(held, number)] = number
+        for reference in ray.wait(list(running), num_returns=1)[0]:
+            number = running.pop(reference)
+            try:
+                yield number, ray.get(reference)
+            except ray.exceptions.RayTaskError as error:
+                raise error.as_instanceof_cause() from None
+            except (ray.exceptions.WorkerCrashedError, ray.exceptions.OutOfMemoryError) as error:
+                yield number, Lost(f"its worker died {retries + 1} times ({type(error).__name__})")

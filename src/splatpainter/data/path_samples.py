@@ -1,0 +1,138 @@
+"""Samples whose pictures are path traced: the takes of data/takes.py, every picture made anew by data/pathtrace.py.
+
+For evaluation, and for training at scale. Only kinds whose truth is the mesh itself in a known light: painting on a
+mesh would need a texture atlas that most meshes do not have; surfels do that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from splatpainter.data import takes
+from splatpainter.data.lights import Light, random_light
+from splatpainter.data.pathtrace import PathOptions, PathTraced, display, path_trace
+from splatpainter.data.recipes import GLOBAL, SampleRecipe
+from splatpainter.data.samples import TRIES, Mode, Sample
+from splatpainter.data.scenes import MeshSource
+from splatpainter.data.stages import Views, light_up, mesh_subject
+from splatpainter.data.viewpoints import Optics
+
+PATH_KINDS = ("relight", "zoom", "plain")
+
+
+@dataclass(frozen=True)
+class Traced:
+    """A sample and its linear pictures."""
+
+    sample: Sample
+    radiance: dict[str, np.ndarray]
+    """"base" | "edited" | "before" | "after" -> [V, H, W, 3] linear, premultiplied (of a zoom, `before` is a render of
+    the asset, and not here)."""
+    exposure: dict[str, float]
+    """"before" | "after": linear radiance times this went into lights.tone_map; base views have that of before."""
+    repaired: int
+    """Pixels that were not finite."""
+
+
+class PathScene:
+    """One object in one light, as SampleStream's stages are, and its samples by number.
+
+    The asset is shaded as SampleStream's is, by surfels: fitting its colours to the path traced base views (2 to 8
+    rounds of lift/colors.py) made novel views 0.3-0.5 dB worse (gso_dino_3), for rim pixels and noise get into rows."""
+
+    def __init__(
+        self, source: MeshSource, i: int, recipe: SampleRecipe, options: PathOptions, seed: int, environments: Any = ()
+    ) -> None:
+        """Raises ValueError for a bad mesh, and for kinds that cannot be path traced."""
+        refuse_kinds(recipe)
+        self.recipe, self.options, self.seed, self.environments = recipe, options, seed, environments
+        self.mesh = source.mesh(i)
+        rng = self._generator("stage")
+        sizes = (recipe.surfels, recipe.rows, float(rng.uniform(*recipe.fuzz)), int(rng.integers(1 << 31)))
+        subject = mesh_subject(_Held(source.name(i), self.mesh), 0, *sizes, "cpu")
+        background = recipe.backgrounds[rng.integers(len(recipe.backgrounds))]
+        optics = Optics(recipe.size, float(rng.uniform(*recipe.fov)), background)
+        self.light = random_light(rng, environments)
+        stage = light_up(subject, self.light, recipe.sh_degree, optics, recipe.base_views, rng)
+        self.base, done = self._traced(stage.base, self.light, 0)
+        self.base_radiance, self.repaired = done.radiance, done.repaired
+        self.stage = replace(stage, base=self.base)
+
+    def sample(self, step: int) -> Traced:
+        """Sample `step` of the scene. Raises ValueError when TRIES choices made nothing worth learning from."""
+        rng = self._generator("kind", step)
+        kinds = {kind: weight for kind, weight in self.recipe.kinds.items() if weight > 0}
+        weights = np.array(list(kinds.values()))
+        kind = str(rng.choice(list(kinds), p=weights / weights.sum()))
+        for attempt in range(TRIES):
+            rng = self._generator("take", step, attempt)
+            target = random_light(rng, self.environments) if kind == "relight" else self.light
+            take = self._take(kind, target, 1 - attempt / TRIES, rng)
+            if take is not None:
+                return self._finished(kind, take, target, step)
+        raise ValueError(f"{self.stage.subject.name}: {TRIES} choices of a {kind} changed nothing that can be seen")
+
+    def _take(self, kind: str, target: Light, strict: float, rng: np.random.Generator) -> takes.Take | None:
+        odds = np.array(self.recipe.views)
+        plan = takes.Plan(self.recipe, 1 + int(rng.choice(len(odds), p=odds / odds.sum())), strict)
+        if kind == "relight":
+            return takes.relight(self.stage, target, plan, rng)
+        return takes.zoom(self.stage, plan, rng) if kind == "zoom" else takes.plain(self.stage, plan, rng)
+
+    def _finished(self, kind: str, take: takes.Take, target: Light, step: int) -> Traced:
+        first = 1000 * (step + 1)  # of the noise's seeds: other than the base views', and other for every view
+        after, done = self._traced(take.after, target, first)
+        radiance, repaired = {"base": self.base_radiance, "after": done.radiance}, self.repaired + done.repaired
+        before, edited = after, take.edited
+        if kind == "zoom":
+            before = take.before
+        elif kind == "relight":
+            before, done = self._traced(take.before, self.light, first + 100)
+            radiance["before"], repaired = done.radiance, repaired + done.repaired
+        if len(take.edited):
+            edited, done = self._traced(take.edited, target, first + 200)
+            radiance["edited"], repaired = done.radiance, repaired + done.repaired
+        mode: Mode = "global" if kind in GLOBAL else "local"
+        common = (self.stage.subject.name, kind, mode, self.stage.asset, self.base)
+        sample = Sample(*common, edited, take.masks, before, after, take.near)
+        exposure = {"before": float(self.light.exposure), "after": float(target.exposure)}
+        return Traced(sample, radiance, exposure, repaired)
+
+    def _traced(self, views: Views, light: Light, first: int) -> tuple[Views, PathTraced]:
+        options = replace(self.options, seed=(self.options.seed + self.seed * 7919 + first) % 2**32)
+        done = path_trace(self.mesh, light.environment.cpu().numpy(), views.cameras, options)
+        colors = torch.from_numpy(display(done, float(light.exposure), views.cameras))
+        return Views(views.cameras, colors), done
+
+    def _generator(self, what: str, *numbers: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, *what.encode(), *numbers])
+
+
+def refuse_kinds(recipe: SampleRecipe) -> None:
+    """Raises ValueError when a recipe has kinds that cannot be path traced."""
+    wrong = [kind for kind, weight in recipe.kinds.items() if weight > 0 and kind not in PATH_KINDS]
+    if wrong:
+        raise ValueError(
+            f"path traced truth: expected kinds of {', '.join(PATH_KINDS)}, got {', '.join(wrong)}; others need surfels"
+        )
+
+
+class _Held:
+    """A source of one mesh that was read already."""
+
+    def __init__(self, name: str, mesh: Any) -> None:
+        self.skipped: dict[str, str] = {}
+        self._name, self._mesh = name, mesh
+
+    def __len__(self) -> int:
+        return 1
+
+    def name(self, i: int) -> str:
+        return self._name
+
+    def mesh(self, i: int) -> Any:
+        return self._mesh

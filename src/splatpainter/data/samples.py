@@ -1,0 +1,177 @@
+"""Training samples: an asset, edited views of it, and how it should look from new sides afterwards.
+
+    stream = SampleStream(MeshFolder("meshes"), RECIPES["unified"], seed=0, environments=hdris)
+    sample = stream[17]                      # the same for equal (source, recipe, seed, 17), in any order of access
+
+Samples that follow each other share their object, light and asset (`sample.asset is before.asset`) for
+recipe.steps_per_object steps, so that whoever encodes assets does it once. The truth is a dense set of surfels; edits
+and lights change their colours, and every picture is rendered from them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from splatpainter.data import takes
+from splatpainter.data.kinds import Stock, listed
+from splatpainter.data.lights import random_light
+from splatpainter.data.recipes import GLOBAL, KINDS, LOCAL, RECIPES, SampleRecipe
+from splatpainter.data.scenes import MeshSource, Source, SplatSource
+from splatpainter.data.stages import Stage, Subject, Views, light_up, mesh_subject, splat_subject
+from splatpainter.data.viewpoints import Optics
+from splatpainter.splats import Splats
+
+__all__ = ["GLOBAL", "KINDS", "LOCAL", "RECIPES", "Sample", "SampleRecipe", "SampleStream", "Views"]
+
+Mode = Literal["local", "global"]
+TRIES = 20
+"""Sub-seeds that are tried before an object counts as one that cannot be edited."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One training step's data. Everything but `base` and `asset` is about this one edit."""
+
+    name: str
+    """Of the object."""
+    kind: str
+    mode: Mode
+    asset: Splats
+    """numpy float32, as an artist has it: coarse, irregular, under the source light."""
+    base: Views
+    """The unedited truth around the object."""
+    edited: Views
+    """What the model is given: renders of the edited truth. In a conflict: the first view before the second edit."""
+    masks: np.ndarray
+    """[V, H, W] bool: what was edited; where the object is, for a zoom and for global kinds."""
+    novel_before: Views
+    """Before the edit (of a zoom: the asset itself)."""
+    novel_after: Views
+    """After it, from the same cameras."""
+    near: np.ndarray
+    """[W] bool: the view is near the edit."""
+
+
+class SampleStream:
+    """Endless samples by number; equal (source, recipe, seed, index) give equal samples on one kind of device, in any
+    order of access. Not for several threads at once.
+
+    source: objects (data/scenes.py); bad ones are skipped, see `source.skipped`, and the next one serves. Splat assets
+    bring their light: the kinds "zoom" and "relight" are left out for them. environments: [h, w, 3] linear pictures for
+    lights (procedural ones without). decals, fonts, textures: files, or a folder, for stickers, text and photo patches.
+    device: where surfels live and pictures are rendered. cache_bytes: of surfels kept for objects seen lately."""
+
+    def __init__(
+        self,
+        source: Source,
+        recipe: SampleRecipe,
+        seed: int = 0,
+        environments: Sequence[Any] = (),
+        decals: Sequence[str | Path] | str | Path = (),
+        fonts: Sequence[str | Path] | str | Path = (),
+        textures: Sequence[str | Path] | str | Path = (),
+        device: str = "cpu",
+        cache_bytes: int = 1 << 30,
+    ) -> None:
+        self.source, self.recipe, self.seed, self.device = source, recipe, seed, device
+        self.environments = tuple(environments)
+        self.stock = Stock(listed(decals), listed(fonts), listed(textures))
+        self.splats = not hasattr(source, "mesh")
+        self.kinds = {k: w for k, w in recipe.kinds.items() if w > 0 and not (self.splats and k in ("zoom", "relight"))}
+        if not self.kinds:
+            raise ValueError(f"samples: none of the kinds {sorted(recipe.kinds)} can be made of splat assets")
+        self.retries: Counter[str] = Counter()
+        """Kind -> choices that were thrown away because they made no visible edit."""
+        self._subjects: OrderedDict[int, Subject] = OrderedDict()
+        self._stages: OrderedDict[int, Stage] = OrderedDict()
+        self._bad: dict[int, str] = {}
+        self._cache_bytes = cache_bytes
+
+    def __getitem__(self, index: int) -> Sample:
+        """Raises ValueError, naming the object, when TRIES choices made no visible edit of it, and when the source has
+        no good object at all."""
+        if index < 0:
+            raise IndexError(f"samples: expected an index from 0, got {index}")
+        stage = self._stage(index // self.recipe.steps_per_object)
+        rng = self._generator("kind", index)
+        weights = np.array(list(self.kinds.values()))
+        kind = str(rng.choice(list(self.kinds), p=weights / weights.sum()))
+        for attempt in range(TRIES):
+            strict = 1 - attempt / TRIES
+            take = self._take(stage, kind, strict, self._generator("take", index, attempt))
+            if take is not None:
+                break
+            self.retries[kind] += 1
+        else:
+            raise ValueError(f"{stage.subject.name}: {TRIES} choices of a {kind} edit changed nothing that can be seen")
+        mode: Mode = "global" if kind in GLOBAL else "local"
+        common = (stage.subject.name, kind, mode, stage.asset, stage.base)
+        return Sample(*common, take.edited, take.masks, take.before, take.after, take.near)
+
+    def _take(self, stage: Stage, kind: str, strict: float, rng: np.random.Generator) -> takes.Take | None:
+        odds = np.array(self.recipe.views)
+        plan = takes.Plan(self.recipe, 1 + int(rng.choice(len(odds), p=odds / odds.sum())), strict)
+        if kind == "relight":
+            light = random_light(rng, self.environments, self.device)
+            return takes.relight(stage, light, plan, rng)
+        if kind == "conflict":
+            return takes.conflict(stage, plan, self.stock, rng)
+        others: dict[str, Callable[..., takes.Take | None]]
+        others = {"zoom": takes.zoom, "regrade": takes.regrade, "plain": takes.plain}
+        return others[kind](stage, plan, rng) if kind in others else takes.paint(stage, kind, plan, self.stock, rng)
+
+    def _stage(self, block: int) -> Stage:
+        if block in self._stages:
+            self._stages.move_to_end(block)
+            return self._stages[block]
+        subject = self._subject(block)
+        rng, r = self._generator("stage", block), self.recipe
+        background = r.backgrounds[rng.integers(len(r.backgrounds))]
+        optics = Optics(r.size, float(rng.uniform(*r.fov)), background)
+        light = None if self.splats else random_light(rng, self.environments, self.device)
+        stage = light_up(subject, light, r.sh_degree, optics, r.base_views, rng)
+        self._stages[block] = stage
+        while len(self._stages) > 2:
+            self._stages.popitem(last=False)
+        return stage
+
+    def _subject(self, block: int) -> Subject:
+        """The object of a block: every object once per epoch, in an order of that epoch; bad ones give way to the
+        next in the source."""
+        count = len(self.source)
+        epoch, place = divmod(block, count)
+        first = int(self._generator("epoch", epoch).permutation(count)[place])
+        for step in range(count):
+            i = (first + step) % count
+            if i in self._bad:
+                continue
+            try:
+                return self._cached(i)
+            except ValueError as error:
+                self._bad[i] = str(error)
+        reason = next(iter(self._bad.values()), "the source is empty")
+        raise ValueError(f"samples: none of the {count} objects can be used; the first: {reason}")
+
+    def _cached(self, i: int) -> Subject:
+        if i in self._subjects:
+            self._subjects.move_to_end(i)
+            return self._subjects[i]
+        if self.splats:
+            subject = splat_subject(cast(SplatSource, self.source), i, self.device)
+        else:
+            rng, r = self._generator("subject", i), self.recipe
+            sizes = (r.surfels, r.rows, float(rng.uniform(*r.fuzz)), int(rng.integers(1 << 31)))
+            subject = mesh_subject(cast(MeshSource, self.source), i, *sizes, self.device)
+        self._subjects[i] = subject
+        while len(self._subjects) > 1 and sum(s.nbytes for s in self._subjects.values()) > self._cache_bytes:
+            self._subjects.popitem(last=False)
+        return subject
+
+    def _generator(self, what: str, *numbers: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, *what.encode(), *numbers])

@@ -1,0 +1,197 @@
+"""Encoded assets on disk: encoding takes seconds, an asset is opened again and again.
+
+    FOLDER/<key>.safetensors      latents as float16 (of `copy` also its rows and voxels); the header holds VERSION and
+                                  the SHA-256 of the tensors
+
+The key is a hash of everything that the latents depend on. A file is complete or not there; a damaged one is deleted
+and its asset encoded again; the least recently used go first. A folder that cannot be used is never an error.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from splatpainter.io.files import writing
+from splatpainter.models.encode import Encoded, encode_asset
+from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.voxels import VoxelGrid, voxelize
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from splatpainter.models.model import SplatPainterModel
+
+VARIABLE = "SPLATPAINTER_CACHE"
+"""Environment variable: the folder, in place of the user's cache folder."""
+LIMIT = 2 << 30
+"""Bytes of all files together, at most."""
+VERSION = "1"
+"""Of everything between an asset and its latents: to be raised when code changes what an encoding is."""
+SUFFIX = ".safetensors"
+
+
+def cache_folder() -> Path:
+    """The folder that VARIABLE names, or `splatpainter` in the user's cache folder of this platform."""
+    named = os.environ.get(VARIABLE)
+    if named:
+        return Path(named)
+    home = Path.home()
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "splatpainter" / "Cache"
+    if sys.platform == "darwin":
+        return home / "Library" / "Caches" / "splatpainter"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "splatpainter"
+
+
+def digest(model: SplatPainterModel) -> str:
+    """Hex SHA-256 of a model's config and weights."""
+    found = hashlib.sha256(model.config.to_json().encode())
+    for name, tensor in sorted(model.state_dict().items()):
+        found.update(f"{name} {list(tensor.shape)} {tensor.dtype}".encode())
+        found.update(_bytes(tensor))
+    return found.hexdigest()
+
+
+def encode_cached(
+    model: SplatPainterModel,
+    splats: Splats,
+    grid: VoxelGrid | None = None,
+    *,
+    weights: str | None = None,
+    limit: int = LIMIT,
+) -> Encoded:
+    """`encode_asset` with latents in float16, from the cache where it has them; a hit is bitwise what was stored.
+
+    weights: `digest` of the model, if at hand; limit: bytes that the folder may hold. Raises ValueError when no row can
+    be drawn."""
+    own = splats.numpy()
+    if grid is None or grid.resolution != model.config.compress.resolution:
+        grid = voxelize(own, model.config.compress.resolution)
+    path = cache_folder() / (_key(model, own, weights or digest(model)) + SUFFIX)
+    held = _read(path)
+    encoded = None if held is None else _unpacked(model, own, grid, held)
+    if encoded is None:
+        _forget(path)
+        encoded = encode_half(model, own, grid)
+        _write(path, _packed(model, encoded), limit)
+    else:
+        with contextlib.suppress(OSError):
+            os.utime(path)  # when it was last used
+    return encoded
+
+
+def encode_half(model: SplatPainterModel, splats: Splats, grid: VoxelGrid | None = None) -> Encoded:
+    """`encode_asset` with latents in float16, or in float32 where that could not hold them."""
+    import torch
+
+    encoded = encode_asset(model, splats, grid, dtype=torch.float16)
+    fits = all(bool(torch.isfinite(part).all()) for part in encoded.latents.values.split(1 << 16))
+    return encoded if fits else encode_asset(model, splats, grid)
+
+
+def _key(model: SplatPainterModel, splats: Splats, weights: str) -> str:
+    """Splats.sha256 is the file's hash while these are its rows, else that of the attributes."""
+    import torch
+
+    device = next(model.parameters()).device.type
+    arithmetic = f"{device} {torch.is_autocast_enabled(device)}"
+    parts = (VERSION, weights, splats.sha256, f"{splats.antialiased} {splats.color_space}", arithmetic)
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _packed(model: SplatPainterModel, encoded: Encoded) -> dict[str, Tensor]:
+    """What cannot be made again in no time."""
+    import torch
+
+    held = {"values": encoded.latents.values}
+    if model.config.representation == "copy":
+        groups = encoded.latents.groups
+        held |= {name: getattr(encoded.rows, name) for name in ATTRIBUTES}
+        held |= {name: torch.from_numpy(getattr(groups, name)) for name in ("starts", "centers", "middle")}
+        held["edges"] = torch.tensor([groups.voxel, groups.half], dtype=torch.float64)
+    return {name: tensor.detach().cpu().contiguous() for name, tensor in held.items()}
+
+
+def _unpacked(model: SplatPainterModel, splats: Splats, grid: VoxelGrid, held: dict[str, Tensor]) -> Encoded | None:
+    """None where it does not fit the asset: a file of another program under this name."""
+    from splatpainter.models.compress import Latents
+    from splatpainter.models.rows import RowGroups
+
+    device = str(next(model.parameters()).device)
+    try:
+        values = held["values"].to(device)
+        if model.config.representation == "native":
+            groups, rows = model.groups(grid).kept(1.0)[0], splats.torch(device)
+        else:
+            order = np.arange(len(values), dtype=np.int64)
+            starts, centers, middle = (held[name].numpy() for name in ("starts", "centers", "middle"))
+            voxel, half = held["edges"].tolist()
+            groups = RowGroups(order, starts, centers, voxel, middle, half)
+            means, quats, scales, opacities, sh = (held[name].to(device) for name in ATTRIBUTES)
+            rows = Splats(means, quats, scales, opacities, sh)
+    except (KeyError, ValueError):
+        return None
+    fits = list(values.shape) == [len(groups), model.config.compress.dim] and groups.starts[-1] == len(groups)
+    return Encoded(Latents(values, groups), rows) if fits else None
+
+
+def _read(path: Path) -> dict[str, Tensor] | None:
+    """The tensors of a file, or None where there is none, or one that is damaged."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, "pt") as file:
+            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            header = file.metadata() or {}
+    except (OSError, SafetensorError, ValueError):
+        return None
+    return found if header == {"version": VERSION, "sha256": _checksum(found)} else None
+
+
+def _write(path: Path, tensors: dict[str, Tensor], limit: int) -> None:
+    from safetensors.torch import save
+
+    size = sum(tensor.numel() * tensor.element_size() for tensor in tensors.values())
+    if size > limit:
+        return
+    with contextlib.suppress(OSError, ValueError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _make_room(path.parent, limit - size)
+        with writing(path) as file:
+            file.write(save(tensors, {"version": VERSION, "sha256": _checksum(tensors)}))
+
+
+def _make_room(folder: Path, room: int) -> None:
+    """Delete the least recently used files until the others need at most `room` bytes."""
+    found = [*folder.glob("*" + SUFFIX), *folder.glob(f".*{SUFFIX}.*.part")]  # also what a killed process left
+    files = sorted(((p.stat().st_mtime, p.stat().st_size, p) for p in found), reverse=True)
+    for _, size, path in files:
+        room -= size
+        if room < 0:
+            _forget(path)
+
+
+def _forget(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+def _checksum(tensors: dict[str, Tensor]) -> str:
+    found = hashlib.sha256()
+    for name, tensor in sorted(tensors.items()):
+        found.update(f"{name} {list(tensor.shape)} {tensor.dtype}".encode())
+        found.update(_bytes(tensor))
+    return found.hexdigest()
+
+
+def _bytes(tensor: Tensor) -> memoryview:
+    import torch
+
+    return tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().data

@@ -1,0 +1,131 @@
+"""From an asset to what Stage II reads: canonical views, tokens, Stage I. Once per asset.
+
+N rows of the asset, K latents, V canonical views. In `native` representation the latents belong to the asset's own
+rows; in `copy` the asset is replaced by what Stage I decodes of the LRM's Gaussians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from splatpainter.cameras import Camera, look_at
+from splatpainter.models.config import LrmConfig
+from splatpainter.splats import Splats
+from splatpainter.voxels import VoxelGrid, bounding_cube, voxelize
+
+if TYPE_CHECKING:
+    import torch
+
+    from splatpainter.models.compress import Latents
+    from splatpainter.models.lrm import AssetViews
+    from splatpainter.models.model import SplatPainterModel
+
+FOV = 50.0
+"""Vertical field of view of the canonical cameras, degrees."""
+BALL = 1.3
+"""What the canonical views show whole: a ball of this many half edges of the asset's cube."""
+STEEPEST = 60.0
+"""Canonical cameras stand at most this far above or below the asset, degrees."""
+GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
+"""Degrees from one camera to the next: any number of them is spread evenly (spherical Fibonacci lattice)."""
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """An encoded asset."""
+
+    latents: Latents
+    """K latents; latents.groups.order are rows of `rows`. Rows that cannot be drawn have none."""
+    rows: Splats = field(repr=False)
+    """Torch float32. native: the N rows that were encoded. copy: K rows, decoded by Stage I; they are the asset now."""
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """[len(rows)] int64 index into latents.values of each row's latent; -1 for rows without one."""
+        order = self.latents.groups.order
+        out = np.full(len(self.rows), -1, np.int64)
+        out[order] = np.arange(len(order))
+        return out
+
+
+def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
+    """config.views cameras around the asset's cube, config.image_size pixels square. Deterministic. Raises ValueError
+    when no row can be drawn."""
+    lo, size = bounding_cube(splats)
+    middle, distance = lo + size / 2, BALL * size / 2 / math.sin(math.radians(FOV / 2))
+    first, made = config.views // 3, []  # the first camera looks slightly down
+    for k in range(first, first + config.views):
+        # Heights of equal area between both limits.
+        height = math.sin(math.radians(STEEPEST)) * (1 - (2 * (k % config.views) + 1) / config.views)
+        around = math.radians((k % config.views - first) * GOLDEN)
+        level = math.sqrt(1 - height**2)
+        away = np.array([level * math.sin(around), -height, level * math.cos(around)])  # assets have y down
+        eye = middle + distance * away
+        made.append(look_at(eye, middle, (0.0, -1.0, 0.0), width=config.image_size, height=config.image_size, fov=FOV))
+    return made
+
+
+def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> tuple[AssetViews, np.ndarray]:
+    """(rendered colours, depth and alpha, in the cube of `grid`; contributions [V, N] float32, pixels per row and
+    view). The views are torch float32, on the device of the splats (CPU for numpy), without gradients."""
+    import torch
+
+    from splatpainter.models.lrm import AssetViews
+    from splatpainter.render import render
+
+    with torch.no_grad():
+        drawn = render(splats, list(cameras), contributions=True)
+    colors, depths, alphas = (torch.as_tensor(x).float() for x in (drawn.colors, drawn.depths, drawn.alphas))
+    seen = drawn.contributions if isinstance(drawn.contributions, np.ndarray) else drawn.contributions.cpu().numpy()
+    views = AssetViews(cameras, colors.clamp(0, 1), depths, alphas, middle=grid.lo + grid.size / 2, half=grid.size / 2)
+    return views, seen.astype(np.float32, copy=False)
+
+
+def encode_asset(
+    model: SplatPainterModel,
+    splats: Splats,
+    grid: VoxelGrid | None = None,
+    *,
+    dtype: torch.dtype | None = None,
+) -> Encoded:
+    """LRM and Stage I of an asset, on the model's device; with gradients where torch has them enabled.
+
+    splats: numpy or torch; grid: its voxels where they are at hand already (another resolution than the model's is
+    ignored); dtype: how latents are kept, default float32. Raises ValueError when no row can be drawn."""
+    import torch
+
+    from splatpainter.models.rows import links_from_views
+
+    config = model.config
+    kind, device = dtype or torch.float32, next(model.parameters()).device
+    own = splats.numpy()
+    if grid is None or grid.resolution != config.compress.resolution:
+        grid = voxelize(own, config.compress.resolution)
+    rows = splats.torch(str(device))
+    cameras = canonical_cameras(own, config.lrm)
+    views, contributions = asset_views(rows if device.type == "cuda" else own, cameras, grid)
+    if config.representation == "copy":
+        return _copied(model, views, kind)
+    tokens = model.encode_views(views)
+    # Rows that cannot be drawn contribute nothing; their NaN must not reach the arithmetic.
+    means = np.where(own.finite[:, None], own.means, 0)
+    links = links_from_views(means, cameras, contributions, config.lrm.patch)
+    return Encoded(model.compressor(tokens, rows, links, model.groups(grid), dtype=kind), rows)
+
+
+def _copied(model: SplatPainterModel, views: AssetViews, dtype: torch.dtype) -> Encoded:
+    """What the LRM saw, thinned out and decoded by Stage I: latent i belongs to row i."""
+    from splatpainter.models.compress import Latents
+
+    copy = model.copy_rows(views)
+    grid = voxelize(copy.rows.numpy(), model.config.compress.resolution)
+    latents = model.compressor(copy.tokens, copy.rows, copy.links, model.groups(grid), dtype=dtype)
+    rows = model.decode_latents(latents, copy.rows)
+    groups = replace(latents.groups, order=np.arange(len(latents.groups), dtype=np.int64))
+    return Encoded(Latents(latents.values, groups), rows)

@@ -1,0 +1,82 @@
+"""Between the layers and the painter: rows numbered so that splits can be followed, and what a model has learnt put
+beside any rows below. The original is encoded once, when a layer first needs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from splatpainter.painter import Asset, Edit, Method, Mode, Painter
+from splatpainter.session.deltas import bare
+from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.models.model import SplatPainterModel
+    from splatpainter.models.refine import RefineState
+
+
+class Adapter:
+    """A painter for one original."""
+
+    def __init__(self, original: Splats, painter: Painter) -> None:
+        self._original, self._painter = original, painter
+        self._encoded: Asset | None = None
+
+    def apply(
+        self, below: Splats, state: RefineState | None, edits: Sequence[Edit], mode: Mode, method: Method
+    ) -> tuple[Splats, Asset]:
+        """(the rows below as the painter got them, what it made of them). below: [N] rows with `origin`; in both
+        results `origin` is the row of `below` that each comes from. state: what the edits below have taught the
+        painter. Raises ValueError as Painter.apply does."""
+        numbered = replace(bare(below), origin=np.arange(len(below)))
+        asset = Asset(numbered)
+        if resolved(self._painter, method) == "ttt":
+            base = self._base()
+            assert base.learnt is not None and below.origin is not None
+            if state is not None:
+                from splatpainter.session.states import on_device
+
+                state = on_device(state, next(base.learnt.model.parameters()).device)
+            parents = np.maximum(below.origin, 0)
+            asset = replace(asset, learnt=replace(base.learnt, parents=parents, state=state))
+        return numbered, self._painter.apply(asset, edits, mode, method)
+
+    def _base(self) -> Asset:
+        if self._encoded is None:
+            own = bare(self._original)
+            found = self._painter.encode(own, "ttt")
+            if found.splats.means is not own.means:
+                raise ValueError(
+                    "session: this painter replaces the asset by a copy of its own (representation 'copy'); "
+                    "layers need one that keeps the rows, such as preset 'compact'"
+                )
+            self._encoded = found
+        return self._encoded
+
+
+def resolved(painter: Painter, method: Method) -> Method:
+    """What a painter makes of method "auto"."""
+    if method != "auto":
+        return method
+    return "lift" if painter.model is None else "ttt"
+
+
+def fingerprint(painter: Painter, method: Method) -> str:
+    """What of a painter decides the results of a method, as text: its settings and the hash of its weights."""
+    settings = f"{painter.local!r} {painter.whole!r}"
+    if resolved(painter, method) != "ttt" or painter.model is None:
+        return f"{resolved(painter, method)} {settings}"
+    if painter.model not in _DIGESTS:
+        from splatpainter.models.cache import digest
+
+        _DIGESTS[painter.model] = digest(painter.model)
+    return f"ttt {settings} polish={painter.polish} {_DIGESTS[painter.model]}"
+
+
+_DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()
+"""Of the models in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""

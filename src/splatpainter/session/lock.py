@@ -1,0 +1,60 @@
+"""One writer per project file: a lock that dies with its process.
+
+The lock is an exclusive SQLite transaction on an empty database beside the project (NAME.splatproj-lock). SQLite takes
+the operating system's own file locks (fcntl, LockFileEx), so a killed process frees them at once, and two openers in
+one process exclude each other too, which plain fcntl locks do not. A lock row with a heartbeat would need clocks, a
+time to wait after a crash, and would trust a stopped process to be dead; locking the project database itself would keep
+readers out as well. On network folders it is as good as the locks of that file system.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from pathlib import Path
+
+
+class ProjectLock:
+    """Held from `take` until `release`."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+        self._connection, self._path = connection, path
+
+    @staticmethod
+    def take(project: Path) -> ProjectLock | None:
+        """The lock of a project file, or None: somebody holds it. Raises ValueError where none can be made."""
+        path = project.with_name(project.name + "-lock")
+        for _ in range(100):
+            connection = _locked(path)
+            if connection is None:
+                return None
+            # The file may have been removed by a holder who left between our opening it and our locking it: then what
+            # we hold is a file without a name. If the name stands for another file, that can be locked again.
+            with contextlib.suppress(ValueError):
+                again = _locked(path)
+                if again is None:
+                    return ProjectLock(connection, path)
+                again.close()
+            connection.close()
+        raise ValueError(f"{path}: cannot be locked")
+
+    def release(self) -> None:
+        """Remove the file and let go. In this order: whoever locks the file in between finds that its name is gone."""
+        with contextlib.suppress(OSError):  # Windows removes no open file: it stays, empty and free
+            self._path.unlink(missing_ok=True)
+        self._connection.close()
+
+
+def _locked(path: Path) -> sqlite3.Connection | None:
+    connection = None
+    try:
+        connection = sqlite3.connect(path, timeout=0, isolation_level=None, check_same_thread=False)
+        connection.execute("PRAGMA journal_mode=OFF")
+        connection.execute("BEGIN EXCLUSIVE")
+        return connection
+    except sqlite3.Error as error:
+        if connection is not None:
+            connection.close()
+        if getattr(error, "sqlite_errorname", "").startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+            return None
+        raise ValueError(f"{path}: cannot be locked ({error})") from None

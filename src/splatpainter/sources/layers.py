@@ -1,0 +1,223 @@
+"""Paint as layers over a picture: brush strokes with pressure, lettering, stickers, photo patches, noise.
+
+A layer is [H, W, 4] float32: display colour 0..1 and coverage 0..1, the colour not multiplied by it. Places are in
+pixels (x, y), pixel centres at +0.5. Pure: what is random is drawn by the caller or from the generator given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+FINE = 3
+"""Lettering and stickers are drawn this much larger per axis and averaged."""
+
+
+@dataclass(frozen=True)
+class Brush:
+    """A round brush."""
+
+    width: float
+    """Diameter at full pressure, pixels."""
+    hardness: float = 0.8
+    """0: falls off from the middle; 1: a hard edge."""
+    flow: float = 1.0
+    """Coverage of the stroke's middle, 0..1."""
+    bristles: int = 0
+    """Hairs that leave streaks along the stroke; 0: none."""
+
+
+def over(image: np.ndarray, layer: np.ndarray) -> np.ndarray:
+    """[H, W, 3] picture with a layer on top."""
+    share = layer[..., 3:]
+    return (image * (1 - share) + layer[..., :3] * share).astype(np.float32)
+
+
+def stacked(below: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """[H, W, 4] two layers as one."""
+    share = above[..., 3:] + below[..., 3:] * (1 - above[..., 3:])
+    colors = above[..., :3] * above[..., 3:] + below[..., :3] * below[..., 3:] * (1 - above[..., 3:])
+    return np.concatenate([colors / np.maximum(share, 1e-6), share], -1).astype(np.float32)
+
+
+def spline(points: np.ndarray, count: int) -> np.ndarray:
+    """[count, C] samples, evenly in parameter, of the uniform Catmull-Rom spline through points
+    [K, C], K >= 2; its ends are the first and the last point."""
+    ends = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
+    place = np.linspace(0, len(points) - 1, count)
+    k = np.minimum(place.astype(int), len(points) - 2)
+    t = (place - k)[:, None]
+    a, b, c, d = (ends[k + j] for j in range(4))
+    return 0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
+
+
+def stroke(
+    shape: tuple[int, int],
+    points: np.ndarray,
+    pressure: np.ndarray,
+    brush: Brush,
+    color: tuple[float, float, float],
+    seed: int = 0,
+) -> np.ndarray:
+    """A brush drawn along the spline through points [K, 2], its width following pressure [K] (0..1). seed: of the
+    bristles, which carry more or less paint and run dry towards the end."""
+    coverage = np.zeros(shape, np.float32)
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    count = max(int(length / max(0.12 * brush.width, 0.7)), 2)
+    path = spline(np.concatenate([points, pressure[:, None]], 1), count)
+    hairs = np.random.default_rng(seed).uniform(0, 1, (2, max(brush.bristles, 1) + 1))
+    along = np.gradient(path[:, :2], axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+    for k, (x, y, p) in enumerate(path):
+        radius = max(brush.width / 2 * np.clip(p, 0.05, 1.2), 0.5)
+        box = _box(shape, x, y, radius + 1)
+        if box is None:
+            continue
+        dx = np.arange(box[1].start, box[1].stop, dtype=np.float32) + np.float32(0.5 - x)
+        dy = (np.arange(box[0].start, box[0].stop, dtype=np.float32) + np.float32(0.5 - y))[:, None]
+        rim = max((1 - brush.hardness) * radius, 0.7)
+        dab = np.clip((radius - np.sqrt(dx * dx + dy * dy)) / rim + 0.25, 0, 1)
+        dab = dab * dab * (3 - 2 * dab)
+        if brush.bristles:
+            across = (along[k, 0] * dy - along[k, 1] * dx) / radius
+            place = np.clip((across + 1) / 2 * brush.bristles, 0, brush.bristles - 1e-3)
+            left = place.astype(int)
+            wet, dry = ((hair[left] * (left + 1 - place) + hair[left + 1] * (place - left)) for hair in hairs)
+            dab = dab * (0.45 + 0.55 * wet) * np.clip((0.75 + 0.6 * dry - k / count) * 5, 0, 1)
+        np.maximum(coverage[box], dab, out=coverage[box])
+    return filled(coverage * brush.flow, color)
+
+
+def lettering(
+    shape: tuple[int, int],
+    text: str,
+    middle: tuple[float, float],
+    height: float,
+    color: tuple[float, float, float],
+    font: Path | None = None,
+    angle: float = 0.0,
+    outline: tuple[float, float, float] | None = None,
+    weight: float = 0.0,
+) -> np.ndarray:
+    """Antialiased text. middle: of the text; height: of its capitals, pixels; font: a TrueType or OpenType file, by
+    default Pillow's own scalable font; angle: degrees, counter-clockwise; outline: colour of a rim around the letters;
+    weight: how much fatter the letters become, in parts of `height`. Raises ValueError when the font cannot be read."""
+    from PIL import Image, ImageDraw
+
+    letters, rim = face(font, height * FINE), round(0.09 * height * FINE) if outline else 0
+    bold = round(weight * height * FINE)
+    left, top, right, bottom = (round(v) for v in letters.getbbox(text, stroke_width=rim + bold, anchor="ls"))
+    size = (max(right - left, 1) + 2, max(bottom - top, 1) + 2)
+    stamp = np.zeros((size[1], size[0], 4), np.float32)
+    for ink, stroke_width in ((outline, rim + bold), (color, bold)):
+        if ink is not None:
+            part = Image.new("L", size)  # coverage alone: drawn in colour, the edges would mix with black
+            ImageDraw.Draw(part).text((1 - left, 1 - top), text, 255, letters, anchor="ls", stroke_width=stroke_width)
+            stamp = stacked(stamp, filled(np.asarray(part, np.float32) / 255, ink))
+    return sticker(shape, stamp, middle, max(size) / FINE, angle)
+
+
+def sticker(
+    shape: tuple[int, int],
+    stamp: np.ndarray,
+    middle: tuple[float, float],
+    size: float,
+    angle: float = 0.0,
+    flow: float = 1.0,
+) -> np.ndarray:
+    """A picture [h, w, 4] (or [h, w, 3], opaque), 0..1, laid down around `middle`. size: of its longer side, pixels;
+    angle: degrees, counter-clockwise; flow: of its coverage."""
+    from PIL import Image
+
+    if stamp.shape[2] == 3:
+        stamp = np.concatenate([stamp, np.ones_like(stamp[..., :1])], -1)
+    out = np.zeros((*shape, 4), np.float32)
+    longest = max(stamp.shape[:2])
+    box = _box(shape, *middle, math.hypot(*stamp.shape[:2]) / longest * size / 2 + 1)
+    if box is None:
+        return out
+    shrink = max(int(longest / (size * 2)), 1)  # bilinear looks at 2 x 2 pixels: bring it near them first
+    packed = Image.fromarray((np.clip(stamp, 0, 1) * 255 + 0.5).astype(np.uint8), "RGBA").reduce(shrink)
+    scale, turn = longest / shrink / (size * FINE), math.radians(angle)  # source pixels per fine pixel
+    a, b = math.cos(turn) * scale, -math.sin(turn) * scale
+    x, y = (middle[0] - box[1].start) * FINE, (middle[1] - box[0].start) * FINE
+    matrix = (a, b, packed.width / 2 - a * x - b * y, -b, a, packed.height / 2 + b * x - a * y)
+    big = ((box[1].stop - box[1].start) * FINE, (box[0].stop - box[0].start) * FINE)
+    laid = packed.transform(big, Image.Transform.AFFINE, matrix, Image.Resampling.BILINEAR).reduce(FINE)
+    out[box] = np.asarray(laid, np.float32) / 255  # Pillow averages RGBA with colours times coverage, and divides again
+    out[..., 3] *= flow
+    return out
+
+
+def blob(
+    shape: tuple[int, int], middle: tuple[float, float], radius: float, softness: float, rng: np.random.Generator
+) -> np.ndarray:
+    """[H, W] coverage of an irregular round spot: its radius swings by a third. softness: 0..1 of the radius."""
+    y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) + np.float32(0.5) for n in shape), indexing="ij")
+    dx, dy = x - np.float32(middle[0]), y - np.float32(middle[1])
+    angle, reach = np.arctan2(dy, dx), np.hypot(dx, dy)
+    edge = np.full(shape, radius, np.float32)
+    for k in (2, 3, 5):
+        edge += radius * rng.uniform(-0.14, 0.14) * np.cos(k * angle + rng.uniform(0, 2 * np.pi)).astype(np.float32)
+    fall = np.clip((edge - reach) / max(softness * radius, 0.8), 0, 1)
+    return fall * fall * (3 - 2 * fall)
+
+
+def noise(shape: tuple[int, int], grain: float, rng: np.random.Generator, octaves: int = 3) -> np.ndarray:
+    """[H, W, 3] value noise of mean about 0 and standard deviation about 1. grain: pixels of its coarsest spots."""
+    from PIL import Image
+
+    out, total = np.zeros((*shape, 3), np.float32), 0.0
+    for k in range(octaves):
+        step = max(grain / 2**k, 1.0)
+        small = (max(math.ceil(shape[0] / step), 2), max(math.ceil(shape[1] / step), 2))
+        for c in range(3):
+            cells = Image.fromarray(rng.standard_normal(small).astype(np.float32))
+            out[..., c] += 0.6**k * np.asarray(cells.resize((shape[1], shape[0]), Image.Resampling.BICUBIC))
+        total += 0.36**k
+    return out / np.float32(math.sqrt(total) * 0.7)
+
+
+def filled(coverage: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
+    """[H, W] coverage in one colour -> layer."""
+    out = np.empty((*coverage.shape, 4), np.float32)
+    out[..., :3], out[..., 3] = color, coverage
+    return out
+
+
+def blurred(image: np.ndarray, radius: float) -> np.ndarray:
+    """[H, W, C] after a Gaussian of standard deviation `radius` pixels; edges are repeated."""
+    reach = max(math.ceil(3 * radius), 1)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(radius, 1e-3)) ** 2).astype(np.float32)
+    kernel /= kernel.sum()
+    out = image.astype(np.float32)
+    for axis in (0, 1):
+        width = [(reach, reach) if k == axis else (0, 0) for k in range(3)]
+        padded = np.pad(out, width, mode="edge")
+        n = out.shape[axis]
+        out = kernel[0] * np.take(padded, range(n), axis)
+        for k in range(1, len(kernel)):
+            out += kernel[k] * np.take(padded, range(k, k + n), axis)
+    return out
+
+
+def face(font: Path | None, height: float):  # noqa: ANN202 - Pillow's two font classes
+    """A font at the size where its capitals are `height` pixels tall. Raises ValueError when it cannot be read."""
+    from PIL import ImageFont
+
+    load = (lambda size: ImageFont.truetype(str(font), size)) if font else ImageFont.load_default
+    try:
+        _, top, _, bottom = load(100).getbbox("H")
+        return load(max(round(100 * height / max(bottom - top, 1)), 1))
+    except OSError as error:
+        raise ValueError(f"{font}: expected a TrueType or OpenType font ({error})") from None
+
+
+def _box(shape: tuple[int, int], x: float, y: float, reach: float) -> tuple[slice, slice] | None:
+    """The pixels within `reach` of a place along both axes; None outside the picture."""
+    top, bottom = max(int(y - reach), 0), min(int(y + reach) + 2, shape[0])
+    left, right = max(int(x - reach), 0), min(int(x + reach) + 2, shape[1])
+    return (slice(top, bottom), slice(left, right)) if top < bottom and left < right else None

@@ -1,0 +1,34 @@
+"""Work for other processes that kills its own, for the tests of data/cluster.py; imported by the workers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Work:
+    """number -> its square; leaves a file per attempt."""
+
+    folder: str
+    dies_once: int = -1
+    """The worker that does this number first is killed in the middle."""
+    dies_always: int = -1
+    fails: int = -1
+    """This number raises ValueError."""
+
+    def __call__(self, number: int) -> int:
+        first = not list(Path(self.folder).glob(f"{number}.*"))
+        (Path(self.folder) / f"{number}.{time.time_ns()}.{os.getpid()}").touch()
+        if number == self.dies_always or (number == self.dies_once and first):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if number == self.fails:
+            raise ValueError(f"{number}: is unlucky")
+        return number * number
+
+
+def attempts(folder: Path, number: int) -> int:
+    return len(list(folder.glob(f"{number}.*")))

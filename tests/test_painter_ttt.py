@@ -1,0 +1,368 @@
+"""Painting with networks: identity before training, exact locality, a state that goes in and comes out."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from lift_scenes import db, differing, disk, front, same_bits
+from painter_scenes import (
+    BLUE,
+    CAMERA,
+    COPY,
+    DRAWABLE,
+    GREEN,
+    LIFT,
+    OWN,
+    REAR,
+    RED,
+    SIZE,
+    built,
+    dab,
+    grade,
+    thing,
+    uneven,
+)
+
+from splatpainter.models.config import COMPACT, PAPER, ModelConfig, shallow
+from splatpainter.models.draft import draft_local, edit_views
+from splatpainter.models.encode import canonical_cameras, encode_asset
+from splatpainter.models.model import SplatPainterModel
+from splatpainter.painter import Asset, Edit, Mode, Painter
+from splatpainter.receipts import Receipt
+from splatpainter.render import render
+from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.voxels import voxelize
+
+SPLATS = thing()
+MODES: list[Mode] = ["local", "global"]
+
+
+def receipt_of(asset: Asset) -> Receipt:
+    assert asset.receipt is not None
+    return asset.receipt
+
+
+def fast_weights(asset: Asset) -> list[torch.Tensor]:
+    """Of all blocks and the detail layer."""
+    assert asset.learnt is not None and asset.learnt.state is not None
+    state = asset.learnt.state
+    memories = [*state.blocks, *([] if state.detail is None else [state.detail])]
+    return [weight for memory in memories for weight in memory]
+
+
+def same_state(one: Asset, two: Asset) -> bool:
+    return all(torch.equal(a, b) for a, b in zip(fast_weights(one), fast_weights(two), strict=True))
+
+
+def wanted(mode: Mode, splats: Splats = SPLATS) -> list[Edit]:
+    return [dab(splats, RED)] if mode == "local" else [grade(splats)]
+
+
+# Before training
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_an_untrained_network_on_own_rows_returns_the_asset_bit_for_bit(mode: Mode) -> None:
+    painter = Painter(model=built(OWN))
+    asset = painter.encode(SPLATS)
+    result = painter.apply(asset, wanted(mode), mode=mode)
+    receipt = receipt_of(result)
+    assert same_bits(result.splats, SPLATS) and result.splats is SPLATS
+    assert (receipt.method, receipt.preset, receipt.appended_rows, len(receipt.touched)) == ("ttt", "tiny", 0, 0)
+    assert "tiny" in receipt.note and set(receipt.seconds) >= {"encode", "prepare", "lift", "ttt", "receipt"}
+    assert receipt.untouched_sha256_before == receipt.untouched_sha256_after
+    assert (result.confidence is not None) == (mode == "global")
+    # It has learnt all the same.
+    first = built(OWN).initial_state().blocks[0]
+    assert not torch.equal(fast_weights(result)[0], first[0])
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_an_untrained_network_on_the_lift_returns_the_lift_bit_for_bit(mode: Mode) -> None:
+    edits = [*wanted(mode), dab(SPLATS, BLUE, 40), dab(SPLATS, GREEN, camera=REAR)]
+    painter, lift = Painter(model=built(LIFT)), Painter()
+    result = painter.apply(painter.encode(SPLATS), edits, mode=mode)
+    plain = lift.apply(lift.encode(SPLATS), edits, mode=mode)
+    assert same_bits(result.splats, plain.splats) and not same_bits(result.splats, SPLATS)
+    one, two = receipt_of(result), receipt_of(plain)
+    assert one.touched.tolist() == two.touched.tolist() and one.views == two.views
+    assert (one.method, two.method) == ("ttt", "lift")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_presets_with_one_layer_run_from_end_to_end(mode: Mode) -> None:
+    """All switches as the presets have them; compact is as wide as it is."""
+    small = shallow(PAPER)
+    paper = replace(
+        small,
+        lrm=replace(small.lrm, dim=64, heads=4, hidden=64, views=2, image_size=32),
+        compress=replace(small.compress, dim=64, hidden=64),
+        refine=replace(small.refine, fast_hidden=128, hidden=64),
+    )
+    for config in (shallow(replace(COMPACT, lrm=replace(COMPACT.lrm, views=2, image_size=32))), paper):
+        painter = Painter(model=built(config))
+        asset = painter.encode(SPLATS)
+        result = painter.apply(asset, wanted(mode, asset.splats), mode=mode)
+        assert same_bits(result.splats, asset.splats)
+        copied = config.representation == "copy"
+        assert (asset.splats is SPLATS) != copied and ("copy" in receipt_of(result).note) == copied
+
+
+def test_copy_is_the_most_opaque_rows_of_what_the_lrm_saw() -> None:
+    model = built(COPY)
+    painter = Painter(model=model)
+    asset = painter.encode(SPLATS)
+    with torch.no_grad():
+        encoded = encode_asset(model, SPLATS)
+    assert same_bits(asset.splats, encoded.rows.numpy())  # test_encode.py says which rows these are
+    # A lift of a copy: its further rows stand behind it, and the next edit with the network knows whose they are.
+    lifted = painter.apply(asset, [dab(asset.splats, RED)], method="lift")
+    again = painter.apply(lifted, [dab(lifted.splats, BLUE)])
+    assert same_bits(again.splats, lifted.splats) and len(lifted.splats) > len(asset.splats)
+
+
+# What an edit may touch
+
+
+@pytest.mark.parametrize("config", [OWN, LIFT], ids=["own", "lift"])
+def test_rows_outside_the_selection_keep_their_bits(config: ModelConfig) -> None:
+    painter = Painter(model=built(config, awake=0.05))
+    edit = dab(SPLATS, RED)
+    asset = painter.encode(SPLATS)
+    result = painter.apply(asset, [edit])
+    receipt = receipt_of(result)
+    grid = voxelize(SPLATS)
+    views = edit_views(SPLATS, [CAMERA], [edit.image], [disk(CAMERA, 32, 32, 7)])
+    own = draft_local(SPLATS, grid, views, "own").rows
+    changed = np.flatnonzero(differing(SPLATS, result.splats))
+    assert 0 < len(changed) and set(changed) <= set(own) and receipt.touched.tolist() == changed.tolist()
+    assert receipt.untouched_sha256_before == receipt.untouched_sha256_after
+    # Own: every chosen row moved and has one child; lift: the children are the lift's.
+    children = len(own) if config is OWN else len(draft_local(SPLATS, grid, views, "lift").splats) - len(SPLATS)
+    assert receipt.appended_rows == children == len(result.splats) - len(SPLATS)
+    if config is OWN:
+        assert changed.tolist() == own.tolist()
+    assert result.splats.finite[:DRAWABLE].all() and result.splats.finite[len(SPLATS) :].all()
+
+
+def test_a_global_edit_leaves_rows_that_cannot_be_drawn() -> None:
+    painter = Painter(model=built(OWN, awake=0.05))
+    result = painter.apply(painter.encode(SPLATS), [grade(SPLATS), grade(SPLATS, REAR)], mode="global")
+    assert differing(SPLATS, result.splats).tolist() == [True] * DRAWABLE + [False] * 2
+    assert len(result.splats) == len(SPLATS) and result.confidence is not None
+
+
+def test_permuting_rows_or_views_permutes_the_result_and_nothing_else() -> None:
+    splats = uneven()
+    painter = Painter(model=built(OWN, awake=0.05))
+    edits = [grade(splats), grade(splats, REAR)]
+    result = painter.apply(painter.encode(splats), edits, mode="global")
+    turn = np.random.default_rng(5).permutation(len(splats))
+    turned = painter.apply(painter.encode(splats.take(turn)), edits, mode="global")
+    swapped = painter.apply(painter.encode(splats), edits[::-1], mode="global")
+    for name in ATTRIBUTES:
+        whole = getattr(result.splats, name)
+        np.testing.assert_allclose(getattr(turned.splats, name), whole[turn], rtol=1e-3, atol=5e-4)
+        np.testing.assert_allclose(getattr(swapped.splats, name), whole, rtol=1e-3, atol=5e-4)
+        assert np.nanmax(np.abs(getattr(splats, name) - whole)) > 0.01
+
+
+def test_two_runs_are_bitwise_equal() -> None:
+    results = []
+    for _ in range(2):
+        painter = Painter(model=built(LIFT, awake=0.05))
+        results.append(painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED), dab(SPLATS, BLUE, 36)]))
+    assert same_bits(results[0].splats, results[1].splats) and same_state(*results)
+
+
+# State and history
+
+
+@pytest.mark.parametrize("config", [OWN, LIFT], ids=["own", "lift"])
+def test_apply_is_pure_and_undo_is_the_old_asset(config: ModelConfig) -> None:
+    model = built(config, awake=0.05)
+    weights = [parameter.clone() for parameter in model.parameters()]
+    painter = Painter(model=model)
+    asset = painter.encode(SPLATS)
+    first = painter.apply(asset, [dab(SPLATS, RED)])
+    kept = {name: getattr(first.splats, name).copy() for name in ATTRIBUTES}
+    state = [weight.clone() for weight in fast_weights(first)]
+    second = painter.apply(first, [dab(first.splats, BLUE, 24)])
+    assert all(np.array_equal(getattr(first.splats, n), kept[n], equal_nan=True) for n in ATTRIBUTES)
+    assert all(torch.equal(a, b) for a, b in zip(fast_weights(first), state, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), weights, strict=True))
+    assert asset.splats is SPLATS and asset.learnt is not None and asset.learnt.state is None
+    # Going on from the undone edit is as if the other had never been.
+    redone = painter.apply(first, [dab(first.splats, BLUE, 24)])
+    assert same_bits(redone.splats, second.splats) and same_state(redone, second)
+
+
+def test_the_second_edit_starts_from_the_state_and_the_rows_of_the_first() -> None:
+    painter = Painter(model=built(OWN, awake=0.05))
+    asset = painter.encode(SPLATS)
+    first = painter.apply(asset, [dab(SPLATS, RED, 26)])
+    assert first.learnt is not None and len(first.learnt.parents) == len(first.splats) > len(SPLATS)
+    # Children read their parent's latent: here child i belongs to touched row i.
+    assert first.learnt.parents[len(SPLATS) :].tolist() == receipt_of(first).touched.tolist()
+    edit = dab(first.splats, BLUE, 32)
+    second = painter.apply(first, [edit])
+    forgetful = replace(first, learnt=replace(first.learnt, state=None))
+    fresh = painter.apply(forgetful, [edit])
+    assert receipt_of(second).touched.tolist() == receipt_of(fresh).touched.tolist()
+    assert (receipt_of(second).touched >= len(SPLATS)).any()  # it reached children of the first
+    assert not same_bits(second.splats, fresh.splats) and not same_state(second, fresh)
+    assert second.learnt is not None and first.learnt.encoded is second.learnt.encoded
+    parents = second.learnt.parents
+    assert len(parents) == len(second.splats) and (parents < DRAWABLE).all() or (parents[: len(SPLATS)] >= 0).all()
+
+
+def test_lift_and_network_take_turns_on_one_asset() -> None:
+    painter = Painter(model=built(LIFT, awake=0.05))
+    asset = painter.encode(SPLATS)
+    lifted = painter.apply(asset, [dab(SPLATS, RED, 28)], method="lift")
+    assert lifted.learnt is not None and lifted.learnt.state is None
+    assert receipt_of(lifted).preset == "lift" and receipt_of(lifted).method == "lift"
+    refined = painter.apply(lifted, [dab(lifted.splats, BLUE, 32)])
+    assert refined.learnt is not None and len(refined.learnt.parents) == len(refined.splats)
+    appended = np.arange(len(SPLATS), len(refined.splats))
+    parents = refined.learnt.parents[appended]
+    away = np.linalg.norm(refined.splats.means[appended] - SPLATS.means[parents], axis=1)
+    assert (parents < DRAWABLE).all() and np.median(away) < 4 * SPLATS.scales.max()
+    # An asset that another painter made is encoded on the way.
+    other = Painter().apply(Asset(SPLATS), [dab(SPLATS, RED, 28)])
+    taken = painter.apply(other, [dab(other.splats, BLUE, 32)])
+    assert taken.learnt is not None and len(taken.learnt.encoded.rows) == len(other.splats)
+
+
+def test_the_models_own_mode_comes_back_and_counts_for_nothing() -> None:
+    model = built(OWN, awake=0.05)
+    painter = Painter(model=model)
+    quiet = painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)])
+    model.train()
+    loud = painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)])
+    assert model.training and same_bits(quiet.splats, loud.splats)
+    with pytest.raises(ValueError, match="no row"):
+        painter.apply(painter.encode(SPLATS), [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 0.5, 0.5, 0.6))])
+    assert model.training
+
+
+# Polish
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_polish_brings_the_picture_nearer_and_reaches_no_other_row(mode: Mode) -> None:
+    model = built(LIFT, awake=0.02)
+    edits = wanted(mode)
+    plain, polished = (
+        painter.apply(painter.encode(SPLATS), edits, mode=mode)
+        for painter in (Painter(model=model), Painter(model=model, polish=True))
+    )
+    inside = disk(CAMERA, 32, 32, 7) if mode == "local" else np.ones((SIZE, SIZE), bool)
+    scores = [db(render(a.splats, CAMERA).colors[0], edits[0].image, inside) for a in (plain, polished)]
+    assert scores[1] > scores[0] + 0.5
+    assert set(receipt_of(polished).touched) <= set(receipt_of(plain).touched)
+    assert len(plain.splats) == len(polished.splats)
+    assert "polish" in receipt_of(polished).note and "polish" in receipt_of(polished).seconds
+    assert "polish" not in receipt_of(plain).note and "polish" not in receipt_of(plain).seconds
+
+
+# Weights
+
+
+def saved(folder: Path, config: ModelConfig = OWN, seed: int = 7) -> None:
+    built(config, seed=seed).save(folder, dtype="float32")
+
+
+@pytest.fixture
+def weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of presets, empty; and an empty cache."""
+    monkeypatch.setenv("SPLATPAINTER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPAINTER_WEIGHTS", str(tmp_path / "weights"))
+    monkeypatch.setattr("splatpainter.models.weights.PACKAGED", tmp_path / "packaged")
+    return tmp_path / "weights"
+
+
+def test_auto_is_compact_where_its_weights_are_else_the_lift(weights: Path) -> None:
+    plain = Painter.load()
+    assert plain.model is None and plain.preset == "lift"
+    assert "no trained weights" in receipt_of(plain.apply(plain.encode(SPLATS), [dab(SPLATS, RED)])).note
+    for folder in (weights.parent / "packaged" / "compact", weights / "compact"):
+        saved(folder, replace(OWN, preset="compact"), seed=len(folder.parts))
+        painter = Painter.load()
+        assert painter.model is not None and painter.preset == "compact" and painter.cache
+        stored = SplatPainterModel.load(folder)
+        assert torch.equal(painter.model.head.norm.weight, stored.head.norm.weight)
+        name = "compressor.attribute.weight"
+        assert torch.equal(painter.model.get_parameter(name), stored.get_parameter(name))  # the named folder wins
+    assert Painter.load("lift").model is None
+    assert not Painter.load("compact", cache=False).cache and Painter.load("compact", polish=True).polish
+
+
+def test_a_checkpoints_own_config_wins(weights: Path) -> None:
+    saved(weights / "compact", replace(LIFT, preset="compact"))
+    painter = Painter.load("compact")
+    assert painter.model is not None and painter.model.config == replace(LIFT, preset="compact")
+    somewhere = weights.parent / "somewhere"
+    saved(somewhere, replace(OWN, preset="mine"))
+    assert Painter.load(str(somewhere)).preset == "mine"
+    result = Painter.load(str(somewhere)).apply(Asset(SPLATS), [dab(SPLATS, RED)])
+    assert receipt_of(result).preset == "mine" and receipt_of(result).method == "ttt"
+
+
+def test_weights_that_cannot_be_used_are_one_line(weights: Path) -> None:
+    saved(weights / "paper", replace(OWN, preset="compact"))
+    newer = weights.parent / "newer"
+    saved(newer)
+    index = newer / "model.json"
+    index.write_text(index.read_text().replace('"version": 1', '"version": 2'))
+    torn = weights.parent / "torn"
+    shutil.copytree(weights / "paper", torn)
+    next(torn.glob("weights-*")).unlink()
+    (weights.parent / "empty").mkdir()
+    for preset, pattern in {
+        "compact": "preset 'compact': no trained weights; put model.json",
+        "paper": "expected weights of preset 'paper', these are of preset 'compact'",
+        str(newer): "newer SplatPainter",
+        str(torn): "missing",
+        str(weights.parent / "empty"): "no weights there",
+        "huge": "expected one of auto, lift, paper, compact, or a folder of weights, got 'huge'",
+    }.items():
+        with pytest.raises(ValueError, match=pattern) as error:
+            Painter.load(preset)
+        assert "\n" not in str(error.value)
+
+
+# What it cannot do
+
+
+def test_errors_are_one_line_and_leave_the_asset_alone() -> None:
+    painter = Painter(model=built(OWN, awake=0.05))
+    asset = painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)])
+    before = [weight.clone() for weight in fast_weights(asset)]
+    small = front(32)
+    other = Edit(np.zeros((32, 32, 3)), small, np.ones((32, 32)), name="small.png")
+    cases = {
+        "17": ([dab(SPLATS, RED)] * 17, "1 to 16"),
+        "sizes": ([dab(SPLATS, RED), other], "one size, got 32x32, 64x64"),
+        "air": (
+            [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 0.5, 0.5, 0.6), name="air.png")],
+            "^air.png: no row",
+        ),
+    }
+    for edits, pattern in cases.values():
+        with pytest.raises(ValueError, match=pattern) as error:
+            painter.apply(asset, edits)
+        assert "\n" not in str(error.value)
+    assert all(torch.equal(a, b) for a, b in zip(fast_weights(asset), before, strict=True))
+    # The lift takes pictures of several sizes.
+    assert len(receipt_of(painter.apply(asset, [dab(SPLATS, RED), other], method="lift")).views) == 2
+    with pytest.raises(ValueError, match="'ttt' needs a preset with trained weights"):
+        Painter().apply(Asset(SPLATS), [dab(SPLATS, RED)], method="ttt")
+    with pytest.raises(ValueError, match="none of the 2 rows"):
+        painter.encode(SPLATS.take(np.arange(DRAWABLE, DRAWABLE + 2)))
+    assert len(canonical_cameras(SPLATS, OWN.lrm)) == OWN.lrm.views
