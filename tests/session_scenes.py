@@ -31,6 +31,9 @@ class FlatPainter:
     polish: bool = False
     calls: list[str] = field(default_factory=list)
 
+    def choose(self, method: str, mode: str) -> tuple[str, str]:
+        return ("lift" if self.model is None else "ttt") if method == "auto" else method, ""
+
     def encode(self, splats: Splats, method: str = "auto") -> Asset:
         if self.model is None:
             return Asset(splats)

@@ -25,7 +25,7 @@ ORDER = (
     ("lift",),
     ("nn",),
     ("models",),
-    ("painter", "receipts"),
+    ("painter", "receipts", "proof"),
     ("session",),
     ("sources",),
     ("studio",),
@@ -126,7 +126,7 @@ def test_the_checker_refuses_what_the_design_forbids() -> None:
     ]
     allowed = [
         ("lift", "voxels"),
-        ("painter", "receipts"),
+        ("painter", "receipts", "proof"),
         ("cli", "evaluate"),
         ("io", "io"),
         ("train", "models"),

@@ -151,6 +151,23 @@ def test_a_head_of_zeros_gives_the_start_of_training() -> None:
     assert splats.sh.shape == (384, 4, 3) and not splats.sh.any()
 
 
+def test_with_geometry_a_head_of_zeros_paints_each_pixel_with_its_own_gaussian() -> None:
+    own, made = views(), lrm(SEEING)
+    nn.init.zeros_(made.head.weight)
+    splats = made(own).splats
+    assert own.alpha is not None
+    order = pixel_by_pixel(torch.arange(384.0)[:, None], 2, 12, 16, 4)[..., 0].long()
+    shown = own.alpha[..., 0] > 0.1
+    colors = 0.5 + 0.28209479177387814 * splats.sh[order, 0]
+    torch.testing.assert_close(colors, own.colors, atol=1e-6, rtol=0)
+    assert not splats.sh[:, 1:].any()
+    assert splats.opacities[order][shown].min() > 0.7 and splats.opacities[order][~shown].max() < 0.005
+    for k, view in enumerate(own.cameras):
+        away = np.linalg.norm(splats.means.detach()[order[k]].numpy() - view.position, axis=-1)
+        pixels = splats.scales.detach()[order[k]].numpy()[..., 0] * min(view.fx, view.fy) / away
+        np.testing.assert_allclose(pixels[shown[k].numpy()], 0.7, rtol=1e-4)
+
+
 def test_with_geometry_a_head_of_zeros_gives_the_rendered_surface() -> None:
     own, made = views(), lrm(SEEING)
     nn.init.zeros_(made.head.weight)

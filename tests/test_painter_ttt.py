@@ -303,6 +303,17 @@ def test_auto_is_compact_where_its_weights_are_else_the_lift(weights: Path) -> N
     assert not Painter.load("compact", cache=False).cache and Painter.load("compact", polish=True).polish
 
 
+def test_auto_is_the_lift_in_the_mode_where_the_weights_do_not_beat_it() -> None:
+    model = built(LIFT)
+    model.notes = {"gain": {"local": -0.02, "global": 0.4}}
+    painter = Painter(model=model)
+    local = receipt_of(painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)]))
+    assert local.method == "lift" and "-0.02 dB" in local.note
+    assert receipt_of(painter.apply(Asset(SPLATS), [dab(SPLATS, RED)], method="ttt")).method == "ttt"
+    everywhere = receipt_of(painter.apply(Asset(SPLATS), [dab(SPLATS, RED)], mode="global"))
+    assert everywhere.method == "ttt" and "+0.40 dB" in everywhere.note
+
+
 def test_a_checkpoints_own_config_wins(weights: Path) -> None:
     saved(weights / "compact", replace(LIFT, preset="compact"))
     painter = Painter.load("compact")

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -152,7 +152,8 @@ class Painter:
         if not own.finite.any():
             raise ValueError(f"asset: none of the {len(own)} rows can be drawn (NaN, zero scale or zero quaternion)")
         asset = Asset(own)
-        return self._encoded(asset) if self._choose(method)[0] == "ttt" else asset
+        wanted = any(self.choose(method, mode)[0] == "ttt" for mode in get_args(Mode))
+        return self._encoded(asset) if wanted else asset
 
     def apply(self, asset: Asset, edits: Sequence[Edit], mode: Mode = "local", method: Method = "auto") -> Asset:
         """The asset after 1..16 edits; `asset` itself does not change. Later edits win where edits conflict.
@@ -160,14 +161,15 @@ class Painter:
         mode "local": only rows that visibly make the edited pixels change, rows finer than the old ones are appended.
         mode "global": every row changes; what the views do not show is predicted from what they do.
         method "ttt": the networks (pictures of one size); "lift": analytic; "fit": plain optimisation; "auto": ttt
-        where the painter has a model. An asset that its model has not encoded yet is encoded first.
+        where the painter has a model that is better in this mode, else lift. An asset that its model has not encoded
+        yet is encoded first.
         Rows that did not have to change keep their bits, and old rows keep their indices.
         Raises ValueError: no edits, an empty mask, an edit that reaches no row, a camera inside the object."""
         if not 1 <= len(edits) <= MAX_VIEWS:
             raise ValueError(f"edit: expected 1 to {MAX_VIEWS} edited views, got {len(edits)}")
         if mode not in ("local", "global"):
             raise ValueError(f"edit: expected mode local or global, got {mode!r}")
-        chosen, note = self._choose(method)
+        chosen, note = self.choose(method, mode)
         if mode == "global" and chosen == "fit":
             raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
         clock = _Clock()
@@ -224,15 +226,22 @@ class Painter:
             clock.lap("polish")
         return result
 
-    def _choose(self, method: Method) -> tuple[str, str]:
-        """(method, the one line that says why)."""
+    def choose(self, method: Method, mode: Mode) -> tuple[Method, str]:
+        """What `apply` does for a method: (method, never "auto", and the one line that says why). Weights whose notes
+        hold `gain`, {mode: dB over the lift on objects kept out of training}, are used by "auto" only where that is
+        above 0. Raises ValueError for a method that is not known, or needs a model."""
         if method == "ttt" and self.model is None:
             raise ValueError(
                 "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
             )
         if method == "auto":
             if self.model is not None:
-                return "ttt", f"weights of preset '{self.preset}': test-time training"
+                gain = self.model.notes.get("gain", {}).get(mode)
+                if gain is None:
+                    return "ttt", f"weights of preset '{self.preset}': test-time training"
+                measured = f"{gain:+.2f} dB over the lift in {mode} edits of objects kept out of training"
+                told = f"weights of preset '{self.preset}' ({measured})"
+                return ("ttt", f"{told}: test-time training") if gain > 0 else ("lift", f"{told}: the analytic lift")
             return "lift", self.why or "no trained weights: the analytic lift"
         if method not in ("ttt", "lift", "fit"):
             raise ValueError(f"method: expected auto, ttt, lift or fit, got {method!r}")

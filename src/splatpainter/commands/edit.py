@@ -12,12 +12,12 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import AssetFile, CameraFiles, OutFile
-from splatpainter.commands.proof import prove
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.io import files, read, write
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
+from splatpainter.proof import prove
 from splatpainter.receipts import Receipt, Verification
 from splatpainter.sources import FileEdit, edit_from_files
 from splatpainter.splats import Splats

@@ -22,7 +22,7 @@ from splatpainter.cameras import Camera
 from splatpainter.models.config import LrmConfig
 from splatpainter.nn.attention import Groups
 from splatpainter.nn.layers import PackedBlock, layer_norm, linear
-from splatpainter.splats import Splats
+from splatpainter.splats import SH_C0, Splats
 
 MOST_VIEWS = 16
 REACH = 1.8
@@ -36,6 +36,10 @@ SCALE_BIAS, SCALE_MOST = -2.3, -1.2
 """Log-scale where the head says 0 (0.10 of half the cube), and its upper limit (0.30)."""
 OPACITY_BIAS = -2.0
 """Logit opacity where the head says 0 (0.12)."""
+KNOWN_OPACITY_BIAS, EMPTY_OPACITY_BIAS = 1.0, -6.0
+"""The same with geometry: on the surface (0.73), and where the views show nothing (0.002: as good as absent)."""
+KNOWN_SCALE = 0.7
+"""Scale where the head says 0 and the surface is known, in pixels of the view at that depth: neighbours overlap."""
 
 
 @dataclass(frozen=True)
@@ -128,12 +132,24 @@ class GaussianLrm(nn.Module):
         if self.training:
             means = means.clamp(-1, 1)
         middle = torch.as_tensor(np.asarray(views.middle, np.float32)).to(means.device)
+        sh = sh.unflatten(1, (count, 3))
+        scale_bias, opacity_bias = torch.full_like(scales[:, :1], SCALE_BIAS), OPACITY_BIAS
+        if self.config.geometry:
+            # The surface and its colours are given: where the head says 0, the views' own pixels lie on it.
+            assert views.alpha is not None
+            known = patchify(views.alpha, patch).reshape(-1, 1) > KNOWN_ALPHA
+            focal = min(views.cameras[0].fx, views.cameras[0].fy)
+            footprint = torch.log(KNOWN_SCALE / focal * along.flatten(0, 1).detach().clamp_min(1e-3))
+            scale_bias = torch.where(known, footprint, scale_bias)
+            opacity_bias = torch.where(known[:, 0], KNOWN_OPACITY_BIAS, EMPTY_OPACITY_BIAS)
+            own = (patchify(views.colors, patch).reshape(-1, 1, 3) - 0.5) / SH_C0
+            sh = torch.cat([sh[:, :1] + own, sh[:, 1:]], dim=1)
         return Splats(
             means=means.flatten(0, 1) * views.half + middle,
             quats=quats,
-            scales=torch.exp((scales + SCALE_BIAS).clamp_max(SCALE_MOST)) * views.half,
-            opacities=torch.sigmoid(opacities[:, 0] + OPACITY_BIAS),
-            sh=sh.unflatten(1, (count, 3)),
+            scales=torch.exp((scales + scale_bias).clamp_max(SCALE_MOST)) * views.half,
+            opacities=torch.sigmoid(opacities[:, 0] + opacity_bias),
+            sh=sh,
         )
 
     def _channels(self, views: AssetViews) -> Tensor:

@@ -35,7 +35,7 @@ class Adapter:
         painter. Raises ValueError as Painter.apply does."""
         numbered = replace(bare(below), origin=np.arange(len(below)))
         asset = Asset(numbered)
-        if resolved(self._painter, method) == "ttt":
+        if method == "ttt":
             base = self._base()
             assert base.learnt is not None and below.origin is not None
             if state is not None:
@@ -59,18 +59,12 @@ class Adapter:
         return self._encoded
 
 
-def resolved(painter: Painter, method: Method) -> Method:
-    """What a painter makes of method "auto"."""
-    if method != "auto":
-        return method
-    return "lift" if painter.model is None else "ttt"
-
-
 def fingerprint(painter: Painter, method: Method) -> str:
-    """What of a painter decides the results of a method, as text: its settings and the hash of its weights."""
+    """What of a painter decides the results of a method, as text: its settings and the hash of its weights. method: not
+    "auto"."""
     settings = f"{painter.local!r} {painter.whole!r}"
-    if resolved(painter, method) != "ttt" or painter.model is None:
-        return f"{resolved(painter, method)} {settings}"
+    if method != "ttt" or painter.model is None:
+        return f"{method} {settings}"
     if painter.model not in _DIGESTS:
         from splatpainter.models.cache import digest
 

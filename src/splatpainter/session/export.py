@@ -8,13 +8,11 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from splatpainter.io import FORMATS, files, format_of_name, read, write
-from splatpainter.receipts import Receipt, Verification, check, compare, untouched_hashes
+from splatpainter.io import FORMATS, files, format_of_name, write
+from splatpainter.proof import prove
+from splatpainter.receipts import Receipt, Verification, untouched_hashes
 from splatpainter.session.deltas import differing
 from splatpainter.session.layers import Layer
 from splatpainter.splats import Splats
@@ -61,40 +59,6 @@ def export_asset(
             os.replace(partial, path)
     files.sync_folder(path.parent)
     return proved, found
-
-
-def prove(original: Splats, written: Path, receipt: Receipt) -> tuple[Receipt, Verification]:
-    """The receipt of the file at `written` and the outcome of checking one against the other. Rows that a format had to
-    round anew are listed as touched. An original that is no file is compared as that format holds it.
-    Raises RuntimeError where the file does not prove the receipt."""
-    edited = read(written)
-    assert edited.source is not None
-    entry = FORMATS[edited.source.format]
-    found = compare(_as_file(original, written), edited)
-    rounded = np.setdiff1d(found.differs, receipt.touched)
-    notes = [receipt.note]
-    if len(rounded) and entry.lossy:
-        touched = np.union1d(receipt.touched, rounded)
-        before, after = untouched_hashes(found.before, edited, touched)
-        receipt = replace(receipt, touched=touched, untouched_sha256_before=before, untouched_sha256_after=after)
-        notes.append(f"{len(rounded)} rows that no layer changed were rounded anew by {entry.key}")
-    if original.source is None or original.source.format != entry.key:
-        notes.append(f"rows are compared with the original converted to {entry.key}")
-    note = "; ".join(filter(None, notes))
-    receipt = replace(receipt, output_sha256=edited.sha256, output_rows=len(edited), note=note)
-    verification = check(found, replace(receipt, asset_sha256=found.original_sha256))
-    if not verification.ok:
-        raise RuntimeError(f"the file written does not prove its receipt: {'; '.join(verification.problems)}")
-    return receipt, verification
-
-
-def _as_file(original: Splats, written: Path) -> Splats:
-    if original.source is not None:
-        return original
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / written.name
-        write(place, original)
-        return read(place)
 
 
 def _check_target(path: Path, overwrite: bool) -> None:

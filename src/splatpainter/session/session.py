@@ -23,7 +23,7 @@ from splatpainter.cameras import Camera
 from splatpainter.io import read
 from splatpainter.painter import Edit, Method, Mode, Painter
 from splatpainter.session import commands, export, original, schema
-from splatpainter.session.adapter import fingerprint, resolved
+from splatpainter.session.adapter import fingerprint
 from splatpainter.session.changes import Changes
 from splatpainter.session.deltas import bare
 from splatpainter.session.intake import new_layer
@@ -148,7 +148,8 @@ class Session(Reader):
         cameras and masks count. Pictures are kept with 8 bits. A local edit without a mask gets the one of what
         differs from the asset now. Raises ValueError as Painter.apply does, with nothing changed."""
         with self._command():
-            settings = {"mode": mode, "method": resolved(self.painter, method), "opacity": opacity, "blend": blend}
+            method = self.painter.choose(method, mode or ("global" if kind == "look" else "local"))[0]
+            settings = {"mode": mode, "method": method, "opacity": opacity, "blend": blend}
             settings["painter"] = fingerprint(self.painter, method)
             layer, self._pending.more.blobs = new_layer(
                 self.splats, kind, edits, name, dict(parameters or {}), settings
@@ -167,8 +168,8 @@ class Session(Reader):
             )
         with self._command():
             if "method" in values:
+                values["method"] = self.painter.choose(values["method"], self.layer(layer).mode)[0]
                 values["painter"] = fingerprint(self.painter, values["method"])
-                values["method"] = resolved(self.painter, values["method"])
             document = commands.changed(self._shown.document, layer, **values)
             verb = {"visible": "show" if values.get("visible") else "hide", "name": "rename"}
             first = next(iter(values))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from splatpainter.io import FORMATS, read
+from splatpainter.io import FORMATS, read, write
 from splatpainter.receipts import Receipt, Verification, check, compare, untouched_hashes
 from splatpainter.splats import Splats
 
@@ -17,11 +18,12 @@ def prove(original: Splats, written: Path, receipt: Receipt) -> tuple[Receipt, V
 
     A format that rounds may encode rows anew that the edit left alone. Such rows are different in the file, so they
     are listed as touched, and the note says how many and why. For a format that keeps everything this is a fault.
+    An original that is no file is compared as that format holds it.
     Raises RuntimeError where the file does not prove the receipt."""
     edited = read(written)
-    assert original.source is not None and edited.source is not None
+    assert edited.source is not None
     entry = FORMATS[edited.source.format]
-    found = compare(original, edited)
+    found = compare(_as_file(original, written), edited)
     rounded = np.setdiff1d(found.differs, receipt.touched)
     notes = [receipt.note]
     if len(rounded) and entry.lossy:
@@ -29,7 +31,7 @@ def prove(original: Splats, written: Path, receipt: Receipt) -> tuple[Receipt, V
         before, after = untouched_hashes(found.before, edited, touched)
         receipt = replace(receipt, touched=touched, untouched_sha256_before=before, untouched_sha256_after=after)
         notes.append(f"{len(rounded)} rows that the edit left alone were rounded anew by {entry.key}")
-    if original.source.format != entry.key:
+    if original.source is None or original.source.format != entry.key:
         notes.append(f"rows are compared with the original converted to {entry.key}")
     if entry.lossy:
         notes.append(f"dB are of the rows before {entry.key} rounds them")
@@ -39,7 +41,16 @@ def prove(original: Splats, written: Path, receipt: Receipt) -> tuple[Receipt, V
         output_rows=len(edited),
         note="; ".join(filter(None, notes)),
     )
-    verification = check(found, receipt)
+    verification = check(found, receipt if original.source else replace(receipt, asset_sha256=found.original_sha256))
     if not verification.ok:
         raise RuntimeError(f"the file written does not prove its receipt: {'; '.join(verification.problems)}")
     return receipt, verification
+
+
+def _as_file(original: Splats, written: Path) -> Splats:
+    if original.source is not None:
+        return original
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / written.name
+        write(place, original)
+        return read(place)
