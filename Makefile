@@ -10,12 +10,14 @@ demo: .venv/installed
 	.venv/bin/splatpainter demo --out demo
 
 test: .venv/installed-dev
+	scripts/web test
 	$(PY) -m pytest
 
 check: .venv/installed-dev
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/pyright
+	scripts/web check
 
 format: .venv/installed-dev
 	.venv/bin/ruff format .

@@ -18,6 +18,7 @@ from splatpainter.commands.terminal import watched
 SUMMARIES = {
     "speed": "time and peak memory of every stage, on scenes of several sizes",
     "lift": "quality of local edits on given assets, with a contact sheet",
+    "studio": "what an artist waits for in the studio, and its server's memory",
 }
 
 
@@ -27,7 +28,7 @@ def dispatch(words: Sequence[str]) -> Outcome:
         return Outcome({"benches": SUMMARIES}, [_help()])
     if words[0] not in SUMMARIES:
         raise ValueError(f"splatpainter bench: expected one of {', '.join(SUMMARIES)}, got {words[0]!r}")
-    return {"speed": _speed, "lift": _lift}[words[0]](words[1:])
+    return {"speed": _speed, "lift": _lift, "studio": _studio}[words[0]](words[1:])
 
 
 def _speed(words: Sequence[str]) -> Outcome:
@@ -66,6 +67,27 @@ def _lift(words: Sequence[str]) -> Outcome:
 
     config = parse(Config, "splatpainter bench lift", words)
     return _outcome(config, lift.run)
+
+
+def _studio(words: Sequence[str]) -> Outcome:
+    try:
+        from splatpainter.evaluate import studio
+    except ImportError as error:
+        raise ValueError(f"splatpainter bench studio: needs {error.name}; pip install 'splatpainter[studio]'") from None
+
+    @dataclass(frozen=True)
+    class Config(studio.StudioBench):
+        """Drive the studio's server as a page does; measure every wait, the bytes sent and the server's memory.
+
+        example:
+          splatpainter bench studio --edits 200 --clients 20 --out out/bench-studio
+        """
+
+        json: bool = False
+        """Print one JSON object instead of text."""
+
+    config = parse(Config, "splatpainter bench studio", words)
+    return _outcome(config, studio.run)
 
 
 def _outcome(config: Any, run: Callable[..., list[Any]]) -> Outcome:

@@ -4,6 +4,8 @@ beside any rows below. The original is encoded once, when a layer first needs it
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -18,6 +20,12 @@ from splatpainter.splats import Splats
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
+    from splatpainter.voxels import VoxelGrid
+
+SHAPES = ("means", "quats", "scales", "opacities")
+"""What a voxel grid depends on."""
+GRIDS = 2
+"""Voxel grids that are kept: of the rows that are shown, and of those before."""
 
 
 class Adapter:
@@ -26,6 +34,8 @@ class Adapter:
     def __init__(self, original: Splats, painter: Painter) -> None:
         self._original, self._painter = original, painter
         self._encoded: Asset | None = None
+        self._grids: OrderedDict[tuple[int, ...], tuple[Splats, VoxelGrid]] = OrderedDict()
+        self._gridding = threading.Lock()
 
     def apply(
         self, below: Splats, state: RefineState | None, edits: Sequence[Edit], mode: Mode, method: Method
@@ -44,7 +54,22 @@ class Adapter:
                 state = on_device(state, next(base.learnt.model.parameters()).device)
             parents = np.maximum(below.origin, 0)
             asset = replace(asset, learnt=replace(base.learnt, parents=parents, state=state))
+        if mode == "local":
+            vars(asset)["grid"] = self.grid(below)  # as its cached property would
         return numbered, self._painter.apply(asset, edits, mode, method)
+
+    def grid(self, splats: Splats) -> VoxelGrid:
+        """The voxels of some rows, kept for the latest GRIDS geometries (colours do not matter). Safe to call from any
+        thread: a second caller waits for the first."""
+        key = tuple(id(getattr(splats, name)) for name in SHAPES)
+        with self._gridding:
+            found = self._grids.pop(key, None)
+            if found is None:
+                found = (splats, Asset(bare(splats)).grid)
+            self._grids[key] = found  # holds the rows, so that their ids stay theirs
+            while len(self._grids) > GRIDS:
+                self._grids.popitem(last=False)
+            return found[1]
 
     def _base(self) -> Asset:
         if self._encoded is None:

@@ -72,8 +72,9 @@ def differing(before: Splats, after: Splats) -> np.ndarray:
     changed = np.zeros(n, bool)
     for name in ATTRIBUTES:
         old, new = getattr(before, name), getattr(after, name)
-        if old is not new:
-            changed |= (_bits(old[:n]) != _bits(new[:n])).reshape(n, -1).any(1)
+        if old is not new and n:
+            found = np.flatnonzero(_bits(old[:n]) != _bits(new[:n]))  # a reduction along short rows takes longer
+            changed[found // (old[:n].size // n)] = True
     return np.flatnonzero(changed)
 
 

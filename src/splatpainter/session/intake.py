@@ -11,6 +11,7 @@ from splatpainter.io import files
 from splatpainter.painter import MAX_VIEWS, Edit
 from splatpainter.session import pictures
 from splatpainter.session.layers import Kind, Layer, View
+from splatpainter.sources.color import to_display
 from splatpainter.splats import Splats
 
 
@@ -50,7 +51,7 @@ def new_layer(
         views.append(View(edit.camera, picture, None if mask is None else put(pictures.encode_mask(mask))))
         if small is None:
             shown = (
-                pictures.display(edit.image, splats.color_space)
+                to_display(edit.image, splats.color_space)
                 if pictured
                 else np.repeat(np.asarray(mask, np.float32)[..., None], 3, -1)
             )

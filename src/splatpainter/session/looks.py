@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.sources.grade import NAME, grade
 from splatpainter.splats import SH_C0
 
 LookFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
@@ -25,7 +26,7 @@ def gain(sh: np.ndarray, parameters: Mapping[str, Any]) -> np.ndarray:
     return out.astype(np.float32)
 
 
-LOOKS: dict[str, LookFunction] = {"gain": gain}
+LOOKS: dict[str, LookFunction] = {"gain": gain, NAME: grade}
 """The looks that a session knows without being told."""
 
 

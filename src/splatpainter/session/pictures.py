@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 
 from splatpainter.cameras import Camera, to_uint8
+from splatpainter.sources.color import from_display, to_display
 from splatpainter.splats import ColorSpace
 
 LIMIT = 64_000_000
@@ -18,7 +19,7 @@ THUMBNAIL = 96
 
 def encode_picture(image: np.ndarray, space: ColorSpace = "srgb") -> bytes:
     """[H, W, 3] floats 0..1 in the asset's colour space -> PNG of display colours. Encoded fast rather than small."""
-    return _png(to_uint8(display(image, space)))
+    return _png(to_uint8(to_display(image, space)))
 
 
 def encode_mask(mask: np.ndarray) -> bytes:
@@ -29,8 +30,8 @@ def encode_mask(mask: np.ndarray) -> bytes:
 def decode_picture(data: bytes, camera: Camera, where: str, space: ColorSpace = "srgb") -> np.ndarray:
     """[H, W, 3] float32 0..1 in the asset's colour space. Raises ValueError naming `where`: no PNG, damaged, not of the
     camera's size."""
-    levels = np.arange(256, dtype=np.float32) / 255
-    return (_straight(levels) if space == "linear" else levels)[_pixels(data, camera, where, "RGB")]
+    levels = from_display(np.arange(256, dtype=np.float32) / 255, space)
+    return levels[_pixels(data, camera, where, "RGB")]
 
 
 def decode_mask(data: bytes, camera: Camera, where: str) -> np.ndarray:
@@ -51,19 +52,6 @@ def thumbnail(image: np.ndarray, mask: np.ndarray | None) -> bytes:
     small = Image.fromarray(pixels)
     small.thumbnail((THUMBNAIL, THUMBNAIL))
     return _png(np.asarray(small))
-
-
-def display(image: np.ndarray, space: ColorSpace) -> np.ndarray:
-    """Colours of an asset as sRGB 0..1 (IEC 61966-2-1): 8 bits of linear light would band in the darks."""
-    if space == "srgb":
-        return image
-    light = np.clip(np.nan_to_num(image), 0, 1)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
-def _straight(coded: np.ndarray) -> np.ndarray:
-    light = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
-    return light.astype(np.float32)
 
 
 def _png(pixels: np.ndarray) -> bytes:

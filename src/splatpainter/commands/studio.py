@@ -1,0 +1,75 @@
+"""`splatpainter studio`: paint in the browser."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatpainter.commands import Outcome
+
+
+@dataclass(frozen=True)
+class Config:
+    """Open an asset or a project in the browser studio, on this machine. Everything that is done there is saved as it
+    is done; Ctrl-C ends it.
+
+    example:
+      splatpainter studio vase.ply --folder pictures
+      splatpainter studio vase.splatproj
+    """
+
+    asset: Annotated[Positional[Path | None], arg(metavar="ASSET|PROJECT")] = None
+    """A splat file or a .splatproj project; without one, the demo asset."""
+    port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
+    """Default: 8750, or the next that is free."""
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address to listen on. On any but this machine's own a token is needed, and printed."""
+    folder: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """The one folder whose files the page may open and save; pictures saved there are offered as edits."""
+    no_browser: bool = False
+    """Only print the address."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Serve until interrupted."""
+    try:
+        from splatpainter.studio.server import address, listen, make_server, open_session, warm
+    except ImportError as error:
+        raise ValueError(f"splatpainter studio: needs {error.name}; pip install 'splatpainter[studio]'") from None
+    from splatpainter.studio.core import Options, Studio
+    from splatpainter.studio.security import Access
+    from splatpainter.warmup import ensure_compiled
+
+    if config.port is not None and not 0 <= config.port <= 65535:
+        raise ValueError(f"splatpainter studio: expected --port from 0 to 65535, got {config.port}")
+    access = Access.of(config.host)
+    bound = listen(config.host, config.port)
+    try:
+        ensure_compiled()
+        session, name = open_session(config.asset)
+        studio = Studio(session, name, Options(config.folder))
+    except BaseException:
+        bound.close()
+        raise
+    url = address(access, bound)
+    server = make_server(studio, access)
+    warming = warm()
+    print(f"splatpainter studio: {url}", file=sys.stderr, flush=True)
+    if not config.no_browser:
+        import webbrowser
+
+        threading.Timer(0.5, webbrowser.open, [url]).start()
+    try:
+        server.run(sockets=[bound])
+    except KeyboardInterrupt:  # uvicorn hands the signal on when all is closed
+        pass
+    finally:
+        warming.join()
+    return Outcome({"address": url.partition("?")[0]}, ["stopped; everything is saved"])

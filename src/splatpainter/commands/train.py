@@ -1,0 +1,202 @@
+"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, Stage II. The training itself is in `train`."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.options import parse
+from splatpainter.train import recipes
+from splatpainter.train.recipes import Recipe
+
+if TYPE_CHECKING:
+    from splatpainter.models.model import SplatPainterModel
+    from splatpainter.train.distributed import Group
+    from splatpainter.train.material import Material
+    from splatpainter.train.stages.task import Task
+
+SUMMARIES = {
+    "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
+    "compress": "Stage I: rows and tokens to latents",
+    "refine": "Stage II: edits to changes of the asset",
+}
+
+
+@dataclass(frozen=True)
+class Config(Recipe):
+    """Train one stage; it can be stopped at any time (Ctrl-C, SIGTERM, --minutes) and goes on with --resume.
+
+    Most options are fields of the recipe and change it; --out keeps the recipe as it was used. With torchrun, several
+    processes share the work.
+
+    example:
+      splatpainter train refine --recipe compact --data procedural:500 --out runs/refine --minutes 60
+      splatpainter train refine --recipe compact --data procedural:500 --out runs/refine --resume
+    """
+
+    recipe: str = "compact"
+    """compact, paper, or a JSON file."""
+    data: str = ""
+    """procedural:N, or a folder of meshes (GLB, glTF, OBJ), splat assets or shards (`data render`)."""
+    out: Path = Path("run")
+    """Folder of the run: model/, state/, log.csv, validation.csv, sheets/, tensorboard/."""
+    weights: Path | None = None
+    """Checkpoint to start from (also written --from): the stage before, or this one."""
+    minutes: float = 0.0
+    """Stop after this many, and save; 0: no limit."""
+    session_steps: int = 0
+    """Stop after this many steps of this session, and save; 0: no limit."""
+    resume: bool = False
+    """Go on from what --out holds (or begin, if it holds nothing)."""
+    device: str = "auto"
+    """cpu, cuda, cuda:1, ...; auto: CUDA where there is one."""
+    environments: Path | None = None
+    """Folder of HDRIs (.hdr, .exr)."""
+    decals: Path | None = None
+    """Folder of stickers (PNG with transparency)."""
+    fonts: Path | None = None
+    """Folder of fonts."""
+    textures: Path | None = None
+    """Folder of photos."""
+    perceptual_weights: Path | None = None
+    """Folder of the LPIPS weights; default: that of SPLATPAINTER_PERCEPTUAL."""
+    compact_state: bool = False
+    """Store the state in half precision and without frozen weights: a third of the size; going on is then not exact."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def dispatch(words: Sequence[str]) -> Outcome:
+    """`train STAGE ...`. Raises ValueError for another stage, and for what is wrong with the options or the data."""
+    if not words or words[0] in ("-h", "--help"):
+        return Outcome({"stages": SUMMARIES}, [_help()])
+    stage = words[0]
+    if stage not in SUMMARIES:
+        raise ValueError(f"splatpainter train: expected one of {', '.join(SUMMARIES)}, got {stage!r}")
+    rest = ["--weights" + word.removeprefix("--from") if word.split("=")[0] == "--from" else word for word in words[1:]]
+    recipe = recipes.load(_named(rest), stage)  # type: ignore[arg-type]
+    config = parse(_with_defaults(recipe), f"splatpainter train {stage}", rest)
+    if config.stage != stage:
+        raise ValueError(
+            f"splatpainter train {stage}: expected the stage as first word only, got --stage {config.stage}"
+        )
+    outcome = run(config)
+    return outcome.as_json() if config.json else outcome
+
+
+def run(config: Config) -> Outcome:
+    """Train. Raises ValueError before anything is written where data, weights or the folder do not fit."""
+    from splatpainter.train.distributed import join
+    from splatpainter.train.loop import Limits, Loop
+    from splatpainter.train.material import Stock, Supply, open_material
+    from splatpainter.train.state import exists
+
+    recipe = Recipe(**{f.name: getattr(config, f.name) for f in dataclasses.fields(Recipe)})
+    if not config.data:
+        raise ValueError(f"splatpainter train {config.stage}: --data is missing: procedural:N, or a folder")
+    held = exists(config.out)
+    if held and not config.resume:
+        raise ValueError(f"{config.out}: holds a run already; go on with --resume, or choose another --out")
+    if config.stage == "refine" and config.model.representation == "copy" and not (held or config.weights):
+        raise ValueError("splatpainter train refine: 'copy' models start from their Stage I; give --from CHECKPOINT")
+    _writable(config.out)
+    group = join(config.device)
+    try:
+        say = _say if group.first else lambda line: None
+        stock = Stock(config.environments, config.decals, config.fonts, config.textures)
+        supply = Supply(config.data, recipe.samples, recipe.seed, recipe.validation_share, stock, str(group.device))
+        count = recipe.validation_samples if recipe.validate_every else 0
+        material = open_material(supply, batch=recipe.batch, count=count, workers=recipe.workers)
+        task = _task(config, recipe, group, say)
+        say(_first_line(recipe, task, material, group))
+        loop = Loop(
+            task,
+            recipe,
+            material.training,
+            material.validation,
+            config.out,
+            group,
+            resume=held,
+            compact=config.compact_state,
+            say=say,
+        )
+        if group.first:
+            (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8")
+        result = loop(Limits(config.minutes, config.session_steps))
+        if recipe.workers:
+            material.training.close()
+    finally:
+        group.close()
+    lines = [
+        f"step {result.step} of {recipe.steps} ({result.ended}): loss {result.loss:.5g}, "
+        f"{result.skipped} steps skipped, {result.failed} samples failed",
+        *(f"  {kind}: " + ", ".join(f"{n} {v:.2f}" for n, v in f.items()) for kind, f in result.validation.items()),
+        f"-> {config.out / 'model'}" + ("" if result.step >= recipe.steps else "   (go on with --resume)"),
+    ]
+    return Outcome({**dataclasses.asdict(result), "out": config.out}, lines)
+
+
+def _task(config: Config, recipe: Recipe, group: Group, say: Any) -> Task:
+    """The stage with its model on its device."""
+    import torch
+
+    from splatpainter.train.build import make_task, start
+
+    torch.manual_seed(recipe.seed)
+    model: SplatPainterModel = start(recipe, config.weights, say)
+    return make_task(recipe, model.to(group.device), config.perceptual_weights, say).to(group.device)
+
+
+def _named(words: Sequence[str]) -> str:
+    """The recipe's name among the words."""
+    for k, word in enumerate(words):
+        if word == "--recipe" and k + 1 < len(words):
+            return words[k + 1]
+        if word.startswith("--recipe="):
+            return word.removeprefix("--recipe=")
+    return Config.recipe
+
+
+def _with_defaults(recipe: Recipe) -> type:
+    """Config whose defaults are the recipe's: so --help shows them, and options change them one by one."""
+    types = recipes.field_types(Recipe)  # resolved: this module does not know their names
+    space: dict[str, Any] = {"__annotations__": types, "__doc__": Config.__doc__, "__module__": Config.__module__}
+    for name in types:
+        value = getattr(recipe, name)
+        space[name] = dataclasses.field(default_factory=lambda value=value: value)
+    return dataclass(frozen=True)(type("Config", (Config,), space))
+
+
+def _writable(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{folder}: the folder cannot be made ({error.strerror or error})") from None
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"{folder}: cannot be written; choose another --out")
+
+
+def _first_line(recipe: Recipe, task: Task, material: Material, group: Group) -> str:
+    trained = sum(p.numel() for p in task.parameters() if p.requires_grad)
+    every = sum(p.numel() for p in task.parameters())
+    return (
+        f"{recipe.stage}: {trained / 1e6:.1f} of {every / 1e6:.1f} million weights, {material.objects[0]} objects, "
+        f"{len(material.validation)} validation samples of {material.objects[1]} others, "
+        f"batch {recipe.batch} on {group.world} x {group.device}"
+    )
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _help() -> str:
+    rows = [f"  {name:<9} {line}" for name, line in SUMMARIES.items()]
+    example = "example:\n  splatpainter train refine --recipe compact --data procedural:500 --out runs/refine"
+    return "\n".join(["usage: splatpainter train STAGE ...", "", "stages:", *rows, "", example])

@@ -1,0 +1,120 @@
+"""Renders, turntables, picking, coverage."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+
+from splatpainter.cameras import Camera, orbit, to_uint8
+from splatpainter.io.files import writing
+from splatpainter.session.conflicts import PREDICTED, SEEN
+from splatpainter.session.conflicts import coverage as covered
+from splatpainter.sources.color import to_display
+from splatpainter.studio import overlook
+from splatpainter.studio.actions import Call, handles
+from splatpainter.studio.actions.common import Word, camera_of, draw, python_line
+from splatpainter.studio.core import ExportedView
+from splatpainter.studio.describe import UP, camera_to_wire
+from splatpainter.studio.messages import looking as say
+from splatpainter.studio.pictures import png_bytes, small
+
+TURN_PIXELS = 40_000_000
+"""Pixels of all frames of a turntable together: they are held in memory."""
+
+
+@handles(say.ViewRender)
+def render_view(call: Call, command: say.ViewRender) -> say.PictureMade:
+    studio, camera = call.studio, camera_of(command.camera)
+    splats = studio.session.splats if command.which == "now" else studio.original
+    blob = studio.blobs.put(png_bytes(draw(splats, camera), camera), "render.png")
+    return say.PictureMade(picture=blob.sha256, python="sp.render(session.splats, camera)")
+
+
+@handles(say.ViewExport)
+def export_view(call: Call, command: say.ViewExport) -> say.PictureMade:
+    studio, camera = call.studio, camera_of(command.camera)
+    image = draw(studio.session.splats, camera)
+    data = png_bytes(image, camera)
+    blob = studio.blobs.put(data, f"{command.name}.png")
+    name = None
+    if command.to == "folder":
+        if studio.folder is None:
+            raise ValueError("view: the studio was started without a folder; download the picture instead")
+        place = studio.folder.file(f"{command.name}.png", new=True)
+        studio.written[place.name] = blob.sha256
+        with writing(place) as file, writing(place.with_suffix(".json")) as sidecar:
+            file.write(data)
+            sidecar.write(camera.to_json().encode() + b"\n")
+        name = place.name
+    studio.exports.append(ExportedView(f"{command.name}.png", camera, small(image)))
+    line = python_line(
+        "write_png", f"{command.name}.png", Word("sp.render(session.splats, camera).colors[0]"), Word("camera")
+    )
+    return say.PictureMade(picture=blob.sha256, file=name, python=line)
+
+
+@handles(say.Turntable, aside=True)
+def turntable(call: Call, command: say.Turntable) -> say.PictureMade:
+    from PIL import Image
+
+    studio, camera = call.studio, camera_of(command.camera)
+    if command.frames * camera.width * camera.height > TURN_PIXELS:
+        side = int((TURN_PIXELS / command.frames) ** 0.5)
+        raise ValueError(
+            f"turntable: {command.frames} frames of this size are too many; make them {side}x{side} or less"
+        )
+    splats = studio.session.splats
+    pictures = []
+    for k, view in enumerate(_turn(camera, np.array(studio.state.asset.center), command.frames)):
+        call.ticket.report(k / command.frames, "turntable")
+        pictures.append(Image.fromarray(to_uint8(draw(splats, view))))
+    file = io.BytesIO()
+    pace = round(1000 / command.fps)
+    pictures[0].save(
+        file, "WEBP", save_all=True, append_images=pictures[1:], duration=pace, loop=0, quality=88, method=2
+    )
+    blob = studio.blobs.put(file.getvalue(), "turntable.webp")
+    return say.PictureMade(picture=blob.sha256, python="sp.render(session.splats, sp.orbit(center, distance, frames))")
+
+
+@handles(say.Pick)
+def pick(call: Call, command: say.Pick) -> say.Picked:
+    splats, camera = call.studio.session.splats, camera_of(command.camera)
+    color, found = overlook.hit(splats, camera, command.x, command.y)
+    shown = np.clip(to_display(color, splats.color_space), 0, 1).tolist()
+    if found is None:
+        return say.Picked(hit=False, depth=None, point=None, row=None, color=shown)
+    return say.Picked(hit=True, depth=found.depth, point=found.point.tolist(), row=found.row, color=shown)
+
+
+@handles(say.Coverage)
+def coverage(call: Call, command: say.Coverage) -> say.Covered:
+    studio, camera = call.studio, camera_of(command.camera)
+    shown = studio.session.shown
+    splats, kinds = shown.splats, covered(shown.level.touches, len(shown.splats))
+    picture = overlook.coverage_picture(splats, kinds, camera)
+    view = overlook.next_view(splats, kinds, camera, np.array(studio.state.asset.center), UP)
+    return say.Covered(
+        seen=int((kinds == SEEN).sum()),
+        predicted=int((kinds == PREDICTED).sum()),
+        picture=studio.blobs.put(png_bytes(picture), "coverage.png").sha256,
+        next_view=None if view is None else camera_to_wire(view),
+        python="session.coverage()",
+    )
+
+
+def _turn(camera: Camera, center: np.ndarray, count: int) -> list[Camera]:
+    """Views around the centre, from `camera` on, at its height and distance and with its lens."""
+    axis = np.asarray(UP, float)
+    away = camera.position - center
+    height = float(away @ axis)
+    flat = away - height * axis
+    distance = float(np.linalg.norm(away))
+    tilt = float(np.degrees(np.arctan2(height, max(np.linalg.norm(flat), 1e-9))))
+    first = orbit(center, max(distance, 1e-6), 1, elevation=tilt, up=axis)[0].position - center
+    first = first - (first @ axis) * axis
+    turned = np.degrees(np.arctan2(float(np.cross(first, flat) @ axis), float(first @ flat)))
+    ring = orbit(center, max(distance, 1e-6), count, elevation=tilt, start=float(turned), up=axis)
+    return [replace(camera, world_to_camera=view.world_to_camera) for view in ring]

@@ -1,0 +1,194 @@
+"""The studio as an ASGI application: HTTP, socket, the page. `create_app(studio)`; server.py runs it.
+
+HTTP has the same commands as the socket (POST /api/do/NAME, described in /api/openapi.json), uploads, and downloads.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any, Literal
+
+from fastapi import FastAPI, Request, WebSocket
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from pydantic import ValidationError
+from starlette.staticfiles import StaticFiles
+
+from splatpainter import __version__
+from splatpainter.studio import frames, watch
+from splatpainter.studio.actions import Call, Desk
+from splatpainter.studio.actions.looking import render_view
+from splatpainter.studio.core import Studio
+from splatpainter.studio.hub import Hub, Refused, failure, first_fault, problem_of
+from splatpainter.studio.limits import BodyLimit
+from splatpainter.studio.messages import COMMANDS, Command, Failure, Problem
+from splatpainter.studio.messages.base import PIXELS
+from splatpainter.studio.messages.connection import Cancel, Hello, Sync
+from splatpainter.studio.messages.looking import ViewRender
+from splatpainter.studio.messages.state import State
+from splatpainter.studio.queue import Ticket
+from splatpainter.studio.schema import schema_hash
+from splatpainter.studio.security import Access, Guard
+from splatpainter.studio.socket import serve
+
+STATIC = Path(__file__).with_name("static")
+MESSAGE = 8 * PIXELS
+"""Bytes of one command: a dab over the whole of the largest view is 16/3 of its pixels."""
+STATUS = {"input": 400, "cancelled": 409, "busy": 503, "schema": 409, "fault": 500}
+SOCKET_ONLY: tuple[type[Command], ...] = (Hello, Sync, Cancel)
+NO_STORE = {"cache-control": "no-store"}
+FOREVER = {"cache-control": "private, max-age=31536000, immutable"}
+UNBUILT = "The studio's page is not built: run npm ci && npm run build in web/. The API is here all the same."
+
+
+def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
+    """The application; it closes the studio when it shuts down. access: by default of this machine only."""
+    hub = Hub(studio)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        watching = asyncio.create_task(watch.watch(hub))
+        try:
+            yield
+        finally:
+            watching.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await watching
+            if hub.leaving:
+                await asyncio.wait(hub.leaving)
+            await asyncio.to_thread(hub.close)
+
+    app = FastAPI(
+        title="SplatPainter studio",
+        version=__version__,
+        openapi_url="/api/openapi.json",
+        docs_url=None,  # its page would come from another site
+        redoc_url=None,
+        lifespan=lifespan,
+    )
+    app.state.hub = hub
+    _commands(app, hub)
+    _data(app, hub)
+
+    @app.websocket("/ws")
+    async def socket(connection: WebSocket) -> None:
+        await serve(hub, connection)
+
+    if (STATIC / "index.html").is_file():
+        app.mount("/", StaticFiles(directory=STATIC, html=True))
+    else:
+        app.get("/", include_in_schema=False)(lambda: PlainTextResponse(UNBUILT))
+    app.add_middleware(BodyLimit, limit=MESSAGE, free=("/api/blobs",))
+    app.add_middleware(Guard, access=access or Access())
+    return app
+
+
+def _commands(app: FastAPI, hub: Hub) -> None:
+    desk, strokes = Desk("http"), asyncio.Lock()
+
+    def add(name: str, kind: type[Command]) -> None:
+        async def run(command: Any) -> Response:
+            try:
+                async with strokes if name.startswith("paint.") else contextlib.nullcontext():
+                    answer = await hub.carry_out(command, desk, Ticket(), None)
+            except Refused as refused:
+                return _failed(refused.problem)
+            return Response(answer.model_dump_json(), media_type="application/json", headers=NO_STORE)
+
+        run.__annotations__ = {"command": kind, "return": Response}
+        if not any(field.is_required() for field in kind.model_fields.values()):
+            run.__defaults__ = (kind(),)  # no body is needed
+        about = " ".join((kind.__doc__ or "").split()) if kind.__doc__ != Command.__doc__ else ""
+        app.post(
+            f"/api/do/{name}",
+            summary=name,
+            description=about,
+            operation_id=name.replace(".", "_"),
+            response_model=kind.ANSWER,
+            responses={status: {"model": Failure} for status in (400, 500, 503)},
+        )(run)
+
+    for name, kind in COMMANDS.items():
+        if kind not in SOCKET_ONLY:
+            add(name, kind)
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        fault = error.errors()[0]
+        place = ".".join(str(part) for part in fault["loc"] if part != "body")
+        return _failed(Problem(kind="input", message=f"{request.url.path}: {place}: {fault['msg']}"[:300]))
+
+
+def _data(app: FastAPI, hub: Hub) -> None:
+    """State, rows, pictures, files."""
+    studio = hub.studio
+
+    @app.get("/api/state", response_model=State, summary="What every client knows")
+    async def state() -> Response:
+        return Response(hub.state().model_dump_json(), media_type="application/json", headers=NO_STORE)
+
+    @app.get("/api/version", summary="Of the package and of the protocol")
+    async def version() -> JSONResponse:
+        return JSONResponse({"version": __version__, "schema": schema_hash()}, headers=NO_STORE)
+
+    @app.get("/api/splats", response_class=Response, summary="All rows as one binary frame (frames.py)")
+    async def splats() -> Response:
+        shown = studio.session.shown
+        data = await asyncio.to_thread(frames.snapshot, shown.splats, shown.version)
+        return Response(data, media_type="application/octet-stream", headers=NO_STORE)
+
+    @app.get("/api/view.png", response_class=Response, summary="The render of a camera (JSON), with it inside")
+    async def view(camera: str, which: Literal["now", "original"] = "now") -> Response:
+        try:
+            command = ViewRender.model_validate({"camera": json.loads(camera), "which": which})
+        except ValidationError as error:
+            return _failed(Problem(kind="input", message=first_fault(error, "view")))
+        except (ValueError, RecursionError):
+            return _failed(Problem(kind="input", message="view: expected a camera as JSON"))
+        call = Call(studio, Desk("http"), Ticket())
+        try:
+            made = await hub.queue.read(lambda ticket: render_view(call, command), call.ticket)
+            data, media = await asyncio.to_thread(studio.picture_bytes, made.picture)
+        except Exception as error:
+            return _failed(problem_of(error))
+        return Response(data, media_type=media, headers=NO_STORE)
+
+    @app.post("/api/blobs", summary="Send a picture, a splat file, a project or a layer: the body is the file")
+    async def upload(request: Request, name: str = "") -> Response:
+        try:
+            with studio.blobs.receive(name) as incoming:
+                async for piece in request.stream():
+                    await asyncio.to_thread(incoming.write, piece)
+                blob = await asyncio.to_thread(incoming.finish)
+        except ValueError as error:
+            return _failed(problem_of(error))
+        claim = blob.claim
+        facts = {"blob": blob.sha256, "kind": claim.kind, "bytes": blob.size, "name": blob.name}
+        return JSONResponse({**facts, "width": claim.width, "height": claim.height, "rows": claim.rows})
+
+    @app.get("/api/blobs/{blob}", response_class=Response, summary="A picture that was sent or made")
+    async def picture(blob: str) -> Response:
+        try:
+            data, media = await asyncio.to_thread(studio.picture_bytes, blob)
+        except ValueError as error:
+            return _failed(problem_of(error), 404)
+        extra = {} if media.startswith("image/") else {"content-disposition": "attachment"}
+        return Response(data, media_type=media, headers={**FOREVER, **extra})
+
+    @app.get("/api/files/{key}/{name}", response_class=Response, summary="A file that was exported")
+    async def file(key: str, name: str) -> Response:
+        try:
+            path = studio.downloads.find(key, name)
+        except ValueError as error:
+            return _failed(problem_of(error), 404)
+        return FileResponse(path, media_type="application/octet-stream", filename=path.name, headers=NO_STORE)
+
+
+def _failed(problem: Problem, status: int | None = None) -> Response:
+    text = failure(0, problem).model_dump_json()
+    code = STATUS[problem.kind] if status is None else status
+    return Response(text, code, media_type="application/json", headers=NO_STORE)

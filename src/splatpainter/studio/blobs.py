@@ -1,0 +1,139 @@
+"""Uploaded and made bytes by their hash, in a folder of their own that goes with the studio. Bounded, oldest out first.
+
+What comes in is written as it comes, stopped where it is too long, and judged (claims.py) before anything decodes it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import shutil
+import tempfile
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+
+from splatpainter.studio.claims import Claim, claim_of
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of uploads."""
+
+    upload: int = 2 << 30
+    """Bytes of one upload."""
+    picture: int = 256 << 20
+    """Bytes of one picture."""
+    total: int = 4 << 30
+    """Bytes kept; beyond that the oldest go."""
+    rows: int = 20_000_000
+    """Rows that an uploaded asset may claim."""
+
+
+@dataclass(frozen=True)
+class Blob:
+    """One thing that is kept."""
+
+    sha256: str
+    path: Path
+    name: str
+    """What its owner called it, for messages only; it never becomes a path."""
+    size: int
+    claim: Claim
+
+
+class Blobs:
+    """A store; may be used from several threads."""
+
+    def __init__(self, limits: Limits = Limits()) -> None:
+        self.limits = limits
+        self._folder = Path(tempfile.mkdtemp(prefix="splatpainter-studio-"))
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[str, Blob] = OrderedDict()
+
+    def receive(self, name: str = "") -> Incoming:
+        """A thing to be written piece by piece."""
+        return Incoming(self, name)
+
+    def put(self, data: bytes, name: str = "") -> Blob:
+        """Keep bytes. Raises ValueError as Incoming."""
+        with self.receive(name) as incoming:
+            incoming.write(data)
+            return incoming.finish()
+
+    def get(self, sha256: str, kind: str | None = None) -> Blob:
+        """What was put. Raises ValueError where it is not (or no longer) here, or of another kind."""
+        with self._lock:
+            blob = self._kept.get(sha256)
+            if blob is not None:
+                self._kept.move_to_end(sha256)
+        if blob is None:
+            raise ValueError(f"blob {sha256[:12]}...: not here (any more); send it again to /api/blobs")
+        if kind is not None and blob.claim.kind != kind:
+            raise ValueError(f"{blob.name or 'blob'}: expected a {kind}, got a {blob.claim.kind}")
+        return blob
+
+    @property
+    def size(self) -> int:
+        """Bytes kept."""
+        with self._lock:
+            return sum(blob.size for blob in self._kept.values())
+
+    def close(self) -> None:
+        """Remove everything."""
+        with self._lock:
+            self._kept.clear()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _partial(self) -> Path:
+        return self._folder / f"{secrets.token_hex(8)}.part"
+
+    def _keep(self, partial: Path, sha256: str, name: str, size: int) -> Blob:
+        claim = claim_of(partial, name, self.limits.rows)
+        if claim.kind == "picture" and size > self.limits.picture:
+            raise ValueError(f"{name or 'picture'}: expected at most {self.limits.picture >> 20} MiB, got {size >> 20}")
+        blob = Blob(sha256, self._folder / (sha256 + claim.ending), name, size, claim)
+        with self._lock:
+            partial.replace(blob.path)
+            self._kept[sha256] = blob
+            self._kept.move_to_end(sha256)
+            total = sum(kept.size for kept in self._kept.values())
+            while total > self.limits.total and len(self._kept) > 1:
+                _, oldest = self._kept.popitem(last=False)
+                total -= oldest.size
+                oldest.path.unlink(missing_ok=True)
+        return blob
+
+
+class Incoming:
+    """Bytes on their way in; leaving the block without `finish` drops them."""
+
+    def __init__(self, store: Blobs, name: str) -> None:
+        self._store, self._name = store, name[:200]
+        self._partial = store._partial()
+        self._digest, self._size = hashlib.sha256(), 0
+        self._file = open(self._partial, "wb")
+
+    def __enter__(self) -> Incoming:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+        self._partial.unlink(missing_ok=True)
+
+    def write(self, piece: bytes) -> None:
+        """Raises ValueError where it gets too long."""
+        self._size += len(piece)
+        if self._size > self._store.limits.upload:
+            limit = self._store.limits.upload
+            raise ValueError(f"{self._name or 'upload'}: expected at most {limit >> 20} MiB; use a file in the folder")
+        self._digest.update(piece)
+        self._file.write(piece)
+
+    def finish(self) -> Blob:
+        """Judge and keep. Raises ValueError: empty, or nothing that the studio can use."""
+        if not self._size:
+            raise ValueError(f"{self._name or 'upload'}: is empty")
+        self._file.close()
+        return self._store._keep(self._partial, self._digest.hexdigest(), self._name, self._size)

@@ -1,0 +1,133 @@
+"""What uploaded bytes claim to be (kind, pixels, rows), from headers alone: nothing is decoded to find out."""
+
+from __future__ import annotations
+
+import json
+import struct
+import warnings
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from splatpainter.io import detect
+from splatpainter.io.bounded import Gunzip
+from splatpainter.io.files import read_head, reading
+from splatpainter.sources.pictures import KINDS, LIMIT
+
+Kind = Literal["picture", "asset", "project", "layer"]
+SQLITE, ZIP = b"SQLite format 3\0", b"PK\x03\x04"
+MEDIA = {"PNG": "image/png", "JPEG": "image/jpeg", "WEBP": "image/webp", "TIFF": "image/tiff"}
+ENDINGS = {"PNG": ".png", "JPEG": ".jpg", "WEBP": ".webp", "TIFF": ".tif"}
+META_LIMIT = 1 << 20
+"""Bytes of a SOG bundle's meta.json."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a file says of itself."""
+
+    kind: Kind
+    ending: str
+    """File name ending that fits the content."""
+    media: str
+    """Content type that it is served with; of pictures only, for nothing else may be opened by a browser."""
+    width: int = 0
+    height: int = 0
+    rows: int = 0
+
+
+def claim_of(path: Path, name: str, most_rows: int) -> Claim:
+    """Judge the file at `path`; `name` is what its owner called it (splat formats without a magic need its ending).
+    Raises ValueError: neither picture, splat file nor project, or more pixels or rows than are allowed."""
+    head = read_head(path, 16)
+    if head == SQLITE:
+        return Claim("project", ".splatproj", "application/octet-stream")
+    picture = _picture(path, name)
+    if picture is not None:
+        return picture
+    if head[:4] == ZIP and _is_layer(path):
+        return Claim("layer", ".splatlayer", "application/octet-stream")
+    shown = name or "the upload"
+    key = _detected(path, name)
+    if key is None:
+        raise ValueError(f"{shown}: expected a picture (PNG, JPEG, WebP, TIFF), a splat file or a project")
+    from splatpainter.io import FORMATS
+
+    try:
+        rows = _rows(path, key)
+    except (ValueError, KeyError, TypeError, struct.error, zipfile.BadZipFile, zlib.error, OSError) as error:
+        said = str(error).replace(str(path), shown)
+        raise ValueError(f"{shown}: damaged ({said})") from None
+    if rows > most_rows:
+        raise ValueError(f"{shown}: expected at most {most_rows:,} rows, it claims {rows:,}")
+    return Claim("asset", FORMATS[key].suffixes[0], "application/octet-stream", rows=rows)
+
+
+def _is_layer(path: Path) -> bool:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "layer.json" in archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError):
+        return False
+
+
+def _detected(path: Path, name: str) -> str | None:
+    """Key of the format by content, or by the ending for the two formats that have no magic."""
+    try:
+        return detect(path)
+    except ValueError:
+        return {".splat": "splat", ".ksplat": "ksplat"}.get(Path(name.lower()).suffix)
+
+
+def _picture(path: Path, name: str) -> Claim | None:
+    from PIL import Image, UnidentifiedImageError
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's own size warning: judged here
+        try:
+            with Image.open(path, formats=KINDS) as image:
+                width, height, kind = image.width, image.height, str(image.format)
+        except UnidentifiedImageError:
+            return None
+        except Image.DecompressionBombError:
+            raise ValueError(f"{name or 'picture'}: expected at most {LIMIT // 10**6} megapixels") from None
+        except Exception as error:  # decoders of damaged files raise anything
+            raise ValueError(f"{name or 'picture'}: cannot be read as a picture ({str(error)[:120]})") from None
+    if width * height > LIMIT:
+        raise ValueError(f"{name or 'picture'}: expected at most {LIMIT // 10**6} megapixels, got {width}x{height}")
+    return Claim("picture", ENDINGS[kind], MEDIA[kind], width, height)
+
+
+def _rows(path: Path, key: str) -> int:
+    """Rows that the header speaks of."""
+    size = path.stat().st_size
+    if key in ("ply", "compressed.ply"):
+        from splatpainter.io.ply_header import read_header
+
+        with reading(path) as file:
+            vertex = read_header(file, path).element("vertex")
+        return 0 if vertex is None else vertex.count
+    if key == "splat":
+        return size // 32
+    if key == "ksplat":
+        return struct.unpack_from("<I", read_head(path, 20), 16)[0]
+    if key == "spz":
+        head = read_head(path, 4096)
+        if head[:2] == b"\x1f\x8b":
+            head = Gunzip(head, path).take(16, "the header")
+        return struct.unpack_from("<I", head, 8)[0]
+    if key == "sog":
+        with zipfile.ZipFile(path) as archive:
+            entry = archive.getinfo("meta.json")
+            if entry.file_size > META_LIMIT:
+                raise ValueError("its meta.json is too long")
+            return int(json.loads(archive.read(entry))["count"])
+    head = read_head(path, 20)
+    length = struct.unpack_from("<I", head, 12)[0]
+    if length > size:
+        raise ValueError("its JSON chunk is cut off")
+    text = read_head(path, 20 + length)[20:]
+    counts = [int(entry.get("count", 0)) for entry in json.loads(text).get("accessors", [])]
+    return max(counts, default=0)

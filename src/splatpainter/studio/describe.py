@@ -1,0 +1,141 @@
+"""The session as clients see it: values of messages/state.py from what a session says. Knows no client."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from splatpainter import cameras
+from splatpainter.io import FORMATS
+from splatpainter.receipts import changed_rows
+from splatpainter.session import Layer, Session
+from splatpainter.splats import Splats
+from splatpainter.studio.messages import state
+
+UP = (0.0, -1.0, 0.0)
+"""Captures have y down, and readers turn other formats into that frame."""
+HOME = {"elevation": 15.0, "fov": 40.0}
+BACKGROUND = (0.16, 0.17, 0.18)
+MARGIN = 1.08
+
+
+def camera_to_wire(camera: cameras.Camera) -> state.Camera:
+    """The same camera."""
+    return state.Camera.model_validate_json(camera.to_json())
+
+
+def camera_from_wire(camera: state.Camera, pixels: int) -> cameras.Camera:
+    """The same camera. Raises ValueError: not rigid, not finite, or more than `pixels` pixels."""
+    if camera.width * camera.height > pixels:
+        raise ValueError(
+            f"camera: expected at most {pixels / 1e6:g} megapixels, got {camera.width}x{camera.height}; zoom out"
+        )
+    return cameras.Camera.from_json(camera.model_dump_json(), "camera")
+
+
+def home(splats: Splats) -> tuple[np.ndarray, float, cameras.Camera]:
+    """([3] middle, radius of nearly all opaque rows, a view of them)."""
+    opaque = splats.finite & (splats.opacities > 0.1)
+    means = splats.means[opaque if opaque.any() else splats.finite].astype(np.float64)
+    away = np.linalg.norm(means - np.median(means, 0), axis=1)
+    core = means[away <= max(3 * np.median(away), 1e-9)]
+    low, high = np.quantile(core, [0.01, 0.99], axis=0)
+    center = (low + high) / 2
+    radius = float(np.quantile(np.linalg.norm(core - center, axis=1), 0.98))
+    radius = max(radius, 3 * float(np.median(splats.scales[splats.finite].max(1))), 1e-6)
+    distance = MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
+    view = cameras.orbit(center, distance, 1, up=UP, width=800, height=800, background=BACKGROUND, **HOME)[0]
+    return center, radius, view
+
+
+def asset_info(session: Session, name: str) -> state.AssetInfo:
+    """What there is to say of the asset as it was opened; `counted` says how it is now."""
+    original = session.original
+    center, radius, view = home(original)
+    source = original.source
+    return state.AssetInfo(
+        name=name,
+        format="" if source is None else source.format,
+        sha256=original.sha256,
+        rows=len(original),
+        rows_original=len(original),
+        rows_same=len(original),
+        sh_coefficients=int(original.sh.shape[1]),
+        color_space=original.color_space,
+        antialiased=original.antialiased,
+        center=center.tolist(),
+        radius=radius,
+        up=list(UP),
+        home=camera_to_wire(view),
+        problems=[] if source is None else list(source.problems),
+    )
+
+
+def counted(info: state.AssetInfo, original: Splats, now: Splats) -> state.AssetInfo:
+    """The same with the rows of now, every one compared with the original."""
+    same = len(original) - len(changed_rows(original, now))
+    return info.model_copy(update={"rows": len(now), "rows_same": same})
+
+
+def layer_info(session: Session, layer: Layer) -> state.LayerInfo:
+    """A layer with what is known of its last computation."""
+    facts = session.facts(layer.id)
+    scores: list[dict[str, Any]] = [*facts.get("views", ()), *({} for _ in layer.views)]
+    views = [
+        state.LayerView(
+            camera=camera_to_wire(view.camera),
+            picture=view.picture,
+            mask=view.mask,
+            **{k: score.get(k) for k in ("psnr_before", "psnr_after", "psnr_outside")},
+        )
+        for view, score in zip(layer.views, scores, strict=False)
+    ]
+    return state.LayerInfo(
+        id=layer.id,
+        name=layer.name,
+        kind=layer.kind,
+        visible=layer.visible,
+        opacity=layer.opacity,
+        blend=layer.blend,
+        mode=layer.mode,
+        method=facts.get("method", layer.method),
+        views=views,
+        parameters=json.loads(json.dumps(layer.parameters)),
+        rows_touched=facts.get("rows_touched", 0),
+        rows_appended=facts.get("rows_appended", 0),
+        seconds=facts.get("seconds", 0.0),
+        note=facts.get("note", ""),
+        problem=facts.get("problem", ""),
+        thumbnail=layer.thumbnail,
+    )
+
+
+def conflict_infos(session: Session) -> list[state.Conflict]:
+    """Layers that wrote the same rows from different views."""
+    return [
+        state.Conflict(lower=c.lower, upper=c.upper, rows=len(c.rows), share=min(c.share, 1), policy=c.policy)
+        for c in session.conflicts()
+    ]
+
+
+def bookmark_infos(session: Session) -> list[state.Bookmark]:
+    """Views to come back to."""
+    return [state.Bookmark(id=b.id, name=b.name, camera=camera_to_wire(b.camera)) for b in session.bookmarks()]
+
+
+def methods(session: Session) -> list[state.Method]:
+    """Those that this session's painter has."""
+    return ["auto", "lift", "fit"] if session.painter.model is None else ["auto", "ttt", "lift", "fit"]
+
+
+def endings() -> list[str]:
+    """File name endings that can be written."""
+    return [entry.suffixes[0] for entry in FORMATS.values() if entry.write is not None]
+
+
+def steps(session: Session) -> list[state.Step]:
+    """The history, oldest first."""
+    return [state.Step(id=step.id, label=step.label) for step in session.history]

@@ -1,0 +1,311 @@
+"""Commands in, answers and rows out, for every client of a studio. Knows no HTTP: a client is something that can send.
+
+What a client is sent is always in this order: rows that bring it to the present version, the state, then what was
+waiting for it (answers, previews). So an answer never comes before the rows that it speaks of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import secrets
+import sqlite3
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from pydantic import ValidationError
+
+from splatpainter.session import Session
+from splatpainter.studio import frames
+from splatpainter.studio.actions import Call, Desk, Handler, load
+from splatpainter.studio.core import Studio
+from splatpainter.studio.messages import COMMANDS, Answer, Command, Failure, Model, Problem, Progress
+from splatpainter.studio.messages.connection import StateEvent, ToastEvent
+from splatpainter.studio.messages.state import State
+from splatpainter.studio.queue import Busy, Cancelled, Ticket, WorkQueue
+
+log = logging.getLogger("splatpainter.studio")
+PACE = 0.1
+"""Seconds between progress messages of one command."""
+WAITING = 64
+"""Messages that may wait for a client that reads slowly."""
+
+
+class Socket(Protocol):
+    """What a client is sent through; may wait where the client is slow."""
+
+    async def send_text(self, data: str) -> None: ...
+    async def send_bytes(self, data: bytes) -> None: ...
+
+
+class Refused(Exception):
+    """A command that failed, as its client is told."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.message)
+        self.problem = problem
+
+
+class Client:
+    """One connection, and what it has been sent so far."""
+
+    def __init__(self, hub: Hub, socket: Socket) -> None:
+        self.hub, self.socket = hub, socket
+        self.name = secrets.token_hex(4)
+        self.desk = Desk(self.name)
+        self.session, self.version = "", -1
+        """Which rows it has; -1: none yet."""
+        self.greeted = self._gone = False
+        self._previewed = np.zeros(0, np.int64)
+        self._put_back = False
+        self._state_due = False
+        self._waiting: list[str | _Preview] = []
+        self._wake, self._room = asyncio.Event(), asyncio.Event()
+        self._room.set()
+
+    def say(self, message: Model) -> None:
+        """Send a message after everything that it may speak of."""
+        self._add(message.model_dump_json())
+
+    def notice(self) -> None:
+        """Something changed: send what this client lacks."""
+        self._state_due = True
+        self._wake.set()
+
+    def after(self, call: Call) -> None:
+        """Take over what a command leaves for this client's screen."""
+        if call.put_back:
+            self._put_back = True
+        if call.preview is not None and call.preview_rows is not None:
+            studio = self.hub.studio
+            self._add(_Preview(call.preview, call.preview_rows, studio.session_id))
+        self._wake.set()
+
+    def _add(self, item: str | _Preview) -> None:
+        if self._gone:
+            return
+        self._waiting.append(item)
+        if len(self._waiting) >= WAITING:
+            self._room.clear()
+        self._wake.set()
+
+    def gone(self) -> None:
+        """Nobody reads any more: nothing is kept for it, nothing waits for it."""
+        self._gone = True
+        self._room.set()
+
+    async def room(self) -> None:
+        """Wait until not too much waits to be sent: whoever does not read gets no more work done."""
+        await self._room.wait()
+
+    async def send_all(self) -> None:
+        """Send until cancelled or the connection breaks."""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            items, self._waiting = self._waiting, []
+            self._room.set()
+            if self.greeted:
+                await self._send_rows([item for item in items if isinstance(item, _Preview)])
+                if self._state_due:
+                    self._state_due = False
+                    await self.socket.send_text(self.hub.state_text())
+            for item in items:
+                if isinstance(item, str):
+                    await self.socket.send_text(item)
+                elif item.session == self.session and item.version == self.version:
+                    self._previewed = np.union1d(self._previewed, item.rows) if len(self._previewed) else item.rows
+                    await self.socket.send_bytes(item.frame)
+
+    async def _send_rows(self, coming: list[_Preview]) -> None:
+        """Rows that changed since this client's version, and the true values of rows whose preview is over."""
+        studio = self.hub.studio
+        put_back, self._put_back = self._put_back, False
+        shown, session_id = studio.session.shown, studio.session_id
+        if self.session == session_id and self.version == shown.version and not put_back:
+            return
+        old, self._previewed = self._previewed, np.zeros(0, np.int64)
+        stale = old if put_back else np.zeros(0, np.int64)
+        if put_back and coming:  # rows that are about to be previewed anew need not flicker
+            stale = np.setdiff1d(stale, coming[-1].rows, assume_unique=True)
+        known = self.version if self.session == session_id and self.version >= 0 else None
+        version, packed = await self.hub.frames(known, stale)
+        if not put_back:
+            self._previewed = old
+        for frame in packed:
+            await self.socket.send_bytes(frame)
+        self.session, self.version = session_id, version
+
+
+class _Preview:
+    """A frame that shows what is not (yet) so."""
+
+    def __init__(self, frame: bytes, rows: np.ndarray, session: str) -> None:
+        self.frame, self.rows, self.session = frame, rows, session
+        self.version = frames.HEADER.unpack_from(frame)[4]
+
+
+def _frames(session: Session, known: int | None, stale: np.ndarray) -> tuple[int, list[bytes]]:
+    """(version, frames that bring a client from version `known` (None: nothing) there, and `stale` rows back)."""
+    while True:
+        shown = session.shown
+        if known is None:
+            return shown.version, [frames.snapshot(shown.splats, shown.version)]
+        found = session.delta(known)
+        if found.version == shown.version:  # else a writer was faster: look again
+            break
+    if found.since is None:
+        return shown.version, [frames.snapshot(shown.splats, shown.version)]
+    total, out = len(shown.splats), []
+    rows = np.concatenate([found.rows, np.arange(found.kept, total)])
+    if known != shown.version:
+        out.append(frames.delta(shown.splats, rows, known, shown.version))
+    stale = np.setdiff1d(stale[stale < total], rows)
+    if len(stale):
+        out.append(frames.preview(shown.splats.take(stale), stale, total, shown.version))
+    return shown.version, out
+
+
+class Hub:
+    """All clients of a studio, and the queue that orders their work."""
+
+    def __init__(self, studio: Studio, queue: WorkQueue | None = None) -> None:
+        self.studio, self.queue = studio, queue or WorkQueue()
+        self.clients: set[Client] = set()
+        self.handlers: dict[type[Command], Handler] = load()
+        self.leaving: set[asyncio.Task[None]] = set()
+        """Work of clients that have gone, to its end."""
+        self._text: tuple[tuple[State, int], str] | None = None
+        self._delta: tuple[Session, int, int, asyncio.Future[tuple[int, list[bytes]]]] | None = None
+
+    def state(self) -> State:
+        """The state as clients get it."""
+        return self.studio.state.model_copy(update={"clients": len(self.clients)})
+
+    def state_text(self) -> str:
+        """The state as an event; made once for all clients."""
+        key = (self.studio.state, len(self.clients))
+        if self._text is None or self._text[0][0] is not key[0] or self._text[0][1] != key[1]:
+            self._text = (key, StateEvent(state=self.state()).model_dump_json())
+        return self._text[1]
+
+    async def frames(self, known: int | None, stale: np.ndarray) -> tuple[int, list[bytes]]:
+        """See _frames; the last delta is kept, for mostly all clients want the same one."""
+        session, now = self.studio.session, self.studio.session.version
+        if len(stale) or known is None:
+            return await asyncio.to_thread(_frames, session, known, stale)
+        kept = self._delta
+        if kept is None or kept[0] is not session or kept[1] != known or kept[2] != now:
+            task = asyncio.ensure_future(asyncio.to_thread(_frames, session, known, stale))
+            kept = self._delta = (session, known, now, task)
+        return await asyncio.shield(kept[3])
+
+    def announce(self) -> None:
+        """Tell every client that something changed."""
+        for client in self.clients:
+            client.notice()
+
+    def publish(self, message: Model) -> None:
+        """Say something to every client."""
+        for client in self.clients:
+            if client.greeted:
+                client.say(message)
+
+    async def carry_out(self, command: Command, desk: Desk, ticket: Ticket, client: Client | None) -> Answer:
+        """Run a command and return its answer. Raises Refused where it failed; nothing has changed then."""
+        handler = self.handlers[type(command)]
+        call = Call(self.studio, desk, ticket)
+        spent, opened = [0.0], [False]
+
+        def job(own: Ticket) -> Answer:
+            start, before = time.perf_counter(), self.studio.session_id
+            try:
+                answer = handler.run(call, command)
+                opened[0] = self.studio.session_id != before
+                if handler.writes:
+                    self.studio.refresh()
+                return answer.model_copy(update={"version": self.studio.session.version})
+            finally:
+                spent[0] = time.perf_counter() - start
+
+        lane = self.queue.write if handler.writes else self.queue.aside if handler.aside else self.queue.read
+        try:
+            answer = await lane(job, ticket)
+        except Exception as error:
+            raise Refused(problem_of(error)) from error
+        if client is not None:
+            client.after(call)
+        if handler.writes:
+            self.announce()
+        if handler.writes and opened[0]:
+            note = ToastEvent(level="info", message=f"Another window opened {self.studio.name}.")
+            for other in self.clients - {client}:
+                if other.greeted:
+                    other.say(note)
+        return answer.model_copy(update={"seconds": round(spent[0], 4)})
+
+    def close(self) -> None:
+        """After the last client has gone."""
+        self.queue.close()
+        self.studio.close()
+
+
+def parse(data: object) -> tuple[int, Command]:
+    """(id, command) from a message of a client. Raises Refused."""
+    if not isinstance(data, dict) or not isinstance(data.get("id"), int) or not isinstance(data.get("do"), str):
+        raise Refused(Problem(kind="input", message='expected {"id": number, "do": name, ...}'))
+    kind = COMMANDS.get(data["do"])
+    if kind is None:
+        raise Refused(Problem(kind="input", message=f"unknown command {data['do'][:40]!r}"))
+    fields = {key: value for key, value in data.items() if key not in ("id", "do")}
+    try:
+        return data["id"], kind.model_validate(fields)
+    except ValidationError as error:
+        raise Refused(Problem(kind="input", message=first_fault(error, data["do"]))) from None
+
+
+def first_fault(error: ValidationError, where: str) -> str:
+    """One line about the first field that is wrong."""
+    fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    place = ".".join(map(str, fault["loc"]))
+    return f"{where}: {place}: {fault['msg']}" if place else f"{where}: {fault['msg']}"
+
+
+def problem_of(error: Exception) -> Problem:
+    """What a client is told of a failure. Wrong input speaks for itself: its last part says what to do."""
+    if isinstance(error, Refused):
+        return error.problem
+    if isinstance(error, Cancelled):
+        return Problem(kind="cancelled", message="Cancelled; nothing was changed.")
+    if isinstance(error, Busy):
+        return Problem(kind="busy", message="Too much is waiting.", hint="Wait until the work in progress is done.")
+    if isinstance(error, MemoryError):
+        return Problem(kind="input", message="Out of memory.", hint="Use a smaller picture, or an asset of fewer rows.")
+    if isinstance(error, ValueError) and not isinstance(error, sqlite3.Error):
+        message, _, hint = str(error).rpartition("; ")
+        return Problem(kind="input", message=message or hint, hint=hint if message else "")
+    log.error("fault", exc_info=error)
+    return Problem(kind="fault", message=f"Fault in the studio: {type(error).__name__}: {error}"[:300])
+
+
+def pacer(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Callable[[float, str], None]:
+    """Progress of a command from a worker thread to its client, not more often than every PACE seconds."""
+    last = [0.0, ""]
+
+    def report(share: float, stage: str) -> None:
+        now = time.monotonic()
+        if now - float(last[0]) < PACE and stage == last[1]:
+            return
+        last[:] = [now, stage]
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(client.say, Progress(re=number, progress=share, stage=stage))
+
+    return report
+
+
+def failure(number: int, problem: Problem) -> Failure:
+    """The answer of a command that failed."""
+    return Failure(re=number, error=problem)

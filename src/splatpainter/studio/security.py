@@ -1,0 +1,194 @@
+"""Who may talk to the studio: Host, Origin, token, and the headers of every answer. Pure ASGI, HTTP and socket alike.
+
+A page of another site can make the browser send requests to 127.0.0.1 (cross-site requests: the Origin and
+Sec-Fetch-Site headers tell), and can give its own name the address 127.0.0.1 (DNS rebinding: the Host header tells).
+Programs that are no browsers send neither header; on other machines' requests (--host) all must know the token.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import secrets
+from collections.abc import MutableMapping
+from dataclasses import dataclass, field
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qsl, quote, urlencode
+
+COOKIE = "splatpainter"
+LOCAL = ("127.0.0.1", "localhost", "::1")
+CSP = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self' 'wasm-unsafe-eval'",
+        "worker-src 'self' blob:",
+        "style-src 'self' 'unsafe-inline'",  # style attributes; no script can come in by them
+        "img-src 'self' blob: data:",
+        "font-src 'self' blob:",
+        "connect-src 'self' blob: data:",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    )
+)
+HEADERS = {
+    "content-security-policy": CSP,
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+}
+
+
+@dataclass(frozen=True)
+class Access:
+    """The rules of one server."""
+
+    host: str = "127.0.0.1"
+    """The address it listens on."""
+    token: str | None = None
+    """Whoever knows it may come in; None: everybody on this machine."""
+    names: tuple[str, ...] = field(default=LOCAL)
+    """Host names (without port) that requests may be addressed to; where `host` is not loopback, any numeric address
+    too, for a rebound name is never one."""
+
+    @staticmethod
+    def of(host: str, token: str | None = None) -> Access:
+        """For a server on `host`: on any but a loopback address a token is needed, and made where none is given.
+        Raises ValueError where `host` is neither an address nor a name."""
+        if not host or any(sign in host for sign in "/@ \\"):
+            raise ValueError(f"studio: expected --host as an address or a name, got {host!r}")
+        if is_loopback(host):
+            return Access(host, token)
+        return Access(host, token or secrets.token_urlsafe(32), (*LOCAL, host.lower()))
+
+    def knows_host(self, header: str | None) -> bool:
+        """Whether a Host header is one of ours."""
+        name = _name_of(header or "")
+        if name in self.names:
+            return True
+        return not is_loopback(self.host) and _is_address(name)
+
+    def knows_token(self, given: str | None) -> bool:
+        """Compared in constant time."""
+        return self.token is None or hmac.compare_digest((given or "").encode(), self.token.encode())
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach a server on `host`."""
+    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
+
+
+class Guard:
+    """ASGI middleware: refuses (400, 403, 401) what the rules forbid; adds HEADERS to every answer."""
+
+    def __init__(self, app: Any, access: Access) -> None:
+        self.app, self.access = app, access
+
+    async def __call__(self, scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        headers = _headers(scope)
+        refusal = self._refusal(scope, headers)
+        if scope["type"] == "websocket":
+            if refusal is None and not self._authorised(headers):
+                refusal = (403, "")
+            if refusal is None:
+                await self.app(scope, receive, send)
+            else:  # before the handshake: the client sees HTTP 403
+                await receive()
+                await send({"type": "websocket.close", "code": 1008})
+            return
+        outgoing = _with_headers(send)
+        if refusal is not None:
+            await _answer(outgoing, *refusal)
+        elif self._authorised(headers):
+            await self.app(scope, receive, outgoing)
+        else:
+            await self._ask(scope, outgoing)
+
+    def _refusal(self, scope: MutableMapping[str, Any], headers: dict[str, str]) -> tuple[int, str] | None:
+        host = headers.get("host")
+        if not self.access.knows_host(host):
+            return 400, "This server does not go by that name (Host header). Use the address that the studio printed."
+        origin = headers.get("origin")
+        scheme = "https" if scope["scheme"] in ("https", "wss") else "http"
+        if origin is not None and origin.lower() != f"{scheme}://{host}".lower():
+            return 403, "Requests from other sites are not answered (Origin header)."
+        navigating = headers.get("sec-fetch-mode") == "navigate" and scope["type"] == "http"
+        if headers.get("sec-fetch-site") in ("cross-site", "same-site") and not navigating:
+            return 403, "Requests from other sites are not answered (Sec-Fetch-Site header)."
+        return None
+
+    def _authorised(self, headers: dict[str, str]) -> bool:
+        if self.access.token is None:
+            return True
+        kind, _, value = headers.get("authorization", "").partition(" ")
+        return self.access.knows_token(value if kind.lower() == "bearer" else _cookie(headers.get("cookie", "")))
+
+    async def _ask(self, scope: MutableMapping[str, Any], send: Any) -> None:
+        """A page address with the right ?token= gets the cookie and is sent on without it; everything else is 401."""
+        query = parse_qsl(scope["query_string"].decode("latin-1"))
+        given = dict(query).get("token")
+        if scope["method"] != "GET" or given is None or not self.access.knows_token(given):
+            await _answer(send, 401, "This studio needs its token: open the address that it printed when it started.")
+            return
+        rest = urlencode([pair for pair in query if pair[0] != "token"])
+        place = "/" + quote(scope["path"].lstrip("/")) + (f"?{rest}" if rest else "")
+        cookie = f"{COOKIE}={self.access.token}; Path=/; HttpOnly; SameSite=Strict"
+        await _answer(send, 303, "", {"location": place, "set-cookie": cookie})
+
+
+def _headers(scope: MutableMapping[str, Any]) -> dict[str, str]:
+    """Lower-case name -> value. Of a name that comes twice both are kept, and then fit nothing."""
+    out: dict[str, str] = {}
+    for raw, value in scope["headers"]:
+        name, text = raw.decode("latin-1").lower(), value.decode("latin-1")
+        out[name] = f"{out[name]}, {text}" if name in out else text
+    return out
+
+
+def _name_of(header: str) -> str:
+    """The name in a Host header, without port and brackets."""
+    name = header.strip().lower()
+    if name.startswith("["):
+        return name[1:].partition("]")[0]
+    return name.partition(":")[0]
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _cookie(header: str) -> str | None:
+    try:
+        morsel = SimpleCookie(header).get(COOKIE)
+    except CookieError:
+        return None
+    return morsel.value if morsel else None
+
+
+def _with_headers(send: Any) -> Any:
+    extra = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+
+    async def outgoing(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            known = {name.lower() for name, _ in message.get("headers", ())}
+            message["headers"] = [*message.get("headers", ()), *(pair for pair in extra if pair[0] not in known)]
+        await send(message)
+
+    return outgoing
+
+
+async def _answer(send: Any, status: int, text: str, headers: dict[str, str] | None = None) -> None:
+    own = {"content-type": "text/plain; charset=utf-8", "cache-control": "no-store", **(headers or {})}
+    pairs = [(name.encode(), value.encode("latin-1")) for name, value in own.items()]
+    await send({"type": "http.response.start", "status": status, "headers": pairs})
+    await send({"type": "http.response.body", "body": text.encode()})

@@ -1,0 +1,143 @@
+"""One WebSocket connection: its commands in order, `hello` first, `cancel` at once."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import json
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from splatpainter.studio.hub import Client, Hub, Refused, failure, pacer, parse
+from splatpainter.studio.messages import Answer, Command, Problem
+from splatpainter.studio.messages.connection import Cancel, Greeting, Hello, Sync
+from splatpainter.studio.queue import Ticket
+from splatpainter.studio.schema import schema_hash
+
+AHEAD = 64
+"""Commands of one client that may wait; beyond that it is told so."""
+
+
+own_hash = functools.cache(schema_hash)
+"""Of the protocol of this process; some milliseconds of work."""
+
+
+async def serve(hub: Hub, socket: WebSocket) -> None:
+    """Until the client goes."""
+    await socket.accept()
+    client = Client(hub, socket)
+    hub.clients.add(client)
+    connection = Connection(hub, client)
+    worker = asyncio.create_task(connection.work_all())
+    talking = [asyncio.create_task(client.send_all()), asyncio.create_task(connection.read_all(socket))]
+    try:
+        await asyncio.wait(talking, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        hub.clients.discard(client)
+        for task in talking:
+            task.cancel()
+        await asyncio.gather(*talking, return_exceptions=True)
+        hub.leaving.add(worker)
+        worker.add_done_callback(hub.leaving.discard)
+        connection.leave()
+        hub.announce()
+
+
+class Connection:
+    """The commands of one client."""
+
+    def __init__(self, hub: Hub, client: Client) -> None:
+        self.hub, self.client = hub, client
+        self._commands: asyncio.Queue[tuple[int, Command, Ticket] | None] = asyncio.Queue(AHEAD + 1)
+        self._tickets: dict[int, Ticket] = {}
+        self._asides: dict[asyncio.Task[None], Ticket] = {}
+
+    async def read_all(self, socket: WebSocket) -> None:
+        """Take messages until the client goes."""
+        with contextlib.suppress(WebSocketDisconnect):
+            while True:
+                self._take(await socket.receive_text())
+
+    def _take(self, text: str) -> None:
+        number = 0
+        try:
+            try:
+                data = json.loads(text)
+            except (ValueError, RecursionError):
+                raise Refused(Problem(kind="input", message="expected JSON")) from None
+            if isinstance(data, dict) and isinstance(data.get("id"), int):
+                number = data["id"]
+            number, command = parse(data)
+            if isinstance(command, Cancel):
+                self._cancel(number, command)
+                return
+            if not self.client.greeted and not isinstance(command, Hello):
+                raise Refused(Problem(kind="input", message="expected hello as the first message"))
+            if number in self._tickets or self._commands.qsize() >= AHEAD:
+                why = "is still in work" if number in self._tickets else "came too fast"
+                raise Refused(Problem(kind="busy", message=f"command {number} {why}", hint="Wait for the answers."))
+        except Refused as refused:
+            self.client.say(failure(number, refused.problem))
+            return
+        loop = asyncio.get_running_loop()
+        ticket = self._tickets[number] = Ticket(pacer(self.client, number, loop))
+        if isinstance(command, Hello):
+            self._greet(number, command)
+        else:
+            self._commands.put_nowait((number, command, ticket))
+
+    def _greet(self, number: int, command: Hello) -> None:
+        """Answer `hello`; rows go out before it by themselves."""
+        del self._tickets[number]
+        own = own_hash()
+        if command.schema_hash != own:
+            text = "This page is of another version than the studio."
+            self.client.say(failure(number, Problem(kind="schema", message=text, hint="Reload the page.")))
+            return
+        studio, client = self.hub.studio, self.client
+        if command.session == studio.session_id and command.since is not None and command.since >= 0:
+            client.session, client.version = studio.session_id, command.since
+        client.greeted = True
+        greeting = Greeting(re=number, schema_hash=own, client=client.name, state=self.hub.state())
+        client.say(greeting.model_copy(update={"version": studio.session.version}))
+        for other in self.hub.clients - {client}:
+            other.notice()
+
+    def _cancel(self, number: int, command: Cancel) -> None:
+        ticket = self._tickets.get(command.of)
+        if ticket is not None:
+            ticket.cancel()
+        self.client.say(Answer(re=number, version=self.hub.studio.session.version))
+
+    async def work_all(self) -> None:
+        """Carry out commands, one after the other; long ones that change nothing run beside the rest."""
+        while (entry := await self._commands.get()) is not None:
+            number, command, ticket = entry
+            await self.client.room()
+            if isinstance(command, Sync):
+                self.client.version = -1 if command.since is None else command.since
+                self.client.say(Answer(re=number, version=self.hub.studio.session.version))
+                del self._tickets[number]
+            elif self.hub.handlers[type(command)].aside:
+                task = asyncio.create_task(self._work(number, command, ticket))
+                self._asides[task] = ticket
+                task.add_done_callback(self._asides.pop)
+            else:
+                await self._work(number, command, ticket)
+
+    async def _work(self, number: int, command: Command, ticket: Ticket) -> None:
+        try:
+            answer = await self.hub.carry_out(command, self.client.desk, ticket, self.client)
+            self.client.say(answer.model_copy(update={"re": number}))
+        except Refused as refused:
+            self.client.say(failure(number, refused.problem))
+        finally:
+            self._tickets.pop(number, None)
+
+    def leave(self) -> None:
+        """The client has gone. What it asked for is still done (it may come back for it), long looks are stopped."""
+        for ticket in self._asides.values():
+            ticket.cancel()
+        self._commands.put_nowait(None)
+        self.client.gone()

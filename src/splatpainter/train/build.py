@@ -1,0 +1,84 @@
+"""From a recipe to a task: the model with the weights it starts from, its loss, its stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from splatpainter.data.samples import GLOBAL
+from splatpainter.models import checkpoint
+from splatpainter.models.model import SplatPainterModel
+from splatpainter.train.figures import alex_or_none
+from splatpainter.train.loss import perceptual_or_not
+from splatpainter.train.recipes import Recipe
+from splatpainter.train.stages.compress import CopyTask, HiddenColors
+from splatpainter.train.stages.lrm import LrmTask
+from splatpainter.train.stages.refine import RefineOptions, RefineTask
+from splatpainter.train.stages.task import Task
+from splatpainter.train.state import differing_config
+
+Say = Callable[[str], None]
+LATER = {"lrm": ("lrm.",), "compress": ("lrm.", "compressor."), "refine": ("lrm.", "compressor.", "refiner.", "head.")}
+"""Stage -> the parts of the model that a checkpoint of it has trained."""
+SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "compress.min_opacity")
+"""Keys of a model's config that its weights do not depend on."""
+
+
+def start(recipe: Recipe, weights: Path | None, say: Say = print) -> SplatPainterModel:
+    """The recipe's model, untrained (seed torch before), with what a checkpoint has trained of it: of an earlier stage
+    its own parts, the rest stays new. Raises ValueError naming what differs where the checkpoint is of another
+    model."""
+    model = SplatPainterModel(recipe.model)
+    if weights is None:
+        return model
+    held = checkpoint.load(weights)
+    stage = str(held.notes.get("stage", "refine"))
+    parts = LATER.get(stage, LATER["refine"])
+    if stage == "compress" and held.config.representation == "copy":
+        parts = (*parts, "head.")
+    untrained = _untrained_keys(parts)
+
+    def free(key: str) -> bool:
+        return key in SETTINGS or key.endswith("checkpoint_activations") or key.startswith(untrained)
+
+    differing = differing_config(held.config, recipe.model, free)
+    if differing:
+        more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
+        raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}{more}")
+    own = model.state_dict()
+    used = {name: t for name, t in held.tensors.items() if name.startswith(parts)}
+    checkpoint.fill(model, {**own, **used}, str(weights))
+    say(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
+    return model
+
+
+def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path | None, say: Say = print) -> Task:
+    """The task of the recipe's stage. say: told where the perceptual term has no weights and is dropped."""
+    device = next(model.parameters()).device
+    views = recipe.perceptual_views
+    if recipe.stage == "compress" and model.config.representation == "native":
+        return HiddenColors(model, objects=2 * recipe.batch)
+    loss, problem = perceptual_or_not(recipe.perceptual, perceptual_weights, device)
+    if problem:
+        say(problem)
+    if recipe.stage == "lrm":
+        return LrmTask(model, loss, recipe.pull_steps, views)
+    if recipe.stage == "compress":
+        return CopyTask(model, loss, views)
+    options = RefineOptions(
+        recipe.keep,
+        recipe.sequence,
+        recipe.train_encoder,
+        views,
+        recipe.loss_views,
+        recipe.gradient_rows,
+        objects=2 * recipe.batch,
+    )
+    modes = {"global" if kind in GLOBAL else "local" for kind, weight in recipe.samples.kinds.items() if weight > 0}
+    return RefineTask(model, options, loss, sorted(modes), alex_or_none(perceptual_weights, device))
+
+
+def _untrained_keys(parts: tuple[str, ...]) -> tuple[str, ...]:
+    """Beginnings of config keys that only concern parts that are not taken over."""
+    keys = {"compressor.": "compress.", "refiner.": "refine.", "head.": "decoder"}
+    return tuple(key for part, key in keys.items() if part not in parts)

@@ -1,0 +1,333 @@
+"""The loop around a task: samples in, steps out, until the steps, the minutes or the patience of a signal run out.
+
+Sample numbers follow from the step alone, whatever the number of processes: a batch of B is B lanes, and every lane
+stays on one object of the data for as long as the data does. So a run goes on from its step with the same samples, and
+W processes see the same batches as one. Knows no stage.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import torch
+
+from splatpainter.train import state
+from splatpainter.train.distributed import Group, quiet, spread
+from splatpainter.train.optim import Average, Guard, adamw, rate_at
+from splatpainter.train.prefetch import Ahead
+from splatpainter.train.report import Board, Table, mosaic, write_picture
+from splatpainter.train.stages.task import Task, Verdict
+
+if TYPE_CHECKING:
+    from splatpainter.data.samples import Sample
+    from splatpainter.train.recipes import Recipe
+
+SHEET_ROWS = 8
+
+
+class Samples(Protocol):
+    """A numbered, endless supply: the same number gives the same sample."""
+
+    def __getitem__(self, i: int, /) -> Sample: ...
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far one session goes."""
+
+    minutes: float = 0.0
+    """Stop after this many; 0: no limit."""
+    steps: int = 0
+    """Stop after this many steps of this session; 0: no limit."""
+
+
+@dataclass
+class Result:
+    """How a session ended."""
+
+    step: int
+    """Steps done in all."""
+    ended: str
+    """done, minutes, session steps, or the signal's name."""
+    validation: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Last figures, kind -> figure -> value."""
+    skipped: int = 0
+    failed: int = 0
+    loss: float = float("nan")
+    """Mean of the last hundred steps."""
+
+
+def sample_numbers(step: int, batch: int, stay: int, rank: int = 0, world: int = 1) -> list[int]:
+    """Numbers of the samples of this step that are this process's. stay: consecutive numbers that share an object."""
+    own = range(rank * batch // world, (rank + 1) * batch // world)
+    return [((step // stay) * batch + lane) * stay + step % stay for lane in own]
+
+
+class Loop:
+    """One session of training."""
+
+    def __init__(
+        self,
+        task: Task,
+        recipe: Recipe,
+        samples: Samples,
+        held: Sequence[Sample],
+        out: Path,
+        group: Group,
+        *,
+        resume: bool = False,
+        compact: bool = False,
+        say: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        """task: on its device; samples: of training objects; held: fixed validation samples; out: folder of the run;
+        resume: go on from there; compact: write compact states. Raises ValueError as state.load, and for a batch that
+        the processes cannot share evenly."""
+        if recipe.batch % group.world:
+            raise ValueError(
+                f"train: expected a batch that {group.world} processes can share evenly, got {recipe.batch}"
+            )
+        self.recipe, self.samples, self.held, self.out, self.group = recipe, samples, held, out, group
+        self.compact, self.say = compact, say
+        self.shared = spread(task, recipe.parallel, group)
+        optimizer = adamw(task.named_parameters(), recipe.learning_rate, recipe.weight_decay)
+        average = Average.of(task.named_parameters(), recipe.average)
+        self.run = state.Run(task, optimizer, average, Guard(recipe.spike), state.Progress())
+        self.task, self.progress = task, self.run.progress
+        self.config, self.record = task.model.config, recipe.to_dict()
+        if resume:
+            state.load(out, self.run, self.config, self.record, group)
+        step = self.progress.step
+        self.table = Table(out / "log.csv", step) if group.first else None
+        self.figures = Table(out / "validation.csv", step) if group.first else None
+        self.board = Board(out / "tensorboard", step) if group.first else None
+        self.validation: dict[str, dict[str, float]] = {}
+        self._stop, self._recent = "", list[float]()
+
+    def __call__(self, limits: Limits = Limits()) -> Result:
+        """Train until the recipe's steps, a limit or SIGINT / SIGTERM; save; say how it ended."""
+        recipe, progress, begun = self.recipe, self.progress, time.monotonic()
+        first, saved, ended = progress.step, time.monotonic(), "done"
+        if isinstance(self.samples, Ahead):
+            self.samples.expect(self._numbers())
+        with _signals(self), _bar(recipe.steps, progress.step, self.group.first) as bar:
+            if first == 0 and recipe.validate_every:
+                self.validate()
+            while progress.step < recipe.steps:
+                if why := self._ends(limits, first, begun):
+                    ended = why
+                    break
+                start = time.monotonic()
+                row = self.step()
+                row["seconds"] = time.monotonic() - start
+                progress.seconds += row["seconds"]
+                self._log(row)
+                bar.update(1)
+                bar.set_postfix_str(f"loss {row['loss']:.4g}", refresh=False)
+                if recipe.validate_every and progress.step % recipe.validate_every == 0:
+                    self.validate()
+                if self.group.any(time.monotonic() - saved > 60 * recipe.save_minutes):
+                    self.save()
+                    saved = time.monotonic()
+            stale = not self._stop and recipe.validate_every and progress.step % recipe.validate_every
+            if stale and ended == "done":
+                self.validate()
+            self.save()
+        if self.board is not None:
+            self.board.close()
+        loss = float(np.mean(self._recent[-100:])) if self._recent else float("nan")
+        return Result(progress.step, ended, self.validation, self.run.guard.skipped, progress.failed, loss)
+
+    def step(self) -> dict[str, Any]:
+        """One optimiser step, or a refused one. What is logged of it."""
+        recipe, task, optimizer, step = self.recipe, self.task, self.run.optimizer, self.progress.step
+        rate = rate_at(step, recipe.learning_rate, recipe.warmup, recipe.steps, recipe.final_rate)
+        for parameters in optimizer.param_groups:
+            parameters["lr"] = rate
+        optimizer.zero_grad(set_to_none=True)
+        task.train()
+        task.step = step
+        numbers = sample_numbers(step, recipe.batch, recipe.stay, self.group.rank, self.group.world)
+        sums: dict[str, float] = defaultdict(float)
+        kinds, failed = [], 0
+        for k, number in enumerate(numbers):
+            sample = self._sample(number)
+            with quiet(self.shared, k == len(numbers) - 1):
+                parts = self.shared(sample, _seed(recipe.seed, number))
+                (parts["loss"] / len(numbers)).backward()
+            failed += bool(task.problem)
+            if task.problem and self.progress.failed + failed <= 20:
+                self.say(f"step {step}: sample {number} skipped: {task.problem}")
+            kinds.append(getattr(sample, "kind", "none"))
+            for name, value in parts.items():
+                sums[name] += float(value.detach()) / len(numbers)
+        total = self.group.total(torch.tensor([float(failed), sums["loss"]], dtype=torch.float64))
+        bad, loss = int(total[0]), float(total[1]) / self.group.world
+        self.progress.failed += bad
+        norm = _whole_norm(
+            torch.nn.utils.clip_grad_norm_([p for p in task.parameters() if p.requires_grad], recipe.clip)
+        )
+        refused = "no sample" if bad == recipe.batch else self.run.guard.admit(norm)
+        if not refused:
+            optimizer.step()
+            self.run.average.update(task.named_parameters(), self.run.guard.seen - 1)
+        elif refused != "no sample":
+            self.say(f"step {step}: skipped, gradient norm {norm:.3g} ({refused})")
+        self.progress.step += 1
+        rest = {name: value for name, value in sums.items() if name != "loss"}
+        return {"loss": loss, **rest, "norm": norm, "rate": rate, "skipped": refused, "kind": " ".join(kinds)}
+
+    def validate(self) -> dict[str, dict[str, float]]:
+        """Judge the held samples with the averaged weights; table, board and sheet. kind -> figure -> mean."""
+        if not self.held:
+            return {}
+        sharded = hasattr(self.shared, "unshard")
+        if self.group.first or sharded:  # sharded weights need every process
+            self.task.eval()
+            with self.run.average.used_by(self.task), _gathered(self.shared):
+                verdicts = [verdict for sample in self.held if (verdict := self._judge(sample)) is not None]
+            if self.group.first:
+                self._report(verdicts)
+        self.group.wait()
+        return self.validation
+
+    def save(self) -> None:
+        """Write OUT/state and OUT/model."""
+        state.save(self.out, self.run, self.config, self.record, self.group, compact=self.compact)
+        notes = {
+            "stage": self.recipe.stage,
+            "step": self.progress.step,
+            "seconds": round(self.progress.seconds, 1),
+            "validation": self.validation,
+            "recipe": self.record,
+        }
+        state.save_model(self.out, self.run, self.config, self.group, notes)
+        self.group.wait()
+
+    def _numbers(self) -> Iterator[int]:
+        """Of all samples to come."""
+        for step in range(self.progress.step, self.recipe.steps):
+            yield from sample_numbers(step, self.recipe.batch, self.recipe.stay, self.group.rank, self.group.world)
+
+    def _sample(self, number: int) -> Sample | str:
+        try:
+            return self.samples[number]
+        except ValueError as error:  # a broken mesh, an object that shows nothing
+            return str(error)
+
+    def _judge(self, sample: Sample) -> Verdict | None:
+        try:
+            return self.task.judge(sample)
+        except ValueError as error:
+            self.say(f"validation: {sample.name} ({sample.kind}) skipped: {error}")
+            return None
+
+    def _report(self, verdicts: Sequence[Verdict]) -> None:
+        by_kind: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+        for verdict in verdicts:
+            for kind in (verdict.kind, "all"):
+                for name, value in verdict.numbers.items():
+                    by_kind[kind][name].append(value)
+        self.validation = {k: {n: float(np.mean(v)) for n, v in f.items()} for k, f in sorted(by_kind.items())}
+        flat = {f"{kind} {name}": v for kind, f in self.validation.items() for name, v in f.items()}
+        step = self.progress.step
+        if self.figures is not None and self.board is not None:
+            self.figures.add(step, flat)
+            self.board.add(step, flat, "validation")
+            strips = [verdict.strip for verdict in verdicts if verdict.strip][:SHEET_ROWS]
+            if strips:
+                picture = mosaic(strips)
+                (self.out / "sheets").mkdir(parents=True, exist_ok=True)
+                write_picture(self.out / "sheets" / f"step_{step:07d}.png", picture)
+                self.board.picture(step, "validation", picture)
+        for kind, f in self.validation.items():
+            self.say(f"step {step}: validation {kind}: " + ", ".join(f"{n} {v:.3f}" for n, v in f.items()))
+
+    def _log(self, row: dict[str, Any]) -> None:
+        step = self.progress.step
+        self._recent.append(row["loss"])
+        if self.table is not None and self.board is not None:
+            self.table.add(step, row)
+            self.board.add(step, row, "train")
+        if step % self.recipe.report_every == 0:
+            recent = self._recent[-self.recipe.report_every :]
+            self.say(
+                f"step {step} of {self.recipe.steps}: loss {np.mean(recent):.5g}, "
+                f"{self.progress.seconds / step:.2f} s per step"
+            )
+
+    def _ends(self, limits: Limits, first: int, begun: float) -> str:
+        """Why this session ends now, the same in all processes; or ""."""
+        if limits.steps and self.progress.step - first >= limits.steps:
+            return "session steps"
+        if self.group.any(bool(self._stop)):
+            return self._stop or "signal"
+        if limits.minutes and self.group.any(time.monotonic() - begun > 60 * limits.minutes):
+            return "minutes"
+        return ""
+
+    def stop(self, name: str) -> None:
+        """End after the step that is running."""
+        self._stop = name
+
+
+def _seed(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+
+def _whole_norm(norm: torch.Tensor) -> float:
+    return float(norm.full_tensor() if hasattr(norm, "full_tensor") else norm)  # type: ignore[attr-defined]
+
+
+@contextmanager
+def _gathered(shared: torch.nn.Module) -> Iterator[None]:
+    """Inside, weights that FSDP sharded at the root are whole."""
+    if not hasattr(shared, "unshard"):
+        yield
+        return
+    shared.unshard()  # type: ignore[operator]
+    try:
+        yield
+    finally:
+        shared.reshard()  # type: ignore[operator]
+
+
+@contextmanager
+def _signals(loop: Loop) -> Iterator[None]:
+    """The first SIGINT or SIGTERM ends the session after its step and saves; a second one is as usual."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before: dict[int, Any] = {}
+
+    def told(number: int, _: Any) -> None:
+        loop.stop(signal.Signals(number).name)
+        for sign, handler in before.items():
+            signal.signal(sign, handler)
+
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        before[sign] = signal.signal(sign, told)
+    try:
+        yield
+    finally:
+        for sign, handler in before.items():
+            signal.signal(sign, handler)
+
+
+@contextmanager
+def _bar(steps: int, done: int, wanted: bool) -> Iterator[Any]:
+    from tqdm import tqdm
+
+    bar = tqdm(total=steps, initial=done, desc="train", disable=None if wanted else True, leave=False)
+    try:
+        yield bar
+    finally:
+        bar.close()

@@ -1,0 +1,192 @@
+"""Training data by name: `procedural:N`, a folder of meshes or splats, or a folder of shards; training and validation
+kept apart by object. Knows no model."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from splatpainter.data.samples import SampleRecipe, SampleStream
+from splatpainter.data.scenes import SPLAT_SUFFIXES, MeshFolder, ProceduralSource, SplatFolder, split
+from splatpainter.data.shard_stream import ShardStream
+from splatpainter.data.shards import INDEX, read_index
+from splatpainter.train.prefetch import Ahead
+
+if TYPE_CHECKING:
+    from splatpainter.data.samples import Sample
+
+VALIDATION_SEED = 0x5EED
+"""Added to the recipe's seed for what validation draws: procedural objects of another seed, and other edits."""
+
+
+@dataclass(frozen=True)
+class Stock:
+    """Folders of things that edits and lights are made of; None: built-in ones."""
+
+    environments: Path | None = None
+    """HDRIs, .hdr or .exr."""
+    decals: Path | None = None
+    """PNGs with transparency."""
+    fonts: Path | None = None
+    """.ttf or .otf."""
+    textures: Path | None = None
+    """Photos."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a run trains on."""
+
+    training: Any
+    """[i] -> Sample, endless."""
+    validation: list[Sample]
+    """Fixed."""
+    objects: tuple[int, int]
+    """Of training, of validation."""
+
+
+@dataclass(frozen=True)
+class Supply:
+    """Where samples come from; small, so that it can be sent to other processes."""
+
+    data: str
+    recipe: SampleRecipe
+    seed: int
+    """Of order and edits."""
+    share: float
+    """Of the objects, for validation."""
+    stock: Stock
+    device: str = "cpu"
+    memory: int = 1 << 30
+    """Bytes of objects that a stream keeps."""
+
+    def stream(self, *, held: bool = False) -> Any:
+        """The samples of the training objects, or of those held back: another seed, an object of its own each. None
+        where there are none of these. Raises ValueError: nothing there, too few objects, files that are not there."""
+        recipe, seed = self.recipe, self.seed
+        if held:
+            recipe, seed = dataclasses.replace(recipe, steps_per_object=1), seed + VALIDATION_SEED
+        if is_shards(self.data):
+            names = _shard_names(self.data, self.share)[held]
+            kinds = [kind for kind, weight in recipe.kinds.items() if weight > 0]
+            return ShardStream(self.data, seed, names=names, kinds=kinds) if names else None
+        source = _sources(self.data, self.seed, self.share, self.stock)[held]
+        if source is None:
+            return None
+        return SampleStream(source, recipe, seed, **_files(self.stock), device=self.device, cache_bytes=self.memory)
+
+    def counts(self) -> tuple[int, int]:
+        """Objects of training and of validation."""
+        if is_shards(self.data):
+            train, held = _shard_names(self.data, self.share)
+            return len(train), len(held)
+        train, held = _sources(self.data, self.seed, self.share, self.stock)
+        return len(train), len(held) if held is not None else 0
+
+
+class Lanes:
+    """Streams of one supply, one per lane of a batch (loop.sample_numbers): each stays on its own object."""
+
+    def __init__(self, supply: Supply, count: int) -> None:
+        self._supply, self._count = supply, count
+        self._streams: dict[int, Any] = {}
+
+    def __getitem__(self, i: int) -> Sample:
+        lane = i // self._supply.recipe.steps_per_object % self._count
+        if lane not in self._streams:
+            self._streams[lane] = self._supply.stream()
+        return self._streams[lane][i]
+
+
+def open_material(supply: Supply, *, batch: int, count: int, workers: int = 0) -> Material:
+    """Training samples for batches of this size, and `count` validation samples (0: none are made). workers: processes
+    that make samples ahead. Raises ValueError as Supply.stream."""
+    objects = supply.counts()
+    supply = dataclasses.replace(supply, memory=supply.memory // max(batch, 1))
+    fixed = supply.stream(held=True) if count else None
+    samples = [] if fixed is None else list(_first(fixed, count))
+    stay = supply.recipe.steps_per_object
+    if workers:
+        make = partial(Lanes, dataclasses.replace(supply, device="cpu"), batch)
+        return Material(Ahead(make, workers, stay), samples, objects)
+    return Material(Lanes(supply, batch), samples, objects)
+
+
+def is_shards(data: str) -> bool:
+    """Whether this is a folder of shards (`data render`)."""
+    return (Path(data) / INDEX).is_file()
+
+
+def _shard_names(data: str, share: float) -> tuple[list[str], list[str]]:
+    """(training, validation) objects of a folder of shards."""
+    scenes = [scene for shard in read_index(Path(data))["shards"] for scene in shard["scenes"]]
+    return split(list(dict.fromkeys(scene["object"] for scene in scenes)), share=share)
+
+
+def _first(stream: Any, count: int) -> Iterator[Sample]:
+    """The first `count` samples that can be made, of twice as many numbers."""
+    made, last = 0, "no object"
+    for i in range(2 * count):
+        if made == count:
+            return
+        try:
+            yield stream[i]
+        except ValueError as error:
+            last = str(error)
+            continue
+        made += 1
+    if not made:
+        raise ValueError(f"validation: no sample could be made; the last problem: {last}")
+
+
+def _sources(data: str, seed: int, share: float, stock: Stock) -> tuple[Any, Any]:
+    """(training, validation) objects; validation None where there are too few to spare any."""
+    if data.startswith("procedural:"):
+        number = data.removeprefix("procedural:")
+        if not number.isdigit() or int(number) < 1:
+            raise ValueError(f"--data {data}: expected procedural:N with a number of objects, such as procedural:500")
+        count = int(number)
+        other = ProceduralSource(min(count, 64), seed + VALIDATION_SEED, stock.textures) if share > 0 else None
+        return ProceduralSource(count, seed, stock.textures), other
+    folder = Path(data)
+    if not folder.is_dir():
+        raise ValueError(f"--data {data}: expected procedural:N, or a folder of meshes, splats or shards")
+    kind: Any = MeshFolder
+    try:
+        whole: Any = MeshFolder(folder)
+    except ValueError:
+        if not any(f.suffix.lower() in SPLAT_SUFFIXES for f in folder.iterdir()):
+            raise
+        kind = SplatFolder
+        whole = SplatFolder(folder)
+    # The split never depends on the run's seed: stages trained one after the other share their validation objects.
+    names, held = split([whole.name(i) for i in range(len(whole))], share=share)
+    if not names:
+        raise ValueError(f"--data {data}: expected at least one object to train on, got {len(whole)} in all")
+    return kind(folder, names), kind(folder, held) if held else None
+
+
+def _files(stock: Stock) -> dict[str, Sequence[Any]]:
+    from splatpainter.data.lights import load_environment
+
+    return {
+        "environments": tuple(load_environment(f) for f in _listed(stock.environments, (".hdr", ".exr"))),
+        "decals": tuple(_listed(stock.decals, (".png", ".webp"))),
+        "fonts": tuple(_listed(stock.fonts, (".ttf", ".otf"))),
+        "textures": tuple(_listed(stock.textures, (".png", ".jpg", ".jpeg", ".webp"))),
+    }
+
+
+def _listed(folder: Path | None, suffixes: tuple[str, ...]) -> list[Path]:
+    if folder is None:
+        return []
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: no such folder")
+    found = sorted(f for f in folder.rglob("*") if f.suffix.lower() in suffixes)
+    if not found:
+        raise ValueError(f"{folder}: holds no file that ends in {', '.join(suffixes)}")
+    return found

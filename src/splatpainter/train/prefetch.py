@@ -1,0 +1,120 @@
+"""Samples made ahead by other processes, in the very order and with the very values as without them.
+
+The order is known for ever, so each worker is told numbers ahead of time; samples of one object go to one worker, which
+then makes the object once. Used where a GPU would wait for the data.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import multiprocessing
+import queue
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+if TYPE_CHECKING:
+    from splatpainter.data.samples import Sample
+
+PATIENCE = 5.0
+"""Seconds between looks at whether a worker is still alive."""
+VIEWS = ("base", "edited", "novel_before", "novel_after")
+
+
+class Ahead:
+    """Numbered samples from `count` processes."""
+
+    def __init__(self, make: Callable[[], Any], count: int, stay: int) -> None:
+        """make: the stream; called once in each worker, so it must be importable from there; stay: consecutive numbers
+        that share an object."""
+        context = multiprocessing.get_context("spawn")  # fork would copy torch's threads half
+        self._stay, self._window = stay, (count + 1) * stay
+        self._todo: Iterator[int] = iter(())
+        self._asked: list[int] = []
+        self._ready: dict[int, Any] = {}
+        self._tasks = [context.Queue() for _ in range(count)]
+        self._results = [context.Queue() for _ in range(count)]
+        self._workers = [
+            context.Process(target=_work, args=(make, tasks, results), daemon=True)
+            for tasks, results in zip(self._tasks, self._results, strict=True)
+        ]
+        for worker in self._workers:
+            worker.start()
+
+    def expect(self, numbers: Iterable[int]) -> None:
+        """The order in which samples will be asked for."""
+        self._todo = iter(numbers)
+
+    def __getitem__(self, number: int) -> Sample:
+        """Raises ValueError where the stream does; RuntimeError when a worker has died."""
+        self._ask()
+        if number not in self._asked and number not in self._ready:  # not the order that was announced
+            self._send(number)
+        while number not in self._ready:
+            self._receive(self._worker(number))
+        found = self._ready.pop(number)
+        self._ask()
+        if isinstance(found, str):
+            raise ValueError(found)
+        return unpacked(found)
+
+    def close(self) -> None:
+        """End the workers."""
+        for worker in self._workers:
+            worker.terminate()
+        for worker in self._workers:
+            worker.join()
+
+    def _ask(self) -> None:
+        room = self._window - len(self._asked) - len(self._ready)
+        for number in itertools.islice(self._todo, max(room, 0)):
+            self._send(number)
+
+    def _send(self, number: int) -> None:
+        self._asked.append(number)
+        self._tasks[self._worker(number)].put(number)
+
+    def _worker(self, number: int) -> int:
+        return number // self._stay % len(self._workers)
+
+    def _receive(self, worker: int) -> None:
+        try:
+            number, found = self._results[worker].get(timeout=PATIENCE)
+        except queue.Empty:
+            if not self._workers[worker].is_alive():
+                raise RuntimeError(f"data worker {worker} died; train with --workers 0 to see why") from None
+            return
+        self._asked.remove(number)
+        self._ready[number] = found
+
+
+def packed(sample: Sample) -> Sample:
+    """The sample with numpy pictures: tensors would travel as file handles, of which a process has few."""
+    return _with_colors(sample, lambda colors: torch.as_tensor(colors).cpu().numpy())
+
+
+def unpacked(sample: Sample) -> Sample:
+    """The inverse of `packed`."""
+    return _with_colors(sample, lambda colors: torch.from_numpy(np.asarray(colors)))
+
+
+def _with_colors(sample: Sample, change: Callable[[Any], Any]) -> Sample:
+    views = {name: getattr(sample, name) for name in VIEWS}
+    return dataclasses.replace(
+        sample, **{name: dataclasses.replace(v, colors=change(v.colors)) for name, v in views.items()}
+    )
+
+
+def _work(make: Callable[[], Any], tasks: Any, results: Any) -> None:
+    torch.set_num_threads(1)
+    stream = make()
+    while True:
+        number = tasks.get()
+        try:
+            found: Any = packed(stream[number])
+        except ValueError as error:
+            found = str(error)
+        results.put((number, found))

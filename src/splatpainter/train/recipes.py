@@ -1,0 +1,218 @@
+"""A training recipe: one dataclass that is the command line, the JSON in the run's folder and the documentation.
+
+Recipes are found by name in recipes/ beside this file (`compact`, `paper`, per stage) or as JSON files. A JSON recipe
+names only what differs from the defaults here; unknown keys are errors.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from splatpainter.data.samples import KINDS, SampleRecipe
+from splatpainter.io.files import read_all
+from splatpainter.models.config import COMPACT, ModelConfig
+
+Stage = Literal["lrm", "compress", "refine"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+Encoder = Literal["nothing", "compress", "all"]
+Parallel = Literal["ddp", "fsdp"]
+FOLDER = Path(__file__).with_name("recipes")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a stage is trained."""
+
+    stage: Stage = "refine"
+    """lrm: the Gaussian LRM; compress: Stage I; refine: Stage II."""
+    model: ModelConfig = COMPACT
+    """The model."""
+    samples: SampleRecipe = field(default_factory=SampleRecipe)
+    """What samples look like."""
+    steps: int = 20_000
+    """Optimiser steps; the learning rate's cosine ends there."""
+    batch: int = 1
+    """Samples per step, over all processes; a multiple of their number."""
+    learning_rate: float = 4e-4
+    """Peak."""
+    warmup: int = 200
+    """Steps of linear rise."""
+    final_rate: float = 0.02
+    """Where the cosine ends, as a share of the peak."""
+    weight_decay: float = 0.05
+    """Of matrices; not of norms, biases and fast weights."""
+    clip: float = 1.0
+    """Gradients are scaled to this norm at most."""
+    spike: float = 20.0
+    """Steps whose gradient norm exceeds this many running means are skipped; 0: none are."""
+    average: float = 0.998
+    """Decay of the running mean of the weights, which validation and the saved model use."""
+    perceptual: float = 0.5
+    """lambda, weight of the LPIPS (squeeze) term; 0: none."""
+    perceptual_views: int = 1
+    """Views per sample that this term looks at, another choice each time."""
+    loss_views: int = 0
+    """Stage II: views per sample that are rendered and compared, a third of them edited ones; 0: all."""
+    gradient_rows: int = 0
+    """Stage II: rows per sample that gradients go through, a random choice of those shown; 0: all."""
+    keep: float = 0.25
+    """Weight of a pixel that a local edit must leave as it is, against 1 for an edited one."""
+    sequence: float = 0.2
+    """Probability that an edit of several views comes as two, the second on the state that the first left."""
+    train_encoder: Encoder = "nothing"
+    """Stage II only: what is trained along. nothing (the paper), compress (Stage I), all (Stage I and the LRM)."""
+    pull_steps: int = 1000
+    """LRM without known geometry only: first steps that pull points into place."""
+    seed: int = 0
+    """Of weights, data order and random choices."""
+    validation_share: float = 0.1
+    """Share of the objects that are never trained on."""
+    validation_samples: int = 24
+    """Fixed samples of these objects."""
+    validate_every: int = 500
+    """Steps between validations, each with a contact sheet; 0: none."""
+    report_every: int = 50
+    """Steps between lines on stderr."""
+    save_minutes: float = 5.0
+    """Minutes between checkpoints."""
+    workers: int = 0
+    """Processes that prepare samples ahead; 0: the training process does."""
+    parallel: Parallel = "ddp"
+    """With several processes: ddp (every one holds the model) or fsdp (sharded)."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "report_every", "validation_samples"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"recipe: expected {name} of at least 1, got {getattr(self, name)}")
+        for name in (
+            "warmup",
+            "validate_every",
+            "pull_steps",
+            "workers",
+            "perceptual_views",
+            "seed",
+            "loss_views",
+            "gradient_rows",
+        ):
+            if getattr(self, name) < 0:
+                raise ValueError(f"recipe: expected {name} of 0 or more, got {getattr(self, name)}")
+        for name in ("learning_rate", "clip", "save_minutes"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"recipe: expected {name} above 0, got {getattr(self, name)}")
+        for name in ("final_rate", "average", "sequence", "validation_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"recipe: expected {name} 0..1, got {getattr(self, name)}")
+        for name in ("weight_decay", "spike", "perceptual", "keep"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"recipe: expected {name} of 0 or more, got {getattr(self, name)}")
+
+        # Every kind by name, so that the command line offers each, and equal recipes are equal.
+        kinds = {kind: float(self.samples.kinds.get(kind, 0.0)) for kind in KINDS}
+        object.__setattr__(self, "samples", dataclasses.replace(self.samples, kinds=kinds))
+
+    @property
+    def stay(self) -> int:
+        """Consecutive samples that share an object."""
+        return self.samples.steps_per_object
+
+    def to_dict(self) -> dict[str, Any]:
+        """Nested plain values, as in the JSON."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+    def to_json(self) -> str:
+        """Every field."""
+        return json.dumps(self.to_dict(), indent=2)
+
+
+def names() -> list[str]:
+    """Names that `load` knows for some stage."""
+    return sorted({path.stem.rsplit("-", 1)[0] for path in FOLDER.glob("*-*.json")})
+
+
+def load(name: str | Path, stage: Stage) -> Recipe:
+    """The recipe of a name or JSON file, for a stage. Raises ValueError: no such recipe, or what is wrong in it."""
+    path = FOLDER / f"{name}-{stage}.json"
+    if not path.is_file():
+        path = Path(name)
+        if not path.is_file():
+            raise ValueError(f"--recipe {name}: expected one of {', '.join(names())}, or a JSON file")
+    return parse(read_all(path).decode(errors="replace"), stage, str(path))
+
+
+def parse(text: str, stage: Stage, where: str = "recipe") -> Recipe:
+    """A recipe from JSON: the defaults with what the text says. "model": "compact" or "paper" may stand for a whole
+    model. Raises ValueError naming `where` and the key."""
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{where}: expected a recipe as JSON ({error})") from None
+    if not isinstance(data, dict):
+        raise ValueError(f"{where}: expected an object as recipe, got {type(data).__name__}")
+    if data.get("stage", stage) != stage:
+        raise ValueError(f"{where}: is a recipe of stage '{data['stage']}', not of '{stage}'")
+    return merged(Recipe(stage=stage), data, where)
+
+
+def merged(base: Any, data: Mapping[str, Any], where: str, path: str = "") -> Any:
+    """The dataclass instance `base` with the values of nested JSON objects. Raises ValueError naming the key."""
+    hints, changes = field_types(type(base)), {}
+    for key, value in data.items():
+        name = f"{path}.{key}" if path else key
+        if key not in hints:
+            raise ValueError(f"{where}: unknown key '{name}'; known there: {', '.join(hints)}")
+        own = getattr(base, key)
+        if dataclasses.is_dataclass(own):
+            if isinstance(own, ModelConfig) and isinstance(value, dict) and "preset" in value:
+                from splatpainter.models.config import PRESETS
+
+                own = PRESETS.get(str(value["preset"]), own)
+            if not isinstance(value, dict):
+                raise ValueError(f"{where}: expected an object as '{name}', got {value!r}")
+            changes[key] = merged(own, value, where, name)
+        else:
+            changes[key] = _value(hints[key], value, where, name)
+    try:
+        return dataclasses.replace(base, **changes)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+@cache
+def field_types(kind: type) -> dict[str, Any]:
+    """Field name -> type of a dataclass."""
+    known = get_type_hints(kind)
+    return {f.name: known[f.name] for f in dataclasses.fields(kind)}
+
+
+def _value(hint: Any, value: Any, where: str, name: str) -> Any:
+    """`value` from JSON as what an annotation wants: plain types, Literal, X | None, tuples and dicts of these."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is tuple:
+        if not isinstance(value, list):
+            raise ValueError(f"{where}: expected a list as '{name}', got {value!r}")
+        if len(arguments) == 2 and arguments[1] is ...:
+            return tuple(_value(arguments[0], item, where, name) for item in value)
+        if len(arguments) != len(value):
+            raise ValueError(f"{where}: expected {len(arguments)} values as '{name}', got {value!r}")
+        return tuple(_value(a, item, where, name) for a, item in zip(arguments, value, strict=True))
+    if origin is Literal:
+        if value not in arguments:
+            raise ValueError(f"{where}: expected one of {', '.join(map(str, arguments))} as '{name}', got {value!r}")
+        return value
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise ValueError(f"{where}: expected an object as '{name}', got {value!r}")
+        return {str(key): _value(arguments[1], item, where, f"{name}.{key}") for key, item in value.items()}
+    if type(None) in arguments:
+        return None if value is None else _value(next(a for a in arguments if a is not type(None)), value, where, name)
+    accepted = (int, float) if hint is float else hint
+    # bool is an int to Python, and a recipe that says steps: true is broken.
+    if not isinstance(value, accepted) or (isinstance(value, bool) and hint is not bool):
+        raise ValueError(f"{where}: expected {hint.__name__} as '{name}', got {value!r}")
+    return float(value) if hint is float else value

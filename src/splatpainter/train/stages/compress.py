@@ -1,0 +1,115 @@
+"""Stage I: rows and tokens to latents, with the LRM frozen.
+
+copy: what the kept latents decode to must look like the object (the paper's stage). native: nothing is dropped, so
+copying would be the identity. There a share of the rows lose their colours and the latents must tell them, by a linear
+map that is thrown away afterwards: so latents learn to hold what the LRM's tokens saw of a row and what its neighbours
+look like, which is what an edit has to carry over. It needs no renderer and is the cheapest stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from splatpainter.models.encode import asset_views, canonical_cameras
+from splatpainter.models.model import SplatPainterModel, fast_math
+from splatpainter.models.rows import RowGroups, TokenLinks, links_from_views
+from splatpainter.splats import SH_C0, Splats
+from splatpainter.train.loss import PictureLoss
+from splatpainter.train.stages.lrm import input_views, judged, truth
+from splatpainter.train.stages.task import Recent, Task, Verdict, draw, freeze
+from splatpainter.voxels import voxelize
+
+if TYPE_CHECKING:
+    from splatpainter.data.samples import Sample
+
+HIDDEN = 0.5
+"""Share of the rows that lose their colours."""
+
+
+class CopyTask(Task):
+    """`copy`: Stage I and the decoder are trained to reproduce the object."""
+
+    def __init__(self, model: SplatPainterModel, loss: PictureLoss, perceptual_views: int) -> None:
+        super().__init__()
+        self.model, self.loss, self.perceptual_views = model, loss, perceptual_views
+        freeze(model.lrm, model.refiner)
+
+    def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
+        made = self._copy(sample)
+        cameras, wanted = truth(sample, self.device)
+        rendered, _ = draw(made, cameras, self.device)
+        chosen = np.random.default_rng(seed).permutation(len(rendered))[: self.perceptual_views]
+        return self.loss(rendered, wanted, sorted(chosen.tolist()))
+
+    @torch.no_grad()
+    def judge(self, sample: Sample) -> Verdict:
+        return judged(self._copy(sample), sample, input_views(self.model, sample, self.device), self.device)
+
+    def _copy(self, sample: Sample) -> Splats:
+        with fast_math(self.device):
+            with torch.no_grad():
+                copy = self.model.copy_rows(input_views(self.model, sample, self.device))
+            grid = voxelize(copy.rows.numpy(), self.model.config.compress.resolution)
+            latents = self.model.compressor(copy.tokens, copy.rows, copy.links, self.model.groups(grid))
+        return self.model.decode_latents(latents, copy.rows)
+
+
+class HiddenColors(Task):
+    """`native`: Stage I is trained to tell colours that it was not shown."""
+
+    def __init__(self, model: SplatPainterModel, objects: int = 4) -> None:
+        """objects: whose tokens are kept."""
+        super().__init__()
+        self.model = model
+        self.guess = nn.Linear(model.config.compress.dim, 3 * (model.config.sh_degree + 1) ** 2)
+        self._known: Recent[tuple[Tensor, Splats, TokenLinks, RowGroups]] = Recent(objects)
+        freeze(model.lrm, model.refiner, model.head)
+
+    def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
+        guessed, meant, _ = self._guess(sample, seed)
+        loss = (guessed - meant).square().mean() * SH_C0**2  # of order of squared colours
+        return {"loss": loss}
+
+    @torch.no_grad()
+    def judge(self, sample: Sample) -> Verdict:
+        guessed, meant, shown = self._guess(sample, 0)
+        # Base colours; the floor is what the mean of the colours that are shown would get.
+        numbers = {
+            "mean": _decibels((shown[:, :3].mean(0) - meant[:, :3]) * SH_C0),
+            "ours": _decibels((guessed[:, :3] - meant[:, :3]) * SH_C0),
+        }
+        return Verdict("hidden colours", numbers, ())
+
+    def _guess(self, sample: Sample, seed: int) -> tuple[Tensor, Tensor, Tensor]:
+        """SH [M, 3 K] of the hidden rows as guessed and as they are, and of the rows that are shown."""
+        tokens, rows, links, groups = self._known.get(sample.asset.sha256, lambda: self._know(sample.asset.numpy()))
+        hidden = torch.from_numpy(np.random.default_rng(seed).random(len(rows)) < HIDDEN).to(self.device)
+        blind = replace(rows, sh=torch.where(hidden[:, None, None], 0, rows.sh))
+        with fast_math(self.device):
+            latents = self.model.compressor(tokens, blind, links, groups)
+        order = torch.from_numpy(latents.groups.order).to(self.device)
+        sh = rows.sh[order][:, : (self.model.config.sh_degree + 1) ** 2].flatten(1)
+        sh = F.pad(sh, (0, self.guess.out_features - sh.shape[1]))
+        asked = hidden[order]
+        return self.guess(F.layer_norm(latents.values, latents.values.shape[1:]))[asked], sh[asked], sh[~asked]
+
+    @torch.no_grad()
+    def _know(self, splats: Splats) -> tuple[Tensor, Splats, TokenLinks, RowGroups]:
+        config = self.model.config
+        grid = voxelize(splats, config.compress.resolution)
+        cameras = canonical_cameras(splats, config.lrm)
+        rows = splats.torch(str(self.device))
+        views, seen = asset_views(rows, cameras, grid)
+        with fast_math(self.device):
+            tokens = self.model.encode_views(views)
+        return tokens, rows, links_from_views(splats.means, cameras, seen, config.lrm.patch), self.model.groups(grid)
+
+
+def _decibels(difference: Tensor) -> float:
+    return float(-10 * torch.log10(difference.square().mean().clamp_min(1e-12)))

@@ -1,0 +1,117 @@
+"""The Gaussian LRM: views in, one Gaussian per pixel out, judged from views that it did not see.
+
+With geometry (compact) the views are the asset's own canonical renders with depth and alpha, as when the model is used;
+without (paper) they are pictures of the object.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatpainter.cameras import Camera
+from splatpainter.models.encode import asset_views, canonical_cameras
+from splatpainter.models.lrm import KNOWN_ALPHA, AssetViews, patchify
+from splatpainter.models.model import SplatPainterModel, fast_math
+from splatpainter.splats import Splats
+from splatpainter.train.loss import PictureLoss, Wanted, global_target, masked_psnr, scattered_depth
+from splatpainter.train.stages.task import Task, Verdict, draw, freeze, tensor
+from splatpainter.voxels import voxelize
+
+if TYPE_CHECKING:
+    from splatpainter.data.samples import Sample
+
+PULL = 0.1
+"""Weight of the loss that pulls points into place in the first steps."""
+
+
+class LrmTask(Task):
+    """The whole model; only the LRM is trained."""
+
+    def __init__(self, model: SplatPainterModel, loss: PictureLoss, pull_steps: int, perceptual_views: int) -> None:
+        """pull_steps: first steps in which only the depths learn; ignored where geometry is given."""
+        super().__init__()
+        self.model, self.loss = model, loss
+        self.pull_steps = 0 if model.config.lrm.geometry else pull_steps
+        self.perceptual_views = perceptual_views
+        freeze(model.compressor, model.refiner, model.head)
+
+    def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
+        views = input_views(self.model, sample, self.device)
+        with fast_math(self.device):
+            made = self.model.lrm(views).splats
+        if self.step < self.pull_steps:
+            pulled = PULL * scattered_depth(_distances(made, views), len(views.cameras))
+            return {"loss": pulled, "pulled": pulled}
+        cameras, wanted = truth(sample, self.device)
+        rendered, _ = draw(_drawn(made, views, self.model), cameras, self.device)
+        chosen = np.random.default_rng(seed).permutation(len(rendered))[: self.perceptual_views]
+        return self.loss(rendered, wanted, sorted(chosen.tolist()))
+
+    @torch.no_grad()
+    def judge(self, sample: Sample) -> Verdict:
+        views = input_views(self.model, sample, self.device)
+        with fast_math(self.device):
+            made = self.model.lrm(views).splats
+        return judged(_drawn(made, views, self.model), sample, views, self.device)
+
+
+def judged(made: Splats, sample: Sample, views: AssetViews, device: torch.device) -> Verdict:
+    """What a reconstruction looks like beside the truth."""
+    cameras, wanted = truth(sample, device)
+    rendered, _ = draw(made, cameras, device)
+    asset, _ = draw(sample.asset, cameras, device)
+    pictures = {"asset": asset, "ours": rendered}
+    numbers = {name: v for name, p in pictures.items() if (v := masked_psnr(p, wanted)) is not None}
+    strip = [("input", views.colors[0].cpu().numpy())]
+    strip += [(f"{name} {numbers.get(name, float('nan')):.2f} dB", p[0].cpu().numpy()) for name, p in pictures.items()]
+    strip.append(("truth", wanted.colors[0].cpu().numpy()))
+    return Verdict("reconstruction", numbers, tuple(strip))
+
+
+@torch.no_grad()
+def input_views(model: SplatPainterModel, sample: Sample, device: torch.device) -> AssetViews:
+    """What the LRM is shown of a sample. Raises ValueError where a sample has fewer base views than the model wants."""
+    config = model.config.lrm
+    asset = sample.asset.numpy()
+    grid = voxelize(asset, model.config.compress.resolution)
+    if config.geometry:
+        rows = asset.torch(str(device)) if device.type == "cuda" else asset
+        views, _ = asset_views(rows, canonical_cameras(asset, config), grid)
+        return views
+    cameras = list(sample.base.cameras)[: config.views]
+    if len(cameras) < config.views:
+        raise ValueError(
+            f"train: expected {config.views} base views per sample, got {len(cameras)}; raise data.base_views"
+        )
+    colors = tensor(sample.base.colors, device)[: config.views]
+    return AssetViews(cameras, colors, middle=grid.lo + grid.size / 2, half=grid.size / 2)
+
+
+def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], Wanted]:
+    """The unedited object from the sample's novel views."""
+    colors = tensor(sample.novel_before.colors, device)
+    with torch.no_grad():
+        _, alpha = draw(sample.asset, sample.novel_before.cameras, device)
+    return list(sample.novel_before.cameras), global_target(colors, alpha > 0.5)
+
+
+def _drawn(made: Splats, views: AssetViews, model: SplatPainterModel) -> Splats:
+    """The Gaussians that are worth drawing: with known geometry those on the object, two thirds fewer."""
+    if views.alpha is None:
+        return made
+    patch = model.config.lrm.patch
+    on_it = patchify(views.alpha, patch).reshape(-1) > KNOWN_ALPHA
+    return made.take(torch.nonzero(on_it)[:, 0])
+
+
+def _distances(made: Splats, views: AssetViews) -> Tensor:
+    """[V * H * W] distance from the camera minus the camera's from the middle, half cubes."""
+    eyes = np.stack([camera.position for camera in views.cameras])
+    far = np.linalg.norm(eyes - np.asarray(views.middle), axis=1)
+    per_view = made.means.view(len(eyes), -1, 3)
+    eye = tensor(eyes, made.means.device)[:, None]
+    return (((per_view - eye).norm(dim=-1) - tensor(far, made.means.device)[:, None]) / views.half).reshape(-1)

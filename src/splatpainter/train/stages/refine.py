@@ -1,0 +1,308 @@
+"""Stage II: edited views in, changed attributes out, judged from views that the model did not see.
+
+The analytic lift or the asset's own rows are the draft; the network adds a residual to it; the rendered result is
+compared with the truth of the edited object. LRM and, unless asked otherwise, Stage I are frozen (arXiv 2512.05354).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatpainter.cameras import Camera
+from splatpainter.metrics.lpips import Lpips
+from splatpainter.models.config import Base
+from splatpainter.models.draft import (
+    Draft,
+    EditView,
+    assemble,
+    draft_global,
+    draft_local,
+    edit_views,
+    refine_draft,
+)
+from splatpainter.models.encode import Encoded, asset_views, canonical_cameras, encode_asset
+from splatpainter.models.model import SplatPainterModel, fast_math
+from splatpainter.models.rows import RowGroups, TokenLinks, links_from_views
+from splatpainter.render import render
+from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.train.figures import figures
+from splatpainter.train.loss import PictureLoss, Wanted, global_target, joined, local_target
+from splatpainter.train.stages.task import Recent, Task, Verdict, draw, freeze, tensor
+from splatpainter.voxels import VoxelGrid, voxelize
+
+if TYPE_CHECKING:
+    from splatpainter.data.samples import Sample
+
+Encoder = Literal["nothing", "compress", "all"]
+LEAST = 0.02
+"""Pixels of weight from which a row counts as shown."""
+SOLID = 0.5
+"""Alpha from which a pixel is the object's."""
+
+
+@dataclass(frozen=True)
+class RefineOptions:
+    """What of Stage II's recipe the task needs."""
+
+    keep: float
+    """Weight of a pixel that nobody edited, against 1 for an edited one."""
+    sequence: float
+    """Probability that a sample of several views comes as two edits, the second on the state that the first left."""
+    train_encoder: Encoder
+    perceptual_views: int
+    """Views per sample that the perceptual term looks at."""
+    loss_views: int
+    """Views per sample that are rendered and compared, novel and edited ones together; 0: all."""
+    gradient_rows: int
+    """Rows per sample that gradients go through; 0: all."""
+    objects: int
+    """Objects whose encoding is kept."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is computed once of an asset, while the data stays on it."""
+
+    splats: Splats
+    """Numpy."""
+    grid: VoxelGrid
+    encoded: Encoded | None
+    """With a frozen encoder."""
+    tokens: Tensor | None
+    """Of the frozen LRM, when Stage I is trained."""
+    links: TokenLinks | None
+
+
+class RefineTask(Task):
+    """The whole model; Stage II is trained, and in `native` the head, which nothing has trained before."""
+
+    def __init__(
+        self,
+        model: SplatPainterModel,
+        options: RefineOptions,
+        loss: PictureLoss,
+        modes: Sequence[str] = ("local", "global"),
+        alex: Lpips | None = None,
+    ) -> None:
+        """modes: those that samples have; weights that none of them uses are frozen. alex: for reports. Raises
+        ValueError for what `copy` cannot do."""
+        super().__init__()
+        self.model, self.options, self.loss, self.alex = model, options, loss, alex
+        self.base: Base = model.config.refine.base
+        self.copies = model.config.representation == "copy"
+        if self.copies:
+            if options.train_encoder != "nothing":
+                raise ValueError("train: expected train_encoder nothing with 'copy': the rows themselves would move")
+            freeze(model.head)  # the paper trains the decoder in Stage I and freezes it with that
+        self._known: Recent[Known] = Recent(options.objects)
+        if options.train_encoder != "all":
+            freeze(model.lrm)
+        freeze(model.lrm.head, model.lrm.norm_out)
+        if options.train_encoder == "nothing":
+            freeze(model.compressor)
+        if self.base == "lift" or "local" not in modes:
+            refiner = model.refiner
+            freeze(*(getattr(refiner, n, None) for n in ("detail_mixer", "norm_refined", "norm_original")))
+
+    def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
+        rng = np.random.default_rng(seed)
+        known = self._remembered(sample)
+        views = self._edits(sample, known)
+        draft = self._draft(sample, known, views)
+        cameras, wanted = self._wanted(sample, known, views, rng)
+        draft = self._shown(draft, cameras)
+        with fast_math(self.device):
+            edited = self._refined(known, draft, views, self._first(sample, rng), rng)
+        rendered, _ = draw(edited, cameras, self.device)
+        chosen = rng.permutation(len(rendered))[: self.options.perceptual_views]
+        return self.loss(rendered, wanted, sorted(chosen.tolist()))
+
+    @torch.no_grad()
+    def judge(self, sample: Sample) -> Verdict:
+        known = self._remembered(sample)
+        views = self._edits(sample, known)
+        lifted = self._draft(sample, known, views, base="lift")
+        draft = lifted if self.base == "lift" else self._draft(sample, known, views)
+        with fast_math(self.device):
+            edited = self._refined(known, draft, views)
+        wanted = self._novel(sample, known, range(len(sample.novel_after.cameras)))
+        near = np.flatnonzero(np.asarray(sample.near)) if sample.mode == "local" else np.arange(len(wanted.colors))
+        if not len(near):
+            near = np.arange(len(wanted.colors))
+        pick = torch.from_numpy(near)
+        cameras = [sample.novel_after.cameras[i] for i in near]
+        aim = Wanted(*(getattr(wanted, name)[pick] for name in ("colors", "weights", "focus")))
+        drawn = {"nothing": known.splats, "lift": lifted.splats, "ours": edited}
+        pictures = {name: draw(splats, cameras, self.device)[0] for name, splats in drawn.items()}
+        numbers: dict[str, float] = {}
+        for name, picture in pictures.items():
+            numbers |= figures(name, picture, aim, self.alex)
+        if "lift" in numbers:
+            numbers["gain"] = numbers["ours"] - numbers["lift"]
+        shown = int(aim.focus.flatten(1).sum(1).argmax())  # the view that shows most of the edit
+        strip = [("edited view", tensor(sample.edited.colors, torch.device("cpu"))[0].numpy())]
+        strip += [
+            (f"{name} {numbers.get(name, float('nan')):.2f} dB", p[shown].cpu().numpy()) for name, p in pictures.items()
+        ]
+        strip.append((f"truth ({sample.kind})", aim.colors[shown].cpu().numpy()))
+        return Verdict(sample.kind, numbers, tuple(strip))
+
+    def _remembered(self, sample: Sample) -> Known:
+        return self._known.get(sample.asset.sha256, lambda: self._know(sample.asset.numpy()))
+
+    @torch.no_grad()
+    def _know(self, splats: Splats) -> Known:
+        resolution = self.model.config.compress.resolution
+        grid = voxelize(splats, resolution)
+        if self.options.train_encoder == "nothing":
+            with fast_math(self.device):
+                encoded = encode_asset(self.model, splats, grid)
+            if self.copies:  # what is edited is what Stage I decodes
+                splats = encoded.rows.numpy()
+                grid = voxelize(splats, resolution)
+            return Known(splats, grid, encoded, None, None)
+        if self.options.train_encoder == "all":
+            return Known(splats, grid, None, None, None)
+        config = self.model.config.lrm
+        cameras = canonical_cameras(splats, config)
+        views, seen = asset_views(splats.torch(str(self.device)), cameras, grid)
+        with fast_math(self.device):
+            tokens = self.model.encode_views(views)
+        return Known(splats, grid, None, tokens, links_from_views(splats.means, cameras, seen, config.patch))
+
+    def _encoded(self, known: Known, parents: np.ndarray) -> Encoded:
+        """The asset's latents, those of the given rows at least."""
+        if known.encoded is not None:
+            return known.encoded
+        if known.tokens is None or known.links is None:
+            return encode_asset(self.model, known.splats, known.grid)
+        rows = known.splats.torch(str(self.device))
+        groups = holding(self.model.groups(known.grid), parents, len(rows))
+        return Encoded(self.model.compressor(known.tokens, rows, known.links, groups), rows)
+
+    def _edits(self, sample: Sample, known: Known) -> list[EditView]:
+        targets = [np.asarray(c, np.float32) for c in torch.as_tensor(sample.edited.colors).cpu().numpy()]
+        return edit_views(known.splats, sample.edited.cameras, targets, list(np.asarray(sample.masks, bool)))
+
+    def _draft(
+        self, sample: Sample, known: Known, views: Sequence[EditView], base: Literal["own", "lift"] | None = None
+    ) -> Draft:
+        if sample.mode == "global":
+            return draft_global(known.splats, views, base or self.base)
+        return draft_local(known.splats, known.grid, views, base or self.base)
+
+    def _first(self, sample: Sample, rng: np.random.Generator) -> int:
+        """How many of the views are an edit of their own, before the others."""
+        count, cut = len(sample.edited.cameras), rng.random() < self.options.sequence
+        return int(rng.integers(1, count)) if count > 1 and cut else 0
+
+    def _refined(
+        self,
+        known: Known,
+        draft: Draft,
+        views: Sequence[EditView],
+        first: int = 0,
+        rng: np.random.Generator | None = None,
+    ) -> Splats:
+        """The edited asset. first: views whose only trace is the state that they leave; rng: chooses the rows that
+        gradients go through, where they are limited."""
+        encoded, state = self._encoded(known, draft.parents), self.model.initial_state()
+        if first:  # only its state is wanted, so one row is read
+            state, _, _ = refine_draft(self.model, state, encoded, part_of(draft, np.arange(1)), views[:first])
+        count, most = len(draft.rows), self.options.gradient_rows
+        if rng is None or not most or count <= most or draft.detail:
+            _, rows, further = refine_draft(self.model, state, encoded, draft, views[first:])
+            return assemble(draft, rows, further)
+        order, views = rng.permutation(count), views[first:]
+        after, own, _ = refine_draft(self.model, state, encoded, part_of(draft, order[:most]), views)
+        if self.model.config.refine.mask_tokens:  # an edit without edited pixels adapts nothing: it only reads
+            state, views = after, [replace(views[0], mask=np.zeros_like(views[0].mask))]
+        with torch.no_grad():
+            _, others, _ = refine_draft(self.model, state, encoded, part_of(draft, order[most:]), views)
+        both = {n: torch.cat([_louder(getattr(own, n), count / most), getattr(others, n)]) for n in ATTRIBUTES}
+        return assemble(part_of(draft, order), replace(own, **both), None)
+
+    def _shown(self, draft: Draft, cameras: Sequence[Camera]) -> Draft:
+        """The draft with only those rows to change that the views show: the others would get no gradient."""
+        splats = draft.splats if self.device.type == "cpu" else draft.splats.torch(str(self.device))
+        with torch.no_grad():
+            weights = torch.as_tensor(render(splats, list(cameras), contributions=True).contributions).sum(0)
+        shown = weights.cpu().numpy()[draft.rows] > LEAST
+        if not shown.any():
+            raise ValueError("the chosen views show nothing of the edit")
+        return part_of(draft, np.flatnonzero(shown))
+
+    def _wanted(
+        self, sample: Sample, known: Known, views: Sequence[EditView], rng: np.random.Generator
+    ) -> tuple[list[Camera], Wanted]:
+        """(views to draw, what they should show): some novel ones, then some of the edited."""
+        novel, given = len(sample.novel_after.cameras), self._true_edits(sample)
+        same = sample.novel_after.colors.shape[1:] == sample.edited.colors.shape[1:]
+        most = self.options.loss_views or novel + len(given)
+        share = int(most / 3 + rng.random()) if self.options.loss_views else len(given)  # a third on average
+        edited = sorted(rng.permutation(given)[:share].tolist()) if same else []
+        odds = self._odds(sample)
+        chosen = sorted(rng.choice(novel, min(most - len(edited), novel), replace=False, p=odds).tolist())
+        parts = [self._novel(sample, known, chosen)]
+        if edited:
+            colors = tensor(sample.edited.colors, self.device)[edited]
+            masks = torch.from_numpy(np.asarray(sample.masks, bool)).to(self.device)[edited]
+            if sample.mode == "global":
+                parts.append(global_target(colors, masks))
+            else:
+                drawn = torch.stack([tensor(views[i].before, self.device) for i in edited])
+                # The truth before the edit is not known here: the mask alone says what was edited.
+                truth = torch.where(masks[..., None], colors, drawn)
+                parts.append(local_target(truth, drawn, drawn, self.options.keep, 0.0))
+        cameras = [sample.novel_after.cameras[i] for i in chosen] + [sample.edited.cameras[i] for i in edited]
+        return cameras, joined(parts)
+
+    def _true_edits(self, sample: Sample) -> list[int]:
+        """Edited views that show the object as it is in the end: of a conflict, the last."""
+        count = len(sample.edited.cameras)
+        return [count - 1] if sample.kind == "conflict" else list(range(count))
+
+    def _odds(self, sample: Sample) -> np.ndarray:
+        """[W] of drawing each novel view: by how much of the edit it shows, a tenth for all alike."""
+        if sample.mode == "global":
+            return np.full(len(sample.novel_after.cameras), 1 / len(sample.novel_after.cameras))
+        after, before = torch.as_tensor(sample.novel_after.colors), torch.as_tensor(sample.novel_before.colors)
+        area = ((after - before).abs().amax(-1) > 0.02).double().mean((1, 2)).cpu().numpy() + 1e-3
+        area = area + 0.1 * area.max()
+        return area / area.sum()
+
+    def _novel(self, sample: Sample, known: Known, chosen: Sequence[int]) -> Wanted:
+        pick = list(chosen)
+        after = tensor(sample.novel_after.colors, self.device)[pick]
+        with torch.no_grad():
+            drawn, alpha = draw(known.splats, [sample.novel_after.cameras[i] for i in pick], self.device)
+        if sample.mode == "global":
+            return global_target(after, alpha > SOLID)
+        return local_target(after, tensor(sample.novel_before.colors, self.device)[pick], drawn, self.options.keep)
+
+
+def part_of(draft: Draft, places: np.ndarray) -> Draft:
+    """The draft with only these of its changeable rows (indices into draft.rows), in this order."""
+    return replace(draft, rows=draft.rows[places], parents=draft.parents[places], lift=draft.lift[places])
+
+
+def _louder(values: Tensor, factor: float) -> Tensor:
+    """The same values with gradients times a factor: a random share of rows then gives the expected gradient of all."""
+    return values.detach() + factor * (values - values.detach())
+
+
+def holding(groups: RowGroups, rows: np.ndarray, count: int) -> RowGroups:
+    """Those groups that hold any of the given rows, whole: nothing crosses a voxel's border, so Stage I gives their
+    rows the same latents. count: N rows of the asset."""
+    wanted = np.zeros(count, bool)
+    wanted[rows] = True
+    owner = np.repeat(np.arange(len(groups.lengths)), groups.lengths)
+    kept = np.bincount(owner, wanted[groups.order], len(groups.lengths)) > 0
+    starts = np.concatenate([[0], np.cumsum(groups.lengths[kept])]).astype(np.int64)
+    return replace(groups, order=groups.order[kept[owner]], starts=starts, centers=groups.centers[kept])

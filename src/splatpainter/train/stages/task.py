@@ -1,0 +1,107 @@
+"""What the loop knows of a stage: `forward` gives a sample's losses, `judge` what validation says about it.
+
+Also here: what all stages do alike, such as drawing views and remembering what was computed of an object.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from splatpainter.cameras import Camera
+from splatpainter.models.model import SplatPainterModel
+from splatpainter.render import render
+from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.data.samples import Sample
+
+_Item = TypeVar("_Item")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What validation says about one sample."""
+
+    kind: str
+    """Row of the report: the sample's kind."""
+    numbers: dict[str, float]
+    """Figure -> value (dB, SSIM, LPIPS); averaged per kind. Figures that do not apply are left out."""
+    strip: tuple[tuple[str, np.ndarray], ...] = field(repr=False)
+    """(label, picture [H, W, 3]) of one row of the contact sheet."""
+
+
+class Task(nn.Module):
+    """A stage. Subclasses set `requires_grad` of what they do not train to False."""
+
+    model: SplatPainterModel
+    step: int = 0
+    """Optimiser steps done; the loop sets it."""
+    problem: str = ""
+    """Why the last sample was of no use; empty if it was."""
+
+    def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
+        """{"loss": scalar to minimise, other names: scalars to log}. seed: of this sample's random choices, so that
+        they do not depend on how many processes share the work. Raises ValueError for a sample that cannot be used."""
+        raise NotImplementedError
+
+    def forward(self, sample: Sample | str, seed: int) -> dict[str, Tensor]:
+        """`losses`; for a sample that could not be made (the line that says why) or used, {"loss": 0} that depends on
+        every trained weight, so that all processes still meet, and `problem` is set."""
+        self.problem = sample if isinstance(sample, str) else ""
+        if not isinstance(sample, str):
+            try:
+                return self.losses(sample, seed)
+            except ValueError as error:
+                self.problem = f"{sample.name} ({sample.kind}): {error}"
+        trained = [p for p in self.parameters() if p.requires_grad]
+        return {"loss": sum((p.float().sum() * 0 for p in trained), torch.zeros((), device=self.device))}
+
+    def judge(self, sample: Sample) -> Verdict:
+        """Figures of a validation sample, with the weights as they are; without gradients."""
+        raise NotImplementedError
+
+    @property
+    def device(self) -> torch.device:
+        """Of the model."""
+        return next(self.model.parameters()).device
+
+
+class Recent(Generic[_Item]):
+    """The last few things computed of objects, by key."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self._items = most, OrderedDict[Any, _Item]()
+
+    def get(self, key: Any, make: Callable[[], _Item]) -> _Item:
+        """The item of the key, made now if it is not there."""
+        if key not in self._items:
+            self._items[key] = make()
+            while len(self._items) > self.most:
+                self._items.popitem(last=False)
+        self._items.move_to_end(key)
+        return self._items[key]
+
+
+def draw(splats: Splats, cameras: Sequence[Camera], device: torch.device) -> tuple[Tensor, Tensor]:
+    """(colours [C, H, W, 3], alpha [C, H, W]) as torch on the device; differentiable where the splats are torch."""
+    drawn = render(splats if isinstance(splats.means, Tensor) else splats.torch(str(device)), list(cameras))
+    return drawn.colors, drawn.alphas[..., 0]
+
+
+def tensor(values: Any, device: torch.device) -> Tensor:
+    """Numbers from data (numpy or torch) as float32 on the device."""
+    return torch.as_tensor(values).to(device, torch.float32)
+
+
+def freeze(*modules: nn.Module | None) -> None:
+    """These learn nothing."""
+    for module in modules:
+        if module is not None:
+            module.requires_grad_(False)

@@ -1,0 +1,70 @@
+"""Binary frames of rows, against bytes written out by hand."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studio_scenes import ball
+
+from splatpainter.splats import Splats
+from splatpainter.studio import frames
+
+
+def two_rows() -> Splats:
+    return Splats(
+        np.array([[1, 2, 3], [4, 5, 6]], np.float32),
+        np.array([[2, 0, 0, 0], [0, 3, 0, 4]], np.float32),
+        np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], np.float32),
+        np.array([0.5, 1.5], np.float32),
+        np.array([[[0.1, 0.2, 0.3]], [[0.4, 0.5, 0.6]]], np.float32),
+    )
+
+
+def test_a_delta_is_these_bytes() -> None:
+    header = struct.pack("<8I", 0x53504C44, 1, 0, 7, 9, 2, 1, 1)
+    row = struct.pack("<I", 1)
+    geometry = struct.pack("<10f", 4, 5, 6, 0.4, 0.5, 0.6, 0, 0.6, 0, 0.8)
+    look = struct.pack("<4f", 1, 0.4, 0.5, 0.6)  # opacities above 1 are not for screens
+    assert frames.delta(two_rows(), np.array([1]), 7, 9) == header + row + geometry + look
+
+
+def test_a_snapshot_has_no_indices_and_a_preview_no_geometry() -> None:
+    whole = frames.snapshot(two_rows(), 4)
+    assert struct.unpack_from("<8I", whole) == (0x53504C44, 1, 1, 4, 4, 2, 2, 1)
+    assert len(whole) == 32 + 2 * 4 * (3 + 3 + 4 + 1 + 3)
+    look = frames.preview(two_rows(), np.array([5, 8]), 20, 4)
+    assert struct.unpack_from("<8I", look) == (0x53504C44, 1, 2 | 4, 4, 4, 20, 2, 1)
+    assert len(look) == 32 + 2 * 4 * (1 + 1 + 3)
+
+
+def test_what_was_packed_comes_out() -> None:
+    splats = ball(50)
+    rows = np.array([3, 17, 49])
+    frame = frames.unpack(frames.delta(splats, rows, 1, 2))
+    assert (frame.version_from, frame.version_to, frame.rows_total) == (1, 2, 50)
+    assert np.array_equal(frame.rows, rows)
+    assert np.array_equal(frame.splats.sh, splats.sh[rows])
+    assert np.array_equal(frame.splats.means, splats.means[rows])
+    unit = splats.quats[rows] / np.linalg.norm(splats.quats[rows], axis=1, keepdims=True)
+    assert np.allclose(frame.splats.quats, unit, atol=1e-6)
+    everything = frames.unpack(frames.snapshot(splats, 3))
+    assert np.array_equal(everything.rows, np.arange(50))
+    assert np.array_equal(everything.splats.opacities, splats.opacities)
+
+
+def test_rows_that_no_screen_can_show_are_hidden() -> None:
+    splats = ball(5)
+    means, quats = splats.means.copy(), splats.quats.copy()
+    means[1, 0], quats[3] = np.nan, 0
+    frame = frames.unpack(frames.snapshot(replace(splats, means=means, quats=quats), 1))
+    assert frame.splats.opacities.tolist() == pytest.approx([0.95, 0, 0.95, 0, 0.95])
+    assert np.isfinite(frame.splats.means).all() and np.isfinite(frame.splats.quats).all()
+
+
+@pytest.mark.parametrize("broken", [b"", b"\0" * 40, struct.pack("<8I", frames.MAGIC, 1, 0, 0, 0, 9, 9, 1)])
+def test_what_is_no_frame_is_refused(broken: bytes) -> None:
+    with pytest.raises(ValueError, match="frame: expected"):
+        frames.unpack(broken)

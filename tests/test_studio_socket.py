@@ -1,0 +1,279 @@
+"""Clients over the socket are sent what the session shows: in order, all of them, also after a break."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
+
+from splatpainter.io import write
+from splatpainter.splats import rows_sha256
+from splatpainter.studio.actions import HANDLERS, Call, Handler
+from splatpainter.studio.hub import WAITING, Client, Hub
+from splatpainter.studio.messages import Answer
+from splatpainter.studio.messages.files import Receipt
+from splatpainter.studio.messages.layers import Conflicts, Redo
+from splatpainter.studio.socket import AHEAD
+
+RED, BLUE = (230, 20, 20, 255), (20, 20, 230, 255)
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Live]:
+    with live(make_studio(tmp_path)) as own:
+        yield own
+
+
+def test_a_stroke_is_previewed_committed_and_undone_bit_for_bit(studio: Live) -> None:
+    session = studio.studio.session
+    before = rows_sha256(session.splats)
+    with studio.greeted() as browser:
+        assert browser.mirror.agrees(session.splats)
+        started = browser.do("paint.begin", camera=wire(view()))
+        place = {"x": 36, "y": 36, "width": 24, "height": 24}
+        seen = browser.do("paint.dab", stroke=started["stroke"], rgba=dab(24, RED), **place)
+        assert seen["rows"] > 0 and browser.order == ["frame", "answer"] and browser.mirror.previews == 1
+        assert rows_sha256(session.splats) == before and not browser.mirror.agrees(session.splats)
+        made = browser.do("paint.end", stroke=started["stroke"], name="red square")
+        assert browser.order[-1] == "answer" and browser.order.count("frame") >= 1
+        assert made["version"] == session.version == browser.mirror.version == 2
+        assert made["python"].startswith("session.add('paint', [sp.Edit(picture, camera, mask)], name='red square'")
+        assert made["layer"]["rows_touched"] > 0 and browser.mirror.agrees(session.splats)
+        score = made["layer"]["views"][0]
+        assert score["psnr_after"] > score["psnr_before"] + 5
+        browser.do("undo")
+        assert browser.mirror.agrees(session.splats) and rows_sha256(session.splats) == before
+        browser.do("redo")
+        assert browser.mirror.agrees(session.splats) and len(session.splats) == browser.mirror.total
+
+
+def test_a_cancelled_stroke_leaves_no_trace_on_the_screen(studio: Live) -> None:
+    with studio.greeted() as browser:
+        started = browser.do("paint.begin", camera=wire(view()))
+        rectangle = {"x": 30, "y": 30, "width": 20, "height": 20}
+        for color in (RED, BLUE):
+            browser.do("paint.dab", stroke=started["stroke"], rgba=dab(20, color), **rectangle)
+        assert not browser.mirror.agrees(studio.studio.session.splats)
+        browser.do("paint.cancel", stroke=started["stroke"])
+        assert browser.mirror.agrees(studio.studio.session.splats)
+        assert "no such stroke" in browser.ask("paint.end", stroke=started["stroke"])["error"]["message"]
+
+
+def test_two_windows_see_the_same(studio: Live) -> None:
+    with studio.greeted() as one, studio.greeted() as two:
+        made = one.stroke(view(), (30, 30), 20, RED)
+        two.do("layer.set", layer=made["layer"]["id"], opacity=0.5)
+        one.do("look.commit", look={"exposure": 0.5}, name="brighter")
+        for browser in (one, two):
+            browser.do("receipt")  # an answer comes after all rows
+            assert browser.mirror.agrees(studio.studio.session.splats)
+            state = browser.events[-1]["state"]
+            assert [layer["name"] for layer in state["layers"]] == ["Stroke", "brighter"]
+            assert state["layers"][0]["opacity"] == 0.5 and state["clients"] == 2
+            assert state["version"] == studio.studio.session.version == browser.mirror.version
+
+
+def test_after_a_break_only_what_is_missing_comes(studio: Live) -> None:
+    mirror = Mirror()
+    with studio.greeted(mirror) as browser:
+        browser.stroke(view(), (30, 30), 16, RED)
+    with studio.greeted() as other:
+        other.stroke(view(96, 120), (40, 40), 16, BLUE)
+    known = mirror.version
+    with studio.browser(mirror) as back:
+        back.hello()
+        assert back.order == ["frame", "answer"] and mirror.version == known + 1
+        assert mirror.agrees(studio.studio.session.splats)
+        mirror.version, mirror.columns = -1, {}
+        back.do("sync", since=None)
+        assert back.order == ["frame", "answer"] and mirror.agrees(studio.studio.session.splats)
+
+
+def test_what_a_client_asked_for_before_it_went_is_done(studio: Live) -> None:
+    with studio.greeted() as browser:
+        started = browser.do("paint.begin", camera=wire(view()))["stroke"]
+        browser.send("paint.dab", stroke=started, x=30, y=30, width=20, height=20, rgba=dab(20, RED))
+        browser.send("paint.end", stroke=started)
+    deadline = time.monotonic() + 20
+    while not studio.studio.session.layers and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert [layer.name for layer in studio.studio.session.layers] == ["Stroke"]
+
+
+def test_the_first_message_is_hello_of_the_same_schema(studio: Live) -> None:
+    with studio.browser() as browser:
+        assert "hello" in browser.ask("undo")["error"]["message"]
+        refused = browser.ask("hello", schema_hash="0" * 16)
+        assert refused["error"]["kind"] == "schema" and refused["error"]["hint"] == "Reload the page."
+        assert "hello" in browser.ask("undo")["error"]["message"] and browser.order == ["answer"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("no json", "expected JSON"),
+        ("[" * 100_000, "expected JSON"),
+        ('{"do": "undo"}', "expected {"),
+        ('{"id": 7, "do": "delete everything"}', "unknown command"),
+        ('{"id": 7, "do": "jump"}', "jump: cursor: Field required"),
+        ('{"id": 7, "do": "jump", "cursor": -1}', "greater than or equal to 0"),
+        ('{"id": 7, "do": "undo", "twice": true}', "twice: Extra inputs are not permitted"),
+        ('{"id": 7, "do": "look.commit", "look": {"exposure": NaN}}', "finite number"),
+        ('{"id": 7, "do": "jump", "cursor": 99}', "history: expected a place of 0 to 0"),
+        ('{"id": 7, "do": "layer.delete", "layer": "9"}', "layer: expected one of none, got '9'"),
+    ],
+)
+def test_wrong_messages_are_told_why(studio: Live, text: str, said: str) -> None:
+    with studio.greeted() as browser:
+        browser.socket.send(text)
+        while (data := browser.receive()) is None or "re" not in data or "progress" in data:
+            pass
+        error = data["error"]
+        assert error["kind"] == "input" and said in error["message"] + error["hint"]
+        assert browser.do("undo")["ok"]  # and the connection goes on
+
+
+def test_long_looks_do_not_hold_up_the_next_commands_and_can_be_cancelled(
+    studio: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def endless(call: Call, command: Any) -> Answer:
+        while True:
+            call.ticket.report(0.25, "thinking")
+            time.sleep(0.01)
+
+    monkeypatch.setitem(HANDLERS, Receipt, Handler(endless, writes=False, aside=True))
+    with studio.greeted() as browser:
+        number = browser.send("receipt")
+        while "progress" not in browser.order:
+            browser.receive()
+        browser.do("bookmark.add", name="front", camera=wire(view()))
+        assert browser.do("cancel", of=number)["ok"]
+        data = browser.answer(number)
+        assert data["error"]["kind"] == "cancelled"
+
+
+def test_answers_come_in_order_and_too_many_commands_are_refused(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    release = threading.Event()
+
+    def slow(call: Call, command: Any) -> Answer:
+        release.wait(20)
+        return Answer()
+
+    monkeypatch.setitem(HANDLERS, Conflicts, Handler(slow, writes=False, aside=False))
+    with studio.greeted() as browser:
+        numbers = [browser.send("conflicts"), *(browser.send("undo") for _ in range(AHEAD + 20))]
+        refused = [browser.answer(number) for number in numbers[-15:]]  # while the first is still in work
+        assert {data["error"]["kind"] for data in refused} == {"busy"}
+        release.set()
+        done = []
+        while len(done) < AHEAD:
+            data = browser.receive()
+            if data is not None and data.get("ok"):
+                done.append(data["re"])
+        assert done == numbers[: len(done)]
+
+
+def test_others_are_served_while_the_writer_works(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    release = threading.Event()
+
+    def slow(call: Call, command: Any) -> Answer:
+        release.wait(20)
+        return Answer()
+
+    monkeypatch.setitem(HANDLERS, Redo, Handler(slow, writes=True, aside=False))
+    with studio.greeted() as busy, studio.greeted() as other:
+        number = busy.send("redo")
+        other.do("pick", camera=wire(view()), x=48.0, y=48.0)
+        other.do("paint.begin", camera=wire(view()))
+        assert studio.http.get("/api/state").status_code == 200
+        release.set()
+        assert busy.answer(number)["ok"]
+
+
+def test_a_fault_of_ours_is_an_answer_and_changes_nothing(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(call: Call, command: Any) -> Answer:
+        raise KeyError("oh")
+
+    monkeypatch.setitem(HANDLERS, Redo, Handler(broken, writes=True, aside=False))
+    with studio.greeted() as browser:
+        error = browser.ask("redo")["error"]
+        assert error["kind"] == "fault" and "KeyError" in error["message"]
+        browser.stroke(view(), (30, 30), 16, RED)
+        assert browser.mirror.agrees(studio.studio.session.splats)
+
+
+def test_another_asset_replaces_the_session_for_everybody(studio: Live, tmp_path: Path) -> None:
+    write(tmp_path / "other.ply", ball(200, seed=3))
+    with studio.greeted() as one, studio.greeted() as two:
+        one.stroke(view(), (30, 30), 16, RED)
+        old = studio.studio.session
+        sent = studio.http.post("/api/blobs?name=other.ply", content=(tmp_path / "other.ply").read_bytes()).json()
+        assert (sent["kind"], sent["rows"]) == ("asset", 200)
+        one.do("asset.open", blob=sent["blob"])
+        session = studio.studio.session
+        assert session is not old and len(session.splats) == 200
+        for browser in (one, two):
+            browser.do("project.recent")
+            assert browser.mirror.agrees(session.splats)
+            state = [event["state"] for event in browser.events if event["event"] == "state"][-1]
+            assert state["asset"]["name"] == "other.ply"
+            assert state["session"] == studio.studio.session_id
+        toasts = [[e["message"] for e in browser.events if e["event"] == "toast"] for browser in (one, two)]
+        assert toasts == [[], ["Another window opened other.ply."]]
+        broken = studio.http.post("/api/blobs?name=bad.ply", content=b"ply\nformat ascii 1.0\nend_header\n").json()
+        assert not one.ask("asset.open", blob=broken.get("blob", "0" * 64))["ok"]
+        assert studio.studio.session is session
+
+
+def test_looks_are_previewed_on_every_row_and_taken_back(studio: Live) -> None:
+    session = studio.studio.session
+    with studio.greeted() as browser:
+        for exposure in (0.5, 1.0):
+            assert browser.do("look.preview", look={"exposure": exposure})["rows"] == len(session.splats)
+        assert not browser.mirror.agrees(session.splats)
+        browser.do("look.preview", look={"exposure": 0.0})
+        assert browser.mirror.agrees(session.splats)
+        browser.do("look.preview", look={"saturation": -1})
+        shown = browser.mirror.columns["sh"]
+        browser.do("look.commit", look={"saturation": -1})
+        assert browser.mirror.agrees(session.splats) and np.array_equal(shown, session.splats.sh)
+        layer = session.layers[0]
+        browser.do("layer.set", layer=layer.id, parameters={"saturation": -1, "strength": 0})
+        assert browser.mirror.agrees(session.splats)
+        assert rows_sha256(session.splats) == rows_sha256(session.original)
+        assert "expected" in browser.ask("layer.set", layer=layer.id, parameters={"glow": 1})["error"]["message"]
+
+
+def test_whoever_does_not_read_gets_no_more_work_done(studio: Live) -> None:
+    class Stuck:
+        def __init__(self) -> None:
+            self.go = asyncio.Event()
+
+        async def send_text(self, data: str) -> None:
+            await self.go.wait()
+
+        async def send_bytes(self, data: bytes) -> None:
+            await self.go.wait()
+
+    async def run() -> None:
+        socket = Stuck()
+        client = Client(Hub(studio.studio), socket)
+        sender = asyncio.create_task(client.send_all())
+        for number in range(WAITING + 1):
+            client.say(Answer(re=number))
+            await asyncio.sleep(0)
+        waiting = asyncio.create_task(client.room())
+        await asyncio.sleep(0.05)
+        assert not waiting.done()
+        socket.go.set()
+        await asyncio.wait_for(waiting, 5)
+        sender.cancel()
+
+    asyncio.run(run())

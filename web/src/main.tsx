@@ -1,0 +1,24 @@
+/** Entry: make the view, mount the interface, connect. */
+
+import { render } from "preact";
+
+import "./style/base.css";
+import "./style/controls.css";
+import "./style/panels.css";
+import { parseFrame } from "./net/frames";
+import { camera, pose, state } from "./state/store";
+import { go, link, start, viewer } from "./state/studio";
+import { App } from "./ui/app";
+import { listen } from "./ui/keys";
+
+const root = document.getElementById("app")!;
+const canvas = document.createElement("canvas");
+try {
+  start(canvas);
+  render(<App canvas={canvas} />, root);
+  listen();
+  Object.assign(window, { studio: { viewer, link, go, pose, camera, state, parseFrame } }); // for the console and for tests
+} catch (error) {
+  console.error(error);
+  root.textContent = `The studio needs WebGL 2 with float textures, which this browser does not offer (${error instanceof Error ? error.message : error}).`;
+}

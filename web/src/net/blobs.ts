@@ -1,0 +1,44 @@
+/** Big things in and out over HTTP. */
+
+import { CommandError } from "./link";
+
+/** Send bytes; returns the name (SHA-256) by which commands refer to them. */
+export async function sendBlob(body: Blob, name = ""): Promise<string> {
+  const response = await fetch(`/api/blobs${name ? `?name=${encodeURIComponent(name)}` : ""}`, {
+    method: "POST",
+    body,
+    headers: { "content-type": "application/octet-stream" },
+  });
+  const answer = (await response.json().catch(() => ({}))) as {
+    blob?: string;
+    error?: { message: string; hint?: string };
+  };
+  if (!response.ok || !answer.blob)
+    throw new CommandError(
+      "input",
+      answer.error?.message ?? `The file could not be sent (${response.status}).`,
+      answer.error?.hint,
+    );
+  return answer.blob;
+}
+
+export const blobUrl = (blob: string): string => `/api/blobs/${blob}`;
+
+/** Offer a file for download. */
+export function download(url: string, name: string): void {
+  const link = document.createElement("a");
+  link.href = url;
+  link.download = name;
+  link.click();
+}
+
+/** The pixels of a picture, at its size or at `width` x `height`. */
+export async function pixelsOf(source: string | Blob, width?: number, height?: number): Promise<ImageData> {
+  const blob = typeof source === "string" ? await (await fetch(source)).blob() : source;
+  const bitmap = await createImageBitmap(blob);
+  const canvas = new OffscreenCanvas(width ?? bitmap.width, height ?? bitmap.height);
+  const context = canvas.getContext("2d")!;
+  context.drawImage(bitmap, 0, 0, canvas.width, canvas.height);
+  bitmap.close();
+  return context.getImageData(0, 0, canvas.width, canvas.height);
+}

@@ -1,0 +1,163 @@
+/**
+ * What all tools share: the view's pixels, the selection, the strokes under way. One stroke after the other is
+ * committed, but the next may be drawn meanwhile.
+ */
+
+import { signal } from "@preact/signals";
+
+import { blobUrl, pixelsOf } from "../net/blobs";
+import { brush, camera, method, readOnly, selectedLayer, toast } from "../state/store";
+import { link, remember, report, run, viewer } from "../state/studio";
+import type { CameraJson } from "../view/camera";
+import type { Pixels } from "./flood";
+import type { Mask } from "./raster";
+import { Stroke } from "./stroke";
+
+/** Limits painting on the present view; null: none. */
+export const selection = signal<Mask | null>(null);
+/** Strokes that are not layers yet. */
+export const pendingStrokes = signal(0);
+/** Above 0 while the camera must stay: a stroke still reads the view. */
+export const frozen = signal(0);
+/** Where clone and heal read from, in view pixels, and the stroke's offset once it began. */
+export const cloneFrom = signal<{ x: number; y: number; offset: [number, number] | null } | null>(null);
+
+export const overlayCanvas = document.createElement("canvas");
+const overlay = overlayCanvas.getContext("2d", { willReadFrequently: true })!;
+const active = new Set<Stroke>();
+/** The commit that runs last; strokes wait for it before they read the view. */
+let lastCommit: Promise<void> = Promise.resolve();
+let cached: { camera: CameraJson; revision: number; pixels: Promise<ImageData> } | null = null;
+let original: { camera: CameraJson; pixels: Promise<Pixels> } | null = null;
+
+/** The view as it is seen now, 8 bit. Drawn anew only when something changed. */
+export function viewPixels(): Promise<ImageData> {
+  const now = camera.value!;
+  if (!cached || cached.camera !== now || cached.revision !== viewer.revision) {
+    cached = { camera: now, revision: viewer.revision, pixels: viewer.read() };
+    cached.pixels.catch(() => (cached = null));
+  }
+  return cached.pixels;
+}
+
+/** The view of the original asset, rendered by the server. */
+export function originalPixels(): Promise<Pixels> {
+  const now = camera.value!;
+  if (original?.camera !== now) {
+    const pixels = run("view.render", { camera: now, which: "original" }).then((answer) => {
+      if (!answer) throw new Error("the original could not be rendered");
+      return pixelsOf(blobUrl(answer.picture), now.width, now.height);
+    });
+    original = { camera: now, pixels };
+    pixels.catch(() => (original = null));
+  }
+  return original.pixels;
+}
+
+/** Begin a stroke on the present view; null (with a toast) when nothing can be painted. */
+export function beginStroke(
+  kind: "paint" | "clone" | "erase",
+  name: string,
+  opacity = brush.value.opacity,
+): Stroke | null {
+  const now = camera.value;
+  if (!now || viewer.rows === 0) return null;
+  if (readOnly.value) {
+    toast(
+      "warning",
+      "This project is open elsewhere and can only be looked at.",
+      "Close it there, or save a copy under another name.",
+    );
+    return null;
+  }
+  fitOverlay(now);
+  const base = asSeen();
+  const stroke = new Stroke({
+    link,
+    camera: now,
+    overlay,
+    base,
+    after: lastCommit,
+    shown: () => camera.value === now,
+    kind,
+    name,
+    method: method.value,
+    opacity,
+    selection: selection.value,
+  });
+  frozen.value++;
+  stroke.ready.catch(() => {}).finally(() => frozen.value--);
+  active.add(stroke);
+  pendingStrokes.value = active.size;
+  return stroke;
+}
+
+/** Pen up: commit and show what it did. The overlay stays until the new rows are on the screen. */
+export function endStroke(stroke: Stroke, finish: (stroke: Stroke) => void = () => {}): Promise<void> {
+  const before = lastCommit;
+  lastCommit = (async () => {
+    await before;
+    try {
+      await stroke.ready;
+      finish(stroke);
+      const layer = await stroke.end();
+      if (layer) {
+        remember(layer);
+        selectedLayer.value = layer.id;
+      }
+      await viewer.settle();
+    } catch (error) {
+      report(error);
+      await stroke.cancel();
+    } finally {
+      forget(stroke);
+      warmUp();
+    }
+  })();
+  return lastCommit;
+}
+
+export async function cancelStroke(stroke: Stroke): Promise<void> {
+  await stroke.cancel();
+  forget(stroke);
+}
+
+/** Another camera: what lies on the old view goes. */
+export function viewMoved(): void {
+  const now = camera.value;
+  if (now) fitOverlay(now);
+  overlay.clearRect(0, 0, overlayCanvas.width, overlayCanvas.height);
+  selection.value = null;
+  if (cloneFrom.value) cloneFrom.value = null;
+}
+
+/** Read the view before a stroke needs it. */
+export function warmUp(): void {
+  if (camera.value && viewer.rows > 0 && active.size === 0) void viewPixels().catch(() => {});
+}
+
+/** The view with the strokes that lie over it. */
+async function asSeen(): Promise<ImageData> {
+  const painted = overlay.getImageData(0, 0, overlayCanvas.width, overlayCanvas.height).data;
+  const pixels = await viewPixels();
+  if (active.size < 2) return pixels;
+  const data = new Uint8ClampedArray(pixels.data);
+  for (let at = 0; at < data.length; at += 4) {
+    const alpha = painted[at + 3] / 255;
+    if (alpha > 0) for (let c = 0; c < 3; c++) data[at + c] = painted[at + c] * alpha + data[at + c] * (1 - alpha);
+  }
+  return new ImageData(data, pixels.width, pixels.height);
+}
+
+function fitOverlay(now: CameraJson): void {
+  if (overlayCanvas.width !== now.width) overlayCanvas.width = now.width;
+  if (overlayCanvas.height !== now.height) overlayCanvas.height = now.height;
+}
+
+function forget(stroke: Stroke): void {
+  active.delete(stroke);
+  stroke.erase();
+  pendingStrokes.value = active.size;
+  overlay.clearRect(0, 0, overlayCanvas.width, overlayCanvas.height);
+  for (const other of active) other.paint();
+}

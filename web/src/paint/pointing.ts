@@ -1,0 +1,102 @@
+/** Tools that act on a point or an area: fill, eyedropper, selection. */
+
+import { signal } from "@preact/signals";
+
+import { brush, color, fill, hex, paintMode, recentColors, rgb, selecting, state } from "../state/store";
+import { report } from "../state/studio";
+import { beginStroke, endStroke, selection, viewPixels } from "./desk";
+import { likeColor, soften } from "./flood";
+import { solid } from "./patch";
+import { combine, isEmpty, polygon, rectangle, type Combine } from "./select";
+import type { Mask } from "./raster";
+import type { Pen, ToolHandler } from "./tool";
+
+/** What is being drawn as a selection: x0, y0, x1, y1 ... of a closed polygon. */
+export const draft = signal<number[] | null>(null);
+
+const nothing = () => {};
+
+export const filler: ToolHandler = {
+  down(pen) {
+    void fillAt(pen).catch(report);
+  },
+  move: nothing,
+  up: nothing,
+  cancel: nothing,
+};
+
+async function fillAt(pen: Pen): Promise<void> {
+  const { tolerance, contiguous } = fill.value;
+  const pixels = await viewPixels();
+  const mask = soften(likeColor(pixels, Math.floor(pen.x), Math.floor(pen.y), tolerance, contiguous), 1);
+  const stroke = beginStroke("paint", "Fill", brush.value.opacity);
+  if (!stroke) return;
+  const shade = rgb(color.value).map((c) => c * 255) as [number, number, number];
+  stroke.setSource(solid(shade, paintMode.value, () => stroke.base));
+  stroke.mask.data.set(mask.data);
+  stroke.touch({ x: 0, y: 0, width: mask.width, height: mask.height });
+  await endStroke(stroke);
+}
+
+/** The colour as seen: the view's pixel under the pen. */
+export async function pickColor(pen: Pen): Promise<void> {
+  const { data, width, height } = await viewPixels();
+  const [x, y] = [Math.floor(pen.x), Math.floor(pen.y)];
+  if (x < 0 || y < 0 || x >= width || y >= height) return;
+  const at = (y * width + x) * 4;
+  setColor(hex([data[at] / 255, data[at + 1] / 255, data[at + 2] / 255]));
+}
+
+export function setColor(next: string): void {
+  color.value = next;
+  recentColors.value = [next, ...recentColors.value.filter((c) => c !== next)].slice(0, 10);
+}
+
+export const eyedropper: ToolHandler = {
+  down: (pen) => void pickColor(pen).catch(report),
+  move: (pen) => void pickColor(pen).catch(report),
+  up: nothing,
+  cancel: nothing,
+};
+
+let start: Pen | null = null;
+
+/** Rectangle, lasso or colour; with Shift added to what is selected, with Alt taken from it. */
+export const selector: ToolHandler = {
+  down(pen) {
+    start = pen;
+    if (selecting.value.kind === "color") void selectColor(pen).catch(report);
+    else draft.value = [pen.x, pen.y];
+  },
+  move(pen) {
+    if (!start || !draft.value) return;
+    if (selecting.value.kind === "lasso") draft.value = [...draft.value, pen.x, pen.y];
+    else draft.value = [start.x, start.y, pen.x, start.y, pen.x, pen.y, start.x, pen.y];
+  },
+  async up(pen) {
+    const points = draft.value;
+    const first = start;
+    draft.value = start = null;
+    if (!points || !first) return;
+    const { width, height } = await viewPixels();
+    if (points.length < 6) return void (selection.value = first.shift || first.alt ? selection.value : null);
+    const [x, y] = [Math.min(first.x, pen.x), Math.min(first.y, pen.y)];
+    const box = { x, y, width: Math.abs(pen.x - first.x), height: Math.abs(pen.y - first.y) };
+    take(selecting.value.kind === "lasso" ? polygon(width, height, points) : rectangle(width, height, box), first);
+  },
+  cancel() {
+    draft.value = start = null;
+  },
+};
+
+async function selectColor(pen: Pen): Promise<void> {
+  const pixels = await viewPixels();
+  take(likeColor(pixels, Math.floor(pen.x), Math.floor(pen.y), selecting.value.tolerance, false), pen);
+}
+
+function take(mask: Mask, pen: Pen): void {
+  if (!state.value) return;
+  const how: Combine = pen.shift ? "add" : pen.alt ? "subtract" : "replace";
+  const next = combine(selection.value, soften(mask, selecting.value.feather), how);
+  selection.value = isEmpty(next) ? null : next;
+}

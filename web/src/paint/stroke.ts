@@ -1,0 +1,157 @@
+/**
+ * One stroke from pen-down to the committed layer: coverage, overlay, preview on the server, commit.
+ * The view is frozen meanwhile. Patches are sent one at a time; what is drawn while one is on its way goes with the next.
+ */
+
+import type { LayerInfo } from "../messages";
+import { CommandError, type Link } from "../net/link";
+import type { CameraJson } from "../view/camera";
+import type { Pixels } from "./flood";
+import { base64, compose, over, type Source } from "./patch";
+import { clip, emptyMask, NOTHING, union, type Mask, type Rect } from "./raster";
+
+export interface StrokeOptions {
+  link: Link;
+  camera: CameraJson;
+  /** 2D context of the overlay, of the view's size. */
+  overlay: CanvasRenderingContext2D;
+  /** The view before the stroke, as seen. */
+  base: Promise<Pixels>;
+  /** The commit of the stroke before: the server keeps one stroke at a time. */
+  after: Promise<void>;
+  /** Whether the view is still on the screen. */
+  shown: () => boolean;
+  kind: "paint" | "clone" | "erase";
+  name: string;
+  method: "auto" | "ttt" | "lift" | "fit";
+  opacity: number;
+  selection: Mask | null;
+}
+
+export class Stroke {
+  readonly mask: Mask;
+  /** The frozen view; null until it was read. */
+  base: Pixels | null = null;
+  /** Resolves when `base` is there. */
+  readonly ready: Promise<void>;
+  private readonly id: Promise<string>;
+  private dirty: Rect = NOTHING;
+  private touched: Rect = NOTHING;
+  /** Changed and not on the overlay yet: a pen gives more points than the screen has frames. */
+  private fresh: Rect = NOTHING;
+  private frame = 0;
+  private pumping: Promise<void> | null = null;
+  private source: Source = () => {};
+  private done = false;
+  private failure: unknown = null;
+
+  constructor(private readonly options: StrokeOptions) {
+    const { camera, kind, link } = options;
+    this.mask = emptyMask(camera.width, camera.height);
+    this.ready = options.base.then((pixels) => {
+      this.base = pixels; // read before the first preview changes the view
+      this.paint();
+    });
+    this.id = Promise.all([this.ready, options.after])
+      .then(() => link.do("paint.begin", { camera, kind }))
+      .then((answer) => answer.stroke);
+    this.id.catch(() => {});
+  }
+
+  /** Rectangle of everything painted. */
+  get extent(): Rect {
+    return this.touched;
+  }
+
+  setSource(source: Source): void {
+    this.source = source;
+  }
+
+  /** The mask (or the source's colours) changed there: show it and preview it. */
+  touch(rect: Rect): void {
+    const inside = clip(rect, this.mask);
+    if (inside.width === 0) return;
+    this.touched = union(this.touched, inside);
+    this.dirty = union(this.dirty, inside);
+    this.fresh = union(this.fresh, inside);
+    this.frame ||= requestAnimationFrame(() => {
+      this.frame = 0;
+      this.paint(this.fresh);
+      this.fresh = NOTHING;
+    });
+    this.pumping ??= this.pump();
+  }
+
+  /** Start over with an empty mask (a line whose end moves). */
+  reset(): void {
+    const before = this.touched;
+    this.mask.data.fill(0);
+    this.touched = NOTHING;
+    this.touch(before);
+  }
+
+  /** Pen up: commit. Resolves when the layer is there; null when nothing was painted. Rejects with a CommandError. */
+  async end(): Promise<LayerInfo | null> {
+    const stroke = await this.id;
+    if (this.touched.width === 0) {
+      await this.drop(stroke);
+      return null;
+    }
+    while (this.dirty.width || this.pumping) await (this.pumping ??= this.pump());
+    this.done = true;
+    if (this.failure) throw this.failure;
+    const { link, name, method } = this.options;
+    const answer = await link.do("paint.end", { stroke, name, method });
+    return answer.layer;
+  }
+
+  async cancel(): Promise<void> {
+    this.done = true;
+    this.dirty = NOTHING;
+    this.erase();
+    await this.id.then((stroke) => this.drop(stroke)).catch(() => {});
+  }
+
+  /** Take the stroke off the overlay; it does not come back by itself. */
+  erase(): void {
+    cancelAnimationFrame(this.frame);
+    if (!this.options.shown()) return;
+    const { x, y, width, height } = this.touched;
+    this.options.overlay.clearRect(x, y, width, height);
+  }
+
+  /** Put it (back) on the overlay. */
+  paint(rect: Rect = this.touched): void {
+    if (rect.width === 0 || !this.options.shown()) return;
+    const patch = this.patch(rect);
+    const shown = this.base ? over(rect, patch, this.base) : patch;
+    this.options.overlay.putImageData(new ImageData(shown, rect.width, rect.height), rect.x, rect.y);
+  }
+
+  private patch(rect: Rect): Uint8ClampedArray<ArrayBuffer> {
+    return compose(rect, this.mask, this.options.selection, this.options.opacity, this.source);
+  }
+
+  /** Send what is dirty until nothing is. Never rejects: `end` throws what went wrong. */
+  private async pump(): Promise<void> {
+    try {
+      const stroke = await this.id;
+      while (this.dirty.width && !this.done) {
+        const rect = this.dirty;
+        this.dirty = NOTHING;
+        await this.options.link.do("paint.dab", { stroke, ...rect, rgba: base64(this.patch(rect)) });
+      }
+    } catch (error) {
+      this.failure ??= error;
+      this.dirty = NOTHING;
+    } finally {
+      this.pumping = null;
+    }
+  }
+
+  private async drop(stroke: string): Promise<void> {
+    await this.options.link.do("paint.cancel", { stroke }).catch((error: unknown) => {
+      if (!(error instanceof CommandError)) throw error;
+    });
+  }
+}

@@ -1,0 +1,122 @@
+/** The asset's rows on the graphics card: a SplatMesh over texels that are rewritten in place as deltas arrive. */
+
+import { ExtSplats, SplatMesh, utils } from "@sparkjsdev/spark";
+import * as THREE from "three";
+
+import type { Frame } from "../net/frames";
+import { allocate, encodeRow, type Texels } from "./rows";
+
+const WIDTH_BITS = 11;
+/** Texture rows hold 2048 splats, layers 2048 x 2048. */
+const LAYER = 1 << 22;
+
+type Upload = { texture: THREE.Texture; data: Uint32Array };
+
+/** A table of one SH degree. Make another one for an asset of another degree or one that outgrows `capacity`. */
+export class SplatTable {
+  readonly capacity: number;
+  readonly mesh: SplatMesh;
+  count = 0;
+  private readonly texels: Texels;
+  private readonly splats: ExtSplats;
+
+  /** From a snapshot, with room for a quarter more rows. */
+  constructor(
+    private readonly renderer: THREE.WebGLRenderer,
+    snapshot: Frame,
+  ) {
+    const { rows } = snapshot;
+    this.capacity = utils.getTextureSize(Math.ceil(Math.max(rows.count, 1) * 1.25) + 4096).maxSplats;
+    this.texels = allocate(this.capacity, rows.coefficients);
+    for (let i = 0; i < rows.count; i++) encodeRow(this.texels, i, rows, i);
+    this.count = rows.count;
+    this.splats = new ExtSplats({
+      extArrays: [this.texels.geometry, this.texels.appearance],
+      numSplats: rows.count,
+      extra: this.extra(),
+    });
+    this.mesh = new SplatMesh({ extSplats: this.splats });
+  }
+
+  /** Whether `delta` fits into this table. */
+  fits(delta: Frame): boolean {
+    return delta.total <= this.capacity;
+  }
+
+  /** Write the delta's rows; rows beyond `total` (taken back by an undo) are no longer drawn. Draw a frame afterwards. */
+  apply(delta: Frame): void {
+    const { indices, rows } = delta;
+    const count = indices ? indices.length : rows.count;
+    let [first, last] = [Infinity, -1];
+    for (let k = 0; k < count; k++) {
+      const i = indices ? indices[k] : k;
+      encodeRow(this.texels, i, rows, k);
+      if (i < first) first = i;
+      if (i > last) last = i;
+    }
+    this.count = delta.total;
+    this.splats.numSplats = delta.total;
+    if (last >= 0) this.upload(first, last);
+    this.mesh.updateVersion();
+  }
+
+  dispose(): void {
+    this.mesh.removeFromParent();
+    this.mesh.dispose();
+    this.splats.dispose();
+  }
+
+  private extra(): Record<string, Uint32Array> {
+    const names = ["sh1", "sh2", "sh3a", "sh3b"];
+    return Object.fromEntries(this.texels.sh.map((array, k) => [names[k], array]));
+  }
+
+  /** Every texture with the array behind it. SH textures exist after the first frame; before that the array is uploaded whole. */
+  private uploads(): Upload[] {
+    const { textures, extra } = this.splats;
+    const found: Upload[] = [
+      { texture: textures[0], data: this.texels.geometry },
+      { texture: textures[1], data: this.texels.appearance },
+    ];
+    ["sh1Texture", "sh2Texture", "sh3TextureA", "sh3TextureB"].forEach((name, k) => {
+      const holder = extra[name] as { value: THREE.Texture } | undefined;
+      if (holder && k < this.texels.sh.length) found.push({ texture: holder.value, data: this.texels.sh[k] });
+    });
+    return found;
+  }
+
+  private upload(first: number, last: number): void {
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    const y = first >> WIDTH_BITS;
+    const height = (last >> WIDTH_BITS) - y + 1;
+    for (const { texture, data } of this.uploads()) {
+      const handle = (this.renderer.properties.get(texture) as { __webglTexture?: WebGLTexture }).__webglTexture;
+      if (!handle || last >= LAYER) {
+        texture.needsUpdate = true; // not on the card yet, or several layers: the whole texture
+        continue;
+      }
+      const { state } = this.renderer;
+      state.activeTexture(gl.TEXTURE0);
+      state.bindTexture(gl.TEXTURE_2D_ARRAY, handle);
+      gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, null);
+      gl.pixelStorei(gl.UNPACK_FLIP_Y_WEBGL, false);
+      gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
+      gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
+      gl.texSubImage3D(
+        gl.TEXTURE_2D_ARRAY,
+        0,
+        0,
+        y,
+        0,
+        1 << WIDTH_BITS,
+        height,
+        1,
+        gl.RGBA_INTEGER,
+        gl.UNSIGNED_INT,
+        data,
+        y << (WIDTH_BITS + 2),
+      );
+      state.unbindTexture();
+    }
+  }
+}

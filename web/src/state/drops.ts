@@ -1,0 +1,106 @@
+/** Pictures that came from elsewhere and wait to become an edit: at most four views. */
+
+import { computed, signal } from "@preact/signals";
+
+import type { Checked } from "../messages";
+import { blobUrl, sendBlob } from "../net/blobs";
+import { CommandError } from "../net/link";
+import type { CameraJson } from "../view/camera";
+import { camera, selectedLayer, state, tab, toast } from "./store";
+import { link, remember, report, run, watched } from "./studio";
+
+export const MOST = 4;
+
+export interface Drop {
+  id: number;
+  name: string;
+  /** The picture as it came. */
+  blob: string;
+  checked: Checked | null;
+  /** Why it could not be used as it is. */
+  problem: string;
+  threshold: number | null;
+}
+
+export const drops = signal<Drop[]>([]);
+export const dropMode = signal<"local" | "global">("local");
+let nextId = 1;
+
+computed(() => state.value?.session).subscribe(() => (drops.value = [])); // they were pictures of another asset
+watched.onPicture = (blob, name) => void add(blob, name);
+
+/** A picture that was dropped or chosen. */
+export async function addPicture(file: File): Promise<void> {
+  try {
+    await add(await sendBlob(file, file.name), file.name);
+  } catch (error) {
+    report(error);
+  }
+}
+
+async function add(blob: string, name: string): Promise<void> {
+  tab.value = "pictures";
+  const again = drops.value.find((one) => one.name === name); // saved over: the newer one counts
+  if (!again && drops.value.length >= MOST)
+    return toast("warning", `One edit takes at most ${MOST} pictures.`, "Apply these or take one away.");
+  const drop: Drop = { id: again?.id ?? nextId++, name, blob, checked: null, problem: "", threshold: null };
+  drops.value = again ? drops.value.map((one) => (one.id === again.id ? drop : one)) : [...drops.value, drop];
+  await check(drop.id, {});
+}
+
+/** Find the camera, mend the size, find what changed. `at`: the picture shows this view. */
+export async function check(id: number, given: { camera?: CameraJson; threshold?: number }): Promise<void> {
+  const drop = drops.value.find((one) => one.id === id);
+  if (!drop) return;
+  const threshold = given.threshold ?? drop.threshold;
+  const at = given.camera ?? (drop.checked?.found === "given" ? (drop.checked.camera as CameraJson) : undefined);
+  try {
+    const checked = await link.do("picture.check", {
+      picture: drop.blob,
+      name: drop.name,
+      camera: at ?? null,
+      threshold,
+    });
+    update(id, { checked, problem: "", threshold });
+  } catch (error) {
+    if (!(error instanceof CommandError)) throw error;
+    update(id, { checked: null, problem: [error.message, error.hint].filter(Boolean).join(". ") });
+  }
+}
+
+export const isPresentView = (id: number): Promise<void> =>
+  camera.value ? check(id, { camera: camera.value }) : Promise.resolve();
+
+export function discard(id: number): void {
+  drops.value = drops.value.filter((one) => one.id !== id);
+}
+
+export const maskUrl = (drop: Drop): string | null => drop.checked && blobUrl(drop.checked.mask);
+
+/** One layer from all pictures that have a camera. */
+export async function applyDrops(method: "auto" | "ttt" | "lift" | "fit"): Promise<void> {
+  const ready = drops.value.filter((one) => one.checked);
+  const mode = dropMode.value;
+  const views = ready.map(({ checked }) => ({
+    camera: checked!.camera,
+    picture: checked!.picture,
+    mask: mode === "local" ? checked!.mask : null,
+  }));
+  const name = ready
+    .map((one) => one.name.replace(/\.[^.]*$/, ""))
+    .join(", ")
+    .slice(0, 200);
+  const answer = await run(
+    "edit",
+    { views, kind: "picture", mode, method, name },
+    "Lifting the picture onto the asset",
+  );
+  if (!answer) return;
+  drops.value = drops.value.filter((one) => !ready.includes(one));
+  remember(answer.layer);
+  selectedLayer.value = answer.layer.id;
+}
+
+function update(id: number, part: Partial<Drop>): void {
+  drops.value = drops.value.map((one) => (one.id === id ? { ...one, ...part } : one));
+}

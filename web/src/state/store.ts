@@ -1,0 +1,110 @@
+/** Everything that the interface shows, as signals. What belongs to the asset comes from the server and only from there. */
+
+import { computed, signal } from "@preact/signals";
+
+import type { State } from "../messages";
+import type { Status } from "../net/link";
+import type { CameraJson, Pose } from "../view/camera";
+
+export type Tool =
+  "orbit" | "brush" | "erase" | "fill" | "line" | "text" | "stamp" | "clone" | "heal" | "pick" | "select";
+export type PaintMode = "normal" | "color" | "darken" | "lighten";
+export type Tab = "look" | "history" | "views" | "pictures" | "receipt";
+export type SelectKind = "rectangle" | "lasso" | "color";
+
+export const status = signal<Status>("connecting");
+export const stopped = signal("");
+export const state = signal<State | null>(null);
+
+export const tool = signal<Tool>("brush");
+export const pose = signal<Pose | null>(null);
+/** The exact camera that is shown: the pose in the window's size. */
+export const camera = signal<CameraJson | null>(null);
+
+export const brush = signal({ size: 40, hardness: 0.7, opacity: 1, flow: 1, pressureSize: true, pressureFlow: false });
+export const color = signal("#c8442e");
+/** Last colours used, newest first. */
+export const recentColors = signal<string[]>([]);
+export const paintMode = signal<PaintMode>("normal");
+export const method = signal<"auto" | "ttt" | "lift" | "fit">("auto");
+export const fill = signal({ tolerance: 0.12, contiguous: true });
+export const text = signal({ text: "Text", font: "sans-serif", size: 64, bold: true, italic: false });
+export const selecting = signal<{ kind: SelectKind; tolerance: number; feather: number }>({
+  kind: "rectangle",
+  tolerance: 0.12,
+  feather: 1,
+});
+
+export const view = signal({
+  background: "#1b1d21",
+  grid: false,
+  trueColor: false,
+  compare: false,
+  coverage: false,
+  resolution: 1,
+});
+/** Where the before/after line is, 0..1 of the width. */
+export const compareAt = signal(0.5);
+
+export const tab = signal<Tab>("history");
+export const selectedLayer = signal<string | null>(null);
+export const help = signal(false);
+/** What was done from this window, as Python lines. */
+export const pythonLog = signal<string[]>([]);
+export const lastEdit = signal<{
+  seconds: number;
+  inside: number | null;
+  before: number | null;
+  outside: number | null;
+  rows: number;
+  name: string;
+} | null>(null);
+
+export interface Toast {
+  id: number;
+  level: "info" | "warning" | "error";
+  message: string;
+  hint: string;
+}
+export const toasts = signal<Toast[]>([]);
+
+export interface Job {
+  id: number;
+  label: string;
+  progress: number;
+  stage: string;
+  cancel: () => void;
+}
+export const jobs = signal<Job[]>([]);
+
+export const readOnly = computed(() => state.value?.project.read_only ?? false);
+export const canUndo = computed(() => (state.value?.cursor ?? 0) > 0);
+export const canRedo = computed(() => (state.value ? state.value.cursor < state.value.history.length - 1 : false));
+
+let nextToast = 1;
+
+export function toast(level: Toast["level"], message: string, hint = ""): void {
+  const id = nextToast++;
+  toasts.value = [...toasts.value.filter((t) => t.message !== message).slice(-3), { id, level, message, hint }];
+  setTimeout(() => dismiss(id), level === "error" ? 12000 : 5000);
+}
+
+export function dismiss(id: number): void {
+  toasts.value = toasts.value.filter((t) => t.id !== id);
+}
+
+/** "#rrggbb" to [0..1] * 3. */
+export function rgb(hex: string): [number, number, number] {
+  const value = parseInt(hex.slice(1), 16);
+  return [(value >> 16) / 255, ((value >> 8) & 255) / 255, (value & 255) / 255];
+}
+
+export function hex(values: ArrayLike<number>): string {
+  return `#${[0, 1, 2]
+    .map((k) =>
+      Math.round(Math.max(0, Math.min(1, values[k])) * 255)
+        .toString(16)
+        .padStart(2, "0"),
+    )
+    .join("")}`;
+}

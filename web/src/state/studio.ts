@@ -1,0 +1,140 @@
+/** The one studio of this page: the link to the server, the viewer, and what runs between them. */
+
+import { effect } from "@preact/signals";
+
+import type { Event, State } from "../messages";
+import { CommandError, Link, type Fields, type Name, type Result } from "../net/link";
+import { fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
+import { Viewer } from "../view/viewer";
+import { camera, jobs, lastEdit, pose, pythonLog, rgb, state, status, stopped, toast, view } from "./store";
+
+/** Set by `start`, before the interface is mounted. */
+export let viewer: Viewer;
+export let link: Link;
+/** A picture was saved into the watched folder. */
+export const watched: { onPicture: (blob: string, name: string) => void } = { onPicture: () => {} };
+
+const JOB_DELAY = 400;
+
+export function start(canvas: HTMLCanvasElement): void {
+  viewer = new Viewer(canvas);
+  canvas.addEventListener("webglcontextlost", (event) => {
+    event.preventDefault(); // else it never comes back
+    toast("warning", "The graphics card was reset.", "The page reloads; nothing is lost.");
+  });
+  canvas.addEventListener("webglcontextrestored", () => location.reload());
+  const scheme = location.protocol === "https:" ? "wss" : "ws";
+  link = new Link(`${scheme}://${location.host}/ws`, {
+    status: (next, reason) => {
+      status.value = next;
+      stopped.value = reason;
+    },
+    greeted: (greeting) => adopt(greeting.state),
+    event,
+    answered: ({ python }) => {
+      if (python) pythonLog.value = [...pythonLog.value, python].slice(-500);
+    },
+    frame: (frame) => viewer.apply(frame),
+  });
+  effect(() => {
+    const now = camera.value;
+    if (now) viewer.setCamera(now);
+  });
+  effect(() => {
+    viewer.grid.visible = view.value.grid;
+    viewer.invalidate();
+  });
+  link.connect();
+}
+
+/**
+ * Run a command, showing progress when it takes a while and a toast when it fails. Returns null if it failed.
+ * `label`: what the progress bar says; "" for quick things that need none.
+ */
+export async function run<N extends Name>(name: N, fields: Fields<N>, label = ""): Promise<Result<N> | null> {
+  const running = link.do(name, fields, (progress, stage) => {
+    jobs.value = jobs.value.map((job) => (job.id === running.id ? { ...job, progress, stage } : job));
+  });
+  const job = { id: running.id, label, progress: 0, stage: "", cancel: () => running.cancel() };
+  const timer = label ? setTimeout(() => (jobs.value = [...jobs.value, job]), JOB_DELAY) : undefined;
+  try {
+    return await running;
+  } catch (error) {
+    report(error);
+    return null;
+  } finally {
+    clearTimeout(timer);
+    jobs.value = jobs.value.filter((other) => other.id !== running.id);
+  }
+}
+
+/** Show what went wrong. A cancelled command is no error. */
+export function report(error: unknown): void {
+  if (error instanceof CommandError) {
+    if (error.kind !== "cancelled") toast(error.kind === "fault" ? "error" : "warning", error.message, error.hint);
+  } else {
+    toast("error", error instanceof Error ? error.message : String(error));
+    console.error(error);
+  }
+}
+
+/** Remember what an edit did, for the status line. */
+export function remember(layer: {
+  name: string;
+  seconds: number;
+  rows_touched: number;
+  rows_appended: number;
+  views: State["layers"][0]["views"];
+}): void {
+  const [first] = layer.views;
+  lastEdit.value = {
+    name: layer.name,
+    seconds: layer.seconds,
+    rows: layer.rows_touched + layer.rows_appended,
+    before: first?.psnr_before ?? null,
+    inside: first?.psnr_after ?? null,
+    outside: first?.psnr_outside ?? null,
+  };
+}
+
+/** Go to a pose; the exact camera follows from the window's size. */
+export function go(next: Pose): void {
+  pose.value = next;
+  const size = canvasSize();
+  const now = toCamera(next, size.width, size.height, rgb(view.value.background));
+  if (!camera.value || !sameView(camera.value, now)) camera.value = now;
+}
+
+/** The window's size or background changed. */
+export function refresh(): void {
+  if (pose.value) go(pose.value);
+}
+
+function canvasSize(): { width: number; height: number } {
+  const { clientWidth, clientHeight } = viewer.renderer.domElement.parentElement!;
+  const factor = view.value.resolution;
+  return {
+    width: Math.max(16, Math.round(clientWidth * factor)),
+    height: Math.max(16, Math.round(clientHeight * factor)),
+  };
+}
+
+function event(message: Event): void {
+  if (message.event === "state") adopt(message.state);
+  else if (message.event === "toast") toast(message.level, message.message, message.hint);
+  else watched.onPicture(message.picture, message.name);
+}
+
+function adopt(next: State): void {
+  const before = state.value;
+  if (before && before.session === next.session && before.version > next.version) return; // an older one, late
+  state.value = next;
+  if (before?.session === next.session) return;
+  const { asset } = next;
+  link.enter(next.session);
+  viewer.extent = asset.radius;
+  viewer.setAntialiased(asset.antialiased);
+  viewer.grid.place(asset.center as Vec3, asset.radius, asset.up as Vec3);
+  document.title = `${asset.name} – SplatPainter`;
+  go(fromCamera(asset.home, asset.center as Vec3));
+}

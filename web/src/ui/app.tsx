@@ -1,0 +1,117 @@
+/** The window: header, tool settings, tools, view, panels, status line; and files dropped anywhere on it. */
+
+import { signal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
+
+import { startStamp } from "../paint/placement";
+import { addPicture } from "../state/drops";
+import { camera, state, tab, tool, type Tab } from "../state/store";
+import { report } from "../state/studio";
+import { Away, Help, Jobs, StatusLine, Toasts } from "./feedback";
+import { Files, openFile } from "./files";
+import { filesOpen, Header } from "./header";
+import { History } from "./history";
+import { Layers } from "./layers";
+import { Look } from "./look";
+import { Options } from "./options";
+import { Pictures } from "./pictures";
+import { ReceiptPanel } from "./receipt";
+import { Stage } from "./stage";
+import { Toolbar } from "./toolbar";
+import { Views } from "./views";
+
+const TABS: readonly (readonly [Tab, string, () => preact.JSX.Element | null])[] = [
+  ["history", "History", History],
+  ["look", "Look", Look],
+  ["pictures", "Pictures", Pictures],
+  ["views", "Views", Views],
+  ["receipt", "Receipt", ReceiptPanel],
+];
+const dropping = signal(false);
+const isPicture = (file: File) => /^image\/(png|jpeg|webp)$/.test(file.type);
+
+function take(files: File[]): void {
+  for (const file of files) {
+    const now = camera.value;
+    if (isPicture(file) && tool.value === "stamp" && now) void startStamp(file, file.name, now).catch(report);
+    else if (isPicture(file)) void addPicture(file);
+    else void openFile(file);
+  }
+}
+
+export function App({ canvas }: { canvas: HTMLCanvasElement }) {
+  useEffect(() => {
+    const paste = (event: ClipboardEvent) => take([...(event.clipboardData?.files ?? [])].filter(isPicture));
+    window.addEventListener("paste", paste);
+    return () => window.removeEventListener("paste", paste);
+  }, []);
+  const hasFiles = (event: DragEvent) => event.dataTransfer?.types.includes("Files") ?? false;
+  return (
+    <div
+      class="app"
+      onDragOver={(event) => hasFiles(event) && (event.preventDefault(), (dropping.value = true))}
+      onDragLeave={(event) => event.relatedTarget === null && (dropping.value = false)}
+      onDrop={(event) => {
+        dropping.value = false;
+        if (!hasFiles(event)) return;
+        event.preventDefault();
+        take([...event.dataTransfer!.files]);
+      }}
+    >
+      <h1 class="unseen">SplatPainter studio</h1>
+      <Header />
+      <Options />
+      <Toolbar />
+      <main class="middle">
+        <Stage canvas={canvas} />
+        {!state.value && (
+          <p class="loading" role="status">
+            Opening
+          </p>
+        )}
+        <Jobs />
+        <Toasts />
+        <Away />
+        {dropping.value && <div class="dropping">Drop an edited picture, an asset, or a project</div>}
+      </main>
+      <aside class="side" aria-label="Panels">
+        <Layers />
+        <section class="panel tabs">
+          <div role="tablist" aria-label="Panels" class="tab-list">
+            {TABS.map(([key, name]) => (
+              <button
+                type="button"
+                key={key}
+                role="tab"
+                id={`tab-${key}`}
+                aria-selected={tab.value === key}
+                aria-controls="tab-panel"
+                tabIndex={tab.value === key ? 0 : -1}
+                onClick={() => (tab.value = key)}
+                onKeyDown={moveTab}
+              >
+                {name}
+              </button>
+            ))}
+          </div>
+          <div role="tabpanel" id="tab-panel" aria-labelledby={`tab-${tab.value}`} class="tab-panel" tabIndex={0}>
+            {TABS.map(([key, , Panel]) => tab.value === key && <Panel key={key} />)}
+          </div>
+        </section>
+      </aside>
+      <StatusLine />
+      <Help />
+      {filesOpen.value && <Files saving={filesOpen.value === "save"} onClose={() => (filesOpen.value = null)} />}
+    </div>
+  );
+}
+
+function moveTab(event: KeyboardEvent): void {
+  const step = event.key === "ArrowRight" ? 1 : event.key === "ArrowLeft" ? -1 : 0;
+  if (!step) return;
+  event.preventDefault();
+  event.stopPropagation();
+  const at = TABS.findIndex(([key]) => key === tab.value);
+  tab.value = TABS[(at + step + TABS.length) % TABS.length][0];
+  document.getElementById(`tab-${tab.value}`)?.focus();
+}

@@ -1,0 +1,122 @@
+/** What the studio says: toasts, progress, the status line, the sheet of shortcuts. */
+
+import { dismiss, help, jobs, lastEdit, pythonLog, state, status, stopped, toast, toasts } from "../state/store";
+import { Button, Dialog } from "./parts";
+import { SHORTCUTS } from "./keys";
+
+export function Toasts() {
+  return (
+    <div class="toasts" aria-live="polite">
+      {toasts.value.map((one) => (
+        <div key={one.id} class={`toast ${one.level}`} role={one.level === "error" ? "alert" : "status"}>
+          <p>
+            {one.message}
+            {one.hint && <span class="quiet"> {one.hint}</span>}
+          </p>
+          <Button icon="close" label="Dismiss" onClick={() => dismiss(one.id)} />
+        </div>
+      ))}
+    </div>
+  );
+}
+
+export function Jobs() {
+  return (
+    <div class="jobs" aria-live="polite">
+      {jobs.value.map((job) => (
+        <div key={job.id} class="job">
+          <span>
+            {job.label}
+            {job.stage && <span class="quiet"> {job.stage}</span>}
+          </span>
+          <progress max={1} value={job.progress > 0 ? job.progress : undefined} aria-label={job.label} />
+          <Button label={`Cancel: ${job.label}`} text="Cancel" onClick={job.cancel} />
+        </div>
+      ))}
+    </div>
+  );
+}
+
+const decibels = (value: number): string => (value >= 99 ? "identical" : `${value.toFixed(1)} dB`);
+
+export async function copy(line: string): Promise<void> {
+  try {
+    await navigator.clipboard.writeText(line);
+    toast("info", "Copied");
+  } catch {
+    toast("warning", "The browser did not allow copying.", "Select the line and copy it by hand.");
+  }
+}
+
+export function StatusLine() {
+  const now = state.value;
+  const edit = lastEdit.value;
+  const line = pythonLog.value.at(-1);
+  return (
+    <footer class="status">
+      <span>{now ? `${now.asset.rows.toLocaleString()} rows` : "No asset"}</span>
+      {edit && (
+        <span
+          class="last-edit"
+          title="The last edit: its time, how near the view is to the picture inside the mask, and what changed outside"
+        >
+          <b>{edit.name}</b> {edit.seconds.toFixed(2)} s
+          {edit.inside !== null &&
+            `, inside ${edit.before !== null ? `${decibels(edit.before)} → ` : ""}${decibels(edit.inside)}`}
+          {edit.outside !== null && `, outside ${decibels(edit.outside)}`}, {edit.rows.toLocaleString()} rows
+        </span>
+      )}
+      <span class="gap" />
+      {line && (
+        <span class="python">
+          <code title={line}>{line}</code>
+          <Button icon="copy" label="Copy the Python line" onClick={() => void copy(line)} />
+        </span>
+      )}
+    </footer>
+  );
+}
+
+/** Over everything while the server is away. */
+export function Away() {
+  if (status.value === "stopped")
+    return (
+      <div class="away" role="alert">
+        <p>{stopped.value || "The studio has stopped."}</p>
+        <Button label="Reload the page" text="Reload" primary onClick={() => location.reload()} />
+      </div>
+    );
+  if (status.value === "open" || (status.value === "connecting" && !state.value)) return null;
+  return (
+    <div class="away-note" role="status">
+      Connection lost. What was saved is safe; trying again.
+    </div>
+  );
+}
+
+export function Help() {
+  if (!help.value) return null;
+  return (
+    <Dialog title="Shortcuts" onClose={() => (help.value = false)}>
+      <div class="shortcuts">
+        {SHORTCUTS.map(([title, rows]) => (
+          <section key={title}>
+            <h3>{title}</h3>
+            <dl>
+              {rows.map(([keys, what]) => (
+                <div key={keys}>
+                  <dt>
+                    {keys
+                      .split(" ")
+                      .map((key) => (key === "or" || key === "to" ? ` ${key} ` : <kbd key={key}>{key}</kbd>))}
+                  </dt>
+                  <dd>{what}</dd>
+                </div>
+              ))}
+            </dl>
+          </section>
+        ))}
+      </div>
+    </Dialog>
+  );
+}

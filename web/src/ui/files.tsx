@@ -1,0 +1,166 @@
+/** Open and save: assets, projects, exports. */
+
+import { useEffect, useState } from "preact/hooks";
+
+import type { RecentProjects } from "../messages";
+import { download, sendBlob } from "../net/blobs";
+import { readOnly, state, toast } from "../state/store";
+import { report, run } from "../state/studio";
+import { Button, Choice, Dialog, FileButton } from "./parts";
+
+/** Open a file that the user chose or dropped. */
+export async function openFile(file: File): Promise<void> {
+  try {
+    const blob = await sendBlob(file, file.name);
+    if (/\.splatproj$/i.test(file.name)) await run("project.open", { blob }, `Opening ${file.name}`);
+    else await run("asset.open", { blob }, `Opening ${file.name}`);
+  } catch (error) {
+    report(error);
+  }
+}
+
+export function Files({ saving, onClose }: { saving: boolean; onClose: () => void }) {
+  return (
+    <Dialog title={saving ? "Save and export" : "Open"} onClose={onClose}>
+      {saving ? <Saving onClose={onClose} /> : <Opening onClose={onClose} />}
+    </Dialog>
+  );
+}
+
+function Opening({ onClose }: { onClose: () => void }) {
+  const [known, setKnown] = useState<RecentProjects | null>(null);
+  useEffect(() => void run("project.recent", {}).then(setKnown), []);
+  const open = (what: Promise<unknown>) => void what.then(onClose);
+  const isProject = (name: string) => /\.splatproj$/i.test(name);
+  return (
+    <>
+      <p class="row">
+        <FileButton
+          label="Choose a file"
+          icon="open"
+          accept=".ply,.splat,.ksplat,.spz,.sog,.glb,.gltf,.zip,.splatproj"
+          onFiles={([file]) => file && open(openFile(file))}
+        />
+        <Button
+          label="The demo asset"
+          text="Demo asset"
+          onClick={() => open(run("asset.open", { demo: true }, "Demo asset"))}
+        />
+      </p>
+      <p class="quiet">Every edit is kept in a project file as it is made. What is open now stays in the list below.</p>
+      <h3>Recent projects</h3>
+      <ul class="list">
+        {known?.recent.map((one) => (
+          <li key={one.id}>
+            <button type="button" onClick={() => open(run("project.open", { recent: one.id }, `Opening ${one.name}`))}>
+              <span>{one.name}</span>
+              <span class="quiet">{new Date(one.changed * 1000).toLocaleString()}</span>
+            </button>
+          </li>
+        ))}
+        {known && known.recent.length === 0 && <li class="quiet">None yet</li>}
+      </ul>
+      {known && known.files.length > 0 && (
+        <>
+          <h3>In the studio's folder</h3>
+          <ul class="list">
+            {known.files.map((file) => (
+              <li key={file}>
+                <button
+                  type="button"
+                  onClick={() =>
+                    open(
+                      isProject(file)
+                        ? run("project.open", { file }, `Opening ${file}`)
+                        : run("asset.open", { file }, `Opening ${file}`),
+                    )
+                  }
+                >
+                  <span>{file}</span>
+                </button>
+              </li>
+            ))}
+          </ul>
+        </>
+      )}
+    </>
+  );
+}
+
+function Saving({ onClose }: { onClose: () => void }) {
+  const now = state.value;
+  const formats = now?.formats ?? [];
+  const stem = (now?.asset.name ?? "asset").replace(/\.[^.]*$/, "");
+  const [ending, setEnding] = useState(
+    formats.find((one) => one === `.${now?.asset.format}`) ?? (formats.includes(".ply") ? ".ply" : (formats[0] ?? "")),
+  );
+  const [name, setName] = useState(`${stem}.splatproj`);
+  if (!now) return null;
+  const save = async () => {
+    const answer = await run(
+      "project.save_as",
+      { file: /\.splatproj$/i.test(name) ? name : `${name}.splatproj` },
+      "Saving",
+    );
+    if (answer) onClose();
+  };
+  const copyProject = async () => {
+    const answer = await run("project.download", {}, "Copying the project");
+    if (answer) download(answer.url, answer.file);
+  };
+  const give = async () => {
+    const file = `${stem}-edited${ending.startsWith(".") ? "" : "."}${ending}`;
+    const answer = await run("export", { file }, `Writing ${file}`);
+    if (!answer) return;
+    download(answer.url, answer.file);
+    toast("info", `${answer.file}, ${(answer.bytes / 1e6).toFixed(1)} MB`, "Its receipt is under Receipt.");
+  };
+  return (
+    <>
+      <h3>Export the asset</h3>
+      <p class="row">
+        <Choice
+          label="Format"
+          value={ending}
+          options={formats.map((key) => [key, key] as const)}
+          onChange={setEnding}
+        />
+        <Button label="Export" icon="share" text="Export" primary onClick={() => void give()} />
+      </p>
+      <p class="quiet">
+        Rows that no layer touched are written as they were read, bit for bit, where the format is the same.
+      </p>
+      <h3>Project</h3>
+      <p class="quiet">
+        {now.project.file
+          ? `Kept in ${now.project.file}, saved with every edit.`
+          : "Kept in the studio's own folder, saved with every edit."}
+      </p>
+      {now.folder && (
+        <p class="row">
+          <input
+            type="text"
+            aria-label={`Project file in ${now.folder}`}
+            value={name}
+            disabled={readOnly.value}
+            onInput={(event) => setName(event.currentTarget.value)}
+          />
+          <Button
+            label={`Move the project into ${now.folder}`}
+            icon="save"
+            text="Save as"
+            onClick={() => void save()}
+          />
+        </p>
+      )}
+      <p class="row">
+        <Button
+          label="A copy of the project file"
+          icon="share"
+          text="Download a copy"
+          onClick={() => void copyProject()}
+        />
+      </p>
+    </>
+  );
+}

@@ -1,0 +1,136 @@
+/** The bar at the top: project, undo, view settings, connection. */
+
+import { signal } from "@preact/signals";
+
+import { pendingStrokes } from "../paint/desk";
+import { canRedo, canUndo, help, pose, readOnly, state, status, view } from "../state/store";
+import { go, run } from "../state/studio";
+import { frame, zoomLens, type Vec3 } from "../view/camera";
+import { Button, Choice, Slider } from "./parts";
+
+export const filesOpen = signal<"open" | "save" | null>(null);
+
+const BACKGROUNDS: readonly (readonly [string, string])[] = [
+  ["#1b1d21", "Dark"],
+  ["#000000", "Black"],
+  ["#808080", "Grey"],
+  ["#c9c9c9", "Light"],
+  ["#ffffff", "White"],
+];
+const RESOLUTIONS: readonly (readonly [string, string])[] = [
+  ["0.5", "Half"],
+  ["1", "Screen"],
+  ["2", "Double"],
+];
+
+export const undo = () => void run("undo", {}, "Undo");
+export const redo = () => void run("redo", {}, "Redo");
+
+/** The whole asset in the window, seen from the same side. */
+export function frameAll(): void {
+  const asset = state.value?.asset;
+  const now = pose.value;
+  const stage = document.getElementById("stage");
+  if (asset && now && stage) go(frame(now, asset.center as Vec3, asset.radius, stage.clientWidth / stage.clientHeight));
+}
+
+export function Header() {
+  const now = state.value;
+  const shown = view.value;
+  const set = (part: Partial<typeof shown>) => (view.value = { ...view.value, ...part });
+  return (
+    <header class="header">
+      <span class="brand" aria-hidden="true">
+        <img src="/favicon.svg" width="20" height="20" alt="" />
+      </span>
+      <Button
+        icon="open"
+        label="Open an asset or a project"
+        keys="Ctrl-O"
+        text="Open"
+        onClick={() => (filesOpen.value = "open")}
+      />
+      <Button
+        icon="share"
+        label="Save and export"
+        keys="Ctrl-S"
+        text="Save, export"
+        disabled={!now}
+        onClick={() => (filesOpen.value = "save")}
+      />
+      <span class="title" title={now?.asset.problems.join("\n")}>
+        {now ? (now.project.file ?? now.asset.name) : ""}
+        {readOnly.value && <em class="tag">read only</em>}
+      </span>
+      <Button icon="undo" label="Undo" keys="Ctrl-Z" disabled={!canUndo.value} onClick={undo} />
+      <Button icon="redo" label="Redo" keys="Ctrl-Shift-Z" disabled={!canRedo.value} onClick={redo} />
+      <span class="gap" />
+      <Slider
+        label="Lens"
+        value={pose.value?.fov ?? 40}
+        min={8}
+        max={100}
+        step={1}
+        unit="°"
+        onInput={(fov) => pose.value && go(zoomLens(pose.value, fov))}
+      />
+      <Choice
+        label="Ground"
+        value={shown.background}
+        options={BACKGROUNDS}
+        onChange={(background) => set({ background })}
+      />
+      <Choice
+        label="Pixels"
+        value={String(shown.resolution)}
+        options={RESOLUTIONS}
+        onChange={(value) => set({ resolution: Number(value) })}
+      />
+      <Button icon="frame" label="Show the whole asset" keys="F" onClick={frameAll} />
+      <Button icon="grid" label="Grid" keys="G" pressed={shown.grid} onClick={() => set({ grid: !shown.grid })} />
+      <Button
+        icon="lens"
+        label="True colour: the server's float render"
+        keys="T"
+        pressed={shown.trueColor}
+        onClick={() => set({ trueColor: !shown.trueColor })}
+      />
+      <Button
+        icon="compare"
+        label="Before and after"
+        keys="B"
+        pressed={shown.compare}
+        onClick={() => set({ compare: !shown.compare })}
+      />
+      <Button
+        icon="coverage"
+        label="Coverage: seen and predicted"
+        keys="C"
+        pressed={shown.coverage}
+        onClick={() => set({ coverage: !shown.coverage })}
+      />
+      <Button icon="help" label="Shortcuts" keys="?" onClick={() => (help.value = true)} />
+      <Connection />
+    </header>
+  );
+}
+
+function Connection() {
+  const words = {
+    connecting: "Connecting",
+    open: "Connected",
+    lost: "Connection lost, trying again",
+    stopped: "Stopped",
+  }[status.value];
+  const others = (state.value?.clients ?? 1) - 1;
+  return (
+    <span
+      class={`connection ${status.value}`}
+      role="status"
+      title={others > 0 ? `${words}; ${others} more window${others > 1 ? "s" : ""}` : words}
+    >
+      <i aria-hidden="true" />
+      <span class="quiet">{status.value === "open" ? (pendingStrokes.value ? "Saving" : "Saved") : words}</span>
+    </span>
+  );
+}

@@ -1,0 +1,40 @@
+/** Every step, oldest first; a click goes there. */
+
+import { pythonLog, state } from "../state/store";
+import { run } from "../state/studio";
+import { copy } from "./feedback";
+import { Button } from "./parts";
+
+export function History() {
+  const now = state.value;
+  if (!now) return null;
+  const jump = (cursor: number) => void (cursor !== now.cursor && run("jump", { cursor }, "History"));
+  return (
+    <>
+      <ol class="history" aria-label="History">
+        {now.history.map((step, k) => (
+          <li key={step.id}>
+            <button
+              type="button"
+              class={k > now.cursor ? "undone" : ""}
+              aria-current={now.cursor === k}
+              onClick={() => jump(k)}
+            >
+              {k === 0 ? "Original" : step.label}
+            </button>
+          </li>
+        ))}
+      </ol>
+      {pythonLog.value.length > 0 && (
+        <p class="row">
+          <Button
+            label="Everything done from this window, as Python lines"
+            icon="copy"
+            text="Copy as Python"
+            onClick={() => void copy(pythonLog.value.join("\n"))}
+          />
+        </p>
+      )}
+    </>
+  );
+}

@@ -1,0 +1,228 @@
+/** The list of layers, uppermost first. */
+
+import { useState } from "preact/hooks";
+
+import type { LayerInfo, LayerSet } from "../messages";
+import { blobUrl } from "../net/blobs";
+import { readOnly, selectedLayer, state } from "../state/store";
+import { run } from "../state/studio";
+import { Icon } from "./icons";
+import { Button, Choice, Slider } from "./parts";
+
+const BLENDS = [
+  ["normal", "Normal"],
+  ["color", "Colour"],
+  ["luminosity", "Luminosity"],
+  ["darken", "Darken"],
+  ["lighten", "Lighten"],
+] as const;
+
+const set = (layer: string, fields: Omit<LayerSet, "layer">) => run("layer.set", { layer, ...fields }, "Layer");
+
+export function Layers() {
+  const layers = state.value?.layers ?? [];
+  const shown = [...layers].reverse();
+  const chosen = layers.find((layer) => layer.id === selectedLayer.value) ?? null;
+  const [far, setFar] = useState<string | null>(null);
+  const place = (id: string | null | undefined) => layers.findIndex((layer) => layer.id === id);
+  const [near, end] = [place(chosen?.id), place(far) < 0 ? place(chosen?.id) : place(far)];
+  const range = chosen ? layers.slice(Math.min(near, end), Math.max(near, end) + 1) : [];
+  const choose = (layer: LayerInfo, extend: boolean) => {
+    setFar(extend && chosen ? layer.id : null);
+    if (!extend || !chosen) selectedLayer.value = layer.id;
+  };
+  const [over, setOver] = useState<number | null>(null);
+  const [dragged, setDragged] = useState<string | null>(null);
+  const drop = (to: number) => {
+    if (dragged) void run("layer.move", { layer: dragged, to }, "Reordering");
+    setDragged(null);
+    setOver(null);
+  };
+  return (
+    <section class="panel layers" aria-label="Layers">
+      <h2>Layers</h2>
+      <LayerSettings layer={chosen} layers={layers} range={range} />
+      <ul class="layer-list" aria-label="Layers, uppermost first">
+        {shown.map((layer, k) => {
+          const place = layers.length - 1 - k;
+          return (
+            <li
+              key={layer.id}
+              class={`layer${range.includes(layer) ? " chosen" : ""}${over === place ? " over" : ""}${layer.visible ? "" : " off"}`}
+              draggable={!readOnly.value}
+              onClick={(event) => choose(layer, event.shiftKey)}
+              onDragStart={(event) => {
+                event.dataTransfer!.setData("text/plain", layer.id);
+                setDragged(layer.id);
+              }}
+              onDragOver={(event) => {
+                if (!dragged) return;
+                event.preventDefault();
+                setOver(place);
+              }}
+              onDragLeave={() => setOver(null)}
+              onDragEnd={() => (setDragged(null), setOver(null))}
+              onDrop={(event) => (event.preventDefault(), event.stopPropagation(), drop(place))}
+            >
+              <Button
+                icon={layer.visible ? "eye" : "hidden"}
+                label={layer.visible ? `Hide ${layer.name}` : `Show ${layer.name}`}
+                disabled={readOnly.value}
+                onClick={() => void set(layer.id, { visible: !layer.visible })}
+              />
+              <Thumbnail layer={layer} />
+              <Name
+                layer={layer}
+                chosen={range.includes(layer)}
+                onKeyDown={(event) => onKey(event, layer, place, layers.length)}
+              />
+            </li>
+          );
+        })}
+        {layers.length === 0 && <li class="empty">No layers yet. Paint on the asset, or drop an edited picture.</li>}
+        <li class="layer base">
+          <Icon name="lock" />
+          <span>Original</span>
+          <span class="quiet">{state.value ? `${state.value.asset.rows_original.toLocaleString()} rows` : ""}</span>
+        </li>
+      </ul>
+    </section>
+  );
+}
+
+function onKey(event: KeyboardEvent, layer: LayerInfo, place: number, count: number): void {
+  const handled = () => (event.preventDefault(), event.stopPropagation());
+  if (event.key === "Delete" && !readOnly.value) (void run("layer.delete", { layer: layer.id }, "Deleting"), handled());
+  if (event.altKey && event.key === "ArrowUp" && place < count - 1)
+    (void run("layer.move", { layer: layer.id, to: place + 1 }, "Reordering"), handled());
+  if (event.altKey && event.key === "ArrowDown" && place > 0)
+    (void run("layer.move", { layer: layer.id, to: place - 1 }, "Reordering"), handled());
+}
+
+function Thumbnail({ layer }: { layer: LayerInfo }) {
+  const [first] = layer.views;
+  if (!first?.picture)
+    return <span class="thumbnail none">{layer.kind === "look" ? <Icon name="lens" /> : <Icon name="brush" />}</span>;
+  return <img class="thumbnail" src={blobUrl(first.picture)} alt="" loading="lazy" draggable={false} />;
+}
+
+interface NameProps {
+  layer: LayerInfo;
+  chosen: boolean;
+  onKeyDown: (event: KeyboardEvent) => void;
+}
+
+function Name({ layer, chosen, onKeyDown }: NameProps) {
+  const [editing, setEditing] = useState(false);
+  if (editing)
+    return (
+      <input
+        class="rename"
+        type="text"
+        value={layer.name}
+        aria-label="Layer name"
+        autoFocus
+        ref={(input) => input?.focus()}
+        onClick={(event) => event.stopPropagation()}
+        onBlur={(event) => {
+          setEditing(false);
+          const name = event.currentTarget.value.trim();
+          if (name && name !== layer.name) void set(layer.id, { name });
+        }}
+        onKeyDown={(event) => {
+          event.stopPropagation();
+          if (event.key === "Enter") event.currentTarget.blur();
+          if (event.key === "Escape") setEditing(false);
+        }}
+      />
+    );
+  const rows = layer.rows_touched + layer.rows_appended;
+  const rename = () => !readOnly.value && setEditing(true);
+  return (
+    <button
+      type="button"
+      class="layer-name"
+      aria-pressed={chosen}
+      title={layer.note || layer.name}
+      onDblClick={rename}
+      onKeyDown={(event) => {
+        if (event.key === "F2") rename();
+        else onKeyDown(event);
+      }}
+    >
+      <b>{layer.name}</b>
+      <span class="quiet">
+        {rows.toLocaleString()} rows{layer.opacity < 1 ? `, ${Math.round(layer.opacity * 100)} %` : ""}
+        {layer.blend !== "normal" ? `, ${layer.blend}` : ""}
+      </span>
+    </button>
+  );
+}
+
+/** Go on with the layer that a command made. */
+const chooseMade = (answer: { layer: LayerInfo } | null): void => {
+  if (answer) selectedLayer.value = answer.layer.id;
+};
+
+/** Opacity, blend and actions of the chosen layer. */
+interface SettingsProps {
+  layer: LayerInfo | null;
+  layers: LayerInfo[];
+  /** The chosen layer and those up to where Shift was clicked, from below. */
+  range: LayerInfo[];
+}
+
+function LayerSettings({ layer, layers, range }: SettingsProps) {
+  const [draft, setDraft] = useState<number | null>(null);
+  const off = !layer || readOnly.value;
+  const below = layer ? layers[layers.indexOf(layer) - 1] : undefined;
+  const together = range.length > 1 ? range : layer && below ? [below, layer] : [];
+  return (
+    <div class="layer-settings">
+      <Choice
+        label="Blend"
+        value={layer?.blend ?? "normal"}
+        options={BLENDS}
+        disabled={off}
+        onChange={(blend) => layer && void set(layer.id, { blend })}
+      />
+      <Slider
+        label="Opacity"
+        value={(draft ?? layer?.opacity ?? 1) * 100}
+        min={0}
+        max={100}
+        unit=" %"
+        disabled={off}
+        onInput={(v) => setDraft(v / 100)}
+        onChange={(v) => {
+          if (layer) void set(layer.id, { opacity: Math.round(v) / 100 }).finally(() => setDraft(null));
+        }}
+      />
+      <span class="group">
+        <Button
+          icon="copy"
+          label="Duplicate the layer"
+          disabled={off}
+          onClick={() => layer && void run("layer.duplicate", { layer: layer.id }, "Duplicating").then(chooseMade)}
+        />
+        <Button
+          icon="merge"
+          label={
+            range.length > 1
+              ? `Merge ${range.length} layers`
+              : "Merge with the layer below (Shift-click chooses several)"
+          }
+          disabled={off || together.length < 2}
+          onClick={() => void run("layer.merge", { layers: together.map((one) => one.id) }, "Merging").then(chooseMade)}
+        />
+        <Button
+          icon="bin"
+          label="Delete the layer"
+          keys="Delete"
+          disabled={off}
+          onClick={() => layer && void run("layer.delete", { layer: layer.id }, "Deleting")}
+        />
+      </span>
+    </div>
+  );
+}

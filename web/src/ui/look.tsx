@@ -1,0 +1,214 @@
+/** Global look: sliders, tone curve and hues on all rows or on the selected area, previewed live. */
+
+import { signal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
+
+import type { Look as LookValues } from "../messages";
+import { sendBlob } from "../net/blobs";
+import { selection } from "../paint/desk";
+import { maskPng } from "../paint/picture";
+import { camera, readOnly, selectedLayer, state } from "../state/store";
+import { link, remember, report, run } from "../state/studio";
+import { Curve } from "./curve";
+import { Button, Check, Slider } from "./parts";
+
+type Full = Required<LookValues>;
+const NEUTRAL: Full = {
+  exposure: 0,
+  temperature: 0,
+  tint: 0,
+  contrast: 0,
+  saturation: 0,
+  curve: [],
+  hues: [],
+  strength: 1,
+};
+const HUES = [
+  ["Reds", 0],
+  ["Yellows", 60],
+  ["Greens", 120],
+  ["Cyans", 180],
+  ["Blues", 240],
+  ["Magentas", 300],
+] as const;
+
+const look = signal<Full>(NEUTRAL);
+const onlySelected = signal(false);
+const hue = signal(0);
+let wanted: Full | null = null;
+let busy = false;
+let area: { mask: object; blob: string } | null = null;
+
+/** The fields that say where the look applies. */
+async function where(): Promise<{ mask?: string; camera?: NonNullable<typeof camera.value> }> {
+  const mask = selection.value;
+  if (!onlySelected.value || !mask || !camera.value) return {};
+  if (area?.mask !== mask) area = { mask, blob: await sendBlob(await maskPng(mask), "mask.png") };
+  return { mask: area.blob, camera: camera.value };
+}
+
+const plain = (values: Full) => JSON.stringify(values) === JSON.stringify(NEUTRAL);
+
+/** Show the newest values; while the server works on one, those in between are skipped. */
+async function preview(values: Full): Promise<void> {
+  wanted = values;
+  if (busy) return;
+  busy = true;
+  try {
+    while (wanted) {
+      const next: Full = wanted;
+      wanted = null;
+      await link.do("look.preview", { look: plain(next) ? null : next, ...(await where()) });
+    }
+  } catch (error) {
+    report(error);
+  } finally {
+    busy = false;
+  }
+}
+
+function change(part: Partial<Full>): void {
+  look.value = { ...look.value, ...part };
+  void preview(look.value);
+}
+
+export function resetLook(): void {
+  if (plain(look.value)) return;
+  look.value = NEUTRAL;
+  void preview(NEUTRAL);
+}
+
+async function commit(): Promise<void> {
+  wanted = null;
+  const answer = await run("look.commit", { look: look.value, ...(await where()) }, "Look");
+  if (!answer) return;
+  look.value = NEUTRAL;
+  remember(answer.layer);
+  selectedLayer.value = answer.layer.id;
+}
+
+const AMOUNTS = [
+  ["Exposure", "exposure", -3, 3],
+  ["Temperature", "temperature", -1, 1],
+  ["Tint", "tint", -1, 1],
+  ["Contrast", "contrast", -1, 1],
+  ["Saturation", "saturation", -1, 1],
+] as const;
+
+export function Look() {
+  const chosen = state.value?.layers.find((layer) => layer.id === selectedLayer.value && layer.kind === "look");
+  useEffect(() => resetLook, []);
+  const values = look.value;
+  const band = values.hues.find((one) => one.hue === hue.value) ?? {
+    hue: hue.value,
+    width: 60,
+    shift: 0,
+    saturation: 0,
+    lightness: 0,
+  };
+  const setBand = (part: Partial<typeof band>) =>
+    change({ hues: [...values.hues.filter((one) => one.hue !== hue.value), { ...band, ...part }] });
+  const neutral = plain(values);
+  return (
+    <div class="look">
+      {AMOUNTS.map(([label, key, min, max]) => (
+        <Slider
+          key={key}
+          label={label}
+          value={values[key]}
+          min={min}
+          max={max}
+          digits={2}
+          reset={0}
+          disabled={readOnly.value}
+          onInput={(v) => change({ [key]: v })}
+        />
+      ))}
+      <h3>Tone curve</h3>
+      <Curve points={values.curve} onChange={(curve) => change({ curve })} />
+      <h3>Hues</h3>
+      <span class="hues" role="group" aria-label="Range of hues">
+        {HUES.map(([name, at]) => (
+          <button
+            type="button"
+            key={name}
+            title={name}
+            aria-label={name}
+            aria-pressed={hue.value === at}
+            style={{ background: `hsl(${at} 65% 50%)` }}
+            onClick={() => (hue.value = at)}
+          />
+        ))}
+      </span>
+      <Slider
+        label="Shift"
+        value={band.shift ?? 0}
+        min={-180}
+        max={180}
+        step={1}
+        unit="°"
+        reset={0}
+        disabled={readOnly.value}
+        onInput={(shift) => setBand({ shift })}
+      />
+      <Slider
+        label="Saturation"
+        value={band.saturation ?? 0}
+        min={-1}
+        max={1}
+        digits={2}
+        reset={0}
+        disabled={readOnly.value}
+        onInput={(saturation) => setBand({ saturation })}
+      />
+      <Slider
+        label="Lightness"
+        value={band.lightness ?? 0}
+        min={-1}
+        max={1}
+        digits={2}
+        reset={0}
+        disabled={readOnly.value}
+        onInput={(lightness) => setBand({ lightness })}
+      />
+      <h3>Where</h3>
+      <Slider
+        label="Strength"
+        value={values.strength * 100}
+        min={0}
+        max={100}
+        unit=" %"
+        reset={100}
+        disabled={readOnly.value}
+        onInput={(v) => change({ strength: v / 100 })}
+      />
+      <Check
+        label={selection.value ? "Only the selected area" : "Only the selected area (select one first)"}
+        value={onlySelected.value}
+        disabled={!selection.value}
+        onChange={(on) => ((onlySelected.value = on), void preview(look.value))}
+      />
+      <p class="row">
+        <Button
+          label="Make it a layer"
+          icon="check"
+          text="Apply as layer"
+          primary
+          disabled={neutral || readOnly.value}
+          onClick={() => void commit().catch(report)}
+        />
+        <Button label="All sliders to zero" text="Reset" disabled={neutral} onClick={resetLook} />
+        {chosen && (
+          <Button
+            label="Put these sliders into the chosen look layer"
+            text="Into layer"
+            disabled={neutral || readOnly.value}
+            onClick={() =>
+              void run("layer.set", { layer: chosen.id, parameters: { ...values } }, "Look").then(resetLook)
+            }
+          />
+        )}
+      </p>
+    </div>
+  );
+}

@@ -1,0 +1,287 @@
+/** The bar under the header: settings of the tool in hand. */
+
+import { signal } from "@preact/signals";
+
+import { cloneFrom, selection } from "../paint/desk";
+import { commitPlacement, placement, startStamp } from "../paint/placement";
+import { setColor } from "../paint/pointing";
+import { invert } from "../paint/select";
+import {
+  brush,
+  camera,
+  color,
+  fill,
+  method,
+  paintMode,
+  recentColors,
+  selecting,
+  state,
+  text,
+  tool,
+  type PaintMode,
+  type SelectKind,
+} from "../state/store";
+import { report } from "../state/studio";
+import { fonts, loadFont, systemFonts } from "./fonts";
+import { Button, Check, Choice, FileButton, Slider } from "./parts";
+
+const MODES: readonly (readonly [PaintMode, string])[] = [
+  ["normal", "Normal"],
+  ["color", "Colour only"],
+  ["darken", "Darken"],
+  ["lighten", "Lighten"],
+];
+const METHODS = { auto: "Auto", ttt: "Network", lift: "Lift", fit: "Fit" } as const;
+const PAINTS = ["brush", "erase", "line", "clone", "heal", "fill", "text", "stamp"];
+const more = signal(false);
+
+export function Options() {
+  const current = tool.value;
+  const round = ["brush", "erase", "line", "clone", "heal"].includes(current);
+  const colored = ["brush", "line", "fill", "text", "stamp"].includes(current);
+  return (
+    <section class="options" aria-label="Tool settings">
+      {round && <Round />}
+      {current === "fill" && <Fill />}
+      {current === "text" && <Text />}
+      {current === "stamp" && <Stamp />}
+      {(current === "clone" || current === "heal") && (
+        <span class="hint">
+          {cloneFrom.value ? "Alt-click: another source" : "Alt-click on the asset: where to copy from"}
+        </span>
+      )}
+      {current === "select" && <Select />}
+      {current === "orbit" && (
+        <span class="hint">Drag to turn, Shift-drag or middle button to slide, wheel to come closer</span>
+      )}
+      {current === "pick" && <span class="hint">Click: takes the colour as it is seen</span>}
+      {colored && (
+        <Choice label="Mode" value={paintMode.value} options={MODES} onChange={(value) => (paintMode.value = value)} />
+      )}
+      {colored && current !== "stamp" && <Recent />}
+      {PAINTS.includes(current) && <Methods />}
+      {selection.value && (
+        <span class="group">
+          <Button label="Deselect" keys="Ctrl-D" text="Deselect" onClick={() => (selection.value = null)} />
+        </span>
+      )}
+    </section>
+  );
+}
+
+function Round() {
+  const b = brush.value;
+  const set = (part: Partial<typeof b>) => (brush.value = { ...brush.value, ...part });
+  return (
+    <>
+      <Slider
+        label="Size"
+        value={b.size}
+        min={1}
+        max={600}
+        log
+        digits={0}
+        unit=" px"
+        onInput={(size) => set({ size })}
+      />
+      <Slider
+        label="Hardness"
+        value={b.hardness * 100}
+        min={0}
+        max={100}
+        unit=" %"
+        onInput={(v) => set({ hardness: v / 100 })}
+      />
+      <Slider
+        label="Opacity"
+        value={b.opacity * 100}
+        min={1}
+        max={100}
+        unit=" %"
+        onInput={(v) => set({ opacity: v / 100 })}
+      />
+      <Slider label="Flow" value={b.flow * 100} min={1} max={100} unit=" %" onInput={(v) => set({ flow: v / 100 })} />
+      <Button label="Pen pressure" text="Pen" pressed={more.value} onClick={() => (more.value = !more.value)} />
+      {more.value && (
+        <span class="group">
+          <Check label="Pressure: size" value={b.pressureSize} onChange={(pressureSize) => set({ pressureSize })} />
+          <Check label="flow" value={b.pressureFlow} onChange={(pressureFlow) => set({ pressureFlow })} />
+        </span>
+      )}
+    </>
+  );
+}
+
+function Fill() {
+  const f = fill.value;
+  return (
+    <>
+      <Slider
+        label="Tolerance"
+        value={f.tolerance * 100}
+        min={0}
+        max={100}
+        unit=" %"
+        onInput={(v) => (fill.value = { ...f, tolerance: v / 100 })}
+      />
+      <Slider
+        label="Opacity"
+        value={brush.value.opacity * 100}
+        min={1}
+        max={100}
+        unit=" %"
+        onInput={(v) => (brush.value = { ...brush.value, opacity: v / 100 })}
+      />
+      <Check
+        label="Connected only"
+        value={f.contiguous}
+        onChange={(contiguous) => (fill.value = { ...f, contiguous })}
+      />
+    </>
+  );
+}
+
+function Text() {
+  const t = text.value;
+  const set = (part: Partial<typeof t>) => (text.value = { ...text.value, ...part });
+  return (
+    <>
+      <input
+        class="words"
+        type="text"
+        aria-label="Text"
+        value={t.text}
+        onKeyDown={(event) => event.stopPropagation()}
+        onInput={(event) => set({ text: event.currentTarget.value })}
+      />
+      <Choice
+        label="Font"
+        value={t.font}
+        options={fonts.value.map((name) => [name, name] as const)}
+        onChange={(font) => set({ font })}
+      />
+      {"queryLocalFonts" in window && (
+        <Button
+          label="List the fonts of this computer"
+          text="System fonts"
+          onClick={() => void systemFonts().catch(report)}
+        />
+      )}
+      <FileButton
+        label="Font file"
+        accept=".ttf,.otf,.woff,.woff2"
+        onFiles={([file]) =>
+          void loadFont(file)
+            .then((font) => set({ font }))
+            .catch(report)
+        }
+      />
+      <Slider label="Size" value={t.size} min={8} max={400} log unit=" px" onInput={(size) => set({ size })} />
+      <Check label="Bold" value={t.bold} onChange={(bold) => set({ bold })} />
+      <Check label="Italic" value={t.italic} onChange={(italic) => set({ italic })} />
+      {placement.value ? <Place /> : <span class="hint">Click on the asset</span>}
+    </>
+  );
+}
+
+function Stamp() {
+  const start = ([file]: File[]) => {
+    const now = camera.value;
+    if (file && now)
+      void startStamp(file, file.name, now).catch(() =>
+        report(new Error(`${file.name} is not a picture that this browser reads.`)),
+      );
+  };
+  return (
+    <>
+      <FileButton
+        label="Choose a picture"
+        icon="open"
+        accept="image/png,image/jpeg,image/webp,image/avif"
+        onFiles={start}
+      />
+      {placement.value ? <Place /> : <span class="hint">or paste one</span>}
+    </>
+  );
+}
+
+function Place() {
+  return (
+    <span class="group">
+      <Button label="Apply" keys="Enter" icon="check" text="Apply" primary onClick={() => void commitPlacement()} />
+      <Button label="Drop it" keys="Esc" icon="close" onClick={() => (placement.value = null)} />
+    </span>
+  );
+}
+
+function Select() {
+  const s = selecting.value;
+  const kinds: readonly (readonly [SelectKind, string])[] = [
+    ["rectangle", "Rectangle"],
+    ["lasso", "Lasso"],
+    ["color", "By colour"],
+  ];
+  return (
+    <>
+      <Choice label="Select" value={s.kind} options={kinds} onChange={(kind) => (selecting.value = { ...s, kind })} />
+      {s.kind === "color" && (
+        <Slider
+          label="Tolerance"
+          value={s.tolerance * 100}
+          min={0}
+          max={100}
+          unit=" %"
+          onInput={(v) => (selecting.value = { ...s, tolerance: v / 100 })}
+        />
+      )}
+      <Slider
+        label="Feather"
+        value={s.feather}
+        min={0}
+        max={40}
+        step={1}
+        unit=" px"
+        onInput={(feather) => (selecting.value = { ...s, feather: Math.round(feather) })}
+      />
+      {selection.value && (
+        <Button
+          label="Invert"
+          keys="Ctrl-Shift-I"
+          text="Invert"
+          onClick={() => (selection.value = invert(selection.value!))}
+        />
+      )}
+      <span class="hint">Shift adds, Alt takes away</span>
+    </>
+  );
+}
+
+function Recent() {
+  return (
+    <span class="recent">
+      {recentColors.value.slice(0, 6).map((value) => (
+        <button
+          type="button"
+          key={value}
+          aria-label={`Colour ${value}`}
+          title={value}
+          style={{ background: value }}
+          aria-pressed={value === color.value}
+          onClick={() => setColor(value)}
+        />
+      ))}
+    </span>
+  );
+}
+
+function Methods() {
+  const there = state.value?.methods ?? ["auto"];
+  return (
+    <Choice
+      label="Method"
+      value={method.value}
+      options={there.map((key) => [key, METHODS[key]] as const)}
+      onChange={(value) => (method.value = value)}
+    />
+  );
+}

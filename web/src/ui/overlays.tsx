@@ -1,0 +1,88 @@
+/** Still pictures of the view from the server: true colour, the original for the before/after line, coverage. */
+
+import { signal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
+
+import { blobUrl } from "../net/blobs";
+import { camera, compareAt, state, view } from "../state/store";
+import { run } from "../state/studio";
+import type { CameraJson } from "../view/camera";
+import { moving } from "./stage";
+
+type Kind = "true" | "before" | "coverage";
+const shown: Record<Kind, ReturnType<typeof signal<{ url: string; camera: CameraJson; version: number } | null>>> = {
+  true: signal(null),
+  before: signal(null),
+  coverage: signal(null),
+};
+/** What the last coverage said, and where to look next. */
+export const covered = signal<{ seen: number; predicted: number; next: CameraJson | null } | null>(null);
+
+async function ask(kind: Kind, at: CameraJson): Promise<string | null> {
+  if (kind === "coverage") {
+    const answer = await run("coverage", { camera: at }, "Coverage");
+    if (answer)
+      covered.value = { seen: answer.seen, predicted: answer.predicted, next: answer.next_view as CameraJson | null };
+    return answer && blobUrl(answer.picture);
+  }
+  const answer = await run("view.render", { camera: at, which: kind === "before" ? "original" : "now" }, "Rendering");
+  return answer && blobUrl(answer.picture);
+}
+
+/** The picture of the present view if it is wanted, there, and up to date; asks for it when the camera rests. */
+function usePicture(kind: Kind, wanted: boolean): string | null {
+  const now = camera.value;
+  const version = state.value?.version ?? 0;
+  const still = !moving.value;
+  const have = shown[kind].value;
+  const fresh =
+    have !== null && have !== undefined && have.camera === now && (kind === "before" || have.version === version);
+  useEffect(() => {
+    if (!wanted || !still || fresh || !now) return;
+    void ask(kind, now).then((url) => {
+      if (url) shown[kind].value = { url, camera: now, version };
+    });
+  }, [wanted, still, now, version]);
+  return wanted && have && have.camera === now ? have.url : null;
+}
+
+export function Overlays() {
+  const { trueColor, compare, coverage } = view.value;
+  const truth = usePicture("true", trueColor);
+  const before = usePicture("before", compare);
+  const seen = usePicture("coverage", coverage);
+  const at = compareAt.value;
+  return (
+    <>
+      {truth && <img class="still" src={truth} alt="" data-still="true" />}
+      {before && (
+        <img
+          class="still"
+          src={before}
+          alt=""
+          data-still="before"
+          style={{ clipPath: `inset(0 ${(1 - at) * 100}% 0 0)` }}
+        />
+      )}
+      {seen && <img class="still" src={seen} alt="" data-still="coverage" />}
+      {compare && (
+        <div class="compare" style={{ left: `${at * 100}%` }}>
+          <span class="before-label">before</span>
+          <span class="after-label">after</span>
+        </div>
+      )}
+      {compare && (
+        <input
+          class="compare-slider"
+          type="range"
+          min={0}
+          max={1}
+          step={0.001}
+          value={at}
+          aria-label="Before and after"
+          onInput={(event) => (compareAt.value = Number(event.currentTarget.value))}
+        />
+      )}
+    </>
+  );
+}

@@ -1,0 +1,263 @@
+/** Small parts that panels are made of. */
+
+import type { ComponentChildren } from "preact";
+import { useEffect, useRef, useState } from "preact/hooks";
+
+import { Icon, type IconName } from "./icons";
+
+interface ButtonProps {
+  icon?: IconName;
+  label: string;
+  /** Key shown in the tooltip. */
+  keys?: string;
+  text?: ComponentChildren;
+  pressed?: boolean;
+  disabled?: boolean;
+  primary?: boolean;
+  onClick: () => void;
+}
+
+export function Button({ icon, label, keys, text, pressed, disabled, primary, onClick }: ButtonProps) {
+  const title = keys ? `${label} (${keys})` : label;
+  return (
+    <button
+      type="button"
+      class={`button${primary ? " primary" : ""}${text ? "" : " bare"}`}
+      title={title}
+      aria-label={text ? undefined : label}
+      aria-pressed={pressed}
+      disabled={disabled}
+      onClick={onClick}
+    >
+      {icon && <Icon name={icon} />}
+      {text && <span>{text}</span>}
+    </button>
+  );
+}
+
+interface SliderProps {
+  label: string;
+  value: number;
+  min: number;
+  max: number;
+  step?: number;
+  /** Steps of the slider are even in the logarithm: sizes. */
+  log?: boolean;
+  digits?: number;
+  unit?: string;
+  /** Double click goes there. */
+  reset?: number;
+  disabled?: boolean;
+  onInput: (value: number) => void;
+  /** When let go. */
+  onChange?: (value: number) => void;
+}
+
+export function Slider({
+  label,
+  value,
+  min,
+  max,
+  step = 0.01,
+  log,
+  digits = 0,
+  unit = "",
+  reset,
+  disabled,
+  onInput,
+  onChange,
+}: SliderProps) {
+  const to = (v: number) => (log ? Math.log(v) : v);
+  const from = (v: number) => (log ? Math.exp(v) : v);
+  const share = (v: number) => (100 * (to(v) - to(min))) / (to(max) - to(min));
+  const zero = !log && min < 0 && max > 0 ? share(0) : 0; // what has two sides is filled from its middle
+  const fill = { "--from": `${Math.min(zero, share(value))}%`, "--to": `${Math.max(zero, share(value))}%` };
+  return (
+    <label class="slider">
+      <span class="slider-name">{label}</span>
+      <input
+        type="range"
+        min={to(min)}
+        max={to(max)}
+        step={log ? 0.001 : step}
+        value={to(value)}
+        disabled={disabled}
+        style={fill}
+        aria-label={label}
+        aria-valuetext={`${value.toFixed(digits)}${unit}`}
+        onInput={(event) => onInput(from(Number(event.currentTarget.value)))}
+        onChange={(event) => onChange?.(from(Number(event.currentTarget.value)))}
+        onDblClick={() => reset !== undefined && (onInput(reset), onChange?.(reset))}
+      />
+      <NumberField
+        label={label}
+        value={value}
+        min={min}
+        max={max}
+        digits={digits}
+        unit={unit}
+        disabled={disabled}
+        onChange={(v) => (onInput(v), onChange?.(v))}
+      />
+    </label>
+  );
+}
+
+interface NumberProps {
+  label: string;
+  value: number;
+  min: number;
+  max: number;
+  digits: number;
+  unit: string;
+  disabled?: boolean;
+  onChange: (value: number) => void;
+}
+
+function NumberField({ label, value, min, max, digits, unit, disabled, onChange }: NumberProps) {
+  const shown = value.toFixed(digits);
+  const [draft, setDraft] = useState<string | null>(null);
+  const commit = () => {
+    const typed = Number.parseFloat(draft ?? "");
+    if (Number.isFinite(typed)) onChange(Math.max(min, Math.min(max, typed)));
+    setDraft(null);
+  };
+  return (
+    <span class="number">
+      <input
+        type="text"
+        inputMode="decimal"
+        aria-label={`${label}, number`}
+        value={draft ?? shown}
+        disabled={disabled}
+        onInput={(event) => setDraft(event.currentTarget.value)}
+        onBlur={() => draft !== null && commit()}
+        onKeyDown={(event) => {
+          event.stopPropagation();
+          if (event.key === "Enter") commit();
+          if (event.key === "Escape") setDraft(null);
+        }}
+      />
+      {unit}
+    </span>
+  );
+}
+
+interface ChoiceProps<T extends string> {
+  label: string;
+  value: T;
+  options: readonly (readonly [T, string])[];
+  disabled?: boolean;
+  onChange: (value: T) => void;
+}
+
+export function Choice<T extends string>({ label, value, options, disabled, onChange }: ChoiceProps<T>) {
+  return (
+    <label class="choice">
+      <span>{label}</span>
+      <select
+        value={value}
+        disabled={disabled}
+        aria-label={label}
+        onChange={(event) => onChange(event.currentTarget.value as T)}
+      >
+        {options.map(([key, name]) => (
+          <option key={key} value={key}>
+            {name}
+          </option>
+        ))}
+      </select>
+    </label>
+  );
+}
+
+export function Check({
+  label,
+  value,
+  disabled,
+  onChange,
+}: {
+  label: string;
+  value: boolean;
+  disabled?: boolean;
+  onChange: (value: boolean) => void;
+}) {
+  return (
+    <label class="check">
+      <input
+        type="checkbox"
+        checked={value}
+        disabled={disabled}
+        onChange={(event) => onChange(event.currentTarget.checked)}
+      />
+      <span>{label}</span>
+    </label>
+  );
+}
+
+/** Opens a file chooser. */
+export function FileButton({
+  label,
+  icon,
+  accept,
+  multiple,
+  onFiles,
+}: {
+  label: string;
+  icon?: IconName;
+  accept: string;
+  multiple?: boolean;
+  onFiles: (files: File[]) => void;
+}) {
+  const input = useRef<HTMLInputElement>(null);
+  return (
+    <>
+      <Button label={label} icon={icon} text={label} onClick={() => input.current!.click()} />
+      <input
+        ref={input}
+        type="file"
+        accept={accept}
+        multiple={multiple}
+        hidden
+        aria-hidden="true"
+        tabIndex={-1}
+        onChange={(event) => {
+          onFiles([...(event.currentTarget.files ?? [])]);
+          event.currentTarget.value = "";
+        }}
+      />
+    </>
+  );
+}
+
+/** A modal window; Escape and a click beside it close it. */
+export function Dialog({
+  title,
+  onClose,
+  children,
+}: {
+  title: string;
+  onClose: () => void;
+  children: ComponentChildren;
+}) {
+  const box = useRef<HTMLDialogElement>(null);
+  useEffect(() => {
+    box.current!.showModal();
+  }, []);
+  return (
+    <dialog
+      ref={box}
+      class="dialog"
+      aria-label={title}
+      onClose={onClose}
+      onClick={(event) => event.target === box.current && onClose()}
+      onKeyDown={(event) => event.stopPropagation()}
+    >
+      <header>
+        <h2>{title}</h2>
+        <Button icon="close" label="Close" onClick={onClose} />
+      </header>
+      <div class="dialog-body">{children}</div>
+    </dialog>
+  );
+}

@@ -1,0 +1,157 @@
+/** Pictures edited elsewhere: what they are, what changed in them, and one edit from up to four. */
+
+import { useRef } from "preact/hooks";
+
+import { blobUrl } from "../net/blobs";
+import { startStamp } from "../paint/placement";
+import {
+  addPicture,
+  applyDrops,
+  check,
+  discard,
+  dropMode,
+  drops,
+  isPresentView,
+  maskUrl,
+  MOST,
+  type Drop,
+} from "../state/drops";
+import { camera, method, readOnly } from "../state/store";
+import { report } from "../state/studio";
+import { Button, Choice, FileButton, Slider } from "./parts";
+import { chooseTool } from "./toolbar";
+import { goTo } from "./views";
+
+const MODES = [
+  ["local", "Only what changed"],
+  ["global", "The whole asset (regrade, relight)"],
+] as const;
+const FOUND = {
+  given: "the present view",
+  chunk: "its camera is in the file",
+  sidecar: "its camera is in the file beside it",
+  export: "recognised as an exported view",
+} as const;
+
+export function Pictures() {
+  const list = drops.value;
+  const ready = list.filter((one) => one.checked).length;
+  return (
+    <div class="pictures">
+      <p class="row">
+        <FileButton
+          label="Choose pictures"
+          icon="open"
+          accept="image/png,image/jpeg,image/webp"
+          multiple
+          onFiles={(files) => files.slice(0, MOST).forEach((file) => void addPicture(file))}
+        />
+      </p>
+      {list.length === 0 && (
+        <p class="quiet">
+          Drop a picture of the asset that you edited in another program. Its camera is found by itself.
+        </p>
+      )}
+      {list.map((one) => (
+        <Entry key={one.id} one={one} />
+      ))}
+      {ready > 0 && (
+        <>
+          <Choice label="Changes" value={dropMode.value} options={MODES} onChange={(mode) => (dropMode.value = mode)} />
+          <p class="row">
+            <Button
+              label="Make it a layer"
+              icon="check"
+              primary
+              disabled={readOnly.value}
+              text={ready > 1 ? `Apply ${ready} views as one layer` : "Apply as layer"}
+              onClick={() => void applyDrops(method.value)}
+            />
+          </p>
+        </>
+      )}
+    </div>
+  );
+}
+
+function Entry({ one }: { one: Drop }) {
+  const timer = useRef<ReturnType<typeof setTimeout> | undefined>(undefined);
+  const { checked } = one;
+  const stamp = async () => {
+    const now = camera.value;
+    if (!now) return;
+    chooseTool("stamp");
+    const pixels = await (await fetch(blobUrl(one.blob))).blob();
+    await startStamp(pixels, one.name, now);
+    discard(one.id);
+  };
+  const recheck = (percent: number) => {
+    clearTimeout(timer.current);
+    timer.current = setTimeout(() => void check(one.id, { threshold: percent / 100 }).catch(report), 150);
+  };
+  return (
+    <article class="drop" aria-label={one.name}>
+      <header>
+        <b title={one.name}>{one.name}</b>
+        {checked && <Button icon="camera" label="Go to this view" onClick={() => goTo(checked.camera)} />}
+        <Button icon="close" label="Take it away" onClick={() => discard(one.id)} />
+      </header>
+      <span class="drop-picture">
+        <img src={blobUrl(checked?.picture ?? one.blob)} alt={one.name} />
+        {checked && dropMode.value === "local" && (
+          <span class="drop-mask" role="img" aria-label="What changed" style={{ "--mask": `url(${maskUrl(one)})` }} />
+        )}
+      </span>
+      {checked && (
+        <>
+          <p class="quiet">
+            {FOUND[checked.found]}; {(checked.share * 100).toFixed(1)} % changed
+            {Math.hypot(...checked.shift) > 0.05
+              ? `; moved back by ${checked.shift.map((v) => v.toFixed(1)).join(", ")} px`
+              : ""}
+          </p>
+          {checked.notes.map((line) => (
+            <p class="quiet" key={line}>
+              {line}
+            </p>
+          ))}
+          {checked.warnings.map((warning) => (
+            <div class="warning" key={warning.message}>
+              <p>{warning.message}</p>
+              {warning.picture && <img src={blobUrl(warning.picture)} alt="Where" />}
+            </div>
+          ))}
+          {dropMode.value === "local" && (
+            <Slider
+              label="Threshold"
+              value={(one.threshold ?? 0.02) * 100}
+              min={0}
+              max={30}
+              step={0.1}
+              digits={1}
+              unit=" %"
+              onInput={recheck}
+            />
+          )}
+        </>
+      )}
+      {one.problem && (
+        <div class="warning">
+          <p>{one.problem}</p>
+          <p class="row">
+            <Button
+              label="It shows the present view"
+              text="It shows this view"
+              onClick={() => void isPresentView(one.id).catch(report)}
+            />
+            <Button
+              label="Lay it on the view and move it"
+              text="Use as stamp"
+              onClick={() => void stamp().catch(report)}
+            />
+          </p>
+        </div>
+      )}
+    </article>
+  );
+}

@@ -1,0 +1,180 @@
+/** Views: bookmarks, export for editing elsewhere, turntable, where to look next, conflicts. */
+
+import { signal } from "@preact/signals";
+
+import type { Bookmark, Conflict } from "../messages";
+import { blobUrl, download } from "../net/blobs";
+import { camera, readOnly, state, toast, view } from "../state/store";
+import { go, run } from "../state/studio";
+import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
+import { covered } from "./overlays";
+import { Button, Choice } from "./parts";
+
+const POLICIES = [
+  ["latest", "the upper one"],
+  ["first", "the lower one"],
+  ["blend", "a blend"],
+] as const;
+const naming = signal("");
+
+export const goTo = (to: unknown): void => {
+  const center = (state.value?.asset.center ?? [0, 0, 0]) as Vec3;
+  go(fromCamera(to as CameraJson, center));
+};
+
+async function exportView(to: "download" | "folder"): Promise<void> {
+  if (!camera.value) return;
+  const name = `view-${new Date().toISOString().slice(0, 19).replace(/[-:T]/g, "")}`;
+  const answer = await run("view.export", { camera: camera.value, to, name }, "Rendering the view");
+  if (!answer) return;
+  if (to === "download") download(blobUrl(answer.picture), `${name}.png`);
+  else
+    toast(
+      "info",
+      `${answer.file ?? name} is in the folder ${state.value?.folder ?? ""}.`,
+      "Edit it and save over it: it comes back by itself.",
+    );
+}
+
+async function turntable(): Promise<void> {
+  if (!camera.value) return;
+  const answer = await run("turntable", { camera: camera.value }, "Turntable");
+  if (answer) download(blobUrl(answer.picture), "turntable.webp");
+}
+
+async function nextView(): Promise<void> {
+  if (!camera.value) return;
+  const answer = await run("coverage", { camera: camera.value }, "Looking for the largest unseen area");
+  if (!answer) return;
+  covered.value = { seen: answer.seen, predicted: answer.predicted, next: answer.next_view as CameraJson | null };
+  if (answer.next_view) goTo(answer.next_view);
+  else toast("info", "Nothing is predicted that was not seen.");
+}
+
+export function Views() {
+  const now = state.value;
+  if (!now) return null;
+  const seen = covered.value;
+  return (
+    <div class="views">
+      <h3>Edit this view elsewhere</h3>
+      <p class="row">
+        <Button
+          label="Download the view as a PNG with its camera"
+          icon="camera"
+          text="Download PNG"
+          onClick={() => void exportView("download")}
+        />
+        {now.folder && (
+          <Button
+            label={`Write it into the folder ${now.folder}`}
+            text="Into the folder"
+            onClick={() => void exportView("folder")}
+          />
+        )}
+      </p>
+      <p class="quiet">Change it in any program, then drop it onto this window.</p>
+      <h3>Bookmarks</h3>
+      <AddBookmark />
+      <ul class="list">
+        {now.bookmarks.map((one) => (
+          <BookmarkRow key={one.id} one={one} />
+        ))}
+      </ul>
+      <h3>Coverage</h3>
+      <p class="row">
+        <Button
+          label="Show me the largest unseen area"
+          icon="next"
+          text="Largest unseen area"
+          onClick={() => void nextView()}
+        />
+        <Button
+          label="Green: seen by an edited view; red: predicted"
+          icon="coverage"
+          text="Overlay"
+          pressed={view.value.coverage}
+          onClick={() => (view.value = { ...view.value, coverage: !view.value.coverage })}
+        />
+      </p>
+      {seen && (
+        <p class="quiet">
+          {seen.seen.toLocaleString()} rows seen in edited views, {seen.predicted.toLocaleString()} predicted
+        </p>
+      )}
+      <h3>Turntable</h3>
+      <p class="row">
+        <Button
+          label="One turn as an animated WebP"
+          icon="film"
+          text="Download WebP"
+          onClick={() => void turntable()}
+        />
+      </p>
+      {now.conflicts.length > 0 && (
+        <>
+          <h3>Conflicts</h3>
+          {now.conflicts.map((one) => (
+            <ConflictRow key={`${one.lower} ${one.upper}`} one={one} />
+          ))}
+        </>
+      )}
+    </div>
+  );
+}
+
+function AddBookmark() {
+  const add = () => {
+    if (!camera.value) return;
+    const name = naming.value.trim() || `View ${(state.value?.bookmarks.length ?? 0) + 1}`;
+    void run("bookmark.add", { name, camera: camera.value }).then((answer) => answer && (naming.value = ""));
+  };
+  return (
+    <p class="row">
+      <input
+        type="text"
+        aria-label="Name of the bookmark"
+        placeholder="Name of this view"
+        value={naming.value}
+        onInput={(event) => (naming.value = event.currentTarget.value)}
+        onKeyDown={(event) => (event.stopPropagation(), event.key === "Enter" && add())}
+      />
+      <Button icon="plus" label="Bookmark this view" disabled={readOnly.value} onClick={add} />
+    </p>
+  );
+}
+
+function BookmarkRow({ one }: { one: Bookmark }) {
+  return (
+    <li>
+      <button type="button" onClick={() => goTo(one.camera)}>
+        {one.name}
+      </button>
+      <Button
+        icon="bin"
+        label={`Delete ${one.name}`}
+        disabled={readOnly.value}
+        onClick={() => void run("bookmark.delete", { bookmark: one.id })}
+      />
+    </li>
+  );
+}
+
+function ConflictRow({ one }: { one: Conflict }) {
+  const name = (id: string) => state.value?.layers.find((layer) => layer.id === id)?.name ?? "a layer";
+  return (
+    <div class="conflict">
+      <p>
+        <b>{name(one.upper)}</b> overwrites {one.rows.toLocaleString()} rows of <b>{name(one.lower)}</b> (
+        {Math.round(one.share * 100)} %), painted from another view.
+      </p>
+      <Choice
+        label="Show"
+        value={one.policy}
+        options={POLICIES}
+        disabled={readOnly.value}
+        onChange={(policy) => void run("conflict.set", { lower: one.lower, upper: one.upper, policy }, "Conflict")}
+      />
+    </div>
+  );
+}

@@ -1,0 +1,150 @@
+/** Cameras as the server speaks of them (OpenCV axes, row-major world_to_camera), and the orbit that moves one. */
+
+/** splatpainter.cameras.Camera as JSON. */
+export interface CameraJson {
+  version: 1;
+  width: number;
+  height: number;
+  fx: number;
+  fy: number;
+  cx: number;
+  cy: number;
+  world_to_camera: number[][];
+  background: number[];
+  asset_sha256?: string | null;
+}
+
+export type Vec3 = [number, number, number];
+
+/** Where one looks from, without a picture size. Axes in world space: right, down, forward (orthonormal). */
+export interface Pose {
+  eye: Vec3;
+  right: Vec3;
+  down: Vec3;
+  forward: Vec3;
+  /** The point that orbiting goes around lies this far ahead. */
+  distance: number;
+  /** Vertical field of view, degrees. */
+  fov: number;
+}
+
+export const add = (a: Vec3, b: Vec3): Vec3 => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+export const sub = (a: Vec3, b: Vec3): Vec3 => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+export const scale = (a: Vec3, k: number): Vec3 => [a[0] * k, a[1] * k, a[2] * k];
+export const dot = (a: Vec3, b: Vec3): number => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const cross = (a: Vec3, b: Vec3): Vec3 => [
+  a[1] * b[2] - a[2] * b[1],
+  a[2] * b[0] - a[0] * b[2],
+  a[0] * b[1] - a[1] * b[0],
+];
+export const unit = (a: Vec3): Vec3 => scale(a, 1 / (Math.hypot(...a) || 1));
+
+export const target = (pose: Pose): Vec3 => add(pose.eye, scale(pose.forward, pose.distance));
+
+/** A pose at `eye` facing `at`; `up` points up in the picture. */
+export function lookAt(eye: Vec3, at: Vec3, up: Vec3, fov: number): Pose {
+  const forward = unit(sub(at, eye));
+  let side = cross(forward, up);
+  if (Math.hypot(...side) < 1e-6) side = cross(forward, Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 0, 1]);
+  const right = unit(side);
+  return { eye, right, down: cross(forward, right), forward, distance: Math.hypot(...sub(at, eye)), fov };
+}
+
+/** The camera that sees a pose in a picture of width x height pixels. */
+export function toCamera(pose: Pose, width: number, height: number, background: number[]): CameraJson {
+  const focal = height / (2 * Math.tan((pose.fov * Math.PI) / 360));
+  const rows = [pose.right, pose.down, pose.forward].map((axis) => [...axis, -dot(axis, pose.eye)]);
+  return {
+    version: 1,
+    width,
+    height,
+    fx: focal,
+    fy: focal,
+    cx: width / 2,
+    cy: height / 2,
+    world_to_camera: [...rows, [0, 0, 0, 1]],
+    background,
+  };
+}
+
+/** The pose of a camera; what orbiting goes around is the point of its axis nearest to `around`. */
+export function fromCamera(camera: CameraJson, around: Vec3): Pose {
+  const [r, d, f] = camera.world_to_camera;
+  const axis = (row: number[]): Vec3 => [row[0], row[1], row[2]];
+  const [right, down, forward] = [axis(r), axis(d), axis(f)];
+  const eye = add(add(scale(right, -r[3]), scale(down, -d[3])), scale(forward, -f[3]));
+  const ahead = dot(sub(around, eye), forward);
+  const size = Math.hypot(...sub(around, eye)) || 1;
+  const fov = (Math.atan(camera.height / (2 * camera.fy)) * 360) / Math.PI;
+  return { eye, right, down, forward, distance: ahead > 0.05 * size ? ahead : size, fov };
+}
+
+/** `v` turned by `angle` radians around the unit axis `k` (Rodrigues). */
+export function turn(v: Vec3, k: Vec3, angle: number): Vec3 {
+  const c = Math.cos(angle);
+  const s = Math.sin(angle);
+  return add(add(scale(v, c), scale(cross(k, v), s)), scale(k, dot(k, v) * (1 - c)));
+}
+
+/** Turn around the target: `yaw` around the world's up, `pitch` around the picture's x axis (radians), short of the poles. */
+export function orbit(pose: Pose, yaw: number, pitch: number, up: Vec3): Pose {
+  const about = target(pose);
+  const height = Math.asin(Math.max(-1, Math.min(1, -dot(pose.forward, up))));
+  const limit = (89.5 * Math.PI) / 180;
+  const next = Math.max(-limit, Math.min(limit, height + pitch));
+  const tilt = Math.abs(height) > limit && Math.abs(next) >= limit ? 0 : next - height;
+  const move = (v: Vec3): Vec3 => turn(turn(v, pose.right, -tilt), unit(up), yaw);
+  const forward = unit(move(pose.forward));
+  const raw = move(pose.right);
+  const right = unit(sub(raw, scale(forward, dot(raw, forward))));
+  return { ...pose, forward, right, down: cross(forward, right), eye: sub(about, scale(forward, pose.distance)) };
+}
+
+/** Slide in the picture plane so that the target moves by (dx, dy) pixels of a picture `height` pixels high. */
+export function pan(pose: Pose, dx: number, dy: number, height: number): Pose {
+  const perPixel = (2 * pose.distance * Math.tan((pose.fov * Math.PI) / 360)) / height;
+  return { ...pose, eye: add(pose.eye, add(scale(pose.right, -dx * perPixel), scale(pose.down, -dy * perPixel))) };
+}
+
+/** Come closer (factor < 1) or go away, keeping the target. */
+export function dolly(pose: Pose, factor: number, nearest: number): Pose {
+  const distance = Math.max(nearest, pose.distance * factor);
+  return { ...pose, eye: sub(target(pose), scale(pose.forward, distance)), distance };
+}
+
+/** Look the same way at a sphere that then fills the picture. */
+export function frame(pose: Pose, center: Vec3, radius: number, aspect: number): Pose {
+  const half = (pose.fov * Math.PI) / 360;
+  const narrow = Math.min(half, Math.atan(Math.tan(half) * aspect));
+  const distance = (radius / Math.sin(narrow)) * 1.05;
+  return { ...pose, eye: sub(center, scale(pose.forward, distance)), distance };
+}
+
+/** Another field of view with the target as large as before. */
+export function zoomLens(pose: Pose, fov: number): Pose {
+  const factor = Math.tan((pose.fov * Math.PI) / 360) / Math.tan((fov * Math.PI) / 360);
+  return { ...dolly(pose, factor, 0), fov };
+}
+
+/** A world point's pixel [x, y] and its depth; depth <= 0 is behind the camera. */
+export function project(camera: CameraJson, point: Vec3): [number, number, number] {
+  const [x, y, z] = camera.world_to_camera
+    .slice(0, 3)
+    .map((row) => row[0] * point[0] + row[1] * point[1] + row[2] * point[2] + row[3]);
+  return [camera.fx * (x / z) + camera.cx, camera.fy * (y / z) + camera.cy, z];
+}
+
+export function sameView(a: CameraJson, b: CameraJson): boolean {
+  const numbers = (c: CameraJson) => [
+    c.width,
+    c.height,
+    c.fx,
+    c.fy,
+    c.cx,
+    c.cy,
+    ...c.background,
+    ...c.world_to_camera.flat(),
+  ];
+  const other = numbers(b);
+  return numbers(a).every((value, k) => value === other[k]);
+}

@@ -1,0 +1,146 @@
+/** Draws the asset: a canvas, the table of splats, and a camera. Knows no server and no tools. Draws only when asked. */
+
+import * as THREE from "three";
+
+import type { Frame } from "../net/frames";
+import { SplatTable } from "../splats/table";
+import { Blit, toBytes } from "./blit";
+import type { CameraJson } from "./camera";
+import { Grid } from "./grid";
+import { setLens } from "./lens";
+import { makeSpark } from "./spark";
+
+const sleep = (ms: number) => new Promise((resolve) => setTimeout(resolve, ms));
+
+export class Viewer {
+  readonly renderer: THREE.WebGLRenderer;
+  readonly grid = new Grid();
+  /** Called after each picture that was drawn. */
+  onDrawn: () => void = () => {};
+  /** Size of the scene in world units, for near and far. */
+  extent = 10;
+  private readonly scene = new THREE.Scene();
+  private readonly lens = new THREE.PerspectiveCamera();
+  private readonly blit = new Blit();
+  private readonly spark;
+  private table: SplatTable | null = null;
+  private view: CameraJson | null = null;
+  private requested = 0;
+  /** Counts changes of what is shown, the camera aside. */
+  revision = 0;
+  /** What the picture in the target shows, once it was drawn in its final order. */
+  private still: { view: CameraJson; revision: number } | null = null;
+
+  constructor(canvas: HTMLCanvasElement, antialiased = false) {
+    this.renderer = new THREE.WebGLRenderer({
+      canvas,
+      antialias: false,
+      alpha: false,
+      depth: false,
+      powerPreference: "high-performance",
+    });
+    if (!this.renderer.extensions.has("EXT_color_buffer_float"))
+      throw new Error("this browser cannot draw into float textures");
+    this.renderer.setPixelRatio(1);
+    this.spark = makeSpark({ renderer: this.renderer, antialiased, onDirty: () => this.invalidate() });
+    this.scene.add(this.spark);
+  }
+
+  get rows(): number {
+    return this.table?.count ?? 0;
+  }
+
+  get camera(): CameraJson | null {
+    return this.view;
+  }
+
+  setAntialiased(antialiased: boolean): void {
+    this.spark.preBlurAmount = antialiased ? 0 : 0.3;
+    this.spark.blurAmount = antialiased ? 0.3 : 0;
+    this.revision++;
+    this.invalidate();
+  }
+
+  /** Show a snapshot or apply a delta. Returns false when the delta needs a snapshot instead (the table is full). */
+  apply(frame: Frame): boolean {
+    if (frame.snapshot) this.replace(frame);
+    else if (!this.table || !this.table.fits(frame)) return false;
+    else this.table.apply(frame);
+    this.revision++;
+    this.invalidate();
+    return true;
+  }
+
+  setCamera(view: CameraJson): void {
+    const { width, height } = view;
+    const size = this.renderer.getSize(new THREE.Vector2());
+    if (size.x !== width || size.y !== height) {
+      this.renderer.setSize(width, height, false);
+      this.blit.target.setSize(width, height);
+    }
+    this.view = view;
+    const f = view.world_to_camera[2];
+    const eyeDepth = Math.abs(f[3]);
+    setLens(this.lens, view, Math.max(1e-4 * this.extent, 1e-5), 4 * (eyeDepth + this.extent));
+    this.table?.mesh.updateVersion(); // re-sort for the smallest turn: Spark alone waits for 2.6 degrees
+    this.invalidate();
+  }
+
+  /** Ask for a picture soon. */
+  invalidate(): void {
+    this.requested ||= requestAnimationFrame(() => {
+      this.requested = 0;
+      this.draw();
+    });
+  }
+
+  /** The view's colours as 8-bit RGBA, top row first, drawn with the order of exactly this camera. */
+  async read(): Promise<ImageData> {
+    const view = this.view;
+    if (!view || !this.table) throw new Error("nothing to read: no asset is shown");
+    if (this.still?.view !== view || this.still.revision !== this.revision) await this.settle();
+    if (this.view !== view) return this.read(); // moved meanwhile
+    const { width, height } = view;
+    const half = new Uint16Array(width * height * 4);
+    this.renderer.readRenderTargetPixels(this.blit.target, 0, 0, width, height, half);
+    return new ImageData(toBytes(half, width, height, view.background), width, height);
+  }
+
+  /**
+   * Sort for the present camera and draw; without it the first picture after a jump has the old order, and the first
+   * one after rows were appended does not have them.
+   */
+  async settle(): Promise<void> {
+    await this.table?.mesh.initialized;
+    const { view, revision } = this;
+    this.table?.mesh.updateVersion();
+    await this.sorted(); // an update during a sort would be put off
+    await this.spark.update({ scene: this.scene, camera: this.lens });
+    await this.sorted();
+    this.draw();
+    if (view && this.view === view) this.still = { view, revision };
+  }
+
+  private async sorted(): Promise<void> {
+    while (this.spark.sorting || this.spark.sortDirty) await sleep(1);
+  }
+
+  private replace(frame: Frame): void {
+    this.table?.dispose();
+    this.table = new SplatTable(this.renderer, frame);
+    this.scene.add(this.table.mesh);
+    void this.table.mesh.initialized.then(() => this.invalidate());
+  }
+
+  private draw(): void {
+    const { view, renderer } = this;
+    if (!view) return;
+    renderer.setRenderTarget(this.blit.target);
+    renderer.setClearColor(0x000000, 0);
+    renderer.clear();
+    renderer.render(this.scene, this.lens);
+    this.blit.show(renderer, view.background);
+    this.grid.draw(renderer, this.lens);
+    this.onDrawn();
+  }
+}
