@@ -1,13 +1,17 @@
 # make demo   edit the bundled asset, write pictures and receipt to demo/
+# make studio paint in the browser
 # make test   run the tests            make check   format, lint, types
 PY := .venv/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test check format clean
+.PHONY: demo studio test check format clean
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
 	.venv/bin/splatpainter demo --out demo
+
+studio: .venv/installed-studio
+	.venv/bin/splatpainter studio
 
 test: .venv/installed-dev
 	scripts/web test
@@ -28,6 +32,10 @@ format: .venv/installed-dev
 	test -x $(PY) || python3 -m venv .venv
 	scripts/install-torch $(PY)
 	$(PIP) -e .
+	touch $@
+
+.venv/installed-studio: .venv/installed
+	$(PIP) -e '.[studio]'
 	touch $@
 
 .venv/installed-dev: .venv/installed

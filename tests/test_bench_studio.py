@@ -51,7 +51,7 @@ def test_patches_put_together_are_the_stroke() -> None:
 
 
 def test_text_lies_within_its_patch() -> None:
-    patch = studio.text_patch(256)
+    patch = studio.text_patch(256, 0.5)
     alpha = pixels(patch)[..., 3]
     assert alpha[0].any() and alpha[-1].any() and alpha[:, 0].any() and alpha[:, -1].any()
     assert abs(patch.x + patch.width / 2 - 128) < 6 and abs(patch.y + patch.height / 2 - 128) < 6

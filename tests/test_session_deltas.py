@@ -10,8 +10,9 @@ import zstandard
 from lift_scenes import same_bits
 from session_scenes import asset
 
+from splatpainter.receipts import changed_rows
 from splatpainter.session.changes import REMEMBERED, AssetDelta, Changes
-from splatpainter.session.deltas import PART, between, decode, differing, encode, no_delta
+from splatpainter.session.deltas import PART, between, decode, encode, no_delta
 from splatpainter.splats import Splats
 
 
@@ -138,4 +139,4 @@ def test_only_what_changed_travels_and_strangers_get_everything():
     for unknown in (None, 1, last + 5, -4):
         whole = changes.since(unknown, last, now)
         assert whole.since is None and whole.kept == 0 and len(whole.appended) == 36
-    assert not len(differing(now, now))
+    assert not len(changed_rows(now, now))

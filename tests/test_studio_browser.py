@@ -258,6 +258,81 @@ def test_export_and_verify(place: tuple[studio_scenes.Live, Page]) -> None:
     assert Path(download.value.path()).read_bytes()[:3] == b"ply"
 
 
+def test_a_conflict_is_shown_and_settled(place: tuple[studio_scenes.Live, Page]) -> None:
+    """Red from the front, blue over it from the side: the panel says so, and each policy shows what it promises."""
+    _, page = place
+
+    def blueness() -> float:
+        middle = page.pixels()[:, :, [0, 2]]
+        height, width, _ = middle.shape
+        red, blue = middle[height // 2 - 4 : height // 2 + 5, width // 2 - 4 : width // 2 + 5].mean((0, 1))
+        return float(blue - red)
+
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.settled()
+    page.tab.locator("#stage").press("ArrowLeft")
+    page.tab.get_by_role("textbox", name="Colour").fill("#2040d0")
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the second layer", lambda: page.names() == ["Brush", "Brush 2"])
+    page.settled()
+    latest = blueness()
+    assert latest > 0.3
+    page.tab.get_by_role("button", name="Layers of different views overlap (1)").click()
+    page.wait("the conflict", lambda: page.tab.get_by_text("painted from another view.").count())
+    choice = page.tab.get_by_label("Show", exact=True)
+    choice.select_option("first")
+    page.wait("the lower layer", lambda: blueness() < -0.3)
+    assert page.tab.locator(".in-conflict").count() == 0  # it was decided
+    choice.select_option("blend")
+    page.wait("a blend", lambda: -0.3 < blueness() < 0.3)
+    choice.select_option("latest")
+    page.wait("the upper layer", lambda: abs(blueness() - latest) < 0.02)
+
+
+def test_a_layer_goes_out_and_comes_back_as_a_file(place: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = place
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.settled()
+    painted = page.pixels()
+    with page.tab.expect_download() as download:
+        page.tab.get_by_role("button", name="Save the layer as a file").click()
+    assert download.value.suggested_filename == "Brush.splatlayer"
+    data = Path(download.value.path()).read_bytes()
+    page.tab.get_by_role("button", name="Delete the layer").click()
+    page.wait("the empty list", lambda: page.names() == [])
+    page.drop("Brush.splatlayer", data, "")
+    page.wait("the layer again", lambda: page.names() == ["Brush"])
+    page.wait("its pixels", lambda: np.array_equal(page.pixels(), painted))
+
+
+def test_a_selection_waits_in_its_view(place: tuple[studio_scenes.Live, Page]) -> None:
+    """Turned away it limits no stroke but still a look; back in its view it is there again."""
+    _, page = place
+    page.tab.keyboard.press("0")
+    page.drag((0.3, 0.2), (0.5, 0.8))
+    deselect = page.tab.get_by_role("button", name="Invert")
+    page.wait("the selection", deselect.count)
+    before = page.camera()["world_to_camera"]
+    page.tab.locator("#stage").press("ArrowLeft")
+    page.wait("that it is elsewhere", lambda: page.tab.get_by_text("The selection is of another view").count())
+    assert deselect.count() == 0
+    rows = {"all": 0, "selected": 0}
+    page.tab.get_by_role("tab", name="Look").click()
+    for name in rows:
+        page.tab.get_by_label("Only the selected area").set_checked(name == "selected")
+        page.tab.get_by_role("textbox", name="Exposure, number").fill("-1")
+        page.tab.get_by_role("textbox", name="Exposure, number").press("Enter")
+        page.tab.get_by_role("button", name="Apply as layer").click()
+        page.wait("the look", lambda name=name: len(page.names()) == 1 + list(rows).index(name))
+        rows[name] = page.state()["layers"][-1]["rows_touched"]
+    assert 0 < rows["selected"] < 0.6 * rows["all"]
+    page.tab.get_by_role("button", name="Go there").click()
+    page.wait("the selection again", deselect.count)
+    assert page.camera()["world_to_camera"] == before
+
+
 def test_two_windows_agree_and_a_lost_connection_comes_back(
     browser: Any, place: tuple[studio_scenes.Live, Page]
 ) -> None:

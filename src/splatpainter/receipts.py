@@ -140,17 +140,17 @@ def from_runs(runs: np.ndarray, rows: int) -> np.ndarray:
 
 
 def changed_rows(before: Splats, after: Splats) -> np.ndarray:
-    """[T] int64 rows of `before` of which any bit differs from the same row of `after` (NaN equals itself)."""
-    n = len(before)
+    """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself)."""
+    n = min(len(before), len(after))
     changed = np.zeros(n, bool)
     for name in ATTRIBUTES:
         old, new = getattr(before, name), getattr(after, name)
-        if old is new:
+        if old is new or n == 0:
             continue
         if old.shape[1:] != new.shape[1:]:
             return np.arange(n)
-        differs = _bits(old) != _bits(new[:n])
-        changed |= differs.reshape(n, -1).any(1)
+        found = np.flatnonzero(_bits(old[:n]) != _bits(new[:n]))  # a reduction along short rows takes longer
+        changed[found // (old[:n].size // n)] = True
     return np.flatnonzero(changed)
 
 
@@ -300,7 +300,8 @@ def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | No
 
     if not mask.any():
         return None
-    return float(psnr(np.clip(pixels, 0, 1), np.clip(other, 0, 1), mask))
+    # The masked pixels alone: of a dab they are a few of a million.
+    return float(psnr(*(np.clip(picture[mask][:, None], 0, 1) for picture in (pixels, other))))
 
 
 def scores(images: Sequence[tuple[np.ndarray, ...]]) -> tuple[ViewScore, ...]:

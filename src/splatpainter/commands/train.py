@@ -1,4 +1,5 @@
-"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, Stage II. The training itself is in `train`."""
+"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, Stage II. The training itself is in `train`, judging in
+train_judge.py."""
 
 from __future__ import annotations
 
@@ -25,6 +26,10 @@ SUMMARIES = {
     "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
     "compress": "Stage I: rows and tokens to latents",
     "refine": "Stage II: edits to changes of the asset",
+}
+AFTERWARDS = {
+    "judge": "what trained weights reach on objects held out of training",
+    "card": "the model card of weights that have been judged",
 }
 
 
@@ -73,12 +78,16 @@ class Config(Recipe):
 
 
 def dispatch(words: Sequence[str]) -> Outcome:
-    """`train STAGE ...`. Raises ValueError for another stage, and for what is wrong with the options or the data."""
+    """`train STAGE ...`, or what comes afterwards. Raises ValueError for another stage, and for what is wrong with the
+    options or the data."""
     if not words or words[0] in ("-h", "--help"):
-        return Outcome({"stages": SUMMARIES}, [_help()])
+        return Outcome({"stages": SUMMARIES, "afterwards": AFTERWARDS}, [_help()])
     stage = words[0]
+    if stage in AFTERWARDS:
+        return _afterwards(stage, words[1:])
     if stage not in SUMMARIES:
-        raise ValueError(f"splatpainter train: expected one of {', '.join(SUMMARIES)}, got {stage!r}")
+        known = ", ".join([*SUMMARIES, *AFTERWARDS])
+        raise ValueError(f"splatpainter train: expected one of {known}, got {stage!r}")
     rest = ["--weights" + word.removeprefix("--from") if word.split("=")[0] == "--from" else word for word in words[1:]]
     recipe = recipes.load(_named(rest), stage)  # type: ignore[arg-type]
     config = parse(_with_defaults(recipe), f"splatpainter train {stage}", rest)
@@ -87,6 +96,19 @@ def dispatch(words: Sequence[str]) -> Outcome:
             f"splatpainter train {stage}: expected the stage as first word only, got --stage {config.stage}"
         )
     outcome = run(config)
+    return outcome.as_json() if config.json else outcome
+
+
+def _afterwards(name: str, words: Sequence[str]) -> Outcome:
+    from splatpainter.commands import train_judge
+
+    kinds: dict[str, tuple[type, Any]] = {
+        "judge": (train_judge.JudgeConfig, train_judge.judge),
+        "card": (train_judge.CardConfig, train_judge.card),
+    }
+    kind, act = kinds[name]
+    config = parse(kind, f"splatpainter train {name}", words)
+    outcome = act(config)
     return outcome.as_json() if config.json else outcome
 
 
@@ -199,4 +221,6 @@ def _say(line: str) -> None:
 def _help() -> str:
     rows = [f"  {name:<9} {line}" for name, line in SUMMARIES.items()]
     example = "example:\n  splatpainter train refine --recipe compact --data procedural:500 --out runs/refine"
-    return "\n".join(["usage: splatpainter train STAGE ...", "", "stages:", *rows, "", example])
+    after = [f"  {name:<9} {line}" for name, line in AFTERWARDS.items()]
+    usage = ["usage: splatpainter train STAGE ...", "       splatpainter train judge|card CHECKPOINT ..."]
+    return "\n".join([*usage, "", "stages:", *rows, "", "afterwards:", *after, "", example])

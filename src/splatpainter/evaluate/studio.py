@@ -34,9 +34,9 @@ SAMPLES = 20
 """Memory is read so many times over all edits."""
 NOTES = (
     "A fresh `splatpainter studio` process, driven over its socket and HTTP as the page drives it; a target is met "
-    "when the median meets it. Every time is from sending to the last byte parsed: rows come before the answer. `start`: "
-    "from the start of the process to the page (HTML, JS, CSS), then every row, then a rendered picture of the first "
-    "view; what the page itself does with them is not in it. `first run`: every kernel is compiled before.",
+    "when the median meets it. Every time is from sending to the last byte parsed; rows come before answers. `start`: "
+    "from the start of the process to the page (HTML, JS, CSS), then every row, then a picture of the first view; "
+    "what the page itself does with them is not in it. `first run`: every kernel is compiled before.",
     "`preview`: one batch of a stroke, 16 px further at 512 px with a brush of 64 px (as large a part of other sizes), "
     "to its previewed rows. `dab` and `text`: from pen-up to the committed, durable layer and its rows: a soft disc of "
     "64 px, letters 90 px high at 512 px. `undo` and `redo`: of these. Memory: resident, over edits that are each "
@@ -254,10 +254,10 @@ def stroke_patches(size: int, height: float) -> list[Patch]:
     return out
 
 
-def text_patch(size: int) -> Patch:
-    """Letters in the middle of a view."""
-    middle, height = (size / 2, size / 2), LETTERS * size
-    layer = paint.text_layer("TEA", (size, size), middle, height, paint.PALETTE[1])
+def text_patch(size: int, height: float) -> Patch:
+    """Letters, their middle at `height` (0..1) of a view."""
+    middle = (size / 2, height * size)
+    layer = paint.text_layer("TEA", (size, size), middle, LETTERS * size, paint.PALETTE[1])
     rows, columns = (np.flatnonzero(layer[..., 3].any(axis)) for axis in (1, 0))
     return Patch.of(layer, (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1))
 
@@ -295,7 +295,7 @@ def _painting(browser: Browser, camera: dict[str, Any], repeats: int) -> Iterato
     kinds = {
         "stroke": [stroke_patches(size, height) for height in heights],
         "dab": [[dab_at(size, size / 2, height * size)] for height in heights],
-        "text": [[text_patch(size)]] * repeats,
+        "text": [[text_patch(size, height)] for height in heights],
     }
     for kind, all_patches in kinds.items():
         done, laps = [], {"undo": [], "redo": []}

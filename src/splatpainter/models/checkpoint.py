@@ -131,6 +131,16 @@ def load(folder: Path | str, preset: str | None = None) -> Checkpoint:
     return Checkpoint(config, _joined(found, table, where), notes)
 
 
+def add_notes(folder: Path | str, notes: Mapping[str, Any]) -> None:
+    """Put these keys into the notes of a checkpoint; its weights and other notes stay as they are. Raises ValueError
+    as `load` does for a folder without checkpoint or with another format."""
+    target = Path(folder)
+    index = _index(target)
+    index["notes"] = {**index.get("notes", {}), **notes}
+    with writing(target / INDEX) as out:
+        out.write(json.dumps(index, indent=1).encode())
+
+
 def fill(module: torch.nn.Module, tensors: Mapping[str, torch.Tensor], where: str = "checkpoint") -> None:
     """Give a module these tensors, as float32: copied into its own, or in their place where it is on the meta device.
 

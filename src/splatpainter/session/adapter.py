@@ -34,7 +34,7 @@ class Adapter:
     def __init__(self, original: Splats, painter: Painter) -> None:
         self._original, self._painter = original, painter
         self._encoded: Asset | None = None
-        self._grids: OrderedDict[tuple[int, ...], tuple[Splats, VoxelGrid]] = OrderedDict()
+        self._grids: OrderedDict[tuple[int, ...], tuple[tuple[np.ndarray, ...], VoxelGrid]] = OrderedDict()
         self._gridding = threading.Lock()
 
     def apply(
@@ -59,14 +59,15 @@ class Adapter:
         return numbered, self._painter.apply(asset, edits, mode, method)
 
     def grid(self, splats: Splats) -> VoxelGrid:
-        """The voxels of some rows, kept for the latest GRIDS geometries (colours do not matter). Safe to call from any
-        thread: a second caller waits for the first."""
-        key = tuple(id(getattr(splats, name)) for name in SHAPES)
+        """The voxels of some rows, kept for the latest GRIDS geometries (colours do not matter: no layer makes a row
+        drawable or the contrary by them). Safe to call from any thread: a second caller waits for the first."""
+        arrays = tuple(getattr(splats, name) for name in SHAPES)
+        key = tuple(map(id, arrays))
         with self._gridding:
             found = self._grids.pop(key, None)
             if found is None:
-                found = (splats, Asset(bare(splats)).grid)
-            self._grids[key] = found  # holds the rows, so that their ids stay theirs
+                found = (arrays, Asset(bare(splats)).grid)
+            self._grids[key] = found  # holds the arrays, so that their ids stay theirs
             while len(self._grids) > GRIDS:
                 self._grids.popitem(last=False)
             return found[1]

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatpainter.session.deltas import bare, differing
+from splatpainter.receipts import changed_rows
+from splatpainter.session.deltas import bare
 from splatpainter.splats import Splats
 
 REMEMBERED = 256
@@ -43,7 +44,7 @@ class Changes:
 
     def note(self, version: int, before: Splats, after: Splats) -> None:
         """`after` is what `version` shows, `before` what the one before it showed."""
-        step = (version, min(len(before), len(after)), differing(before, after).astype(np.int32))
+        step = (version, min(len(before), len(after)), changed_rows(before, after).astype(np.int32))
         with self._lock:
             self._steps.append(step)
             while len(self._steps) > 1 and sum(len(rows) for _, _, rows in self._steps) > MOST_ROWS:

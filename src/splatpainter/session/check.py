@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from splatpainter.session.deltas import differing
+from splatpainter.receipts import changed_rows
 from splatpainter.session.original import restore
 from splatpainter.session.replay import Painted, Replay
 from splatpainter.splats import rows_sha256
@@ -51,7 +51,7 @@ def problems(project: Project, shown: Shown, replay: Replay, repaint: bool) -> l
         original = restore(project)
         fresh = Replay(original, replay.painter, _Stored(project, repaint), replay.looks)
         again = fresh.compose(shown.document).splats
-        differs = differing(again, shown.splats)
+        differs = changed_rows(again, shown.splats)
         if len(differs) or len(again) != len(shown.splats) or rows_sha256(again) != rows_sha256(shown.splats):
             out.append(
                 f"replaying the layers gives {len(differs)} other rows, and {len(again)} instead of {len(shown.splats)}"

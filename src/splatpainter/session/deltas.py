@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.receipts import changed_rows
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
 
 PART = 1 << 20
@@ -60,22 +61,10 @@ class Delta:
 def between(before: Splats, after: Splats, parents: np.ndarray | None = None) -> Delta:
     """The delta that makes `after` of `before`. parents: [A], default none."""
     n = len(before)
-    rows = differing(before, after)
+    rows = changed_rows(before, after)
     tail = np.arange(n, len(after))
     known = np.full(len(tail), -1, np.int64) if parents is None else parents.astype(np.int64)
     return Delta(n, rows, bare(after.take(rows)), bare(after.take(tail)), known)
-
-
-def differing(before: Splats, after: Splats) -> np.ndarray:
-    """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself)."""
-    n = min(len(before), len(after))
-    changed = np.zeros(n, bool)
-    for name in ATTRIBUTES:
-        old, new = getattr(before, name), getattr(after, name)
-        if old is not new and n:
-            found = np.flatnonzero(_bits(old[:n]) != _bits(new[:n]))  # a reduction along short rows takes longer
-            changed[found // (old[:n].size // n)] = True
-    return np.flatnonzero(changed)
 
 
 def bare(splats: Splats) -> Splats:

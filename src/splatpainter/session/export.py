@@ -12,8 +12,7 @@ from pathlib import Path
 
 from splatpainter.io import FORMATS, files, format_of_name, write
 from splatpainter.proof import prove
-from splatpainter.receipts import Receipt, Verification, untouched_hashes
-from splatpainter.session.deltas import differing
+from splatpainter.receipts import Receipt, Verification, changed_rows, untouched_hashes
 from splatpainter.session.layers import Layer
 from splatpainter.splats import Splats
 
@@ -24,7 +23,7 @@ LARGEST = 1 << 28
 
 def receipt_between(original: Splats, now: Splats, preset: str, note: str) -> Receipt:
     """The receipt of a whole session: original against now. No file yet, so `output_sha256` is empty."""
-    touched = differing(original, now)
+    touched = changed_rows(original, now)
     before, after = untouched_hashes(original, now, touched)
     return Receipt(
         asset_sha256=original.sha256,

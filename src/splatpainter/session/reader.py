@@ -122,6 +122,11 @@ class Reader:
             if self._shown is shown:
                 return found
 
+    def prepare(self) -> None:
+        """Make now what the next local edit of the shown rows would make first (their voxels), in another thread than
+        commands, while the edit is still being drawn. Changes nothing."""
+        self._replay.prepare(self._shown.level)
+
     def bookmarks(self) -> list[Bookmark]:
         """Views to come back to. Not part of the history."""
         return self._project.bookmarks()

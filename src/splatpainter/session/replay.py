@@ -214,6 +214,10 @@ class Replay:
             return np.ones((view.camera.height, view.camera.width), bool)
         return decode_mask(self._cache.blob(view.mask), view.camera, "mask")
 
+    def prepare(self, level: Level) -> None:
+        """Make what a local edit of a level needs before anything else."""
+        self._adapter.grid(level.splats)
+
     def forget(self, results: set[str]) -> None:
         """Drop levels that were made of results which are no longer stored."""
         for key in [key for key, level in self._levels.items() if results.intersection(level.results)]:

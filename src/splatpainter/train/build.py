@@ -8,6 +8,7 @@ from pathlib import Path
 from splatpainter.data.samples import GLOBAL
 from splatpainter.models import checkpoint
 from splatpainter.models.model import SplatPainterModel
+from splatpainter.train import history
 from splatpainter.train.figures import alex_or_none
 from splatpainter.train.loss import perceptual_or_not
 from splatpainter.train.recipes import Recipe
@@ -48,6 +49,7 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print) -> SplatPainte
     own = model.state_dict()
     used = {name: t for name, t in held.tensors.items() if name.startswith(parts)}
     checkpoint.fill(model, {**own, **used}, str(weights))
+    model.notes = {"history": history.of(weights, held.notes)}
     say(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
     return model
 

@@ -100,7 +100,8 @@ class Loop:
         self.shared = spread(task, recipe.parallel, group)
         optimizer = adamw(task.named_parameters(), recipe.learning_rate, recipe.weight_decay)
         average = Average.of(task.named_parameters(), recipe.average)
-        self.run = state.Run(task, optimizer, average, Guard(recipe.spike), state.Progress())
+        history = list(task.model.notes.get("history", []))
+        self.run = state.Run(task, optimizer, average, Guard(recipe.spike), state.Progress(history=history))
         self.task, self.progress = task, self.run.progress
         self.config, self.record = task.model.config, recipe.to_dict()
         if resume:
@@ -208,6 +209,7 @@ class Loop:
             "seconds": round(self.progress.seconds, 1),
             "validation": self.validation,
             "recipe": self.record,
+            "history": self.progress.history,
         }
         state.save_model(self.out, self.run, self.config, self.group, notes)
         self.group.wait()

@@ -16,7 +16,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ MOMENTS = {"first": "exp_avg", "second": "exp_avg_sq"}
 
 @dataclass
 class Progress:
-    """Where a run is. Numbers only: they go into the state's JSON."""
+    """Where a run is. JSON values only: they go into the state."""
 
     step: int = 0
     """Optimiser steps done, skipped ones too: the position in the data."""
@@ -44,6 +44,8 @@ class Progress:
     """Time spent training, in all sessions."""
     failed: int = 0
     """Samples that could not be used."""
+    history: list[dict[str, Any]] = field(default_factory=list)
+    """What the stages before this one were (train/history.py), first one first."""
 
 
 @dataclass
@@ -138,6 +140,16 @@ def save_model(folder: Path, run: Run, config: ModelConfig, group: Group, notes:
             tensors[name.removeprefix("model.")] = value
     if group.first:
         checkpoint.save(folder / MODEL, config, tensors, dtype="float16", notes=notes)
+
+
+def read_outs(folder: Path) -> dict[str, Tensor]:
+    """Name -> averaged weights, float32, of what a run's task owns besides its model; empty where the folder holds no
+    state."""
+    if not exists(folder):
+        return {}
+    tensors = dict(_full(name, tensor) for name, tensor in checkpoint.load(folder / STATE).tensors.items())
+    own = [n.removeprefix("weight/") for n in tensors if n.startswith("weight/") and not n.startswith("weight/model.")]
+    return {name: tensors.get(f"average/{name}", tensors[f"weight/{name}"]) for name in own}
 
 
 def exists(folder: Path) -> bool:

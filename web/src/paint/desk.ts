@@ -1,20 +1,18 @@
 /**
- * What all tools share: the view's pixels, the selection, the strokes under way. One stroke after the other is
+ * What all tools share: the view's pixels and the strokes under way. One stroke after the other is
  * committed, but the next may be drawn meanwhile.
  */
 
 import { signal } from "@preact/signals";
 
 import { blobUrl, pixelsOf } from "../net/blobs";
-import { brush, camera, method, readOnly, selectedLayer, toast } from "../state/store";
+import { brush, camera, method, readOnly, selectedLayer, state, toast } from "../state/store";
 import { link, remember, report, run, viewer } from "../state/studio";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
-import type { Mask } from "./raster";
+import { selection, viewMoved as moveSelection } from "./selection";
 import { Stroke } from "./stroke";
 
-/** Limits painting on the present view; null: none. */
-export const selection = signal<Mask | null>(null);
 /** Strokes that are not layers yet. */
 export const pendingStrokes = signal(0);
 /** Above 0 while the camera must stay: a stroke still reads the view. */
@@ -80,7 +78,7 @@ export function beginStroke(
     after: lastCommit,
     shown: () => camera.value === now,
     kind,
-    name,
+    name: unused(name),
     method: method.value,
     opacity,
     selection: selection.value,
@@ -127,7 +125,7 @@ export function viewMoved(): void {
   const now = camera.value;
   if (now) fitOverlay(now);
   overlay.clearRect(0, 0, overlayCanvas.width, overlayCanvas.height);
-  selection.value = null;
+  moveSelection();
   if (cloneFrom.value) cloneFrom.value = null;
 }
 
@@ -147,6 +145,18 @@ async function asSeen(): Promise<ImageData> {
     if (alpha > 0) for (let c = 0; c < 3; c++) data[at + c] = painted[at + c] * alpha + data[at + c] * (1 - alpha);
   }
   return new ImageData(data, pixels.width, pixels.height);
+}
+
+/** A name that no layer and no stroke under way has: conflicts and the history speak of layers by name. */
+function unused(name: string): string {
+  const taken = new Set([
+    ...(state.value?.layers ?? []).map((layer) => layer.name),
+    ...[...active].map((one) => one.name),
+  ]);
+  for (let k = 1; ; k++) {
+    const next = k === 1 ? name : `${name} ${k}`;
+    if (!taken.has(next)) return next;
+  }
 }
 
 function fitOverlay(now: CameraJson): void {

@@ -1,5 +1,7 @@
 /** Tools that follow the pen: brush, eraser, clone, heal, and the straight line. */
 
+import { signal } from "@preact/signals";
+
 import { brush, color, paintMode, rgb, toast } from "../state/store";
 import { beginStroke, cancelStroke, cloneFrom, endStroke, originalPixels } from "./desk";
 import type { Pixels } from "./flood";
@@ -115,13 +117,17 @@ export const healer = sampling(
   ),
 );
 
+/** The next click chooses the source: for those without an Alt key. */
+export const choosingSource = signal(false);
+
 /** Alt and a click choose the source instead. */
 function sampling(handler: ToolHandler): ToolHandler {
   return {
     ...handler,
     down(pen) {
-      if (pen.alt) cloneFrom.value = { x: pen.x, y: pen.y, offset: null };
+      if (pen.alt || choosingSource.value) cloneFrom.value = { x: pen.x, y: pen.y, offset: null };
       else handler.down(pen);
+      choosingSource.value = false;
     },
   };
 }

@@ -4,11 +4,12 @@ import { signal } from "@preact/signals";
 
 import { brush, color, fill, hex, paintMode, recentColors, rgb, selecting, state } from "../state/store";
 import { report } from "../state/studio";
-import { beginStroke, endStroke, selection, viewPixels } from "./desk";
+import { beginStroke, endStroke, viewPixels } from "./desk";
 import { likeColor, soften } from "./flood";
 import { solid } from "./patch";
 import { combine, isEmpty, polygon, rectangle, type Combine } from "./select";
 import type { Mask } from "./raster";
+import { selection } from "./selection";
 import type { Pen, ToolHandler } from "./tool";
 
 /** What is being drawn as a selection: x0, y0, x1, y1 ... of a closed polygon. */
@@ -79,7 +80,9 @@ export const selector: ToolHandler = {
     draft.value = start = null;
     if (!points || !first) return;
     const { width, height } = await viewPixels();
-    if (points.length < 6) return void (selection.value = first.shift || first.alt ? selection.value : null);
+    if (points.length < 6)
+      return void (selection.value =
+        first.shift || first.alt || selecting.value.combine !== "replace" ? selection.value : null);
     const [x, y] = [Math.min(first.x, pen.x), Math.min(first.y, pen.y)];
     const box = { x, y, width: Math.abs(pen.x - first.x), height: Math.abs(pen.y - first.y) };
     take(selecting.value.kind === "lasso" ? polygon(width, height, points) : rectangle(width, height, box), first);
@@ -96,7 +99,7 @@ async function selectColor(pen: Pen): Promise<void> {
 
 function take(mask: Mask, pen: Pen): void {
   if (!state.value) return;
-  const how: Combine = pen.shift ? "add" : pen.alt ? "subtract" : "replace";
+  const how: Combine = pen.shift ? "add" : pen.alt ? "subtract" : selecting.value.combine;
   const next = combine(selection.value, soften(mask, selecting.value.feather), how);
   selection.value = isEmpty(next) ? null : next;
 }

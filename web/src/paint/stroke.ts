@@ -34,6 +34,7 @@ export class Stroke {
   base: Pixels | null = null;
   /** Resolves when `base` is there. */
   readonly ready: Promise<void>;
+  readonly name: string;
   private readonly id: Promise<string>;
   private dirty: Rect = NOTHING;
   private touched: Rect = NOTHING;
@@ -47,6 +48,7 @@ export class Stroke {
 
   constructor(private readonly options: StrokeOptions) {
     const { camera, kind, link } = options;
+    this.name = options.name;
     this.mask = emptyMask(camera.width, camera.height);
     this.ready = options.base.then((pixels) => {
       this.base = pixels; // read before the first preview changes the view

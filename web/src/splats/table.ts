@@ -20,16 +20,13 @@ export class SplatTable {
   private readonly texels: Texels;
   private readonly splats: ExtSplats;
 
-  /** From a snapshot, with room for a quarter more rows. */
+  /** For the rows of a snapshot and a quarter more; it is empty until they are written. */
   constructor(
     private readonly renderer: THREE.WebGLRenderer,
-    snapshot: Frame,
+    { rows }: Frame,
   ) {
-    const { rows } = snapshot;
     this.capacity = utils.getTextureSize(Math.ceil(Math.max(rows.count, 1) * 1.25) + 4096).maxSplats;
     this.texels = allocate(this.capacity, rows.coefficients);
-    for (let i = 0; i < rows.count; i++) encodeRow(this.texels, i, rows, i);
-    this.count = rows.count;
     this.splats = new ExtSplats({
       extArrays: [this.texels.geometry, this.texels.appearance],
       numSplats: rows.count,
@@ -43,19 +40,23 @@ export class SplatTable {
     return delta.total <= this.capacity;
   }
 
-  /** Write the delta's rows; rows beyond `total` (taken back by an undo) are no longer drawn. Draw a frame afterwards. */
-  apply(delta: Frame): void {
-    const { indices, rows } = delta;
-    const count = indices ? indices.length : rows.count;
-    let [first, last] = [Infinity, -1];
-    for (let k = 0; k < count; k++) {
-      const i = indices ? indices[k] : k;
-      encodeRow(this.texels, i, rows, k);
-      if (i < first) first = i;
-      if (i > last) last = i;
+  /** Encode rows `from` to `to` of a snapshot or delta; they are shown by `finish`. */
+  write({ indices, rows }: Frame, from: number, to: number): void {
+    for (let k = from; k < to; k++) encodeRow(this.texels, indices ? indices[k] : k, rows, k);
+  }
+
+  /** Show what was written; rows beyond `total` (taken back by an undo) are no longer drawn. Draw a frame afterwards. */
+  finish({ indices, rows, total }: Frame): void {
+    let [first, last] = [0, rows.count - 1];
+    if (indices) {
+      [first, last] = [Infinity, -1];
+      for (const i of indices) {
+        if (i < first) first = i;
+        if (i > last) last = i;
+      }
     }
-    this.count = delta.total;
-    this.splats.numSplats = delta.total;
+    this.count = total;
+    this.splats.numSplats = total;
     if (last >= 0) this.upload(first, last);
     this.mesh.updateVersion();
   }

@@ -29,8 +29,14 @@ export const paintMode = signal<PaintMode>("normal");
 export const method = signal<"auto" | "ttt" | "lift" | "fit">("auto");
 export const fill = signal({ tolerance: 0.12, contiguous: true });
 export const text = signal({ text: "Text", font: "sans-serif", size: 64, bold: true, italic: false });
-export const selecting = signal<{ kind: SelectKind; tolerance: number; feather: number }>({
+export const selecting = signal<{
+  kind: SelectKind;
+  combine: "replace" | "add" | "subtract";
+  tolerance: number;
+  feather: number;
+}>({
   kind: "rectangle",
+  combine: "replace",
   tolerance: 0.12,
   feather: 1,
 });

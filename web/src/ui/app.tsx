@@ -7,7 +7,7 @@ import { startStamp } from "../paint/placement";
 import { addPicture } from "../state/drops";
 import { camera, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
-import { Away, Help, Jobs, StatusLine, Toasts } from "./feedback";
+import { Away, Help, Jobs, SelectedElsewhere, StatusLine, Toasts } from "./feedback";
 import { Files, openFile } from "./files";
 import { filesOpen, Header } from "./header";
 import { History } from "./history";
@@ -69,10 +69,11 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
             Opening
           </p>
         )}
+        <SelectedElsewhere />
         <Jobs />
         <Toasts />
         <Away />
-        {dropping.value && <div class="dropping">Drop an edited picture, an asset, or a project</div>}
+        {dropping.value && <div class="dropping">Drop an edited picture, an asset, a project, or a layer</div>}
       </main>
       <aside class="side" aria-label="Panels">
         <Layers />

@@ -1,6 +1,8 @@
 /** What the studio says: toasts, progress, the status line, the sheet of shortcuts. */
 
+import { deselect, kept } from "../paint/selection";
 import { dismiss, help, jobs, lastEdit, pythonLog, state, status, stopped, toast, toasts } from "../state/store";
+import { go } from "../state/studio";
 import { Button, Dialog } from "./parts";
 import { SHORTCUTS } from "./keys";
 
@@ -74,6 +76,19 @@ export function StatusLine() {
         </span>
       )}
     </footer>
+  );
+}
+
+/** A selection that limits nothing here, and the way back to it. */
+export function SelectedElsewhere() {
+  const area = kept.value;
+  if (!area) return null;
+  return (
+    <div class="elsewhere" role="status">
+      <span>The selection is of another view</span>
+      <Button label="Turn back to the selection" text="Go there" onClick={() => go(area.pose)} />
+      <Button label="Deselect" keys="Ctrl-D" icon="close" onClick={deselect} />
+    </div>
   );
 }
 

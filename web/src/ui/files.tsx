@@ -1,10 +1,10 @@
-/** Open and save: assets, projects, exports. */
+/** Open and save: assets, projects, single layers, exports. */
 
 import { useEffect, useState } from "preact/hooks";
 
 import type { RecentProjects } from "../messages";
 import { download, sendBlob } from "../net/blobs";
-import { readOnly, state, toast } from "../state/store";
+import { readOnly, selectedLayer, state, toast } from "../state/store";
 import { report, run } from "../state/studio";
 import { Button, Choice, Dialog, FileButton } from "./parts";
 
@@ -12,7 +12,10 @@ import { Button, Choice, Dialog, FileButton } from "./parts";
 export async function openFile(file: File): Promise<void> {
   try {
     const blob = await sendBlob(file, file.name);
-    if (/\.splatproj$/i.test(file.name)) await run("project.open", { blob }, `Opening ${file.name}`);
+    if (/\.splatlayer$/i.test(file.name)) {
+      const answer = await run("layer.import", { blob }, `Adding ${file.name}`);
+      if (answer) selectedLayer.value = answer.layer.id;
+    } else if (/\.splatproj$/i.test(file.name)) await run("project.open", { blob }, `Opening ${file.name}`);
     else await run("asset.open", { blob }, `Opening ${file.name}`);
   } catch (error) {
     report(error);

@@ -2,10 +2,11 @@
 
 import { effect, signal } from "@preact/signals";
 
-import { cloneFrom, selection } from "../paint/desk";
+import { cloneFrom } from "../paint/desk";
 import { drawPlacement, handles, placement } from "../paint/placement";
 import { draft } from "../paint/pointing";
 import { outline } from "../paint/select";
+import { selection } from "../paint/selection";
 import { brush, tool } from "../state/store";
 
 /** Pen over the view, view pixels; null: elsewhere. */
@@ -21,9 +22,11 @@ export function drawGlass(canvas: HTMLCanvasElement, ratio: () => number): () =>
     const k = ratio();
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, canvas.width, canvas.height);
+    let empty = true;
     context.setTransform(k, 0, 0, k, 0, 0);
     const two = (path: Path2D, dash: number[] = []) => {
       // dark under light: visible on everything
+      empty = false;
       context.setLineDash([]);
       context.lineWidth = 3 / k;
       context.strokeStyle = "rgba(0,0,0,.55)";
@@ -65,6 +68,7 @@ export function drawGlass(canvas: HTMLCanvasElement, ratio: () => number): () =>
       ring.arc(at.x, at.y, Math.max(brush.value.size / 2, 1), 0, 7);
       two(ring);
     } else if (at && (current === "pick" || current === "fill" || current === "select")) two(cross(at.x, at.y, 7 / k));
+    canvas.style.visibility = empty ? "hidden" : "visible"; // Chromium goes on showing what was on a canvas that is only cleared
   });
 }
 

@@ -5,6 +5,8 @@ import { run } from "../state/studio";
 import { copy } from "./feedback";
 import { Button } from "./parts";
 
+const capital = (text: string): string => text.charAt(0).toUpperCase() + text.slice(1);
+
 export function History() {
   const now = state.value;
   if (!now) return null;
@@ -20,7 +22,7 @@ export function History() {
               aria-current={now.cursor === k}
               onClick={() => jump(k)}
             >
-              {k === 0 ? "Original" : step.label}
+              {k === 0 ? "Original" : capital(step.label)}
             </button>
           </li>
         ))}

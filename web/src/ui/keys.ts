@@ -1,8 +1,9 @@
 /** The keyboard. */
 
-import { selection, viewPixels } from "../paint/desk";
+import { viewPixels } from "../paint/desk";
 import { commitPlacement, placement } from "../paint/placement";
 import { invert, rectangle } from "../paint/select";
+import { deselect, selection } from "../paint/selection";
 import { brush, help, readOnly, selectedLayer, view } from "../state/store";
 import { report, run } from "../state/studio";
 import { filesOpen, frameAll, redo, undo } from "./header";
@@ -97,7 +98,7 @@ const WITH_CONTROL: Record<string, () => void> = {
   z: undo,
   "shift-z": redo,
   y: redo,
-  d: () => (selection.value = null),
+  d: deselect,
   a: () =>
     void viewPixels().then(
       ({ width, height }) => (selection.value = rectangle(width, height, { x: 0, y: 0, width, height })),

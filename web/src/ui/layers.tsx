@@ -3,11 +3,12 @@
 import { useState } from "preact/hooks";
 
 import type { LayerInfo, LayerSet } from "../messages";
-import { blobUrl } from "../net/blobs";
-import { readOnly, selectedLayer, state } from "../state/store";
+import { blobUrl, download } from "../net/blobs";
+import { readOnly, selectedLayer, state, tab } from "../state/store";
 import { run } from "../state/studio";
+import { openFile } from "./files";
 import { Icon } from "./icons";
-import { Button, Choice, Slider } from "./parts";
+import { Button, Choice, FileButton, Slider } from "./parts";
 
 const BLENDS = [
   ["normal", "Normal"],
@@ -40,8 +41,12 @@ export function Layers() {
   };
   return (
     <section class="panel layers" aria-label="Layers">
-      <h2>Layers</h2>
-      <LayerSettings layer={chosen} layers={layers} range={range} />
+      <header>
+        <h2>Layers</h2>
+        <LayerActions layer={chosen} layers={layers} range={range} />
+      </header>
+      <LayerSettings layer={chosen} />
+      <InConflict />
       <ul class="layer-list" aria-label="Layers, uppermost first">
         {shown.map((layer, k) => {
           const place = layers.length - 1 - k;
@@ -101,9 +106,10 @@ function onKey(event: KeyboardEvent, layer: LayerInfo, place: number, count: num
 
 function Thumbnail({ layer }: { layer: LayerInfo }) {
   const [first] = layer.views;
-  if (!first?.picture)
+  const picture = layer.thumbnail ?? first?.picture;
+  if (!picture)
     return <span class="thumbnail none">{layer.kind === "look" ? <Icon name="lens" /> : <Icon name="brush" />}</span>;
-  return <img class="thumbnail" src={blobUrl(first.picture)} alt="" loading="lazy" draggable={false} />;
+  return <img class="thumbnail" src={blobUrl(picture)} alt="" loading="lazy" draggable={false} />;
 }
 
 interface NameProps {
@@ -164,19 +170,68 @@ const chooseMade = (answer: { layer: LayerInfo } | null): void => {
   if (answer) selectedLayer.value = answer.layer.id;
 };
 
-/** Opacity, blend and actions of the chosen layer. */
-interface SettingsProps {
+async function exportLayer(layer: LayerInfo): Promise<void> {
+  const answer = await run("layer.export", { layer: layer.id }, "Writing the layer");
+  if (answer) download(answer.url, answer.file);
+}
+
+interface ActionProps {
   layer: LayerInfo | null;
   layers: LayerInfo[];
   /** The chosen layer and those up to where Shift was clicked, from below. */
   range: LayerInfo[];
 }
 
-function LayerSettings({ layer, layers, range }: SettingsProps) {
-  const [draft, setDraft] = useState<number | null>(null);
+/** What can be done with the chosen layer. */
+function LayerActions({ layer, layers, range }: ActionProps) {
   const off = !layer || readOnly.value;
   const below = layer ? layers[layers.indexOf(layer) - 1] : undefined;
   const together = range.length > 1 ? range : layer && below ? [below, layer] : [];
+  return (
+    <span class="group">
+      <Button
+        icon="copy"
+        label="Duplicate the layer"
+        disabled={off}
+        onClick={() => layer && void run("layer.duplicate", { layer: layer.id }, "Duplicating").then(chooseMade)}
+      />
+      <Button
+        icon="merge"
+        label={
+          range.length > 1 ? `Merge ${range.length} layers` : "Merge with the layer below (Shift-click chooses several)"
+        }
+        disabled={off || together.length < 2}
+        onClick={() => void run("layer.merge", { layers: together.map((one) => one.id) }, "Merging").then(chooseMade)}
+      />
+      <Button
+        icon="share"
+        label="Save the layer as a file"
+        disabled={!layer}
+        onClick={() => layer && void exportLayer(layer)}
+      />
+      <FileButton
+        icon="open"
+        label="Add a layer from a file"
+        bare
+        accept=".splatlayer"
+        disabled={readOnly.value || !state.value}
+        onFiles={([file]) => file && void openFile(file)}
+      />
+      <Button
+        icon="bin"
+        label="Delete the layer"
+        keys="Delete"
+        disabled={off}
+        onClick={() => layer && void run("layer.delete", { layer: layer.id }, "Deleting")}
+      />
+    </span>
+  );
+}
+
+/** Blend and opacity of the chosen layer. */
+function LayerSettings({ layer }: { layer: LayerInfo | null }) {
+  const [draft, setDraft] = useState<number | null>(null);
+  const off = !layer || readOnly.value;
   return (
     <div class="layer-settings">
       <Choice
@@ -198,31 +253,17 @@ function LayerSettings({ layer, layers, range }: SettingsProps) {
           if (layer) void set(layer.id, { opacity: Math.round(v) / 100 }).finally(() => setDraft(null));
         }}
       />
-      <span class="group">
-        <Button
-          icon="copy"
-          label="Duplicate the layer"
-          disabled={off}
-          onClick={() => layer && void run("layer.duplicate", { layer: layer.id }, "Duplicating").then(chooseMade)}
-        />
-        <Button
-          icon="merge"
-          label={
-            range.length > 1
-              ? `Merge ${range.length} layers`
-              : "Merge with the layer below (Shift-click chooses several)"
-          }
-          disabled={off || together.length < 2}
-          onClick={() => void run("layer.merge", { layers: together.map((one) => one.id) }, "Merging").then(chooseMade)}
-        />
-        <Button
-          icon="bin"
-          label="Delete the layer"
-          keys="Delete"
-          disabled={off}
-          onClick={() => layer && void run("layer.delete", { layer: layer.id }, "Deleting")}
-        />
-      </span>
     </div>
+  );
+}
+
+/** Says that layers overwrite each other, and leads to where that is settled. */
+function InConflict() {
+  const count = state.value?.conflicts.filter((one) => one.policy === "latest").length ?? 0;
+  if (count === 0) return null;
+  return (
+    <button type="button" class="in-conflict" onClick={() => (tab.value = "views")}>
+      Layers of different views overlap ({count})
+    </button>
   );
 }

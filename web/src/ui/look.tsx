@@ -5,10 +5,11 @@ import { useEffect } from "preact/hooks";
 
 import type { Look as LookValues } from "../messages";
 import { sendBlob } from "../net/blobs";
-import { selection } from "../paint/desk";
 import { maskPng } from "../paint/picture";
-import { camera, readOnly, selectedLayer, state } from "../state/store";
+import { selectedArea } from "../paint/selection";
+import { readOnly, selectedLayer, state } from "../state/store";
 import { link, remember, report, run } from "../state/studio";
+import type { CameraJson } from "../view/camera";
 import { Curve } from "./curve";
 import { Button, Check, Slider } from "./parts";
 
@@ -40,11 +41,12 @@ let busy = false;
 let area: { mask: object; blob: string } | null = null;
 
 /** The fields that say where the look applies. */
-async function where(): Promise<{ mask?: string; camera?: NonNullable<typeof camera.value> }> {
-  const mask = selection.value;
-  if (!onlySelected.value || !mask || !camera.value) return {};
+async function where(): Promise<{ mask?: string; camera?: CameraJson }> {
+  const selected = selectedArea.value;
+  if (!onlySelected.value || !selected) return {};
+  const { mask } = selected;
   if (area?.mask !== mask) area = { mask, blob: await sendBlob(await maskPng(mask), "mask.png") };
-  return { mask: area.blob, camera: camera.value };
+  return { mask: area.blob, camera: selected.camera };
 }
 
 const plain = (values: Full) => JSON.stringify(values) === JSON.stringify(NEUTRAL);
@@ -183,9 +185,9 @@ export function Look() {
         onInput={(v) => change({ strength: v / 100 })}
       />
       <Check
-        label={selection.value ? "Only the selected area" : "Only the selected area (select one first)"}
+        label={selectedArea.value ? "Only the selected area" : "Only the selected area (select one first)"}
         value={onlySelected.value}
-        disabled={!selection.value}
+        disabled={!selectedArea.value}
         onChange={(on) => ((onlySelected.value = on), void preview(look.value))}
       />
       <p class="row">

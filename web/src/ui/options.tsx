@@ -2,10 +2,12 @@
 
 import { signal } from "@preact/signals";
 
-import { cloneFrom, selection } from "../paint/desk";
+import { cloneFrom } from "../paint/desk";
+import { choosingSource } from "../paint/freehand";
 import { commitPlacement, placement, startStamp } from "../paint/placement";
 import { setColor } from "../paint/pointing";
-import { invert } from "../paint/select";
+import { invert, type Combine } from "../paint/select";
+import { deselect, selection } from "../paint/selection";
 import {
   brush,
   camera,
@@ -46,9 +48,14 @@ export function Options() {
       {current === "text" && <Text />}
       {current === "stamp" && <Stamp />}
       {(current === "clone" || current === "heal") && (
-        <span class="hint">
-          {cloneFrom.value ? "Alt-click: another source" : "Alt-click on the asset: where to copy from"}
-        </span>
+        <Button
+          label="The next click sets where to copy from"
+          keys="Alt-click"
+          icon="pick"
+          text={cloneFrom.value ? "Another source" : "Set the source"}
+          pressed={choosingSource.value}
+          onClick={() => (choosingSource.value = !choosingSource.value)}
+        />
       )}
       {current === "select" && <Select />}
       {current === "orbit" && (
@@ -62,7 +69,7 @@ export function Options() {
       {PAINTS.includes(current) && <Methods />}
       {selection.value && (
         <span class="group">
-          <Button label="Deselect" keys="Ctrl-D" text="Deselect" onClick={() => (selection.value = null)} />
+          <Button label="Deselect" keys="Ctrl-D" text="Deselect" onClick={deselect} />
         </span>
       )}
     </section>
@@ -214,6 +221,12 @@ function Place() {
   );
 }
 
+const COMBINE: readonly (readonly [Combine, string])[] = [
+  ["replace", "New"],
+  ["add", "Add (Shift)"],
+  ["subtract", "Take away (Alt)"],
+];
+
 function Select() {
   const s = selecting.value;
   const kinds: readonly (readonly [SelectKind, string])[] = [
@@ -224,6 +237,12 @@ function Select() {
   return (
     <>
       <Choice label="Select" value={s.kind} options={kinds} onChange={(kind) => (selecting.value = { ...s, kind })} />
+      <Choice
+        label="Which"
+        value={s.combine}
+        options={COMBINE}
+        onChange={(combine) => (selecting.value = { ...s, combine })}
+      />
       {s.kind === "color" && (
         <Slider
           label="Tolerance"
@@ -251,7 +270,6 @@ function Select() {
           onClick={() => (selection.value = invert(selection.value!))}
         />
       )}
-      <span class="hint">Shift adds, Alt takes away</span>
     </>
   );
 }

@@ -201,18 +201,29 @@ export function FileButton({
   icon,
   accept,
   multiple,
+  bare,
+  disabled,
   onFiles,
 }: {
   label: string;
   icon?: IconName;
   accept: string;
   multiple?: boolean;
+  /** The icon alone; the label is its tooltip. */
+  bare?: boolean;
+  disabled?: boolean;
   onFiles: (files: File[]) => void;
 }) {
   const input = useRef<HTMLInputElement>(null);
   return (
     <>
-      <Button label={label} icon={icon} text={label} onClick={() => input.current!.click()} />
+      <Button
+        label={label}
+        icon={icon}
+        text={bare ? undefined : label}
+        disabled={disabled}
+        onClick={() => input.current!.click()}
+      />
       <input
         ref={input}
         type="file"

@@ -1,4 +1,4 @@
-/** Views: bookmarks, export for editing elsewhere, turntable, where to look next, conflicts. */
+/** Views: conflicts between them, export for editing elsewhere, bookmarks, where to look next, turntable. */
 
 import { signal } from "@preact/signals";
 
@@ -57,6 +57,14 @@ export function Views() {
   const seen = covered.value;
   return (
     <div class="views">
+      {now.conflicts.length > 0 && (
+        <>
+          <h3>Conflicts</h3>
+          {now.conflicts.map((one) => (
+            <ConflictRow key={`${one.lower} ${one.upper}`} one={one} />
+          ))}
+        </>
+      )}
       <h3>Edit this view elsewhere</h3>
       <p class="row">
         <Button
@@ -111,14 +119,6 @@ export function Views() {
           onClick={() => void turntable()}
         />
       </p>
-      {now.conflicts.length > 0 && (
-        <>
-          <h3>Conflicts</h3>
-          {now.conflicts.map((one) => (
-            <ConflictRow key={`${one.lower} ${one.upper}`} one={one} />
-          ))}
-        </>
-      )}
     </div>
   );
 }
@@ -137,7 +137,10 @@ function AddBookmark() {
         placeholder="Name of this view"
         value={naming.value}
         onInput={(event) => (naming.value = event.currentTarget.value)}
-        onKeyDown={(event) => (event.stopPropagation(), event.key === "Enter" && add())}
+        onKeyDown={(event) => {
+          event.stopPropagation();
+          if (event.key === "Enter") (add(), event.currentTarget.blur());
+        }}
       />
       <Button icon="plus" label="Bookmark this view" disabled={readOnly.value} onClick={add} />
     </p>

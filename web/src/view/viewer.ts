@@ -3,6 +3,7 @@
 import * as THREE from "three";
 
 import type { Frame } from "../net/frames";
+import { Intake } from "../splats/intake";
 import { SplatTable } from "../splats/table";
 import { Blit, toBytes } from "./blit";
 import type { CameraJson } from "./camera";
@@ -24,6 +25,9 @@ export class Viewer {
   private readonly blit = new Blit();
   private readonly spark;
   private table: SplatTable | null = null;
+  /** Where the next rows go: `table`, or the one that replaces it once its rows are written. */
+  private newest: SplatTable | null = null;
+  private readonly intake = new Intake<SplatTable>((table) => this.written(table));
   private view: CameraJson | null = null;
   private requested = 0;
   /** Counts changes of what is shown, the camera aside. */
@@ -61,14 +65,28 @@ export class Viewer {
     this.invalidate();
   }
 
-  /** Show a snapshot or apply a delta. Returns false when the delta needs a snapshot instead (the table is full). */
+  /**
+   * Show a snapshot or apply a delta, after those before it; at once if it is small (see Intake). Returns false when the
+   * delta needs a snapshot instead (the table is full).
+   */
   apply(frame: Frame): boolean {
-    if (frame.snapshot) this.replace(frame);
-    else if (!this.table || !this.table.fits(frame)) return false;
-    else this.table.apply(frame);
+    if (frame.snapshot) {
+      for (const table of this.intake.drop()) if (table !== this.table) table.dispose();
+      this.newest = new SplatTable(this.renderer, frame);
+    } else if (!this.newest?.fits(frame)) return false;
+    this.intake.add(this.newest, frame);
+    return true;
+  }
+
+  private written(table: SplatTable): void {
+    if (table !== this.table) {
+      this.table?.dispose();
+      this.table = table;
+      this.scene.add(table.mesh);
+      void table.mesh.initialized.then(() => this.invalidate());
+    }
     this.revision++;
     this.invalidate();
-    return true;
   }
 
   setCamera(view: CameraJson): void {
@@ -96,6 +114,7 @@ export class Viewer {
 
   /** The view's colours as 8-bit RGBA, top row first, drawn with the order of exactly this camera. */
   async read(): Promise<ImageData> {
+    await this.intake.idle();
     const view = this.view;
     if (!view || !this.table) throw new Error("nothing to read: no asset is shown");
     if (this.still?.view !== view || this.still.revision !== this.revision) await this.settle();
@@ -111,6 +130,7 @@ export class Viewer {
    * one after rows were appended does not have them.
    */
   async settle(): Promise<void> {
+    await this.intake.idle();
     await this.table?.mesh.initialized;
     const { view, revision } = this;
     this.table?.mesh.updateVersion();
@@ -123,13 +143,6 @@ export class Viewer {
 
   private async sorted(): Promise<void> {
     while (this.spark.sorting || this.spark.sortDirty) await sleep(1);
-  }
-
-  private replace(frame: Frame): void {
-    this.table?.dispose();
-    this.table = new SplatTable(this.renderer, frame);
-    this.scene.add(this.table.mesh);
-    void this.table.mesh.initialized.then(() => this.invalidate());
   }
 
   private draw(): void {

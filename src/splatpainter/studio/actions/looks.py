@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.painter import Edit
+from splatpainter.receipts import changed_rows
 from splatpainter.session import erase
-from splatpainter.session.deltas import differing
 from splatpainter.sources.grade import Grade, grade
 from splatpainter.studio import frames
 from splatpainter.studio.actions import Call, handles
@@ -28,7 +28,7 @@ def preview(call: Call, command: say.LookPreview) -> Previewed:
     sh = grade(splats.sh, _settings(call, command.look))
     if command.mask is not None:
         sh = np.where(_reached(call, command)[:, None, None], sh, splats.sh)
-    rows = differing(splats, replace(splats, sh=sh))
+    rows = changed_rows(splats, replace(splats, sh=sh))
     if len(rows):
         every = len(rows) == len(splats)  # as a rule; 100,000 rows need not be copied for it
         some = replace(splats, sh=sh) if every else replace(splats.take(rows), sh=sh[rows])

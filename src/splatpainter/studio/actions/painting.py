@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import secrets
+import threading
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ def begin(call: Call, command: say.PaintBegin) -> say.StrokeStarted:
     stroke = Stroke(camera_of(command.camera), command.kind == "erase")
     shown = studio.session.shown
     stroke.prepare(shown.splats, studio.original, shown.version)
+    threading.Thread(target=studio.session.prepare, daemon=True).start()  # ready when the pen goes up
     call.put_back = True
     name = secrets.token_hex(6)
     call.desk.strokes = {name: stroke}

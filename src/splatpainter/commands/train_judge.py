@@ -1,0 +1,242 @@
+"""`splatpainter train judge` and `train card`: what trained weights reach on held-out objects, and their model card."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.targets import check_folder
+from splatpainter.commands.terminal import count, progress
+from splatpainter.train import recipes
+from splatpainter.train.recipes import STAGES, Recipe
+
+if TYPE_CHECKING:
+    from splatpainter.models.model import SplatPainterModel
+    from splatpainter.train.judge import Finding
+    from splatpainter.train.material import Supply
+
+Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+Checkpoint = Annotated[Positional[Path], arg(metavar="CHECKPOINT")]
+SHOWN = 5
+"""Lines about samples that could not be used that people see; --json has all."""
+
+
+@dataclass(frozen=True)
+class JudgeConfig:
+    """Judge a trained model on objects held out of training: Stage II by kind of edit and, for relighting, by number of
+    edited views; earlier stages by what they reproduce. Equal data, seed and sample settings give equal samples for
+    every checkpoint.
+
+    example:
+      splatpainter train judge runs/refine/model --data meshes/ --out judged
+      splatpainter train judge runs/refine/model --data meshes/ --out judged --kinds relight --views 1 2 4 --samples 20
+    """
+
+    checkpoint: Checkpoint
+    """Folder of weights, such as OUT/model of a run."""
+    data: str = ""
+    """The data it was trained on: procedural:N, or a folder of meshes, splat assets or shards."""
+    out: Path = Path("judged")
+    """Folder for judged.csv, judged.md and the contact sheet judged.png."""
+    samples: int = 48
+    """How many, over all kinds."""
+    kinds: tuple[str, ...] = ()
+    """Only these kinds of edits, in equal parts; default: those of the recipe, in its proportions."""
+    views: tuple[int, ...] = (1, 2, 4)
+    """Numbers of edited views that every relighting is judged with."""
+    seed: int = 0
+    """Of the samples and of the intervals."""
+    recipe: Path | None = None
+    """JSON file with the recipe whose samples are used; default: the one in the checkpoint."""
+    write_notes: bool = False
+    """Put the gain and the table into the checkpoint's notes: method auto and `train card` read them there."""
+    device: str = "auto"
+    """cpu, cuda, cuda:1, ...; auto: CUDA where there is one."""
+    environments: Folder = None
+    """Folder of HDRIs (.hdr, .exr)."""
+    decals: Folder = None
+    """Folder of stickers (PNG with transparency)."""
+    fonts: Folder = None
+    """Folder of fonts."""
+    textures: Folder = None
+    """Folder of photos."""
+    perceptual_weights: Folder = None
+    """Folder of the LPIPS weights; default: that of SPLATPAINTER_PERCEPTUAL; without them, no LPIPS."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def __post_init__(self) -> None:
+        if self.samples < 1:
+            raise ValueError(f"splatpainter train judge: expected --samples of at least 1, got {self.samples}")
+        if not self.views or min(self.views) < 1 or max(self.views) > 16:
+            raise ValueError(f"splatpainter train judge: expected --views of 1 to 16, got {self.views}")
+        if self.seed < 0:
+            raise ValueError(f"splatpainter train judge: expected --seed of 0 or more, got {self.seed}")
+
+
+@dataclass(frozen=True)
+class CardConfig:
+    """Print the model card of a Stage II checkpoint that `train judge --write-notes` has judged.
+
+    example:
+      splatpainter train card runs/refine/model > docs/MODEL_CARD.md
+    """
+
+    checkpoint: Checkpoint
+    """Folder of weights."""
+    earlier: tuple[Path, ...] = ()
+    """Weights of the stages before, first one first; default: what the checkpoint's notes say of them."""
+    hardware: str = "two CPU cores, no GPU"
+    """What it was trained on, in words."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def judge(config: JudgeConfig) -> Outcome:
+    """Judge, write the tables, and the notes if asked to. Raises ValueError before any work where the weights, the data
+    or the folder do not fit."""
+    from splatpainter.evaluate import trained
+    from splatpainter.models import checkpoint
+    from splatpainter.models.model import SplatPainterModel
+    from splatpainter.train.distributed import join
+    from splatpainter.train.judge import (
+        copy_rows,
+        edit_rows,
+        gains,
+        judge_copies,
+        judge_edits,
+        looking_tasks,
+        refine_task,
+    )
+    from splatpainter.train.trials import trials
+
+    if not config.data:
+        raise ValueError("splatpainter train judge: --data is missing: procedural:N, or a folder")
+    if config.write_notes and config.kinds:
+        raise ValueError("splatpainter train judge: --write-notes is for all kinds of the recipe; leave --kinds out")
+    check_folder(config.out)
+    model = SplatPainterModel.load(config.checkpoint)
+    recipe = _recipe(config, model)
+    device = join(config.device).device
+    model.to(device)
+    supply = _supply(config, recipe, str(device))
+    wanted = _kinds(config, recipe)
+    held = progress(trials(supply, wanted, config.samples, max(config.views)), config.samples, "judge")
+    told = ""
+    if recipe.stage == "refine":
+        found = judge_edits(refine_task(recipe, model, config.perceptual_weights).to(device), held, config.views)
+    else:
+        tasks, told = looking_tasks(recipe, model, config.checkpoint)
+        found = judge_copies(tasks, held)
+    findings, problems = _sorted(found)
+    if not findings:
+        raise ValueError(f"{config.data}: none of {config.samples} samples could be judged; the first: {problems[0]}")
+    edited = edit_rows(findings, config.seed) if recipe.stage == "refine" else []
+    rows = edited or copy_rows(findings, config.seed)
+    held_names = {f.name for f in findings}
+    judged = {
+        "rows": trained.plain(rows),
+        "samples": len({f.sample for f in findings}),
+        "objects": dict(zip(("training", "validation"), supply.counts(), strict=True)),
+        "judged_objects": len(held_names),
+        "skipped": len(problems),
+        "seed": config.seed,
+        "data": config.data if config.data.startswith("procedural:") else Path(config.data).name,
+        "size": recipe.samples.size,
+    }
+    gain = {"gain": gains(edited)} if edited else {}
+    config.out.mkdir(parents=True, exist_ok=True)
+    heading = (
+        f"stage {recipe.stage}, step {model.notes.get('step', '?')}: {judged['samples']} samples of "
+        f"{len(held_names)} held-out objects of {judged['data']}, {recipe.samples.size} px, seed {config.seed}"
+    )
+    remarks = [*trained.goals(rows), *([told] if told else []), *problems]
+    paths = trained.write(config.out, rows, findings, heading, ["\n".join(f"- {r}" for r in remarks)])
+    if config.write_notes:
+        checkpoint.add_notes(config.checkpoint, {**gain, "judged": judged})
+    hidden = len(problems) - SHOWN
+    lines = [
+        heading,
+        trained.table(rows),
+        *trained.goals(rows),
+        *([told] if told else []),
+        *problems[:SHOWN],
+        *([f"... and {count(hidden, 'more sample')} that could not be used"] if hidden > 0 else []),
+        f"-> {', '.join(map(str, paths))}" + (f", notes of {config.checkpoint}" if config.write_notes else ""),
+    ]
+    return Outcome({**judged, **gain, "problems": problems, "files": paths}, lines)
+
+
+def card(config: CardConfig) -> Outcome:
+    """The card as text. Raises ValueError for weights that have not been judged."""
+    from splatpainter.evaluate.card import card as text
+    from splatpainter.models import checkpoint
+    from splatpainter.train import history
+
+    held = checkpoint.load(config.checkpoint)
+    stages = history.of(config.checkpoint, held.notes)
+    if config.earlier:
+        stages = [history.record(folder, checkpoint.load(folder).notes) for folder in config.earlier] + stages[-1:]
+    weights: dict[str, int] = {}
+    for name, tensor in held.tensors.items():
+        part = name.split(".", 1)[0]
+        weights[part] = weights.get(part, 0) + tensor.numel()
+    shown = text(held.config, held.notes, weights, stages, config.hardware)
+    return Outcome({"card": shown}, [shown.rstrip("\n")])
+
+
+def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:
+    """The checkpoint's own recipe, or the named one, around the checkpoint's model."""
+    stage = model.notes.get("stage", "refine")
+    if stage not in STAGES:
+        raise ValueError(f"{config.checkpoint}: expected weights of stage {', '.join(STAGES)}, got {stage!r}")
+    if config.recipe is not None:
+        return dataclasses.replace(recipes.load(config.recipe, stage), model=model.config)
+    own = model.notes.get("recipe")
+    if not isinstance(own, dict):
+        raise ValueError(f"{config.checkpoint}: its notes hold no recipe; name the one it was trained by with --recipe")
+    return dataclasses.replace(
+        recipes.parse(json.dumps(own), stage, f"{config.checkpoint}: recipe"), model=model.config
+    )
+
+
+def _supply(config: JudgeConfig, recipe: Recipe, device: str) -> Supply:
+    from splatpainter.train.material import Stock, Supply
+
+    stock = Stock(config.environments, config.decals, config.fonts, config.textures)
+    share, memory = recipe.validation_share, 64 << 20
+    return Supply(config.data, recipe.samples, config.seed, share, stock, device, memory)
+
+
+def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:
+    """Kind -> weight, as asked for; the recipe's otherwise."""
+    from splatpainter.data.recipes import KINDS
+
+    known = [kind for kind in KINDS if (kind == "plain") != (recipe.stage == "refine")]
+    for kind in config.kinds:
+        if kind not in known:
+            raise ValueError(f"--kinds: expected some of {', '.join(known)} for stage {recipe.stage}, got {kind!r}")
+    own = {kind: weight for kind, weight in recipe.samples.kinds.items() if weight > 0 and kind in known}
+    return dict.fromkeys(config.kinds, 1.0) or own or dict.fromkeys(known, 1.0)
+
+
+def _sorted(found: Iterable[Finding | str]) -> tuple[list[Finding], list[str]]:
+    """(findings, lines about the others). Only the first strip of a table row stays in memory."""
+    findings: list[Finding] = []
+    problems: list[str] = []
+    strips: set[tuple[str, int | None]] = set()
+    for item in found:
+        if isinstance(item, str):
+            problems.append(item)
+            continue
+        key = item.kind, item.views
+        findings.append(item if key not in strips else dataclasses.replace(item, strip=()))
+        strips.add(key)
+    return findings, problems

@@ -1,0 +1,73 @@
+/** Rows on their way into tables: in order, and a slice at a time, so that a million of them do not stop the page. */
+
+import type { Frame } from "../net/frames";
+
+/** Where rows go. */
+export interface Target {
+  /** Encode rows `from` to `to` of the frame; nothing of it is shown yet. */
+  write(frame: Frame, from: number, to: number): void;
+  /** Everything is written: show it. */
+  finish(frame: Frame): void;
+}
+
+/** Milliseconds that one slice may take: less than a picture at 60 Hz. */
+const SLICE = 12;
+/** Rows between two looks at the clock. */
+const STEP = 1024;
+
+/** A small frame is finished before `add` returns; a large one goes on after pauses, and what comes later waits for it. */
+export class Intake<T extends Target> {
+  private queue: { target: T; frame: Frame; next: number }[] = [];
+  private waiting: (() => void)[] = [];
+  private paused = false;
+
+  constructor(
+    private readonly finished: (target: T, frame: Frame) => void,
+    private readonly pause: (go: () => void) => void = (go) => setTimeout(go, 0),
+    private readonly clock: () => number = () => performance.now(),
+  ) {}
+
+  add(target: T, frame: Frame): void {
+    this.queue.push({ target, frame, next: 0 });
+    if (!this.paused) this.run();
+  }
+
+  /** Forget what is not shown yet: a snapshot replaces it. Returns the targets that it was meant for. */
+  drop(): T[] {
+    const dropped = this.queue.map((one) => one.target);
+    this.queue = [];
+    return dropped;
+  }
+
+  /** Resolves when everything that was added is shown. */
+  idle(): Promise<void> {
+    return this.queue.length ? new Promise((resolve) => this.waiting.push(resolve)) : Promise.resolve();
+  }
+
+  private run(): void {
+    const end = this.clock() + SLICE;
+    for (let job = this.queue[0]; job; job = this.queue[0]) {
+      const { target, frame } = job;
+      while (job.next < frame.rows.count) {
+        if (this.clock() >= end) return this.later();
+        const to = Math.min(job.next + STEP, frame.rows.count);
+        target.write(frame, job.next, to);
+        job.next = to;
+      }
+      this.queue.shift();
+      target.finish(frame);
+      this.finished(target, frame);
+    }
+    const waiting = this.waiting;
+    this.waiting = [];
+    for (const resolve of waiting) resolve();
+  }
+
+  private later(): void {
+    this.paused = true;
+    this.pause(() => {
+      this.paused = false;
+      this.run();
+    });
+  }
+}
