@@ -153,6 +153,10 @@ def test_every_painting_tool_makes_a_layer(place: tuple[studio_scenes.Live, Page
     keys.press("5")
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
+    page.tab.locator("#stage").press("Escape")  # a canvas that is only cleared goes on showing what it showed
+    page.wait("nothing over the view", lambda: not page.tab.locator(".glass").is_visible())
+    page.drag((0.5, 0.5))
+    page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
     page.tab.locator("#stage").press("Enter")
     made("Text")
     keys.press("3")

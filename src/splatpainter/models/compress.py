@@ -60,7 +60,8 @@ class Compressor(nn.Module):
             self.key_norm = layer_norm(dim)
             self.cross = CrossAttention(dim, config.heads)
         if config.grouping == "latent_query":
-            self.queries = nn.Parameter(torch.randn(config.latent_queries, dim) * 0.02)
+            empty = torch.empty(config.latent_queries, dim)
+            self.queries = nn.Parameter(empty if empty.is_meta else empty.normal_() * 0.02)
 
     def forward(
         self,

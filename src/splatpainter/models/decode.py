@@ -42,7 +42,7 @@ class AttributeHead(nn.Module):
         nn.init.zeros_(self.linear.bias)
         if kind == "residual":
             nn.init.zeros_(self.linear.weight)
-        else:
+        elif not self.linear.weight.is_meta:
             nn.init.normal_(self.linear.weight, std=0.02)
 
     def forward(self, latents: Tensor) -> Tensor:

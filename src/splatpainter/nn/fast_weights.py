@@ -40,7 +40,8 @@ def initial(
     lead = () if heads is None else (heads,)
 
     def draw(fan_in: int, fan_out: int) -> Tensor:
-        return torch.randn(*lead, fan_in, fan_out, generator=generator, device=device) * math.sqrt(2 / fan_in)
+        empty = torch.empty(*lead, fan_in, fan_out, device=device)
+        return empty if empty.is_meta else empty.normal_(generator=generator) * math.sqrt(2 / fan_in)
 
     return FastWeights(draw(dim, hidden), draw(hidden, dim), draw(dim, hidden))
 

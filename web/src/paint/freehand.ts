@@ -81,7 +81,7 @@ export const eraser = along(() => {
 function fromSource(pen: Pen, name: string): Stroke | null {
   const from = cloneFrom.value;
   if (!from) {
-    toast("info", "Choose where to copy from first.", "Hold Alt and click on the asset.");
+    toast("info", "Choose where to copy from first.", "Hold Alt and click on the asset, or press Set the source.");
     return null;
   }
   const offset: [number, number] = from.offset ?? [pen.x - from.x, pen.y - from.y];

@@ -131,7 +131,8 @@ function Saving({ onClose }: { onClose: () => void }) {
         <Button label="Export" icon="share" text="Export" primary onClick={() => void give()} />
       </p>
       <p class="quiet">
-        Rows that no layer touched are written as they were read, bit for bit, where the format is the same.
+        Rows that no layer touched are written as they were read, bit for bit, where the format is the same (.sog has
+        one palette for all rows, which moves with new colours).
       </p>
       <h3>Project</h3>
       <p class="quiet">

@@ -72,6 +72,12 @@ export function ReceiptPanel() {
             {found.changed.toLocaleString()} changed, {found.appended.toLocaleString()} added.
           </p>
           <p class="quiet">{found.exact}</p>
+          {found.changed > changed && (
+            <p>
+              Writing {asset.format} changed {(found.changed - changed).toLocaleString()} rows that no layer changed:
+              its palette moves with new colours. Export a .ply to keep them.
+            </p>
+          )}
           {found.problems.map((line) => (
             <p key={line}>{line}</p>
           ))}

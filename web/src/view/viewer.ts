@@ -71,7 +71,7 @@ export class Viewer {
    */
   apply(frame: Frame): boolean {
     if (frame.snapshot) {
-      for (const table of this.intake.drop()) if (table !== this.table) table.dispose();
+      for (const table of new Set(this.intake.drop())) if (table !== this.table) table.dispose();
       this.newest = new SplatTable(this.renderer, frame);
     } else if (!this.newest?.fits(frame)) return false;
     this.intake.add(this.newest, frame);
