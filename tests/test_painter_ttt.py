@@ -28,6 +28,7 @@ from painter_scenes import (
     uneven,
 )
 
+from splatpainter.models import checkpoint
 from splatpainter.models.config import COMPACT, PAPER, ModelConfig, shallow
 from splatpainter.models.draft import draft_local, edit_views
 from splatpainter.models.encode import canonical_cameras, encode_asset
@@ -312,6 +313,18 @@ def test_auto_is_the_lift_in_the_mode_where_the_weights_do_not_beat_it() -> None
     assert receipt_of(painter.apply(Asset(SPLATS), [dab(SPLATS, RED)], method="ttt")).method == "ttt"
     everywhere = receipt_of(painter.apply(Asset(SPLATS), [dab(SPLATS, RED)], mode="global"))
     assert everywhere.method == "ttt" and "+0.40 dB" in everywhere.note
+
+
+def test_weights_that_beat_the_lift_nowhere_are_not_even_read(weights: Path) -> None:
+    saved(weights / "compact", replace(LIFT, preset="compact"))
+    checkpoint.add_notes(weights / "compact", {"gain": {"local": -5.0, "global": 0.1}})
+    assert Painter.load().model is not None
+    checkpoint.add_notes(weights / "compact", {"gain": {"local": -5.0, "global": -0.1}})
+    painter = Painter.load()
+    assert painter.model is None and "do not beat the lift" in painter.why
+    asked = Painter.load("compact")
+    assert asked.model is not None and asked.choose("auto", "local")[0] == "lift"
+    assert asked.choose("ttt", "local")[0] == "ttt"
 
 
 def test_a_checkpoints_own_config_wins(weights: Path) -> None:

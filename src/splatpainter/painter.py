@@ -1,6 +1,6 @@
 """The painter: pure functions from (asset, edits) to asset. Knows no layers and no history.
 
-painter = Painter.load()                      # trained weights where there are some, else the analytic lift
+painter = Painter.load()                      # trained weights where they beat the analytic lift, else that
 asset = painter.encode(splats)                # once per asset
 edited = painter.apply(asset, [Edit(picture, camera)])
 edited.splats, edited.receipt
@@ -131,16 +131,20 @@ class Painter:
     @staticmethod
     def load(preset: str = "auto", *, polish: bool = False, cache: bool = True) -> Painter:
         """The painter of a preset: "lift", "compact", "paper", or a folder of weights; "auto" is "compact" where its
-        weights are there, else "lift". polish, cache: as the fields.
+        weights are there and beat the lift (`choose`), else "lift". polish, cache: as the fields.
 
         Raises ValueError for a preset that is not known, or has no weights or wrong ones."""
-        from splatpainter.models import weights
+        from splatpainter.models import checkpoint, weights
 
+        why = "preset 'lift': the analytic lift"
         if preset == "auto":
-            preset = "compact" if weights.find("compact") is not None else "lift"
-            why = "no trained weights: the analytic lift"
-        else:
-            why = "preset 'lift': the analytic lift"
+            folder = weights.find("compact")
+            if folder is None:
+                return Painter(why="no trained weights: the analytic lift")
+            gain = checkpoint.notes(folder).get("gain", {})
+            if gain and max(gain.values()) <= 0:  # reading and running them would be for nothing
+                return Painter(why="the weights of preset 'compact' do not beat the lift yet: the analytic lift")
+            preset = "compact"
         if preset == "lift":
             return Painter(why=why)
         return Painter(model=weights.load(preset), polish=polish, cache=cache)

@@ -59,6 +59,8 @@ class LiftBench:
     """A TrueType or OpenType font; none: the one that comes with Pillow, made bold."""
     repeats: int = 3
     """Edits that are timed, for the median."""
+    preset: str = "lift"
+    """The painter: "lift", or a preset or folder of weights to compare with it (method ttt)."""
 
 
 @dataclass(frozen=True)
@@ -156,9 +158,10 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
     with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as place:
         ply = Path(place) / "original.ply"
         write(ply, source)
-        painter = Painter.load("lift")
+        painter = Painter.load(config.preset)
+        method = "lift" if painter.model is None else "ttt"
         start = time.perf_counter()
-        asset = painter.encode(read(ply))
+        asset = painter.encode(read(ply), method)
         assert asset.grid is not None
         setup = time.perf_counter() - start
         before = Views(asset.splats, view)
@@ -169,7 +172,10 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         edit = Edit(to_uint8(edited), view.camera)
         results: list[Asset] = []
         timing = measure(
-            lambda: results.append(painter.apply(asset, [edit])), warmups=0, repeats=config.repeats, budget=10
+            lambda: results.append(painter.apply(asset, [edit], method=method)),
+            warmups=0,
+            repeats=config.repeats,
+            budget=10,
         )
         painted = results[0]
         exact = _verified(painted, ply, Path(place) / "edited.ply")

@@ -131,6 +131,11 @@ def load(folder: Path | str, preset: str | None = None) -> Checkpoint:
     return Checkpoint(config, _joined(found, table, where), notes)
 
 
+def notes(folder: Path | str) -> dict[str, Any]:
+    """What the checkpoint in a folder says about its weights, without reading them. Raises ValueError as `load`."""
+    return dict(_index(Path(folder)).get("notes") or {})
+
+
 def add_notes(folder: Path | str, notes: Mapping[str, Any]) -> None:
     """Put these keys into the notes of a checkpoint; its weights and other notes stay as they are. Raises ValueError
     as `load` does for a folder without checkpoint or with another format."""

@@ -266,7 +266,7 @@ PAPER = ModelConfig()
 COMPACT = ModelConfig(
     preset="compact",
     representation="native",
-    lrm=LrmConfig(dim=256, layers=6, heads=4, hidden=768, sh_degree=1, views=8, image_size=256, geometry=True),
+    lrm=LrmConfig(dim=256, layers=6, heads=4, hidden=768, sh_degree=1, views=8, image_size=128, geometry=True),
     compress=CompressConfig(
         dim=256, heads=4, encoder_layers=2, decoder_layers=2, hidden=256, latent_queries=16, largest_group=512
     ),
