@@ -160,7 +160,8 @@ def test_interrupted_in_the_middle_of_writing(sent: signal.Signals, code: int, v
     saved(folder / "out.ply", ball(100))
     before = listing(folder)
     program = (
-        "import sys, time\n"
+        "import signal, sys, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs ignore it
         "from splatpainter.io import files, ply\n"
         "encode = ply._encode\n"
         "def slow(*arguments):\n"
