@@ -114,7 +114,9 @@ def test_a_global_draft_holds_every_row_that_can_be_drawn(base) -> None:  # noqa
     assert same_bits(draft.splats, lifted.splats if base == "lift" else SPLATS)
     assert draft.rows.tolist() == draft.parents.tolist() == list(range(DRAWABLE)) and not draft.detail
     np.testing.assert_array_equal(draft.confidence, lifted.confidence)
-    np.testing.assert_array_equal(draft.lift[:, 6], lifted.confidence[:DRAWABLE])
+    np.testing.assert_array_equal(draft.lift[:, 6], lifted.seen[:DRAWABLE])
+    np.testing.assert_allclose(draft.lift[:, 7:10], lifted.predicted[:DRAWABLE].clip(0, 1), atol=1e-6)
+    np.testing.assert_array_equal(draft.lift[:, 10:], lifted.normals[:DRAWABLE])
     np.testing.assert_allclose(draft.lift[:, 3:6], base_colors(lifted.splats)[:DRAWABLE].clip(0, 1), atol=1e-5)
 
 
@@ -245,7 +247,7 @@ def test_assemble_keeps_every_bit_that_did_not_change() -> None:
     means[:, 2] = np.where(np.arange(len(means)) % 2, -0.0, 0.0)  # two zeros
     splats = replace(SPLATS, means=means, origin=np.arange(len(SPLATS)))
     index = np.array([4, 9, 2])
-    draft = Draft(splats, index, index, np.zeros((3, 7), np.float32), detail=True)
+    draft = Draft(splats, index, index, np.zeros((3, 13), np.float32), detail=True)
     rows = splats.take(index).torch()
     rows = replace(rows, sh=rows.sh + 1)
     asset = assemble(draft, rows, rows)

@@ -94,5 +94,5 @@ def test_a_residual_on_the_lift_has_no_second_set_and_no_absolute_decoder() -> N
         replace(compact.refine, base="lift")
     refine = replace(compact.refine, base="lift", detail=False)
     assert ModelConfig.from_json(replace(compact, refine=refine).to_json()).refine.base == "lift"
-    with pytest.raises(ValueError, match="expected decoder='residual'"):
+    with pytest.raises(ValueError, match="expected a residual decoder"):
         replace(compact, refine=refine, decoder="absolute")

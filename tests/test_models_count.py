@@ -80,7 +80,7 @@ def test_operations_equal_what_torch_counts(loss: str, representation: str) -> N
     assert total == pytest.approx(2 * cost.picture + cost.edit, rel=1e-6)
 
     values = latents.values  # type: ignore[attr-defined]
-    lift = torch.rand(len(values), 7)
+    lift = torch.rand(len(values), 13)
     total, refined = counted(lambda: model.refiner.read(state, model.refiner.prepare(values, lift)))  # type: ignore[arg-type]
     head, _ = counted(lambda: model.head(values))
     assert total + head == pytest.approx(len(values) * cost.latent, rel=1e-6)

@@ -9,7 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatpainter.models.decode import AttributeHead, absolute, apply_residual, newborn, output_count
+from splatpainter.models.decode import (
+    LIMITS,
+    AttributeHead,
+    absolute,
+    apply_residual,
+    bounded,
+    newborn,
+    output_count,
+)
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
@@ -42,7 +50,7 @@ def test_a_zero_residual_returns_the_very_same_bits() -> None:
     scales[0] = torch.tensor([1e-30, 3e30, 1e-41])
     rows = replace(rows, means=odd, opacities=opacities, scales=scales)
     for zero in (0.0, -0.0):
-        same = apply_residual(rows, torch.full((len(rows), output_count(3)), zero), voxel=0.1)
+        same = apply_residual(rows, torch.full((len(rows), output_count(3)), zero), 0.1)
         for name in ATTRIBUTES:
             assert (bits(getattr(same, name)) == bits(getattr(rows, name))).all(), name
 
@@ -51,7 +59,7 @@ def test_one_moved_number_moves_nothing_else() -> None:
     rows = some_rows()
     residual = torch.zeros(len(rows), output_count(3))
     residual[5, 4] = 0.5  # second log scale of row 5
-    moved = apply_residual(rows, residual, voxel=0.1)
+    moved = apply_residual(rows, residual, 0.1)
     changed = {name: (bits(getattr(moved, name)) != bits(getattr(rows, name))) for name in ATTRIBUTES}
     assert changed["scales"].sum() == 1 and changed["scales"][5, 1]
     assert not any(changed[name].any() for name in ATTRIBUTES if name != "scales")
@@ -62,7 +70,7 @@ def test_closed_form() -> None:
     rows = some_rows(degree=2)
     g = torch.Generator().manual_seed(4)
     residual = torch.randn(len(rows), output_count(2), generator=g)
-    got = apply_residual(rows, residual, voxel=0.25).numpy()
+    got = apply_residual(rows, residual, 0.25).numpy()
     r, d = rows.numpy(), residual.numpy().astype(np.float64)
     own = {name: getattr(r, name).astype(np.float64) for name in ATTRIBUTES}
     logit = np.log(own["opacities"] / (1 - own["opacities"])) + d[:, 10]
@@ -77,7 +85,7 @@ def test_closed_form() -> None:
 @pytest.mark.parametrize(("asset", "model"), [(0, 3), (3, 1), (4, 3), (1, 1)])
 def test_sh_degrees_of_asset_and_model_may_differ(asset: int, model: int) -> None:
     rows = some_rows(degree=asset)
-    moved = apply_residual(rows, torch.ones(len(rows), output_count(model)), voxel=0.1)
+    moved = apply_residual(rows, torch.ones(len(rows), output_count(model)), 0.1)
     common = (min(asset, model) + 1) ** 2
     assert moved.sh.shape == rows.sh.shape
     assert torch.equal(moved.sh[:, :common], rows.sh[:, :common] + 1)
@@ -100,6 +108,26 @@ def test_extreme_residuals_stay_finite() -> None:
         for name in ATTRIBUTES:
             assert torch.isfinite(getattr(moved, name)).all(), name
         assert (moved.scales > 0).all() and (moved.opacities >= 0).all() and (moved.opacities <= 1).all()
+
+
+def test_a_bounded_residual_keeps_rows_of_any_size_in_place() -> None:
+    """However loud the network: at most their own size away (or a voxel), and at most e^0.7 larger or smaller."""
+    rows = some_rows()
+    rows = replace(rows, scales=rows.scales * torch.logspace(-4, 1, len(rows))[:, None])
+    head = AttributeHead(8, 3, "bounded")
+    assert head.silent
+    centers = torch.zeros_like(rows.means)
+    for size in (1e4, -1e4):
+        moved = head.attributes(torch.full((len(rows), output_count(3)), size), rows, centers, voxel=0.05)
+        away = (moved.means - rows.means).abs().amax(1)
+        most = rows.scales.amax(1).clamp(max=0.05)
+        assert (away <= most * LIMITS["centre"] + 1e-6 * rows.means.abs().amax(1)).all()
+        growth = torch.log(moved.scales / rows.scales)
+        torch.testing.assert_close(growth, torch.full_like(growth, np.sign(size) * LIMITS["scale"]))
+    same = head.attributes(torch.zeros(len(rows), output_count(3)), rows, centers, voxel=0.05)
+    assert all((bits(getattr(same, name)) == bits(getattr(rows, name))).all() for name in ATTRIBUTES)
+    small = 1e-3 * torch.randn(5, output_count(1), generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(bounded(small), small, rtol=1e-4, atol=1e-8)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.3])

@@ -40,7 +40,7 @@ def encode(model: SplatPainterModel, splats: Splats) -> Latents:
 
 def edit(model: SplatPainterModel, latents: Latents, places: np.ndarray | None = None, **options: object) -> Refined:
     count = len(latents.values) if places is None else len(places)
-    lift = torch.rand(count, 7, generator=torch.Generator().manual_seed(5))
+    lift = torch.rand(count, 13, generator=torch.Generator().manual_seed(5))
     lift = lift if model.config.refine.lift_features else None
     return model.refine(
         model.initial_state(),
@@ -111,7 +111,7 @@ def test_a_local_edit_decodes_the_chosen_rows_and_their_children() -> None:
     assert decoded.parents.tolist() == decoded.rows.tolist() and len(decoded.further) == 4
     assert (decoded.further.numpy().scales < 0.9 * splats.take(decoded.parents).scales).all()
     # The same rows of a global edit by the same lift features come out the same: rows do not see each other.
-    lift = torch.full((len(splats), 7), 0.5)
+    lift = torch.full((len(splats), 13), 0.5)
     state = model.initial_state()
     local = model.refine(state, latents, pictures(), places=places, lift=lift[:4])
     whole = model.refine(state, latents, pictures(), lift=lift)
@@ -144,7 +144,7 @@ def test_permuting_the_rows_permutes_the_edited_asset() -> None:
     ):
         groups = model.groups(grid_of(rows, TINY))
         latents = model.compressor(tokens, rows.torch(), replace(tied, patches=patches, weights=weights), groups)
-        refined = model.refine(model.initial_state(), latents, pictures(), lift=torch.full((len(splats), 7), 0.5))
+        refined = model.refine(model.initial_state(), latents, pictures(), lift=torch.full((len(splats), 13), 0.5))
         decoded = model.decode(latents, refined, rows.torch())
         back = np.argsort(decoded.rows)
         results.append(decoded.splats.take(torch.from_numpy(back)))
@@ -162,7 +162,7 @@ def test_edit_is_refine_and_decode_in_runs_of_any_size(
     splats = shell().torch()
     model = wake(build())
     latents = encode(model, shell())
-    lift = torch.rand(len(splats) if places is None else len(places), 7, generator=torch.Generator().manual_seed(5))
+    lift = torch.rand(len(splats) if places is None else len(places), 13, generator=torch.Generator().manual_seed(5))
     monkeypatch.setattr("splatpainter.models.model.CHUNK", 16)
     first = model.initial_state()
     state, decoded = model.edit(first, latents, pictures(), splats, places=places, lift=lift, detail=detail)
@@ -294,7 +294,7 @@ def test_what_the_model_cannot_do_is_refused_in_one_line() -> None:
         latents = encode(model, splats)
         with pytest.raises(ValueError, match=r"^refine: this model has no detail layer; [^\n]*$"):
             edit(model, latents, detail=True)
-        with pytest.raises(ValueError, match=r"^refine: expected lift features \[3, 7\], got None$"):
+        with pytest.raises(ValueError, match=r"^refine: expected lift features \[3, 13\], got None$"):
             model.refine(model.initial_state(), latents, pictures(), places=np.arange(3))
         with pytest.raises(ValueError, match=r"^refine: expected lift features of 3 latents, got 200$"):
             model.edit(

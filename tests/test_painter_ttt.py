@@ -160,7 +160,7 @@ def test_a_global_edit_leaves_rows_that_cannot_be_drawn() -> None:
 
 def test_permuting_rows_or_views_permutes_the_result_and_nothing_else() -> None:
     splats = uneven()
-    painter = Painter(model=built(OWN, awake=0.05))
+    painter = Painter(model=built(OWN, awake=0.08))
     edits = [grade(splats), grade(splats, REAR)]
     result = painter.apply(painter.encode(splats), edits, mode="global")
     turn = np.random.default_rng(5).permutation(len(splats))

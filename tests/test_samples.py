@@ -189,6 +189,18 @@ def test_equal_numbers_give_equal_samples_in_any_order() -> None:
     assert len({sample.kind for sample in forward}) > 3
 
 
+def test_detail_is_drawn_per_object_and_scales_pixels_rows_and_surfels_alike() -> None:
+    recipe = replace(SMALL, kinds={"plain": 1.0}, detail=(1.0, 3.0), steps_per_object=1)
+    stream = SampleStream(Balls(()), recipe, 3)
+    shown = {sample.name: sample for sample in (stream[i] for i in range(6))}
+    assert len(shown) == 3
+    factors = {name: sample.base.colors.shape[1] / 48 for name, sample in shown.items()}
+    assert len(set(factors.values())) == 3 and all(1 <= f <= 3 for f in factors.values())
+    for name, sample in shown.items():
+        assert len(sample.asset) == pytest.approx(200 * factors[name] ** 2, rel=0.08)
+    assert equal(stream[4], SampleStream(Balls(()), recipe, 3)[4])
+
+
 def test_a_stage_lasts_its_steps_and_bad_objects_give_way() -> None:
     source = Balls()
     stream = SampleStream(source, replace(SMALL, kinds={"plain": 1.0}), 0)

@@ -24,6 +24,8 @@ class SampleRecipe:
     """Of the asset."""
     surfels: int = 60_000
     """Of the truth."""
+    detail: tuple[float, float] = (1.0, 1.0)
+    """Drawn per object, evenly in its logarithm: a factor on size, its square on rows and surfels."""
     fuzz: tuple[float, float] = (0.1, 0.5)
     """How rough the asset is, drawn per object; see surfels.coarse_asset."""
     sh_degree: int = 1
@@ -57,6 +59,8 @@ class SampleRecipe:
         for name, bound in least.items():
             if getattr(self, name) < bound:
                 raise ValueError(f"recipe: expected {name} of at least {bound}, got {getattr(self, name)}")
+        if not 0 < self.detail[0] <= self.detail[1]:
+            raise ValueError(f"recipe: expected a detail of two rising factors above 0, got {self.detail}")
         if not 1 <= len(self.views) <= 16 or min(self.views) < 0 or sum(self.views) <= 0:
             raise ValueError(f"recipe: expected odds >= 0 of 1, 2, ... up to 16 edited views, got {self.views}")
         if self.sh_degree not in (0, 1, 2):

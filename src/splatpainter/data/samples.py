@@ -130,10 +130,10 @@ class SampleStream:
         if block in self._stages:
             self._stages.move_to_end(block)
             return self._stages[block]
-        subject = self._subject(block)
+        subject, detail = self._subject(block)
         rng, r = self._generator("stage", block), self.recipe
         background = r.backgrounds[rng.integers(len(r.backgrounds))]
-        optics = Optics(r.size, float(rng.uniform(*r.fov)), background)
+        optics = Optics(max(round(r.size * detail), 16), float(rng.uniform(*r.fov)), background)
         light = None if self.splats else random_light(rng, self.environments, self.device)
         stage = light_up(subject, light, r.sh_degree, optics, r.base_views, rng)
         self._stages[block] = stage
@@ -141,9 +141,9 @@ class SampleStream:
             self._stages.popitem(last=False)
         return stage
 
-    def _subject(self, block: int) -> Subject:
-        """The object of a block: every object once per epoch, in an order of that epoch; bad ones give way to the
-        next in the source."""
+    def _subject(self, block: int) -> tuple[Subject, float]:
+        """The object of a block and its factor of detail: every object once per epoch, in an order of that epoch; bad
+        ones give way to the next in the source."""
         count = len(self.source)
         epoch, place = divmod(block, count)
         first = int(self._generator("epoch", epoch).permutation(count)[place])
@@ -152,7 +152,7 @@ class SampleStream:
             if i in self._bad:
                 continue
             try:
-                return self._cached(i)
+                return self._cached(i), self._detail(i)
             except ValueError as error:
                 self._bad[i] = str(error)
         reason = next(iter(self._bad.values()), "the source is empty")
@@ -165,13 +165,23 @@ class SampleStream:
         if self.splats:
             subject = splat_subject(cast(SplatSource, self.source), i, self.device)
         else:
-            rng, r = self._generator("subject", i), self.recipe
-            sizes = (r.surfels, r.rows, float(rng.uniform(*r.fuzz)), int(rng.integers(1 << 31)))
+            rng, r, area = self._generator("subject", i), self.recipe, self._detail(i) ** 2
+            sizes = (
+                round(r.surfels * area),
+                round(r.rows * area),
+                float(rng.uniform(*r.fuzz)),
+                int(rng.integers(1 << 31)),
+            )
             subject = mesh_subject(cast(MeshSource, self.source), i, *sizes, self.device)
         self._subjects[i] = subject
         while len(self._subjects) > 1 and sum(s.nbytes for s in self._subjects.values()) > self._cache_bytes:
             self._subjects.popitem(last=False)
         return subject
+
+    def _detail(self, i: int) -> float:
+        """Of object i: 1 for splat assets, which are as they are."""
+        low, high = np.log(self.recipe.detail)
+        return 1.0 if self.splats else float(np.exp(self._generator("detail", i).uniform(low, high)))
 
     def _generator(self, what: str, *numbers: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, *what.encode(), *numbers])

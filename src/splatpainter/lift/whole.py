@@ -42,6 +42,12 @@ class Regraded:
     confidence: np.ndarray
     """[N] float32 0..1: how much of each row's new colour was seen (1) rather than predicted; predictions far from
     everything seen go to 0."""
+    seen: np.ndarray
+    """[N] float32 0..1: the lift's share of each row's new colour; the rest is the regression's."""
+    predicted: np.ndarray
+    """[N, 3] float32 base colours that the regression says."""
+    normals: np.ndarray
+    """[N, 3] float32 unit normals, outwards (`outward_normals`); zeros for rows that cannot be drawn."""
 
 
 def lift_global(
@@ -55,9 +61,10 @@ def lift_global(
     drawable = splats.finite
     if not drawable.all():  # a NaN would spread through the regression
         some = lift_global(splats.take(drawable), views, options)
-        sh, certain = splats.sh.copy(), np.zeros(len(splats), np.float32)
-        sh[drawable], certain[drawable] = some.splats.sh, some.confidence
-        return Regraded(replace(splats, sh=sh), certain)
+        sh = splats.sh.copy()
+        sh[drawable] = some.splats.sh
+        told = (some.confidence, some.seen, some.predicted, some.normals)
+        return Regraded(replace(splats, sh=sh), *(_spread(values, drawable) for values in told))
     old = 0.5 + SH_C0 * splats.sh[:, 0]  # [N, 3] base colours
     change, weight = _lift_seen(splats, views, options.rounds)
     seen = weight > 0.05
@@ -65,7 +72,8 @@ def lift_global(
         raise ValueError(
             "edit: the views show no solid part of the asset (alpha above 0.9); check the cameras and masks"
         )
-    features = _features(np.clip(old, 0, 1), outward_normals(splats, options.ring))
+    normals = outward_normals(splats, options.ring)
+    features = _features(np.clip(old, 0, 1), normals)
     solution, spread = _ridge(features[seen], change[seen], weight[seen], options)
     predicted = features @ solution  # [N, 3] change of base colour
     trust = (weight / (weight + options.half_seen))[:, None]
@@ -78,7 +86,15 @@ def lift_global(
     leverage = ((features @ spread.astype(np.float32)) * features).sum(1)
     typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
     certain = trust[:, 0] + (1 - trust[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
-    return Regraded(replace(splats, sh=sh.astype(splats.sh.dtype)), certain.astype(np.float32))
+    told = (certain, trust[:, 0], old + predicted, normals)
+    return Regraded(replace(splats, sh=sh.astype(splats.sh.dtype)), *(part.astype(np.float32) for part in told))
+
+
+def _spread(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """values [M, ...] in the M places of rows [N] bool, zeros elsewhere."""
+    whole = np.zeros((len(rows), *values.shape[1:]), values.dtype)
+    whole[rows] = values
+    return whole
 
 
 CONFLICT = 0.15

@@ -14,12 +14,12 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 Grouping = Literal["feats_query", "latent_query", "voxel_mean"]
 Mixer = Literal["ttt", "cross_attention"]
 InnerLoss = Literal["dot", "l2"]
-ImageChannels = Literal["edited", "rays", "render", "geometry", "mask"]
+ImageChannels = Literal["edited", "rays", "render", "geometry", "mask", "normals"]
 Representation = Literal["native", "copy"]
-Decoder = Literal["residual", "absolute"]
+Decoder = Literal["residual", "bounded", "absolute"]
 Base = Literal["own", "lift"]
 
-CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1}
+CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1, "normals": 3}
 """Channels per pixel of each group that an image token of an edit can hold."""
 LARGEST = 1 << 20
 """Bytes; no honest config is longer."""
@@ -115,13 +115,17 @@ class RefineConfig:
     """Pixels per edge of a picture token."""
     image_channels: tuple[ImageChannels, ...] = ("edited", "rays")
     """What a picture token holds: the edited colours, the rays, and beyond the paper the current render, its positions
-    and alpha ("geometry"), and the edit mask."""
+    and alpha ("geometry"), the edit mask, and the normals of those positions."""
     image_attention: bool = False
     """Self-attention inside each picture before the TTT layer, as LaCT has it for novel view synthesis."""
     mask_tokens: bool = False
     """Tokens train the fast weights in proportion to their share of edited pixels; False: all alike."""
     lift_features: bool = False
-    """Latents are told the analytic lift's answer: colour before and after, and how much of the row was seen."""
+    """Latents are told the analytic lift's answer (colour before and after, how much of the row was seen, the colour
+    that its regression predicts) and the row's normal, turned outwards."""
+    row_tokens: int = 0
+    """Rows that teach the fast weights along with the pictures, those that the edit shows most; 0: none (the paper).
+    They know the lift's answer, so what is seen of an edit is learnt in the words in which unseen rows will ask."""
     base: Base = "own"
     """What the decoder's residual is added to. own: the row as it is (the paper): untrained weights leave the asset as
     it is, and detail comes from the second set. lift: the analytic lift's answer, with the rows that the lift splits
@@ -142,7 +146,9 @@ class RefineConfig:
 
     def __post_init__(self) -> None:
         _positive(self, "blocks", "fast_hidden", "hidden", "heads", "patch")
-        _positive(self, "newton_schulz_steps", least=0)
+        _positive(self, "newton_schulz_steps", "row_tokens", least=0)
+        if self.row_tokens and (self.mixer != "ttt" or not self.lift_features):
+            raise ValueError("config: expected row_tokens only with mixer='ttt' and lift_features")
         if not 1 <= self.inner_steps <= 16:
             raise ValueError(f"config: expected inner_steps 1..16, got {self.inner_steps}")
         if not 0 <= self.edit_strength < float("inf"):
@@ -175,8 +181,9 @@ class ModelConfig:
     refine: RefineConfig = field(default_factory=RefineConfig)
     """Stage II."""
     decoder: Decoder = "residual"
-    """residual: on the row's own attributes, zero at first, so that an untrained model is the identity; absolute: the
-    paper's, relative to nothing but the voxel."""
+    """residual: on the row's own attributes, centres in voxels, zero at first, so that an untrained model is the
+    identity; bounded: likewise, centres in the row's own size and all of it within limits, so that rows far finer than
+    any in training stay in place; absolute: the paper's, relative to nothing but the voxel."""
 
     def __post_init__(self) -> None:
         _degree(self)
@@ -184,7 +191,7 @@ class ModelConfig:
             sizes = f"{self.compress.dim} and {self.refine.heads}"
             raise ValueError(f"config: expected compress.dim a multiple of refine.heads, got {sizes}")
         if self.refine.base == "lift" and self.decoder == "absolute":
-            raise ValueError("config: expected decoder='residual' with refine.base='lift', got 'absolute'")
+            raise ValueError("config: expected a residual decoder with refine.base='lift', got 'absolute'")
 
     def to_json(self) -> str:
         """Every field, nested as here, two spaces per level."""
@@ -276,10 +283,12 @@ COMPACT = ModelConfig(
         inner_loss="dot",
         hidden=128,
         heads=4,
-        image_channels=("edited", "rays", "render", "geometry", "mask"),
+        image_channels=("edited", "rays", "render", "geometry", "mask", "normals"),
         mask_tokens=True,
         lift_features=True,
+        row_tokens=2048,
     ),
+    decoder="bounded",
 )
 """What ships trained: one unified model for local and global edits, on two CPU cores. Stage II spends 2.6 MFLOP per
 row, so that a global edit of 100,000 rows fits in 2.5 s also where only float32 is fast (AVX2)."""

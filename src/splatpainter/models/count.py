@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from splatpainter.models.config import CompressConfig, LrmConfig, ModelConfig, RefineConfig
 from splatpainter.models.decode import output_count
+from splatpainter.models.refine import DRIFT_FEATURES, LIFT_FEATURES
 from splatpainter.models.rows import feature_count
 
 
@@ -76,7 +77,8 @@ def flops(config: ModelConfig, rows_per_voxel: float = 8.0, views: int | None = 
         view=_lrm(config.lrm, views or config.lrm.views, head=not native),
         row=_compress(config.compress, config.sh_degree, rows_per_voxel, keep),
         picture=tokens * _adapt(config.refine, dim),
-        edit=config.refine.blocks * _orthogonalise(config.refine, dim),
+        edit=config.refine.blocks * _orthogonalise(config.refine, dim)
+        + config.refine.row_tokens * _teach(config.refine, dim),
         latent=_read(config.refine, dim) + decode,
         detail=_detail(config.refine, dim) + decode if config.refine.detail else 0.0,
     )
@@ -134,7 +136,7 @@ def _adapt(config: RefineConfig, dim: int) -> float:
     return float(total)
 
 
-def _learn(config: RefineConfig, dim: int) -> float:
+def _learn(config: RefineConfig, dim: int) -> int:
     """Keys, values, rates, and the directions of the three matrices, per token."""
     products = 6 + (config.inner_loss == "l2")
     return 4 * dim**2 + 6 * dim + config.inner_steps * products * 2 * dim * config.fast_hidden
@@ -148,9 +150,21 @@ def _orthogonalise(config: RefineConfig, dim: int) -> float:
 
 def _read(config: RefineConfig, dim: int) -> float:
     """Per latent."""
-    told = 14 * dim * (config.lift_features + (config.base == "lift"))
-    block = 4 * dim**2 + 6 * dim * config.fast_hidden + 6 * dim * config.hidden
-    return float(told + config.blocks * block)
+    return float(_told(config, dim) + config.blocks * _read_block(config, dim))
+
+
+def _read_block(config: RefineConfig, dim: int) -> int:
+    return 4 * dim**2 + 6 * dim * config.fast_hidden + 6 * dim * config.hidden
+
+
+def _told(config: RefineConfig, dim: int) -> int:
+    return 2 * dim * (LIFT_FEATURES * config.lift_features + DRIFT_FEATURES * (config.base == "lift"))
+
+
+def _teach(config: RefineConfig, dim: int) -> int:
+    """Per row that teaches along: like a latent up to the last block, and as much as a picture token in each."""
+    blocks = (config.blocks - 1) * _read_block(config, dim) + config.blocks * _learn(config, dim)
+    return _told(config, dim) + blocks
 
 
 def _detail(config: RefineConfig, dim: int) -> float:

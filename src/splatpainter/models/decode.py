@@ -20,6 +20,8 @@ CHILD_SCALE = 0.5
 CHILD_OPACITY = 0.1
 """... and this much fainter, so that appending it hardly changes a picture, yet its pixels have gradients (renderers
 skip alpha below 1/255, so that a child born invisible would never learn)."""
+LIMITS = {"centre": 1.0, "scale": 0.7, "turn": 0.5, "opacity": 3.0, "sh": 2.0}
+"""Of a bounded residual: sizes of the row, log scale, quaternion of norm 1, logits, SH coefficients."""
 OPAQUE = 1e-6
 """Opacities this near to 0 or 1 count as this near: from exactly 1 no logit could move."""
 
@@ -32,7 +34,7 @@ def output_count(degree: int) -> int:
 class AttributeHead(nn.Module):
     """LayerNorm and one linear layer, [M, D] -> [M, C] float32 (also under autocast: bits of a mean matter).
 
-    residual: weights and bias start at zero; absolute: weights N(0, 0.02), zero bias."""
+    residual and bounded: weights and bias start at zero; absolute: weights N(0, 0.02), zero bias."""
 
     def __init__(self, dim: int, degree: int, kind: Decoder) -> None:
         super().__init__()
@@ -40,7 +42,7 @@ class AttributeHead(nn.Module):
         self.norm = nn.LayerNorm(dim)
         self.linear = nn.Linear(dim, output_count(degree))
         nn.init.zeros_(self.linear.bias)
-        if kind == "residual":
+        if kind != "absolute":
             nn.init.zeros_(self.linear.weight)
         elif not self.linear.weight.is_meta:
             nn.init.normal_(self.linear.weight, std=0.02)
@@ -59,13 +61,23 @@ class AttributeHead(nn.Module):
         the edge of one, world units."""
         if self.kind == "residual":
             return apply_residual(rows, raw, voxel)
+        if self.kind == "bounded":
+            size = rows.scales.detach().amax(1, keepdim=True).clamp(max=voxel)
+            return apply_residual(rows, bounded(raw), size)
         return absolute(rows, raw, centers, voxel)
 
 
-def apply_residual(rows: Splats, residual: Tensor, voxel: float) -> Splats:
-    """Rows moved by a residual [M, C]: centre in voxels, log scale, quaternion (of the row's own norm), logit opacity,
-    SH of the bands that C has (others stay). Where a number of the residual is exactly 0, the row's own number returns
-    bit for bit. Differentiable in both, at 0 too.
+def bounded(raw: Tensor) -> Tensor:
+    """raw [M, C] with every number softly within LIMITS; small ones, and 0 exactly, stay what they are."""
+    counts = {"centre": 3, "scale": 3, "turn": 4, "opacity": 1, "sh": raw.shape[1] - 11}
+    limits = torch.cat([raw.new_full((counts[name],), limit) for name, limit in LIMITS.items()])
+    return limits * torch.tanh(raw / limits)
+
+
+def apply_residual(rows: Splats, residual: Tensor, unit: float | Tensor) -> Splats:
+    """Rows moved by a residual [M, C]: centre in units (world, one or [M, 1]), log scale, quaternion (of the row's own
+    norm), logit opacity, SH of the bands that C has (others stay). Where a number of the residual is exactly 0, the
+    row's own number returns bit for bit. Differentiable in both, at 0 too.
 
     Formulas: design.md 3; log and logit are never taken: exp(log s + d) = s exp(d), and
     sigmoid(logit o + d) = o e^d / (1 - o + o e^d).
@@ -78,7 +90,7 @@ def apply_residual(rows: Splats, residual: Tensor, voxel: float) -> Splats:
     low = _keep(rows.sh[:, :bands] + sh[:, :bands], rows.sh[:, :bands], sh[:, :bands])
     return replace(
         rows,
-        means=_keep(rows.means + voxel * centre, rows.means, centre),
+        means=_keep(rows.means + unit * centre, rows.means, centre),
         scales=_keep(rows.scales * torch.exp(scale.clamp(-8, 8)), rows.scales, scale),
         quats=_keep(rows.quats + norm * turn, rows.quats, turn),
         opacities=_keep(o * odds / (1 - o + o * odds), rows.opacities, opacity),

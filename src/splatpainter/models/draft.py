@@ -75,7 +75,8 @@ class Draft:
     parents: np.ndarray = field(repr=False)
     """[J] int64 the asset's row whose latent each of them reads: itself, or the row that it was split from."""
     lift: np.ndarray = field(repr=False)
-    """[J, 7] float32 0..1: base colour before, base colour after the lift, how much was seen."""
+    """[J, 13] float32: base colour before and after the lift, how much was seen, base colour that a global lift's
+    regression predicts (0..1 each), unit normal, outwards or towards the edited views."""
     confidence: np.ndarray | None = field(default=None, repr=False)
     """[N] float32 0..1, of a global lift: seen (1) or predicted (towards 0)."""
     detail: bool = False
@@ -118,7 +119,7 @@ def draft_local(
     options = options or LocalOptions()
     if base == "lift":
         lifted, rows, owners = _lifted(splats, grid, views, options)
-        told = _features(splats, lifted, rows, owners, _seen(lifted, views)) if features else _nothing(rows)
+        told = _local_features(splats, lifted, rows, owners, views) if features else _nothing(rows)
         return Draft(lifted, rows, owners, told)
     reached = rows_reached(splats, grid, views)
     rows = np.flatnonzero(reached)
@@ -126,7 +127,7 @@ def draft_local(
     if features:
         pictures = [(view.camera, view.wanted) for view in views]
         painted = polish_local(splats, pictures, reached, min(options.rounds, TOLD_ROUNDS))
-        told = _features(splats, painted, rows, rows, _seen(splats, views))
+        told = _local_features(splats, painted, rows, rows, views)
     return Draft(splats, rows, rows, told, detail=True)
 
 
@@ -147,7 +148,10 @@ def draft_global(
         return Draft(splats, rows, rows, _nothing(rows))
     with errors_name(", ".join(dict.fromkeys(view.name for view in views))):
         lift = lift_global(splats, [(v.camera, v.target, v.mask) for v in views], options or GlobalOptions())
-    told = _features(splats, lift.splats, rows, rows, lift.confidence) if features else _nothing(rows)
+    told = _nothing(rows)
+    if features:
+        further = (lift.seen[rows, None], np.clip(lift.predicted[rows], 0, 1), lift.normals[rows])
+        told = np.concatenate([_colors(splats, rows), _colors(lift.splats, rows), *further], 1, dtype=np.float32)
     return Draft(lift.splats if base == "lift" else splats, rows, rows, told, lift.confidence)
 
 
@@ -266,14 +270,29 @@ def _seen(splats: Splats, views: Sequence[EditView]) -> np.ndarray:
     return weight / (weight + HALF_SEEN)
 
 
-def _features(before: Splats, after: Splats, rows: np.ndarray, parents: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """[J, 7] float32 0..1. rows: [J] of `after` and of `seen`; parents: [J] of `before`."""
-    colors = (0.5 + SH_C0 * splats.sh[index, 0] for splats, index in ((before, parents), (after, rows)))
-    return np.clip(np.concatenate([*colors, seen[rows, None]], 1), 0, 1).astype(np.float32)
+def _local_features(
+    before: Splats, after: Splats, rows: np.ndarray, parents: np.ndarray, views: Sequence[EditView]
+) -> np.ndarray:
+    """[J, 13]: nothing is predicted, so that is the colour after; normals look at the middle of the cameras. rows: [J]
+    of `after`; parents: [J] of `before`."""
+    from splatpainter.lift.split import rotations
+
+    new = _colors(after, rows)
+    turns = rotations(np.ascontiguousarray(after.quats[rows]))
+    normals = turns[np.arange(len(rows)), :, after.scales[rows].argmin(1)]
+    towards = np.mean([view.camera.position for view in views], axis=0) - after.means[rows]
+    normals = np.where(np.einsum("ni,ni->n", normals, towards)[:, None] < 0, -normals, normals)
+    parts = (_colors(before, parents), new, _seen(after, views)[rows, None], new, normals)
+    return np.concatenate(parts, 1, dtype=np.float32)
+
+
+def _colors(splats: Splats, rows: np.ndarray) -> np.ndarray:
+    """[J, 3] base colours, within 0..1."""
+    return np.clip(0.5 + SH_C0 * splats.sh[rows, 0], 0, 1)
 
 
 def _nothing(rows: np.ndarray) -> np.ndarray:
-    return np.zeros((len(rows), 7), np.float32)
+    return np.zeros((len(rows), 13), np.float32)
 
 
 def _pictures(views: Sequence[EditView], device: str) -> Pictures:

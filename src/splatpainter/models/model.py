@@ -26,7 +26,7 @@ from splatpainter.models.config import ModelConfig
 from splatpainter.models.decode import AttributeHead, newborn
 from splatpainter.models.lrm import AssetViews, GaussianLrm
 from splatpainter.models.pictures import Pictures, tokenize
-from splatpainter.models.refine import CHUNK, Refiner, RefineState
+from splatpainter.models.refine import CHUNK, SEEN, Refiner, RefineState
 from splatpainter.models.rows import RowGroups, TokenLinks
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels import VoxelGrid
@@ -166,16 +166,19 @@ class SplatPainterModel(nn.Module):
         """Stage II: adapt to the pictures of one edit, then read the chosen latents.
 
         places: [J] int64 latents to read, the same one for several rows if wanted (local), None: all (global); lift:
-        [J, 7] what the analytic lift says about their rows, drift: [J, 7] how these differ from the encoded ones
+        [J, 13] what the analytic lift says about their rows, drift: [J, 7] how these differ from the encoded ones
         (`Refiner.prepare`); detail: also make the second set; strength: overrides config.refine.edit_strength; chunk:
         latents at once. The same edit in other batches gives the same values up to rounding. Raises ValueError for
         pictures or features that this model cannot use.
         """
         if detail and not self.config.refine.detail:
             raise ValueError("refine: this model has no detail layer; use detail=False")
-        state = self.refiner.adapt(state, tokenize(pictures, latents.groups, self.config.refine), strength=strength)
         chosen, original = self._chosen(latents, places)
         original = self.refiner.prepare(original, lift, drift)
+        teachers = self.refiner.teachers(lift)
+        rows = None if teachers is None or lift is None else (original[teachers], lift[teachers, SEEN])
+        tokens = tokenize(pictures, latents.groups, self.config.refine)
+        state = self.refiner.adapt(state, tokens, rows=rows, strength=strength)
         values = self.refiner.read(state, original, chunk=chunk)
         second = None
         if detail:
@@ -210,12 +213,18 @@ class SplatPainterModel(nn.Module):
         for name, told in (("lift features", lift), ("drift", drift)):
             if told is not None and len(told) != len(chosen):
                 raise ValueError(f"refine: expected {name} of {len(chosen)} latents, got {len(told)}")
-        state = self.refiner.adapt(state, tokenize(pictures, latents.groups, self.config.refine), strength=strength)
-        runs = [slice(first, first + CHUNK) for first in range(0, max(len(chosen), 1), CHUNK)]
 
-        def original(run: slice) -> Tensor:
+        def original(run: slice | np.ndarray) -> Tensor:
             told = (None if values is None else values[run] for values in (lift, drift))
             return self.refiner.prepare(self._chosen(latents, chosen[run])[1], *told)
+
+        teachers = self.refiner.teachers(lift)
+        taught = None
+        if teachers is not None and lift is not None:
+            taught = original(teachers.cpu().numpy()), lift[teachers, SEEN]
+        tokens = tokenize(pictures, latents.groups, self.config.refine)
+        state = self.refiner.adapt(state, tokens, rows=taught, strength=strength)
+        runs = [slice(first, first + CHUNK) for first in range(0, max(len(chosen), 1), CHUNK)]
 
         def decoded(values: Tensor, second: Tensor | None, run: slice) -> Decoded:
             part = None if base is None else base.take(np.arange(len(chosen))[run])
@@ -240,7 +249,7 @@ class SplatPainterModel(nn.Module):
         index = latents.groups.order[refined.places]
         native = self.config.representation == "native"
         own = rows.take(index) if base is None else base
-        again = base is not None and not native and self.config.decoder == "residual"
+        again = base is not None and not native and self.config.decoder != "absolute"
         told = self.head(self._chosen(latents, refined.places)[1]) if again else None
         splats = self._decoded(latents, refined.values, refined.places, own, told)
         if refined.second is None:

@@ -107,14 +107,29 @@ def _channels(pictures: Pictures, mask: Tensor, groups: RowGroups, config: Refin
             parts += [directions, nearest_points(origins, directions).clamp(-4, 4)]
         elif name == "render":
             parts.append(2 * _present(pictures.render, name) - 1)
-        elif name == "geometry":
+        elif name in ("geometry", "normals"):
             alpha = _present(pictures.alpha, name)
             along = _present(pictures.depth, name) / (groups.half * slants(pictures.cameras, directions))
             position = origins[:, None, None] + directions * along
-            parts += [position.clamp(-2, 2) * alpha, 2 * alpha - 1]
+            if name == "normals":
+                parts.append(_normals(position, alpha, directions))
+            else:
+                parts += [position.clamp(-2, 2) * alpha, 2 * alpha - 1]
         else:
             parts.append(mask)
     return torch.cat(parts, dim=-1)
+
+
+def _normals(position: Tensor, alpha: Tensor, directions: Tensor) -> Tensor:
+    """[V, H, W, 3] unit normals towards the camera, times alpha, of positions [V, H, W, 3]: the cross product of
+    central differences, after a mean over 3 x 3 pixels weighted by alpha. Zero where nothing is."""
+    both = torch.cat([position * alpha, alpha], dim=-1).permute(0, 3, 1, 2)
+    summed = F.avg_pool2d(F.pad(both, (2, 2, 2, 2), mode="replicate"), 3, stride=1).permute(0, 2, 3, 1)
+    smooth = summed[..., :3] / summed[..., 3:].clamp(min=1e-4)
+    across, down = smooth[:, 1:-1, 2:] - smooth[:, 1:-1, :-2], smooth[:, 2:, 1:-1] - smooth[:, :-2, 1:-1]
+    normal = F.normalize(torch.linalg.cross(down, across), dim=-1)
+    away = (normal * directions).sum(-1, keepdim=True) > 0
+    return torch.where(away, -normal, normal) * alpha
 
 
 def _present(values: Tensor | None, name: str) -> Tensor:

@@ -22,8 +22,11 @@ from splatpainter.nn.ttt import TTTLayer
 
 CHUNK = 1 << 13
 """Latents that are worked on at once without gradients (as in compress.py)."""
-LIFT_FEATURES = 7
-"""Numbers per latent that the analytic lift says: colour before and after (3 + 3), and how much was seen."""
+LIFT_FEATURES = 13
+"""Numbers per latent that the analytic lift says: colour before and after (3 + 3), how much was seen, the colour that
+its regression predicts (3), and the row's normal (3)."""
+SEEN = 6
+"""Which of them says how much was seen."""
 DRIFT_FEATURES = 7
 """Numbers per latent that say how its row differs from the one that was encoded (rows.drift_features)."""
 Memory = FastWeights | Tensor
@@ -43,8 +46,9 @@ class RefineState:
 class FastMixer(nn.Module):
     """Memory by test-time training."""
 
-    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool) -> None:
-        """pictures: whether picture tokens read too (not where nothing reads them afterwards)."""
+    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool, rows: bool) -> None:
+        """pictures: whether picture tokens read too (not where nothing reads them afterwards); rows: whether rows
+        teach."""
         super().__init__()
         self.ttt = TTTLayer(
             dim,
@@ -54,16 +58,24 @@ class FastMixer(nn.Module):
             newton_schulz_steps=config.newton_schulz_steps,
             edit_strength=config.edit_strength,
             streams=("image", "voxel") if pictures else ("voxel",),
+            teachers=("image", "voxel") if rows else ("image",),
         )
 
     def initial(self) -> Memory:
         return self.ttt.initial_state()
 
-    def learn(self, memory: Memory, tokens: Tensor, weights: Tensor | None, strength: float | None) -> Memory:
+    def learn(
+        self,
+        memory: Memory,
+        tokens: Tensor,
+        weights: Tensor | None,
+        strength: float | None,
+        rows: tuple[Tensor, Tensor] | None = None,
+    ) -> Memory:
         assert isinstance(memory, FastWeights)
         # Without gradients in parts: the second set learns from every latent of the edit.
         chunk = None if torch.is_grad_enabled() else CHUNK
-        return self.ttt.update(memory, tokens, weights, edit_strength=strength, chunk=chunk)
+        return self.ttt.update(memory, tokens, weights, rows=rows, edit_strength=strength, chunk=chunk)
 
     def tell_pictures(self, memory: Memory, tokens: Tensor) -> Tensor:
         assert isinstance(memory, FastWeights)
@@ -77,7 +89,7 @@ class FastMixer(nn.Module):
 class AttentionMixer(nn.Module):
     """The ablation: memory is all tokens so far, read by cross-attention; weights and strength mean nothing here."""
 
-    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool) -> None:
+    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool, rows: bool) -> None:
         super().__init__()
         self.dim = dim
         self.rows = CrossAttention(dim, config.heads)
@@ -87,7 +99,14 @@ class AttentionMixer(nn.Module):
         weight = self.rows.out.weight
         return weight.new_zeros(0, self.dim)
 
-    def learn(self, memory: Memory, tokens: Tensor, weights: Tensor | None, strength: float | None) -> Memory:
+    def learn(
+        self,
+        memory: Memory,
+        tokens: Tensor,
+        weights: Tensor | None,
+        strength: float | None,
+        rows: tuple[Tensor, Tensor] | None = None,
+    ) -> Memory:
         assert isinstance(memory, Tensor)
         return torch.cat([memory, tokens.to(memory.dtype)])
 
@@ -100,9 +119,9 @@ class AttentionMixer(nn.Module):
         return self.rows(tokens, memory, CrossGroups.of([len(tokens)], [len(memory)], tokens.device))
 
 
-def _mixer(dim: int, config: RefineConfig, *, pictures: bool) -> FastMixer | AttentionMixer:
+def _mixer(dim: int, config: RefineConfig, *, pictures: bool, rows: bool) -> FastMixer | AttentionMixer:
     kind = FastMixer if config.mixer == "ttt" else AttentionMixer
-    return kind(dim, config, pictures=pictures)
+    return kind(dim, config, pictures=pictures, rows=rows)
 
 
 class RefineBlock(nn.Module):
@@ -115,7 +134,7 @@ class RefineBlock(nn.Module):
         if config.image_attention:
             self.norm_attention = layer_norm(dim)
             self.attention = SelfAttention(dim, config.heads)
-        self.mixer = _mixer(dim, config, pictures=not last)
+        self.mixer = _mixer(dim, config, pictures=not last, rows=config.row_tokens > 0)
         self.norm_pictures = layer_norm(dim)
         self.norm_rows = layer_norm(dim)
         self.norm_rows_mlp = layer_norm(dim)
@@ -125,17 +144,27 @@ class RefineBlock(nn.Module):
             self.mlp_pictures = SwiGLU(dim, config.hidden)
 
     def adapt(
-        self, memory: Memory, x: Tensor, weights: Tensor | None, groups: Groups | None, strength: float | None
-    ) -> tuple[Memory, Tensor]:
-        """The memory after the edit, and the picture tokens [T, D] for the next block. groups: pictures."""
+        self,
+        memory: Memory,
+        x: Tensor,
+        weights: Tensor | None,
+        groups: Groups | None,
+        strength: float | None,
+        rows: Tensor | None,
+        shares: Tensor | None,
+    ) -> tuple[Memory, Tensor, Tensor | None]:
+        """The memory after the edit, and what the next block learns from: picture tokens [T, D] and teaching latents
+        [R, D] or None. groups: pictures; shares: [R] 0..1, how much each of these latents counts."""
         if groups is not None:
             x = x + self.attention(self.norm_attention(x), groups)
         tokens = self.norm_pictures(x)
-        memory = self.mixer.learn(memory, tokens, weights, strength)
+        taught = None if rows is None or shares is None else (self.norm_rows(rows), shares)
+        memory = self.mixer.learn(memory, tokens, weights, strength, taught)
         if self.last:
-            return memory, x
+            return memory, x, rows
         x = x + self.mixer.tell_pictures(memory, tokens)
-        return memory, x + self.mlp_pictures(self.norm_pictures_mlp(x))
+        x = x + self.mlp_pictures(self.norm_pictures_mlp(x))
+        return memory, x, None if rows is None else self.read(memory, rows)
 
     def read(self, memory: Memory, x: Tensor) -> Tensor:
         """Latents [K, D] after this block."""
@@ -158,7 +187,7 @@ class Refiner(nn.Module):
         last = config.blocks - 1
         self.blocks = nn.ModuleList(RefineBlock(dim, config, last=i == last) for i in range(config.blocks))
         if config.detail:
-            self.detail_mixer = _mixer(dim, config, pictures=False)
+            self.detail_mixer = _mixer(dim, config, pictures=False, rows=False)
             self.norm_refined = layer_norm(dim)
             self.norm_original = layer_norm(dim)
 
@@ -167,33 +196,54 @@ class Refiner(nn.Module):
         blocks = tuple(block.mixer.initial() for block in self._blocks())
         return RefineState(blocks, self.detail_mixer.initial() if self.config.detail else None)
 
-    def adapt(self, state: RefineState, tokens: PictureTokens, *, strength: float | None = None) -> RefineState:
-        """The state after an edit. strength: overrides config.edit_strength. An edit without tokens changes nothing.
-        Permuting the pictures changes the state by rounding only."""
+    def adapt(
+        self,
+        state: RefineState,
+        tokens: PictureTokens,
+        *,
+        rows: tuple[Tensor, Tensor] | None = None,
+        strength: float | None = None,
+    ) -> RefineState:
+        """The state after an edit. rows: ([R, D] latents from `prepare` that teach along, see `teachers`, [R] 0..1 how
+        much each counts), for a model with row_tokens; strength: overrides config.edit_strength. An edit without tokens
+        changes nothing. Permuting the pictures changes the state by rounding only."""
         if len(tokens.pixels) == 0:
             return state
+        latents, shares = rows or (None, None)
         x = self.pictures(tokens.pixels)
         groups = Groups.of(tokens.lengths, x.device) if self.config.image_attention else None
         weights = tokens.weights if self.config.mask_tokens else None
         memories = []
         for block, memory in zip(self._blocks(), state.blocks, strict=True):
             if self._recompute():
-                memory, x = checkpoint(block.adapt, memory, x, weights, groups, strength, use_reentrant=False)  # type: ignore[misc]
+                step = (memory, x, weights, groups, strength, latents, shares)
+                memory, x, latents = checkpoint(block.adapt, *step, use_reentrant=False)  # type: ignore[misc]
             else:
-                memory, x = block.adapt(memory, x, weights, groups, strength)
+                memory, x, latents = block.adapt(memory, x, weights, groups, strength, latents, shares)
             memories.append(memory)
         return replace(state, blocks=tuple(memories))
 
+    def teachers(self, lift: Tensor | None) -> Tensor | None:
+        """[R] int64 the rows that teach along with the pictures: at most config.row_tokens, those that the edit shows
+        most (lift: [K, 13], see `prepare`); None for a model without, or where the edit shows none."""
+        if not self.config.row_tokens or lift is None:
+            return None
+        seen = lift[:, SEEN]
+        count = min(self.config.row_tokens, int((seen > 0).sum()))
+        return torch.topk(seen, count).indices if count else None
+
     def prepare(self, latents: Tensor, lift: Tensor | None, drift: Tensor | None = None) -> Tensor:
-        """[K, D] latents with what is known of their rows beyond. lift: [K, 7] colour before, colour after (0..1), and
-        seen (0..1), for a model with lift features; drift: [K, 7] of `rows.drift_features`, for one with base "lift"
-        (None: the rows are those that were encoded). Raises ValueError where they are missing or of another shape."""
+        """[K, D] latents with what is known of their rows beyond. lift: [K, 13] colour before, colour after, seen,
+        colour predicted (0..1), and unit normal, for a model with lift features; drift: [K, 7] of
+        `rows.drift_features`, for one with base "lift" (None: the rows are those that were encoded). Raises ValueError
+        where they are missing or of another shape."""
         wanted = [len(latents), LIFT_FEATURES]
         if self.config.lift_features:
             if lift is None or list(lift.shape) != wanted:
                 raise ValueError(f"refine: expected lift features {wanted}, got {_shape(lift)}")
-            before, after, seen = lift.split([3, 3, 1], dim=1)
-            told = torch.cat([2 * before - 1, 2 * (after - before), seen], dim=1)
+            before, after, seen, predicted, normal = lift.split([3, 3, 1, 3, 3], dim=1)
+            changes = (2 * (after - before), seen, 2 * (predicted - before))
+            told = torch.cat([2 * before - 1, *changes, normal], dim=1)
             latents = latents + self.lift(told.to(self.lift.weight.dtype))
         if self.config.base == "lift" and drift is not None:
             if list(drift.shape) != [len(latents), DRIFT_FEATURES]:

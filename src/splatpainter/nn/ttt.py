@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import reduce
+from itertools import chain
 from typing import Literal
 
 import torch
@@ -42,9 +43,11 @@ class TTTLayer(nn.Module):
         newton_schulz_steps: int = 5,
         edit_strength: float = 1.0,
         streams: tuple[Stream, ...] = ("image", "voxel"),
+        teachers: tuple[Stream, ...] = ("image",),
     ) -> None:
         """dim: D, a multiple of heads. fast_hidden: hidden width of a head's fast network. streams: who may read; each
-        has its own query head. The other settings: as in fast_weights.step."""
+        has its own query head. teachers: who may train the fast weights; each has its own key, value and rate heads.
+        The other settings: as in fast_weights.step."""
         super().__init__()
         if heads < 1 or dim % heads:
             raise ValueError(f"ttt: expected a width that is a multiple of the heads, got {dim} and {heads}")
@@ -56,6 +59,9 @@ class TTTLayer(nn.Module):
         self.kv = linear(dim, 2 * dim)
         self.queries = nn.ModuleDict({stream: linear(dim, dim) for stream in streams})
         self.rates = linear(dim, 3 * heads)
+        if "voxel" in teachers:
+            self.kv_rows = linear(dim, 2 * dim)
+            self.rates_rows = linear(dim, 3 * heads)
         self.gain = nn.Parameter(torch.ones(dim // heads))
         self.out = linear(dim, dim)
         first = fast_weights.initial(dim // heads, fast_hidden, heads)
@@ -71,26 +77,29 @@ class TTTLayer(nn.Module):
         tokens: Tensor,
         mask: Tensor | None = None,
         *,
+        rows: tuple[Tensor, Tensor] | None = None,
         edit_strength: float | Tensor | None = None,
         chunk: int | None = None,
     ) -> FastWeights:
         """The state after an edit; the given one stays as it is.
 
         tokens: [T, D] of the whole edit, normalised. mask: [T] bool or 0..1, how much each token counts; 0 leaves it
-        out exactly, and an edit of none returns the same bits. edit_strength: overrides the layer's. chunk: tokens in
-        work at once, which bounds the memory; the same up to rounding, since the direction is a sum over tokens.
+        out exactly, and an edit of none returns the same bits. rows: ([R, D] voxel tokens, normalised, [R] 0..1 how
+        much each counts), which teach along with the image tokens, in a layer with that teacher. edit_strength:
+        overrides the layer's. chunk: tokens in work at once, which bounds the memory; the same up to rounding, since
+        the direction is a sum over tokens.
         """
         size = chunk or max(len(tokens), 1)
         parts = tokens.split(size)
         masks = [None] * len(parts) if mask is None else mask.split(size)
         # One part is kept over the inner steps, many are made again in each.
-        whole = self._lesson(tokens, mask) if len(parts) == 1 else None
+        whole = self._lesson(tokens, mask, "image") if len(parts) == 1 else None
+        further = () if rows is None else (self._lesson(*rows, "voxel"),)
 
         def direction(weights: FastWeights) -> FastWeights:
-            if whole is not None:
-                return fast_weights.ascent(weights, *whole, self.inner_loss)
-            lessons = (self._lesson(part, shares) for part, shares in zip(parts, masks, strict=True))
-            ways = (fast_weights.ascent(weights, *lesson, self.inner_loss) for lesson in lessons)
+            pairs = zip(parts, masks, strict=True)
+            pictures = (self._lesson(*pair, "image") for pair in pairs) if whole is None else (whole,)
+            ways = (fast_weights.ascent(weights, *lesson, self.inner_loss) for lesson in chain(pictures, further))
             return reduce(lambda one, two: FastWeights(*(a + b for a, b in zip(one, two, strict=True))), ways)
 
         return fast_weights.advance(
@@ -108,11 +117,12 @@ class TTTLayer(nn.Module):
         said = functional.rms_norm(said.float(), said.shape[-1:], self.gain.float(), EPS)
         return self.out(said.flatten(1))
 
-    def _lesson(self, tokens: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-        """Keys and values [H, T, D/H] and rates [H, T, 3] of tokens [T, D]; mask as in `update`."""
+    def _lesson(self, tokens: Tensor, mask: Tensor | None, stream: Stream) -> tuple[Tensor, Tensor, Tensor]:
+        """Keys and values [H, T, D/H] and rates [H, T, 3] of a stream's tokens [T, D]; mask as in `update`."""
+        kv, rate = (self.kv, self.rates) if stream == "image" else (self.kv_rows, self.rates_rows)
         # Keys and values under the caller's autocast, the state and its norms in float32.
-        k, v = functional.silu(self.kv(tokens)).unflatten(-1, (2, self.heads, -1)).unbind(1)
-        rates = self._rates(tokens)
+        k, v = functional.silu(kv(tokens)).unflatten(-1, (2, self.heads, -1)).unbind(1)
+        rates = self._rates(tokens, rate)
         if mask is not None:
             # where, not a product: a token that is left out may hold anything.
             seen = (mask > 0)[:, None]
@@ -120,10 +130,10 @@ class TTTLayer(nn.Module):
             k, v = (torch.where(seen[..., None], x, 0) for x in (k, v))
         return _unit(k).transpose(0, 1), v.transpose(0, 1), rates
 
-    def _rates(self, tokens: Tensor) -> Tensor:
+    def _rates(self, tokens: Tensor, head: nn.Linear) -> Tensor:
         """[H, T, 3] rates of the tokens, in float32 also under autocast: bf16 would round them by 0.4 %."""
         with torch.autocast(tokens.device.type, enabled=False):
-            raw = functional.linear(tokens.float(), self.rates.weight.float())
+            raw = functional.linear(tokens.float(), head.weight.float())
             return functional.softplus(raw + RATE_OFFSET).unflatten(-1, (self.heads, 3)).transpose(0, 1)
 
 
