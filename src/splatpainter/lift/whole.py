@@ -24,6 +24,9 @@ class GlobalOptions:
 
     rounds: int = 5
     """Colour rounds over all views at once."""
+    last_rounds: int = 1
+    """Further ones after the regression, where several views were given: with 2 and 4 relit views 0.14 and 0.44 dB on
+    novel views; with one view they only fit that one."""
     ridge: float = 1e-3
     """Ridge weight of the affine part, relative to the seen rows' total weight."""
     ridge_normals: float = 1e-2
@@ -66,7 +69,8 @@ def lift_global(
         told = (some.confidence, some.seen, some.predicted, some.normals)
         return Regraded(replace(splats, sh=sh), *(_spread(values, drawable) for values in told))
     old = 0.5 + SH_C0 * splats.sh[:, 0]  # [N, 3] base colours
-    change, weight = _lift_seen(splats, views, options.rounds)
+    shown, weight = _prepared(splats, views)
+    change = _colored(splats, shown, weight, options.rounds)
     seen = weight > 0.05
     if not seen.any():
         raise ValueError(
@@ -83,11 +87,15 @@ def lift_global(
     sh[:, 0] = (new - 0.5) / SH_C0
     if sh.shape[1] > 1:
         sh[:, 1:] = sh[:, 1:] @ _matrices(features, solution).transpose(0, 2, 1)
+    result = replace(splats, sh=sh.astype(splats.sh.dtype))
+    if len(views) > 1 and options.last_rounds:
+        moved = _colored(result, shown, weight, options.last_rounds)
+        result.sh[:, 0] += moved / SH_C0  # its own copy
     leverage = ((features @ spread.astype(np.float32)) * features).sum(1)
     typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
     certain = trust[:, 0] + (1 - trust[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
     told = (certain, trust[:, 0], old + predicted, normals)
-    return Regraded(replace(splats, sh=sh.astype(splats.sh.dtype)), *(part.astype(np.float32) for part in told))
+    return Regraded(result, *(part.astype(np.float32) for part in told))
 
 
 def _spread(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -101,39 +109,56 @@ CONFLICT = 0.15
 """Wanted changes of one row that differ by more than this between views are a conflict: the later view decides."""
 
 
-def _lift_seen(
-    splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]], rounds: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """([N, 3] change of base colour, [N] summed weight) from all views at once; where views conflict about a row, only
-    the latest that sees it counts."""
+@dataclass(frozen=True)
+class _Shown:
+    """One view of the edit."""
+
+    camera: Camera
+    target: np.ndarray
+    use: np.ndarray
+    """[H, W] float32: 1 where pixels count."""
+    weight: np.ndarray
+    """[N] float32 pixels that show each row; 0 where a later view contradicts."""
+
+
+def _prepared(
+    splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]
+) -> tuple[list[_Shown], np.ndarray]:
+    """(views, [N] summed weight); where views conflict about a row, only the latest that sees it counts."""
     n = len(splats)
-    prepared = []
-    for camera, target, mask in views:
+    shown: list[_Shown] = []
+    last, decided = np.zeros((n, 3), np.float32), np.zeros(n, bool)
+    for camera, target, mask in reversed(views):  # latest first
         frame = project(splats, camera)
         _, alpha, _ = frame.draw()
         use = (mask & (alpha > 0.9)).astype(np.float32)
-        weight = frame.accumulate(target, use).weight
+        weight, rows = frame.accumulate(target, use).weight, frame.rows
         gain, _ = frame.residual_round(target, use, np.maximum(frame.raw_colors, 0))
         wish = gain / np.maximum(weight, 1e-6)[:, None]
-        prepared.append((frame, target, use, weight, wish))
-    last, decided = np.zeros((n, 3), np.float32), np.zeros(n, bool)
-    for frame, _, _, weight, wish in reversed(prepared):  # latest first
-        rows = frame.rows
         weight[decided[rows] & (np.abs(wish - last[rows]).max(1) > CONFLICT)] = 0
         fresh = (weight > 1) & ~decided[rows]
         last[rows[fresh]], decided[rows[fresh]] = wish[fresh], True
-    total, change = np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
-    for frame, _, _, weight, _ in prepared:
-        total[frame.rows] += weight
+        whole = np.zeros(n, np.float32)
+        whole[rows] = weight
+        shown.append(_Shown(camera, target, use, whole))
+    shown.reverse()
+    return shown, np.sum([view.weight for view in shown], axis=0)
+
+
+def _colored(splats: Splats, shown: Sequence[_Shown], total: np.ndarray, rounds: int) -> np.ndarray:
+    """[N, 3] change of base colour that takes all views' error down, all at once."""
+    change = np.zeros((len(splats), 3), np.float32)
+    frames = [project(splats, view.camera) for view in shown]
     for _ in range(rounds):
         gain = np.zeros_like(change)
-        for frame, target, use, weight, _ in prepared:
+        for frame, view in zip(frames, shown, strict=True):
             rows = frame.rows
             colors = np.clip(frame.raw_colors + change[rows], 0, np.maximum(frame.raw_colors, BRIGHTEST))
-            gain[rows] += np.where(weight[:, None] > 0, frame.residual_round(target, use, colors)[0], 0)
+            own = frame.residual_round(view.target, view.use, colors)[0]
+            gain[rows] += np.where(view.weight[rows, None] > 0, own, 0)
         change += gain / np.maximum(total, 1e-6)[:, None]
         np.clip(change, -BRIGHTEST, BRIGHTEST, out=change)
-    return np.where(total[:, None] > 0.05, change, 0), total
+    return np.where(total[:, None] > 0.05, change, 0)
 
 
 def outward_normals(splats: Splats, ring: int) -> np.ndarray:

@@ -1,0 +1,264 @@
+"""Paint on a mesh, for path traced truth: what a view shows of an edit becomes the base colour of the surface.
+
+Textures of found meshes overlap and repeat, so paint cannot go into them. Instead the triangles that the paint reaches
+are cut until their edges are about a pixel of the painting view, and those pieces carry base colours at their vertices
+(the texture's colour there, under the paint). All other triangles keep material and texture. The paint takes the light
+and the roughness of what it lies on, and hides metal; a single sheet shows it on both sides. Knows no light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.data import edits
+from splatpainter.data.meshes import Material, Mesh, joined
+from splatpainter.data.sight import NEAR, projected, sees
+from splatpainter.sources.looks import to_display, to_linear
+
+EDGE = 1.0
+"""Longest edge of a painted piece, pixels of the painting view."""
+MOST_PIECES = 8_000_000
+"""Triangles that a mesh is cut into at most."""
+STRADDLING = 0.05
+"""World units: longest edge of a triangle that reaches behind the camera before its front part is painted."""
+
+Painter: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""(points [M, 3] world, own display base colours [M, 3]) -> (display colours [M, 3], coverage [M] 0..1). Called
+once, with all points that may get paint."""
+
+
+def painted_mesh(mesh: Mesh, layer: np.ndarray, camera: Camera, edge: float = EDGE) -> Mesh:
+    """The mesh with a layer [H, W, 4] (display colours and coverage, 0..1, of the camera's size) on what the camera
+    sees of it; mixed in display values as painting programs do. Raises ValueError as `repainted`, and for a layer of
+    another size."""
+    if layer.shape != (camera.height, camera.width, 4):
+        raise ValueError(
+            f"{mesh.name}: expected a layer [{camera.height}, {camera.width}, 4] for this camera, "
+            f"got {list(layer.shape)}"
+        )
+    import torch
+
+    picture = torch.from_numpy(np.ascontiguousarray(layer, np.float32))
+
+    def paint(points: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        colors, coverage = edits.carried(picture, camera, torch.from_numpy(points.astype(np.float32)))
+        return colors.numpy(), coverage.numpy()
+
+    return repainted(mesh, camera, layer[..., 3] > 0, paint, edge, hides_metal=True)
+
+
+def repainted(
+    mesh: Mesh,
+    camera: Camera,
+    region: np.ndarray,
+    painter: Painter,
+    edge: float = EDGE,
+    hides_metal: bool = False,
+) -> Mesh:
+    """The mesh after `painter`, on surfaces that the camera sees within a pixel of `region` [H, W] bool; less at
+    grazing angles, none from edits.GRAZING on. The same mesh, when nothing is covered. hides_metal: pieces that are
+    covered by half or more are no metal any more. Raises ValueError when it would take more than MOST_PIECES
+    triangles."""
+    plain = _toned(mesh)
+    pieces = _cut(plain, camera, region, edge)
+    mine = np.flatnonzero(pieces.reached)
+    if not len(mine):
+        return mesh
+    used = np.unique(pieces.mesh.faces[mine])
+    open_ = np.zeros(len(pieces.mesh.vertices))
+    open_[used] = _openness(plain, pieces.mesh.vertices[used], pieces.mesh.normals[used], camera)
+    coats = [
+        _bare(pieces.mesh, mine[pieces.mesh.material_ids[mine] == k], k)
+        for k in np.unique(pieces.mesh.material_ids[mine])
+    ]
+    points = np.concatenate([pieces.mesh.vertices[coat.used] for coat in coats])
+    colors, coverage = painter(points, to_display(np.concatenate([coat.own for coat in coats])))
+    parts, covered, start = [], np.zeros(len(pieces.mesh.faces), bool), 0
+    for coat in coats:
+        here = slice(start, start := start + len(coat.used))
+        share = np.where(coverage[here] * open_[coat.used] >= edits.LEAST, coverage[here] * open_[coat.used], 0)
+        mean = share[coat.local].mean(1)
+        covered[coat.faces[mean > 0]] = True
+        dull = hides_metal & (mean >= 0.5)
+        kinds = [((mean > 0) & ~dull, coat.material), (dull, replace(coat.material, metallic=0.0))]
+        parts += [_coated(pieces.mesh, coat, colors[here], share, faces, kind) for faces, kind in kinds if faces.any()]
+    if not covered.any():
+        return mesh
+    cut = np.zeros(len(plain.faces), bool)
+    cut[pieces.parents[covered]] = True  # the others stay whole
+    rest = cut[pieces.parents] & ~covered
+    kept = _of(plain, ~cut)
+    return joined(mesh.name, [part for part in (kept, _of(pieces.mesh, rest), *parts) if len(part.faces)])
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """A mesh that was cut, with the same surface."""
+
+    mesh: Mesh
+    parents: np.ndarray
+    """[F] the triangle that each piece is of."""
+    reached: np.ndarray
+    """[F] bool: in the region, and small."""
+
+
+def _cut(mesh: Mesh, camera: Camera, region: np.ndarray, edge: float) -> _Pieces:
+    """Triangles over the region, halved across their longest edge in the picture until all edges are short enough."""
+    columns = {name: getattr(mesh, name).astype(np.float64) for name in ("vertices", "normals", "uvs")}
+    columns["colors"] = np.ones((len(mesh.vertices), 3)) if mesh.colors is None else mesh.colors.astype(np.float64)
+    places, sums = projected(mesh.vertices, camera), _sums(region)
+    faces, parents = mesh.faces, np.arange(len(mesh.faces))
+    done: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    count = 0
+    while len(faces):
+        reached = _reaches(places[faces], sums)
+        lengths, limits = _lengths(places[faces], columns["vertices"][faces], edge)
+        split = reached & (lengths.max(1) > limits)
+        ended = ~split
+        straddles = (places[faces][..., 2] <= NEAR).any(1)
+        done.append((faces[ended], parents[ended], (reached & ~straddles)[ended]))
+        count += int(ended.sum())
+        if count + 2 * int(split.sum()) > MOST_PIECES:
+            raise ValueError(f"{mesh.name}: paint would need more than {MOST_PIECES:,} triangles; paint less at once")
+        faces, first, second = _halved(faces[split], lengths[split].argmax(1), len(places))
+        for name, values in columns.items():
+            middle = (values[first] + values[second]) / 2
+            if name == "normals":
+                middle = _unit(middle, values[first])
+            columns[name] = np.concatenate([values, middle])
+        places = np.concatenate([places, projected(columns["vertices"][len(places) :], camera)])
+        parents = np.tile(parents[split], 2)
+    faces, parents, reached = (np.concatenate([part[k] for part in done]) for k in range(3))
+    fields = {name: values.astype(np.float32) for name, values in columns.items()}
+    return _Pieces(replace(mesh, faces=faces, material_ids=mesh.material_ids[parents], **fields), parents, reached)
+
+
+def _halved(faces: np.ndarray, longest: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(faces [2 F, 3], first [K], second [K]): each face cut from the middle of its edge `longest` (k: corner k to
+    k + 1) to the corner across; the middles are vertices from `count` on, between `first` and `second`."""
+    rows = np.arange(len(faces))
+    a, b, c = (faces[rows, (longest + k) % 3] for k in range(3))
+    span = np.int64(count + 1)
+    codes, middle = np.unique(np.minimum(a, b) * span + np.maximum(a, b), return_inverse=True)
+    m = middle.reshape(-1) + count
+    return np.concatenate([np.stack([a, m, c], 1), np.stack([m, b, c], 1)]), codes // span, codes % span
+
+
+def _sums(region: np.ndarray) -> np.ndarray:
+    """[H + 1, W + 1] how many pixels of the region lie above and left."""
+    return np.pad(region.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+
+
+def _reaches(corners: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """[F] bool: the box around the projected triangle [F, 3, 3], and a pixel more, holds some of the region; where the
+    triangle reaches behind the camera, its box is the picture."""
+    size = np.array([sums.shape[1] - 1, sums.shape[0] - 1])
+    low = np.floor(corners[..., :2].min(1) - 1).clip(0, size).astype(np.int64)
+    high = np.ceil(corners[..., :2].max(1) + 1).clip(0, size).astype(np.int64)
+    behind = corners[..., 2] <= NEAR
+    low[behind.any(1)], high[behind.any(1)] = 0, size
+    (left, top), (right, bottom) = low.T, high.T
+    inside = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    return (inside > 0) & ~behind.all(1)
+
+
+def _lengths(places: np.ndarray, corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """(lengths [F, 3] of the edges corner k to k + 1, limits [F]): pixels, or world units where a triangle reaches
+    behind the camera."""
+    behind = np.any(places[..., 2] <= NEAR, axis=1)
+    flat = np.linalg.norm(np.roll(places[..., :2], -1, 1) - places[..., :2], axis=2)
+    world = np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2)
+    return np.where(behind[:, None], world, flat), np.where(behind, STRADDLING, edge)
+
+
+def _openness(mesh: Mesh, points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
+    """[M] 0..1: how openly the camera sees each point. Which way a normal points does not matter: what looks away on a
+    closed object is hidden by its front."""
+    towards = camera.position - points
+    cosine = np.abs((normals * towards).sum(1)) / np.maximum(np.linalg.norm(towards, axis=1), 1e-12)
+    t = np.clip((cosine - edits.GRAZING) / (edits.FACING - edits.GRAZING), 0, 1)
+    return sees(mesh, camera, points) * (t * t * (3 - 2 * t))
+
+
+@dataclass(frozen=True)
+class _Bare:
+    """Faces of one material before paint."""
+
+    faces: np.ndarray
+    """[F] of the pieces."""
+    used: np.ndarray
+    """[M] vertices that they use."""
+    local: np.ndarray
+    """[F, 3] into `used`."""
+    own: np.ndarray
+    """[M, 3] linear base colours 0..1."""
+    material: Material
+
+
+def _bare(mesh: Mesh, faces: np.ndarray, k: int) -> _Bare:
+    used, local = np.unique(mesh.faces[faces], return_inverse=True)
+    material = mesh.materials[k]
+    return _Bare(faces, used, local.reshape(-1, 3), base_colors(mesh, used, material).clip(0, 1), material)
+
+
+def _coated(
+    mesh: Mesh, bare: _Bare, colors: np.ndarray, coverage: np.ndarray, faces: np.ndarray, material: Material
+) -> Mesh:
+    """Those faces [F] bool with the paint (colors [M, 3] display, coverage [M]) in their base colours."""
+    own = to_display(bare.own)
+    mixed = to_linear((own + coverage[:, None] * (colors - own)).clip(0, 1)).astype(np.float32)
+    part = replace(
+        mesh,
+        vertices=mesh.vertices[bare.used],
+        normals=mesh.normals[bare.used],
+        uvs=mesh.uvs[bare.used],
+        faces=bare.local,
+        material_ids=np.zeros(len(bare.faces), np.int64),
+        materials=(replace(material, base_color=None, base_factor=(1.0, 1.0, 1.0)),),
+        colors=mixed,
+    )
+    return _of(part, faces)
+
+
+def base_colors(mesh: Mesh, rows: np.ndarray, material: Material) -> np.ndarray:
+    """[M, 3] linear base colours at vertices `rows` [M] int where they are of `material`."""
+    from splatpainter.data import texels
+
+    tone = np.broadcast_to(np.asarray(material.base_factor, np.float32), (len(rows), 3))
+    if material.base_color is not None:
+        tone = tone * texels.look_up(material.base_color, mesh.uvs[rows], texels.LINEAR)
+    return tone if mesh.colors is None else tone * mesh.colors[rows]
+
+
+def _toned(mesh: Mesh) -> Mesh:
+    """The mesh as the path tracer sees it: vertex colours under a texture are their material's mean, here part of its
+    factor, so that cutting does not change them."""
+    if mesh.colors is None or all(material.base_color is None for material in mesh.materials):
+        return mesh
+    colors, materials = mesh.colors.copy(), list(mesh.materials)
+    for k, material in enumerate(mesh.materials):
+        used = np.unique(mesh.faces[mesh.material_ids == k])
+        if material.base_color is not None and len(used):
+            red, green, blue = (np.asarray(material.base_factor) * mesh.colors[used].mean(0)).tolist()
+            materials[k] = replace(material, base_factor=(red, green, blue))
+            colors[used] = 1
+    return replace(mesh, colors=colors, materials=tuple(materials))
+
+
+def _of(mesh: Mesh, faces: np.ndarray) -> Mesh:
+    """These faces [F] bool and the vertices that they use."""
+    used, local = np.unique(mesh.faces[faces], return_inverse=True)
+    fields = {name: getattr(mesh, name)[used] for name in ("vertices", "normals", "uvs")}
+    colors = None if mesh.colors is None else mesh.colors[used]
+    ids = mesh.material_ids[faces]
+    return replace(mesh, faces=local.reshape(-1, 3), material_ids=ids, colors=colors, **fields)
+
+
+def _unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.where(length > 1e-6, vectors / np.maximum(length, 1e-12), otherwise)
