@@ -23,6 +23,7 @@ ORDER = (
     ("voxels",),
     ("raycast",),
     ("lift",),
+    ("fit",),
     ("nn",),
     ("models",),
     ("painter", "receipts", "proof"),

@@ -111,7 +111,7 @@ def test_extreme_residuals_stay_finite() -> None:
 
 
 def test_a_bounded_residual_keeps_rows_of_any_size_in_place() -> None:
-    """However loud the network: at most their own size away (or a voxel), and at most e^0.7 larger or smaller."""
+    """However loud the network: at most their own size away (or a voxel), and no more larger or smaller than allowed."""
     rows = some_rows()
     rows = replace(rows, scales=rows.scales * torch.logspace(-4, 1, len(rows))[:, None])
     head = AttributeHead(8, 3, "bounded")

@@ -17,6 +17,7 @@ SUMMARIES = {
     "render": "pictures of an asset that carry their camera",
     "edit": "write edited pictures of an asset onto the asset",
     "verify": "prove which rows of an edited asset are the same; exit 1 if a wrong one differs",
+    "fit": "optimise an asset from a mesh, from pictures with cameras, or from another asset",
     "data": "training and evaluation data: render, check, list",
     "train": "train the networks: stages lrm, compress, refine",
     "studio": "paint on an asset in the browser",

@@ -20,14 +20,27 @@ SUMMARIES = {
     "lift": "quality of local edits on given assets, with a contact sheet",
     "studio": "what an artist waits for in the studio, and its server's memory",
 }
+PAPER = {
+    "refine": "the paper's Tab. 1: detail from zoomed-in views",
+    "relight": "the paper's Tab. 2: light from one, two and four relit views",
+    "creative": "the paper's Tab. 3: painted, stickered, lettered and recoloured views",
+    "compress": "the paper's Tab. 4: what Stage I keeps of an asset",
+    "sequence": "edits in a row: views one after the other, conflicts, forgetting",
+    "ablate": "every switch of the design",
+    "report": "one HTML page of the paper's tables that were measured",
+}
 
 
 def dispatch(words: Sequence[str]) -> Outcome:
     """`bench NAME ...`. Raises ValueError for another NAME."""
     if not words or words[0] in ("-h", "--help"):
-        return Outcome({"benches": SUMMARIES}, [_help()])
+        return Outcome({"benches": SUMMARIES | PAPER}, [_help()])
+    if words[0] in PAPER:
+        from splatpainter.commands import bench_paper
+
+        return bench_paper.report(words[1:]) if words[0] == "report" else bench_paper.bench(words[0], words[1:])
     if words[0] not in SUMMARIES:
-        raise ValueError(f"splatpainter bench: expected one of {', '.join(SUMMARIES)}, got {words[0]!r}")
+        raise ValueError(f"splatpainter bench: expected one of {', '.join(SUMMARIES | PAPER)}, got {words[0]!r}")
     return {"speed": _speed, "lift": _lift, "studio": _studio}[words[0]](words[1:])
 
 
@@ -107,6 +120,6 @@ def _say(line: str) -> None:
 
 
 def _help() -> str:
-    rows = [f"  {name:<6} {line}" for name, line in SUMMARIES.items()]
-    example = "example:\n  splatpainter bench speed --quick"
+    rows = [f"  {name:<8} {line}" for name, line in (SUMMARIES | PAPER).items()]
+    example = "example:\n  splatpainter bench speed --quick\n  splatpainter bench refine --quick"
     return "\n".join(["usage: splatpainter bench NAME ...", "", "benches:", *rows, "", example])

@@ -1,5 +1,5 @@
-"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, Stage II. The training itself is in `train`, judging in
-train_judge.py."""
+"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, Stage II, and the densifier, a baseline. The training itself
+is in `train`, judging in train_judge.py."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ SUMMARIES = {
     "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
     "compress": "Stage I: rows and tokens to latents",
     "refine": "Stage II: edits to changes of the asset",
+    "densify": "a baseline (GenDen): close-ups to finer rows",
 }
 AFTERWARDS = {
     "judge": "what trained weights reach on objects held out of training",
@@ -168,9 +169,11 @@ def _task(config: Config, recipe: Recipe, group: Group, say: Any) -> Task:
     """The stage with its model on its device."""
     import torch
 
-    from splatpainter.train.build import make_task, start
+    from splatpainter.train.build import densify_task, make_task, start
 
     torch.manual_seed(recipe.seed)
+    if recipe.stage == "densify":
+        return densify_task(recipe, config.weights, say).to(group.device)
     model: SplatPainterModel = start(recipe, config.weights, say)
     return make_task(recipe, model.to(group.device), config.perceptual_weights, say).to(group.device)
 

@@ -6,7 +6,8 @@
 
 Shards are named for their content and written first, `model.json` last: at any moment the folder is one whole
 checkpoint. A tensor larger than a shard is stored in parts along its first axis, named "name@0", "name@1", ...
-No pickle anywhere. Knows no architecture: names and shapes are compared with the module that is to be filled.
+"format" says which config it is: the one whose class has that `format`. No pickle anywhere. Knows no architecture:
+names and shapes are compared with the module that is to be filled.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar, overload
 
 from splatpainter.io.files import read_all, writing
 from splatpainter.models.config import LARGEST, ModelConfig
@@ -27,7 +28,8 @@ from splatpainter.models.config import LARGEST, ModelConfig
 if TYPE_CHECKING:
     import torch
 
-FORMAT = "splatpainter model"
+OWN = "splatpainter "
+"""What every format begins with."""
 VERSION = 1
 INDEX = "model.json"
 SHARD = 15 << 20
@@ -37,11 +39,27 @@ PIECE = SHARD - 4096
 SHARD_NAME = re.compile(r"weights-[0-9a-f]{16}\.safetensors")
 
 
+class Config(Protocol):
+    """What a model's config must have to be kept in a checkpoint."""
+
+    format: ClassVar[str]
+    """Of the checkpoint: "splatpainter ..."."""
+
+    @property
+    def preset(self) -> str: ...
+    def to_json(self) -> str: ...
+    @staticmethod
+    def from_json(text: str, where: str = ..., /) -> Any: ...
+
+
+AnyConfig = TypeVar("AnyConfig", bound=Config)
+
+
 @dataclass(frozen=True)
-class Checkpoint:
+class Checkpoint(Generic[AnyConfig]):
     """What a folder held."""
 
-    config: ModelConfig
+    config: AnyConfig
     tensors: dict[str, torch.Tensor] = field(repr=False)
     """Name -> tensor, in the stored type, on the CPU."""
     notes: dict[str, Any]
@@ -50,7 +68,7 @@ class Checkpoint:
 
 def save(
     folder: Path | str,
-    config: ModelConfig,
+    config: Config,
     tensors: Mapping[str, torch.Tensor],
     *,
     dtype: Literal["float16", "bfloat16", "float32"] = "float16",
@@ -90,7 +108,7 @@ def save(
             out.write(data)
         shards.append({"file": file, "sha256": digest})
     index = {
-        "format": FORMAT,
+        "format": config.format,
         "version": VERSION,
         "config": json.loads(config.to_json()),
         "notes": dict(notes or {}),
@@ -106,17 +124,21 @@ def save(
                 old.unlink()
 
 
-def load(folder: Path | str, preset: str | None = None) -> Checkpoint:
-    """Read a checkpoint. preset: refuse one of another preset.
+@overload
+def load(folder: Path | str, preset: str | None = None) -> Checkpoint[ModelConfig]: ...
+@overload
+def load(folder: Path | str, preset: str | None = None, *, kind: type[AnyConfig]) -> Checkpoint[AnyConfig]: ...
+def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = ModelConfig) -> Checkpoint[Any]:
+    """Read a checkpoint. preset: refuse one of another preset; kind: of its config, another one is another format.
 
     Raises ValueError, naming the file and what is wrong: no checkpoint there, another format or preset, a newer
     version, a config with unknown, missing or wrong keys, shards that are missing, damaged, or hold other tensors than
     `model.json` says.
     """
     target = Path(folder)
-    index = _index(target)
+    index = _index(target, kind.format)
     where = f"{target / INDEX}"
-    config = ModelConfig.from_json(json.dumps(index.get("config")), where)
+    config = kind.from_json(json.dumps(index.get("config")), where)
     if preset is not None and config.preset != preset:
         raise ValueError(f"{target}: expected weights of preset '{preset}', these are of preset '{config.preset}'")
     shards, table, notes = index.get("shards"), index.get("tensors"), index.get("notes")
@@ -169,8 +191,8 @@ def fill(module: torch.nn.Module, tensors: Mapping[str, torch.Tensor], where: st
     module.load_state_dict(cast, strict=True, assign=any(tensor.is_meta for tensor in wanted.values()))
 
 
-def _index(folder: Path) -> dict[str, Any]:
-    """model.json, checked as far as format and version."""
+def _index(folder: Path, wanted: str = "") -> dict[str, Any]:
+    """model.json, checked as far as format (wanted, or any of this package's) and version."""
     path = folder / INDEX
     if not path.is_file():
         raise ValueError(f"{folder}: no weights there; expected a folder with {INDEX} and its shards")
@@ -180,8 +202,10 @@ def _index(folder: Path) -> dict[str, Any]:
         data = json.loads(read_all(path))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: expected JSON ({error})") from None
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise ValueError(f"{path}: expected format '{FORMAT}'; this is something else")
+    told = str(data.get("format")) if isinstance(data, dict) else ""
+    if not (told == wanted if wanted else told.startswith(OWN)):
+        other = f"'{told}'" if told.startswith(OWN) else "something else"
+        raise ValueError(f"{path}: expected format '{wanted or OWN + '...'}'; this is {other}")
     version = data.get("version")
     if not isinstance(version, int) or version < 1:
         raise ValueError(f"{path}: expected a version number, got {version!r}")

@@ -20,8 +20,10 @@ CHILD_SCALE = 0.5
 CHILD_OPACITY = 0.1
 """... and this much fainter, so that appending it hardly changes a picture, yet its pixels have gradients (renderers
 skip alpha below 1/255, so that a child born invisible would never learn)."""
-LIMITS = {"centre": 1.0, "scale": 0.7, "turn": 0.5, "opacity": 3.0, "sh": 2.0}
-"""Of a bounded residual: sizes of the row, log scale, quaternion of norm 1, logits, SH coefficients."""
+LIMITS = {"centre": 0.25, "scale": 0.1, "turn": 0.1, "opacity": 0.25, "sh": 2.0}
+"""Of a bounded residual: sizes of the row, log scale, quaternion of norm 1, logits, SH coefficients. Colours are free,
+the rest is a touch: with wide limits a model learns to fade and thicken the rows of its training assets, which ruins
+assets with finer ones (docs/LOG.md)."""
 OPAQUE = 1e-6
 """Opacities this near to 0 or 1 count as this near: from exactly 1 no logit could move."""
 

@@ -16,9 +16,11 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from splatpainter.data.samples import KINDS, SampleRecipe
 from splatpainter.io.files import read_all
-from splatpainter.models.config import COMPACT, ModelConfig
+from splatpainter.models.config import COMPACT, PRESETS, ModelConfig
+from splatpainter.models.densification.config import PRESETS as DENSIFIERS
+from splatpainter.models.densification.config import DensifyConfig
 
-Stage = Literal["lrm", "compress", "refine"]
+Stage = Literal["lrm", "compress", "refine", "densify"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 Encoder = Literal["nothing", "compress", "all"]
 Parallel = Literal["ddp", "fsdp"]
@@ -30,9 +32,11 @@ class Recipe:
     """How a stage is trained."""
 
     stage: Stage = "refine"
-    """lrm: the Gaussian LRM; compress: Stage I; refine: Stage II."""
+    """lrm: the Gaussian LRM; compress: Stage I; refine: Stage II; densify: a model of its own, a baseline."""
     model: ModelConfig = COMPACT
-    """The model."""
+    """The model; not of stage densify."""
+    densifier: DensifyConfig = DENSIFIERS["compact"]
+    """The model of stage densify."""
     samples: SampleRecipe = field(default_factory=SampleRecipe)
     """What samples look like."""
     steps: int = 20_000
@@ -58,9 +62,10 @@ class Recipe:
     perceptual_views: int = 1
     """Views per sample that this term looks at, another choice each time."""
     loss_views: int = 0
-    """Stage II: views per sample that are rendered and compared, a third of them edited ones; 0: all."""
+    """Stage II and densify: views per sample that are rendered and compared, a third of them edited ones; 0: all."""
     gradient_rows: int = 0
-    """Stage II: rows per sample that gradients go through, a random choice of those shown; 0: all."""
+    """Stage II: rows per sample that gradients go through, a random choice of those shown; densify: rows that are
+    replaced, those that views pull at hardest; 0: all."""
     keep: float = 0.25
     """Weight of a pixel that a local edit must leave as it is, against 1 for an edited one."""
     sequence: float = 0.2
@@ -122,8 +127,10 @@ class Recipe:
         return self.samples.steps_per_object
 
     def to_dict(self) -> dict[str, Any]:
-        """Nested plain values, as in the JSON."""
-        return json.loads(json.dumps(dataclasses.asdict(self)))
+        """Nested plain values, as in the JSON; of the two models the one that the stage trains."""
+        values = json.loads(json.dumps(dataclasses.asdict(self)))
+        del values["model" if self.stage == "densify" else "densifier"]
+        return values
 
     def to_json(self) -> str:
         """Every field."""
@@ -168,10 +175,9 @@ def merged(base: Any, data: Mapping[str, Any], where: str, path: str = "") -> An
             raise ValueError(f"{where}: unknown key '{name}'; known there: {', '.join(hints)}")
         own = getattr(base, key)
         if dataclasses.is_dataclass(own):
-            if isinstance(own, ModelConfig) and isinstance(value, dict) and "preset" in value:
-                from splatpainter.models.config import PRESETS
-
-                own = PRESETS.get(str(value["preset"]), own)
+            if isinstance(own, ModelConfig | DensifyConfig) and isinstance(value, dict) and "preset" in value:
+                presets = PRESETS if isinstance(own, ModelConfig) else DENSIFIERS
+                own = presets.get(str(value["preset"]), own)
             if not isinstance(value, dict):
                 raise ValueError(f"{where}: expected an object as '{name}', got {value!r}")
             changes[key] = merged(own, value, where, name)

@@ -24,7 +24,6 @@ import torch
 from torch import Tensor, nn
 
 from splatpainter.models import checkpoint
-from splatpainter.models.config import ModelConfig
 from splatpainter.train.distributed import Group, give, whole
 from splatpainter.train.optim import Average, Guard
 
@@ -61,7 +60,7 @@ class Run:
 
 
 def save(
-    folder: Path, run: Run, config: ModelConfig, recipe: dict[str, Any], group: Group, *, compact: bool = False
+    folder: Path, run: Run, config: checkpoint.Config, recipe: dict[str, Any], group: Group, *, compact: bool = False
 ) -> None:
     """Write OUT/state. All processes call it; the first writes. Raises ValueError for a folder that cannot be
     written."""
@@ -96,10 +95,10 @@ def save(
     checkpoint.save(folder / STATE, config, tensors, dtype="bfloat16" if compact else "float32", notes=notes)
 
 
-def load(folder: Path, run: Run, config: ModelConfig, recipe: dict[str, Any], group: Group) -> None:
+def load(folder: Path, run: Run, config: checkpoint.Config, recipe: dict[str, Any], group: Group) -> None:
     """Fill a run from OUT/state, in place. Raises ValueError where there is none, where it is damaged, and where it was
     written with another recipe: the line names what differs."""
-    held = checkpoint.load(folder / STATE)
+    held = checkpoint.load(folder / STATE, kind=type(config))
     where = f"{folder / STATE}"
     _same(held.notes.get("recipe", {}), recipe, where)
     tensors = dict(_full(name, tensor) for name, tensor in held.tensors.items())
@@ -131,7 +130,7 @@ def load(folder: Path, run: Run, config: ModelConfig, recipe: dict[str, Any], gr
             setattr(record, key, value)
 
 
-def save_model(folder: Path, run: Run, config: ModelConfig, group: Group, notes: dict[str, Any]) -> None:
+def save_model(folder: Path, run: Run, config: checkpoint.Config, group: Group, notes: dict[str, Any]) -> None:
     """Write OUT/model: the averaged weights of the model inside the task (the parameters below `model.`), fp16."""
     tensors = {}
     for name, parameter in run.task.named_parameters():
@@ -186,7 +185,7 @@ def _differences(old: Any, new: Any, path: str = "") -> list[tuple[str, Any, Any
     return [] if json.dumps(old) == json.dumps(new) else [(path, old, new)]
 
 
-def differing_config(old: ModelConfig, new: ModelConfig, free: Callable[[str], bool]) -> list[str]:
+def differing_config(old: checkpoint.Config, new: checkpoint.Config, free: Callable[[str], bool]) -> list[str]:
     """What differs between two model configs, one text per key, except keys that `free` accepts."""
     a, b = (json.loads(c.to_json()) for c in (old, new))
     return [f"{key} {was!r} there, {now!r} here" for key, was, now in _differences(a, b) if not free(key)]

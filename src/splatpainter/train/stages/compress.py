@@ -32,7 +32,7 @@ HIDDEN = 0.5
 """Share of the rows that lose their colours."""
 
 
-class CopyTask(Task):
+class CopyTask(Task[SplatPainterModel]):
     """`copy`: Stage I and the decoder are trained to reproduce the object."""
 
     def __init__(self, model: SplatPainterModel, loss: PictureLoss, perceptual_views: int) -> None:
@@ -60,7 +60,7 @@ class CopyTask(Task):
         return self.model.decode_latents(latents, copy.rows)
 
 
-class HiddenColors(Task):
+class HiddenColors(Task[SplatPainterModel]):
     """`native`: Stage I is trained to tell colours that it was not shown."""
 
     def __init__(self, model: SplatPainterModel, objects: int = 4) -> None:

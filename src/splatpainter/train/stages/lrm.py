@@ -28,7 +28,7 @@ PULL = 0.1
 """Weight of the loss that pulls points into place in the first steps."""
 
 
-class LrmTask(Task):
+class LrmTask(Task[SplatPainterModel]):
     """The whole model; only the LRM is trained."""
 
     def __init__(self, model: SplatPainterModel, loss: PictureLoss, pull_steps: int, perceptual_views: int) -> None:

@@ -79,7 +79,7 @@ class Known:
     links: TokenLinks | None
 
 
-class RefineTask(Task):
+class RefineTask(Task[SplatPainterModel]):
     """The whole model; Stage II is trained, and in `native` the head, which nothing has trained before."""
 
     def __init__(

@@ -6,16 +6,16 @@ Also here: what all stages do alike, such as drawing views and remembering what 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from splatpainter.cameras import Camera
-from splatpainter.models.model import SplatPainterModel
+from splatpainter.models.checkpoint import Config
 from splatpainter.render import render
 from splatpainter.splats import Splats
 
@@ -23,6 +23,19 @@ if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
 
 _Item = TypeVar("_Item")
+
+
+class Model(Protocol):
+    """What the loop knows of a model, which is also an nn.Module."""
+
+    @property
+    def config(self) -> Config: ...
+    @property
+    def notes(self) -> dict[str, Any]: ...
+    def parameters(self, recurse: bool = True) -> Iterator[nn.Parameter]: ...
+
+
+_Model = TypeVar("_Model", bound=Model)
 
 
 @dataclass(frozen=True)
@@ -37,10 +50,11 @@ class Verdict:
     """(label, picture [H, W, 3]) of one row of the contact sheet."""
 
 
-class Task(nn.Module):
+class Task(nn.Module, Generic[_Model]):
     """A stage. Subclasses set `requires_grad` of what they do not train to False."""
 
-    model: SplatPainterModel
+    model: _Model
+    """With `config` and `notes`; its parameters are what OUT/model holds."""
     step: int = 0
     """Optimiser steps done; the loop sets it."""
     problem: str = ""

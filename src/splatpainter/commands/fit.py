@@ -1,0 +1,209 @@
+"""`splatpainter fit`: a 3DGS asset from a mesh, from pictures with cameras, or from another asset's renders."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from tyro.conf import Positional, arg
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.info import file_size
+from splatpainter.commands.options import OutFile
+from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.terminal import PATIENCE, count, decibels, seconds, size, warn, watched
+
+if TYPE_CHECKING:
+    from splatpainter.commands.fit_sources import Material
+    from splatpainter.splats import Splats
+
+LIMITS: dict[str, tuple[int, int]] = {
+    "steps": (1, 1_000_000),
+    "rows": (16, 5_000_000),
+    "most_rows": (16, 20_000_000),
+    "views": (2, 1000),
+    "held_out": (0, 1000),
+    "sh_degree": (0, 4),
+    "surfels": (64, 10_000_000),
+    "samples": (1, 100_000),
+    "seed": (0, 2**31 - 1),
+}
+SMALLEST, LARGEST = 16, 4096
+"""Pixels of a picture's edge."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Optimise a 3D Gaussian asset until its renders match pictures, as 3DGS does.
+
+    SOURCE is a mesh (GLB, glTF, OBJ; rendered from all around), a splat file (fitted anew to its own renders), or a
+    folder of pictures that carry their camera (as `splatpainter render` writes them) or have a NeRF-style
+    transforms.json.
+
+    example:
+      splatpainter fit chair.glb --out chair.ply --steps 2000
+      splatpainter fit photos/ --out scene.ply --size 512
+    """
+
+    source: Annotated[Positional[Path], arg(metavar="SOURCE")]
+    """Mesh, splat file or folder of pictures."""
+    out: OutFile
+    """The splat file to write; its name says the format."""
+    steps: int = 1000
+    """Of optimisation, one picture each."""
+    rows: int = 20_000
+    """To begin with."""
+    most_rows: int = 300_000
+    """Densification stops here."""
+    fixed: bool = False
+    """Keep the number of rows: no densification."""
+    views: int = 48
+    """Rendered around a mesh or an asset."""
+    held_out: int = 8
+    """Further views that only judge the result; of a folder's pictures, at most a quarter."""
+    size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Pixels of the longer side; default: 256, or what the pictures have."""
+    sh_degree: int = 2
+    """Of the view-dependent colour, 0 to 4."""
+    seed: int = 0
+    """Equal seeds and options give equal rows on the CPU."""
+    truth: Literal["surfels", "traced"] = "surfels"
+    """How a mesh is rendered: as dense Gaussians (seconds), or path traced by Mitsuba."""
+    environment: Annotated[Path | None, arg(metavar="HDR", help_behavior_hint="")] = None
+    """Light on a mesh (.hdr, .exr); default: the same from everywhere."""
+    surfels: int = 200_000
+    """Dense Gaussians that a mesh is rendered from."""
+    samples: int = 64
+    """Paths per pixel."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where to optimise."""
+    overwrite: bool = False
+    """Replace OUT if it exists."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Make the pictures, optimise, write, and judge."""
+    _check(config)
+    entry = splat_format(config.out)
+    check_target(config.out, config.overwrite, [config.source])
+    clock = time.perf_counter()
+    made = _material(config)
+    for note in made.notes:
+        warn(note)
+    start, prepared = made.start, time.perf_counter() - clock
+    fitted = _fitted(config, made)
+    fitting = time.perf_counter() - clock - prepared
+    with placed(config.out) as partial:
+        from splatpainter.io import write
+
+        write(partial, fitted)
+    training = _psnr(fitted, list(zip(made.cameras, made.colors, strict=True)))
+    held = _psnr(fitted, made.held) if made.held else None
+    laps = {"pictures": prepared, "fit": fitting}
+    record = {
+        "source": {"file": config.source, "kind": made.kind},
+        "output": {
+            "file": config.out,
+            "format": entry.key,
+            "bytes": file_size(config.out),
+            "rows": len(fitted),
+            "first_rows": len(start),
+        },
+        "steps": config.steps,
+        "views": {"training": len(made.cameras), "held_out": len(made.held)},
+        "psnr": {"training": training, "held_out": held},
+        "seconds": laps,
+    }
+    shown = f"training views {decibels(training)}" + ("" if held is None else f", held-out views {decibels(held)}")
+    lines = [
+        f"{config.source} -> {config.out}",
+        f"{count(len(fitted), 'row')} from {len(start):,}; {size(record['output']['bytes'])}",
+        f"{shown} ({len(made.cameras)} and {len(made.held)} views)",
+        seconds(laps),
+    ]
+    return Outcome(record, lines)
+
+
+def _material(config: Config) -> Material:
+    from splatpainter.commands.fit_sources import Wish, material
+
+    wish = Wish(
+        config.views,
+        config.held_out,
+        config.size,
+        config.rows,
+        config.sh_degree,
+        config.seed,
+        config.truth,
+        config.environment,
+        config.surfels,
+        config.samples,
+    )
+    return material(config.source, wish)
+
+
+def _fitted(config: Config, made: Material) -> Splats:
+    from splatpainter.fit.optimize import FitOptions, View, optimize
+    from splatpainter.warmup import ensure_compiled
+
+    ensure_compiled()
+    options = FitOptions(
+        steps=config.steps,
+        densify=not config.fixed,
+        seed=config.seed,
+        most_rows=config.most_rows,
+        device=config.device,
+    )
+    views = [View(camera, color) for camera, color in zip(made.cameras, made.colors, strict=True)]
+    with _bar(config.steps) as step:
+        return optimize(made.start, views, options, watch=step).splats
+
+
+def _psnr(splats: Splats, pictures: list[Any]) -> float:
+    """Mean over (camera, [H, W, 3] picture) pairs, dB."""
+    import numpy as np
+
+    from splatpainter.metrics import psnr
+    from splatpainter.render import render
+
+    return float(np.mean([psnr(np.clip(render(splats, c).colors[0], 0, 1), color) for c, color in pictures]))
+
+
+@contextmanager
+def _bar(total: int) -> Iterator[Callable[[int, Any], None] | None]:
+    """A function to call after every step; None where nobody looks."""
+    if not watched():
+        yield None
+        return
+    import sys
+
+    from tqdm import tqdm
+
+    with tqdm(total=total, desc="fitting", delay=PATIENCE, leave=False, file=sys.stderr) as bar:
+
+        def show(step: int, _: Any) -> None:
+            bar.update(step - bar.n)
+
+        yield show
+
+
+def _check(config: Config) -> None:
+    for name, (low, high) in LIMITS.items():
+        value = getattr(config, name)
+        if not low <= value <= high:
+            option = name.replace("_", "-")
+            raise ValueError(f"splatpainter fit: expected --{option} from {low:,} to {high:,}, got {value:,}")
+    if config.size is not None and not SMALLEST <= config.size <= LARGEST:
+        raise ValueError(f"splatpainter fit: expected --size from {SMALLEST} to {LARGEST}, got {config.size}")
+    if config.most_rows < config.rows:
+        raise ValueError(f"splatpainter fit: expected --most-rows of at least --rows, {config.rows:,}")
+    if config.device == "cuda":
+        from splatpainter.render.cuda import require
+
+        require()

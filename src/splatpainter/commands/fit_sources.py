@@ -1,0 +1,309 @@
+"""What `fit` fits to: pictures with cameras and first rows, from a mesh, a splat asset or a folder of pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.commands.terminal import reason
+from splatpainter.io import files
+from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.data.meshes import Mesh
+
+FOV = 40.0
+"""Degrees, of rendered views."""
+MARGIN = 1.08
+"""Room around the object in them."""
+BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+"""In turn behind rendered views and transparent pictures: over one colour alone, rows of that colour may as well be
+holes, and holes rows. The demo asset (96 px, 600 steps) lost 0.059 of its alpha over its own dark background and the
+space around it gained 0.016; over these two in turn 0.005 and 0.003, held-out views 0.1 dB better."""
+MESHES = (".glb", ".gltf", ".obj")
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+TRANSFORMS = ("transforms.json", "transforms_train.json")
+MESH_FRAME = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Meshes have y up, assets in memory y down (commands/framing.AUTO_UP)."""
+TRIES = 20
+"""Random points per first row that carving may throw away."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the user asked for."""
+
+    views: int
+    held: int
+    size: int | None
+    rows: int
+    sh_degree: int
+    seed: int
+    truth: Literal["surfels", "traced"] = "surfels"
+    environment: Path | None = None
+    surfels: int = 200_000
+    samples: int = 64
+
+
+@dataclass(frozen=True)
+class Material:
+    """Pictures to fit and to judge by, and first rows."""
+
+    kind: Literal["mesh", "asset", "pictures"]
+    cameras: list[Camera]
+    colors: list[np.ndarray] = field(repr=False)
+    """Each [H, W, 3] float32 0..1."""
+    held: list[tuple[Camera, np.ndarray]] = field(repr=False)
+    start: Splats = field(repr=False)
+    notes: list[str] = field(default_factory=list)
+
+
+def material(source: Path, wish: Wish) -> Material:
+    """Everything that a fit needs. Raises ValueError, in one line: nothing there, or nothing that can be used."""
+    if not source.exists():
+        raise ValueError(f"{source}: no such file or folder; expected a mesh, a splat file or a folder of pictures")
+    if source.is_dir() and not (source / "meta.json").is_file():
+        return _from_pictures(source, wish)
+    return _from_mesh(source, wish) if is_mesh(source) else _from_asset(source, wish)
+
+
+def is_mesh(path: Path) -> bool:
+    """Whether a file is a mesh by its name; a GLB, unless it says KHR_gaussian_splatting."""
+    suffix = path.suffix.lower()
+    return suffix in MESHES and not (suffix == ".glb" and b"KHR_gaussian_splatting" in files.read_head(path, 1 << 16))
+
+
+# Rendered
+
+
+def _from_asset(source: Path, wish: Wish) -> Material:
+    from splatpainter.commands.framing import AUTO_UP, UPS, reach
+    from splatpainter.io import read
+    from splatpainter.render import render
+    from splatpainter.warmup import ensure_compiled
+
+    splats = read(source)
+    if not splats.finite.any():
+        raise ValueError(f"{source}: none of its {len(splats):,} rows can be drawn; there is nothing to fit to")
+    ensure_compiled()
+    center, radius = reach(splats)
+
+    def shoot(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+        drawn = render(splats, list(cameras))
+        return np.clip(drawn.colors, 0, 1), drawn.depths[..., 0], drawn.alphas[..., 0]
+
+    made = _rendered("asset", shoot, center, radius, np.array(UPS[AUTO_UP]), wish, np.eye(4))
+    return replace(made, start=replace(made.start, color_space=splats.color_space))
+
+
+def _from_mesh(source: Path, wish: Wish) -> Material:
+    try:
+        from splatpainter.data.lights import load_environment, make_light, uniform_light
+        from splatpainter.data.meshes import load_mesh
+
+        mesh = load_mesh(source)
+    except ImportError as error:
+        raise ValueError(f"{source}: meshes need {error.name}; pip install 'splatpainter[data]'") from None
+    light = make_light(load_environment(wish.environment)) if wish.environment is not None else uniform_light()
+    shoot = _traced(mesh, light, wish) if wish.truth == "traced" else _surfels(mesh, light, wish)
+    radius = float(np.linalg.norm(mesh.vertices, axis=1).max())
+    return _rendered("mesh", shoot, np.zeros(3), radius, np.array([0.0, 1.0, 0.0]), wish, MESH_FRAME)
+
+
+def _surfels(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
+    from splatpainter.data.lights import shade
+    from splatpainter.data.surfels import sample_surfels, to_splats
+    from splatpainter.render import render
+    from splatpainter.warmup import ensure_compiled
+
+    ensure_compiled()
+    dense = sample_surfels(mesh, wish.surfels, wish.seed)
+    truth = to_splats(dense, shade(dense, light, min(wish.sh_degree, 2))).numpy()
+
+    def shoot(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+        drawn = render(truth, list(cameras))
+        return np.clip(drawn.colors, 0, 1), drawn.depths[..., 0], drawn.alphas[..., 0]
+
+    return shoot
+
+
+def _traced(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
+    from splatpainter.data.pathtrace import PathOptions, display, path_trace
+
+    def shoot(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+        from splatpainter.warmup import ensure_compiled
+
+        ensure_compiled()
+        traced = path_trace(mesh, light.environment.numpy(), cameras, PathOptions(wish.samples, seed=wish.seed))
+        return display(traced, float(light.exposure), cameras), traced.depths, traced.alphas
+
+    return shoot
+
+
+def _rendered(
+    kind: Literal["mesh", "asset"],
+    shoot: Callable[[Sequence[Camera]], tuple[np.ndarray, ...]],
+    center: np.ndarray,
+    radius: float,
+    up: np.ndarray,
+    wish: Wish,
+    frame: np.ndarray,
+) -> Material:
+    """shoot: cameras -> colours [V, H, W, 3], depths and alphas [V, H, W]. frame: [4, 4] from the asset's world to the
+    one that is shot (a half turn is its own inverse)."""
+    from splatpainter.fit.spread import spread
+    from splatpainter.fit.start import from_depths
+
+    distance = MARGIN * radius / math.sin(math.radians(FOV / 2))
+    kinds: dict[str, Any] = {"size": wish.size or 256, "fov": FOV, "up": up}
+    cameras = spread(center, distance, wish.views, backgrounds=BACKGROUNDS, **kinds)
+    held = spread(center, distance, wish.held, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
+    colors, depths, alphas = shoot(cameras)
+    unseen = shoot(held)[0] if held else []
+    cameras, held = ([replace(c, world_to_camera=c.world_to_camera @ frame) for c in some] for some in (cameras, held))
+    start = from_depths(cameras, colors, depths, alphas, wish.rows, wish.seed, wish.sh_degree, opacity=0.5)
+    return Material(kind, cameras, list(colors), list(zip(held, unseen, strict=True)), start)
+
+
+# Pictures
+
+
+def _from_pictures(folder: Path, wish: Wish) -> Material:
+    table = next((folder / name for name in TRANSFORMS if (folder / name).is_file()), None)
+    shown = _by_table(table, wish) if table is not None else _by_camera(folder, wish)
+    if len(shown) < 2:
+        raise ValueError(f"{folder}: expected at least two pictures with cameras, got {len(shown)}")
+    count = min(wish.held, len(shown) // 4)
+    apart = (
+        np.unique(np.linspace(0, len(shown) - 1, count + 2)[1:-1].round().astype(int)) if count else np.array([], int)
+    )
+    held = [shown[k][:2] for k in apart]
+    rest = [view for k, view in enumerate(shown) if k not in set(apart.tolist())]
+    start = _carved([view[0] for view in rest], [view[1] for view in rest], [view[2] for view in rest], wish)
+    notes = ["no depth is known: the first rows are random points that no picture shows empty"]
+    return Material("pictures", [view[0] for view in rest], [view[1] for view in rest], held, start, notes)
+
+
+Shown = tuple[Camera, np.ndarray, np.ndarray]
+"""(camera, colours [H, W, 3], [H, W] bool where something may be)."""
+
+
+def _by_camera(folder: Path, wish: Wish) -> list[Shown]:
+    """Pictures that carry their camera, or have it beside them."""
+    from splatpainter.cameras import find_camera
+
+    paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
+    if not paths:
+        raise ValueError(f"{folder}: expected pictures with cameras, or one of {', '.join(TRANSFORMS)}; found neither")
+    return [_shown(path, find_camera(path), wish, k) for k, path in enumerate(paths)]
+
+
+def _by_table(table: Path, wish: Wish) -> list[Shown]:
+    """As NeRF's synthetic scenes and nerfstudio have it: OpenGL camera-to-world matrices, one field of view or focal
+    lengths for all or for each frame."""
+    try:
+        told = json.loads(files.read_all(table))
+        frames = list(told["frames"])
+        return [_frame(table, {**told, **frame}, wish, k) for k, frame in enumerate(frames)]
+    except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        said = f"no {error}" if isinstance(error, KeyError) else reason(error)
+        raise ValueError(f"{table}: expected a NeRF-style table of frames ({said})") from None
+
+
+def _frame(table: Path, told: dict[str, Any], wish: Wish, k: int) -> Shown:
+    from splatpainter.sources.pictures import read_picture
+
+    name = table.parent / str(told["file_path"])
+    path = next((p for p in (name, name.with_name(name.name + ".png")) if p.is_file()), name)
+    width, height = read_picture(path).size
+    if any(told.get(name) for name in ("k1", "k2", "k3", "k4", "p1", "p2")):
+        raise ValueError(f"{table}: its lens is distorted (k1, k2, p1, p2); expected undistorted pictures")
+    if "fl_x" in told:
+        fx, fy = float(told["fl_x"]), float(told.get("fl_y", told["fl_x"]))
+        sx, sy = width / float(told.get("w", width)), height / float(told.get("h", height))
+        cx, cy = float(told.get("cx", width / sx / 2)) * sx, float(told.get("cy", height / sy / 2)) * sy
+        fx, fy = fx * sx, fy * sy
+    else:
+        fx = fy = width / 2 / math.tan(float(told["camera_angle_x"]) / 2)
+        cx, cy = width / 2, height / 2
+    pose = np.array(told["transform_matrix"], np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or abs(np.linalg.det(pose[:3, :3])) < 1e-9:
+        raise ValueError(f"{table}: {told['file_path']}: expected a 4x4 transform_matrix, got shape {list(pose.shape)}")
+    pose = pose @ np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL looks along -z with y up
+    pose[:3, :3] /= np.cbrt(np.linalg.det(pose[:3, :3]))
+    return _shown(path, Camera(width, height, fx, fy, cx, cy, np.linalg.inv(pose)), wish, k)
+
+
+def _shown(path: Path, camera: Camera, wish: Wish, k: int) -> Shown:
+    """Picture k. Transparent pixels show one of BACKGROUNDS; in pictures without any, those of exactly the camera's
+    background count as empty."""
+    from splatpainter.sources.pictures import read_picture
+
+    if wish.size is not None:
+        part = wish.size / max(camera.width, camera.height)
+        camera = camera.resized(max(1, round(camera.width * part)), max(1, round(camera.height * part)))
+    picture = read_picture(path)
+    ratio = picture.size[0] / picture.size[1] / (camera.width / camera.height)
+    if abs(ratio - 1) > 0.01 + 1 / min(camera.width, camera.height):
+        size = f"{picture.size[0]}x{picture.size[1]}"
+        raise ValueError(f"{path}: expected the aspect ratio of its camera, {camera.width}x{camera.height}, got {size}")
+    picture = picture.resized(camera.width, camera.height)
+    if picture.alpha is not None:
+        camera = replace(camera, background=BACKGROUNDS[k % len(BACKGROUNDS)])
+    behind = np.array(camera.background, np.float32)
+    if picture.alpha is not None:
+        alpha = picture.alpha[..., None]
+        return camera, picture.colors * alpha + behind * (1 - alpha), picture.alpha > 0.02
+    return camera, picture.colors, np.abs(picture.colors - behind).max(-1) > 3 / 255
+
+
+def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndarray], wish: Wish) -> Splats:
+    """Random points that lie before something in every picture that they fall into (a visual hull, where backgrounds
+    are known), with their mean colour in the pictures."""
+    from splatpainter.fit.start import from_points
+
+    rng = np.random.default_rng(wish.seed)
+    center, reach = _middle(cameras)
+    found: list[np.ndarray] = []
+    for _ in range(TRIES):
+        points = center + reach * rng.uniform(-1, 1, (wish.rows, 3))
+        count, good = np.zeros(len(points)), np.ones(len(points), bool)
+        total = np.zeros((len(points), 3))
+        for camera, color, there in zip(cameras, colors, solid, strict=True):
+            local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+            z = np.maximum(local[:, 2], 1e-9)
+            x = np.floor(camera.fx * local[:, 0] / z + camera.cx).astype(np.int64)
+            y = np.floor(camera.fy * local[:, 1] / z + camera.cy).astype(np.int64)
+            seen = (local[:, 2] > 1e-3) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+            good[seen] &= there[y[seen], x[seen]]
+            total[seen] += color[y[seen], x[seen]]
+            count[seen] += 1
+        good &= count >= min(2, len(cameras))
+        found.append(np.concatenate([points[good], total[good] / count[good, None]], 1))
+        if sum(map(len, found)) >= wish.rows:
+            break
+    both = np.concatenate(found)[: wish.rows]
+    if len(both) < 16:
+        raise ValueError(
+            "pictures: no place in space is seen by two of them and empty in none; are their cameras those they say?"
+        )
+    return from_points(both[:, :3], both[:, 3:], wish.sh_degree)
+
+
+def _middle(cameras: list[Camera]) -> tuple[np.ndarray, float]:
+    """([3] the point nearest to all lines of sight, half the edge of a cube around it that the pictures show)."""
+    lines = np.array([camera.forward for camera in cameras])
+    eyes = np.array([camera.position for camera in cameras])
+    across = np.eye(3) - lines[:, :, None] * lines[:, None, :]
+    whole = across.sum(0) + 1e-6 * np.eye(3)
+    center = np.linalg.solve(whole, np.einsum("vij,vj->i", across, eyes) + 1e-6 * eyes.mean(0))
+    away = np.linalg.norm(eyes - center, axis=1)
+    half = [max(c.width / c.fx, c.height / c.fy) / 2 for c in cameras]
+    return center, float(np.median(away * np.array(half)))

@@ -1,0 +1,187 @@
+"""The adapters file (TOML): where the systems outside this package are. Knows no system's command line.
+
+    [voxhammer]
+    repository = "~/VoxHammer"                      # relative paths: beside the file
+    python = "~/miniconda3/envs/hammer/bin/python"
+    timeout_seconds = 3600
+    environment = { HF_HOME = "/data/huggingface" }
+
+Keys are the fields of `Section`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+SYSTEMS = ("voxhammer", "vinedresser3d", "dge", "instruct-gs2gs", "relitlrm")
+"""Names of tables in the file."""
+OTHERS = ("super-resolution",)
+"""Tables that are not about a system (methods/srgs_prior.py)."""
+GUIDE = "docs/ADAPTERS.md"
+FRAMES = ("asset", "gltf", "trellis", "nerfstudio")
+"""Of results (alignment.py)."""
+SECRETS = re.compile(r"key|token|secret|password", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Section:
+    """One table of the file."""
+
+    name: str
+    """The system's."""
+    repository: Path | None = None
+    """Checkout of the system."""
+    python: str = ""
+    """Python of the system's environment: a path, or a name to be found on PATH."""
+    command: tuple[str, ...] = ()
+    """Instead of the system's own commands, set-up and export included. Placeholders: plans.PLACEHOLDERS."""
+    arguments: tuple[str, ...] = ()
+    """Appended to the command that edits."""
+    setup_arguments: tuple[str, ...] = ()
+    """Appended to the command that sets up, where the system has one."""
+    result: str = ""
+    """File that `command` leaves, relative to {out}; "": where the system itself leaves it, or "edited.ply"."""
+    frame: str = ""
+    """Of that file, one of FRAMES; "": the system's own, and "asset" for edited.ply."""
+    prompt: str = ""
+    """Instruction for systems that read text; "": the name of the kind of edit."""
+    prompts: dict[str, str] = field(default_factory=dict)
+    """Kind of edit (stroke, text, sticker, recolor, ...) -> instruction; goes before `prompt`."""
+    views: int = 0
+    """Rendered pictures of the asset that the system gets; 0: as many as it was made for."""
+    size: int = 0
+    """Their edge in pixels; 0: as the system wants."""
+    timeout_seconds: float = 3600.0
+    """Of each command."""
+    environment: dict[str, str] = field(default_factory=dict)
+    """Variables that its process has besides this one's."""
+    device: str = "cuda"
+    """"cuda": not run where the machine has no NVIDIA GPU; "cpu": run anywhere."""
+
+    def instruction(self, kind: str) -> str:
+        """What a system that reads text is told for an edit of this kind."""
+        return self.prompts.get(kind) or self.prompt or kind
+
+    def digest(self) -> str:
+        """12 hex digits of all that may change a result, the checkout's commit included; not of secrets."""
+        told = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("timeout_seconds", "environment")}
+        told["environment"] = {k: v for k, v in self.environment.items() if not SECRETS.search(k)}
+        text = repr(sorted((k, str(v)) for k, v in told.items())) + commit(self.repository)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def sections(path: Path) -> dict[str, dict[str, Any]]:
+    """Name of table -> its keys, unchecked. Raises ValueError for a file that is missing or no TOML."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise ValueError(f"{path}: cannot be read as the adapters file ({reason}); see {GUIDE}") from None
+
+
+def section(path: Path, name: str) -> Section | None:
+    """The system's table, checked; None where the file has none. Other systems' tables are not looked at.
+
+    Raises ValueError: no such file, no TOML, an unknown key, a value of the wrong kind."""
+    found = sections(path).get(name)
+    if found is None:
+        return None
+    where = f"{path}: [{name}]"
+    if not isinstance(found, dict):
+        raise ValueError(f"{where} is {found!r}; expected a table of keys; see {GUIDE}")
+    known = {f.name for f in fields(Section)} - {"name"}
+    unknown = sorted(set(found) - known)
+    if unknown:
+        raise ValueError(f"{where} has unknown key {unknown[0]}; known: {', '.join(sorted(known))}")
+    values = {key: _checked(f"{where} {key}", key, value) for key, value in found.items()}
+    if values.get("repository"):
+        values["repository"] = _place(path, values["repository"])
+    if os.sep in values.get("python", ""):
+        values["python"] = str(_place(path, values["python"]))
+    return Section(name, **values)
+
+
+def absent(path: Path | None, name: str) -> str:
+    """Why a system without a table is not run."""
+    line = f"not installed: add [{name}] to the adapters file ({GUIDE})"
+    strange = sorted(set(sections(path)) - {*SYSTEMS, *OTHERS}) if path is not None else []
+    return line + (f"; [{strange[0]}] there is none of {', '.join(SYSTEMS)}" if strange else "")
+
+
+def problem(own: Section, needs: tuple[str, ...], has_gpu: Callable[[], bool]) -> str:
+    """What keeps a system from being run, or "". needs: files of its checkout; (): it has no checkout."""
+    if needs and not own.command:
+        if own.repository is None:
+            return f"[{own.name}] has no `repository`: the path of its checkout ({GUIDE})"
+        if not own.repository.is_dir():
+            return f"[{own.name}] repository: no folder {own.repository}"
+        lacking = [name for name in needs if not (own.repository / name).exists()]
+        if lacking:
+            return f"[{own.name}] repository: {own.repository} has no {lacking[0]}; is it a checkout of {own.name}?"
+    elif own.repository is not None and not own.repository.is_dir():
+        return f"[{own.name}] repository: no folder {own.repository}"
+    if not own.python and (not own.command or any("{python}" in word for word in own.command)):
+        return f"[{own.name}] has no `python`: the interpreter of its environment ({GUIDE})"
+    if own.python and shutil.which(own.python) is None:
+        return f"[{own.name}] python: no program {own.python}"
+    if own.device == "cuda" and not has_gpu():
+        return "needs a CUDA GPU"
+    return ""
+
+
+def has_cuda_gpu() -> bool:
+    """Whether this machine shows an NVIDIA GPU to its processes. Not by our own torch: the systems bring theirs."""
+    if os.environ.get("CUDA_VISIBLE_DEVICES", "all").strip() in ("", "-1"):
+        return False
+    return any(Path("/dev").glob("nvidia[0-9]*")) or Path("/dev/dxg").exists()
+
+
+def commit(repository: Path | None) -> str:
+    """Commit of a checkout as git's own files tell it, "" where they do not."""
+    if repository is None:
+        return ""
+    try:
+        head = (repository / ".git" / "HEAD").read_text().strip()
+        return (repository / ".git" / head[5:]).read_text().strip() if head.startswith("ref: ") else head
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def _place(file: Path, given: str) -> Path:
+    """A path of the file: `~` is the home, relative ones begin at the file's folder. Symbolic links are kept: a virtual
+    environment's python is one."""
+    return Path(os.path.abspath(file.parent / Path(given).expanduser()))
+
+
+def _checked(where: str, key: str, value: Any) -> Any:
+    if key in ("command", "arguments", "setup_arguments"):
+        if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
+            raise ValueError(f"{where}: expected a list of words, got {value!r}")
+        return tuple(value)
+    if key in ("environment", "prompts"):
+        if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
+            raise ValueError(f'{where}: expected names and texts, {{ NAME = "..." }}, got {value!r}')
+        return value
+    if key == "timeout_seconds":
+        if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+            raise ValueError(f"{where}: expected seconds above 0, got {value!r}")
+        return float(value)
+    if key in ("views", "size"):
+        least, most = (0, 1000) if key == "views" else (0, 4096)
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+            raise ValueError(f"{where}: expected a whole number from {least} to {most}, got {value!r}")
+        return value
+    if not isinstance(value, str):
+        raise ValueError(f"{where}: expected text, got {value!r}")
+    allowed = {"device": ("cuda", "cpu"), "frame": FRAMES}.get(key)
+    if allowed and value not in allowed:
+        raise ValueError(f"{where}: expected one of {', '.join(allowed)}, got {value!r}")
+    return value

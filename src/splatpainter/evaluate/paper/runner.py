@@ -1,0 +1,279 @@
+"""Cases x methods: make the cases that are not on disk, let every method answer those it has not, write the table.
+
+Everything is a file (stock.py, records.py), so that a run goes on where another one stopped, several machines fill one
+folder, and the table depends on what was answered, not on how. Ground truth may be made by several processes; methods
+run one at a time, for their seconds are compared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from splatpainter.evaluate import timing
+from splatpainter.evaluate.paper import methods as registry
+from splatpainter.evaluate.paper import protocols, stock
+from splatpainter.evaluate.paper.children import Children, Plan, last_line
+from splatpainter.evaluate.paper.methods import Budget, Method
+from splatpainter.evaluate.paper.notes import Told, complete, lines
+from splatpainter.evaluate.paper.protocols import Key, Setup
+from splatpainter.evaluate.paper.records import Record, records
+from splatpainter.evaluate.paper.report import runs, tables
+from splatpainter.evaluate.paper.report.names import Names
+from splatpainter.evaluate.paper.report.summary import SummaryRow, summarize
+from splatpainter.evaluate.paper.worker import to_json
+from splatpainter.io import files
+from splatpainter.parallel import threads
+
+Redo = Literal["nothing", "errors", "all"]
+"""Which records that are up to date are made anew."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a run left."""
+
+    folder: Path
+    """OUT/PROTOCOL."""
+    rows: list[SummaryRow]
+    table: str
+    """Markdown."""
+    notes: list[str]
+    """Lines below the table."""
+    complete: bool
+    """Whether all rows that could run have all figures, for as many objects as asked."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One run; the same for all its parts."""
+
+    protocol: str
+    setup: Setup
+    methods: Sequence[str]
+    """Names, in any order."""
+    budget: Budget
+    out: Path
+    processes: int = 1
+    """That make ground truth at once."""
+    shard: tuple[int, int] = (0, 1)
+    """(k, n): only the objects k, k + n, ...; machines with the other k fill the same folder."""
+    redo: Redo = "nothing"
+    perceptual: Path | None = None
+    """Folder of the LPIPS-Alex weights; None: no LPIPS."""
+    parallel_methods: bool = False
+    """Methods run side by side, `processes` at a time: their seconds say less, and the table says so."""
+    named: bool = False
+    """The methods were asked for one by one: one that cannot run here then leaves the table incomplete."""
+
+
+def run(asked: Asked, say: Callable[[str], None]) -> Finished:
+    """Make, measure, write the table. say: gets a line whenever something is done.
+
+    Raises ValueError before any work: unknown protocol or method, data that gives no case."""
+    table = protocols.table(asked.protocol)
+    known = registry.all_methods()
+    chosen = [known[name] for name in known if name in asked.methods]
+    if missing := sorted(set(asked.methods) - set(known)):
+        raise ValueError(f"bench {asked.protocol}: expected methods of {', '.join(known)}, got {missing[0]!r}")
+    keys = table.keys(asked.setup)
+    own = of_shard(keys, asked.shard)
+    folder = asked.out / asked.protocol
+    machine = timing.machine()
+    with Children() as children:
+        _make(asked, own, children, say)
+        made = [key for key in own if _made(asked, key)]
+        _answer(asked, made, chosen, machine, children, say)
+    return report(asked, keys, own, known, folder, machine)
+
+
+def of_shard(keys: Sequence[Key], shard: tuple[int, int]) -> list[Key]:
+    """The cases of every n-th object from the k-th on: cases of one object share their ground truth."""
+    names = list(dict.fromkeys(key.name for key in keys))
+    own = set(names[shard[0] :: shard[1]])
+    return [key for key in keys if key.name in own]
+
+
+def fingerprint(digest: str, version: str, budget: Budget, perceptual: bool) -> str:
+    """Of a record: digest of its case, and 16 hex digits of what else decides its figures: the method's version, the
+    budget, whether LPIPS was measured."""
+    told = [version, budget.steps, budget.device, budget.seed, budget.curve, perceptual]
+    return f"{digest}-{hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]}"
+
+
+def report(
+    asked: Asked, keys: Sequence[Key], own: Sequence[Key], known: dict[str, Method], folder: Path, machine: str
+) -> Finished:
+    """The table of everything in the folder that belongs to these cases, also from earlier runs and other machines."""
+    table = protocols.table(asked.protocol)
+    digests = {key.label: stock.digest(asked.out, asked.protocol, key.label) for key in keys if _made(asked, key)}
+    current = [r for r in records(folder) if r.label in digests and r.fingerprint.startswith(f"{digests[r.label]}-")]
+    versions = {m.name: _version(m, asked.budget) for m in known.values() if any(r.method == m.name for r in current)}
+    told = Told(
+        asked=asked,
+        objects=tuple(dict.fromkeys(key.name for key in keys)),
+        own=frozenset(key.label for key in own),
+        failed=stock.failures(asked.out, asked.protocol, [key.label for key in keys if key.label not in digests]),
+        records=tuple(current),
+        outdated=tuple(r for r in current if r.whole and r.fingerprint != _wanted(asked, r, digests, versions)),
+        table=table,
+        labels={name: method.label for name, method in known.items()},
+    )
+    rows = summarize(current, table.split_by, tuple(known))
+    names = Names.of(known, (r.method for r in current))
+    layout = tables.grid(asked.protocol, table.columns, rows, names, table.split_by)
+    notes = lines(told)
+    folder.mkdir(parents=True, exist_ok=True)
+    tables.write(folder, table.title, layout, tables.figures(current), tables.means(asked.protocol, rows), notes)
+    about = {
+        "protocol": asked.protocol,
+        "title": table.title,
+        "setup": to_json(asked.setup),
+        "budget": to_json(asked.budget),
+        "perceptual": asked.perceptual is not None,
+        "labels": [key.label for key in keys],
+        "machine": machine,
+        "notes": notes,
+    }
+    with files.writing(folder / runs.ABOUT) as file:
+        file.write(json.dumps(about, indent=1).encode())
+    return Finished(folder, rows, tables.markdown(layout), notes, complete(told))
+
+
+def _made(asked: Asked, key: Key) -> bool:
+    folder = stock.case_folder(asked.out, asked.protocol, key.label)
+    return stock.is_made(folder, stock.stamp(asked.protocol, key, asked.setup))
+
+
+def _make(asked: Asked, keys: Sequence[Key], children: Children, say: Callable[[str], None]) -> None:
+    wanted: dict[str, list[dict[str, Any]]] = {}
+    for key in keys:
+        if not _made(asked, key):
+            stamp = stock.stamp(asked.protocol, key, asked.setup)
+            wanted.setdefault(key.name, []).append({**asdict(key), "stamp": stamp})
+    if not wanted:
+        return
+    count = min(asked.processes, len(wanted))
+    objects = list(wanted.values())
+    job = {
+        "task": "make",
+        "protocol": asked.protocol,
+        "setup": to_json(asked.setup),
+        "out": str(asked.out.absolute()),
+    }
+    share = None if count == 1 else max(1, threads() // count)
+    log = asked.out / asked.protocol / "logs"
+    plans = [
+        Plan(f"cases {k}", job, tuple(item for items in objects[k::count] for item in items), log / f"cases-{k}.log")
+        for k in range(count)
+    ]
+    plans = [replace(plan, threads=share) for plan in plans]
+    names = {item["label"]: item["name"] for items in objects for item in items}
+    for number, event in enumerate(children.run(plans, count), 1):
+        reason = event.said or event.died
+        if reason:
+            stock.fail(asked.out, asked.protocol, event.label, names[event.label], reason)
+        say(f"{asked.protocol}: case {number} of {len(names)}: {event.label}" + (f": {reason}" if reason else ""))
+
+
+def _answer(
+    asked: Asked,
+    keys: Sequence[Key],
+    chosen: Sequence[Method],
+    machine: str,
+    children: Children,
+    say: Callable[[str], None],
+) -> None:
+    cases = []
+    for key in keys:
+        place = asked.out, asked.protocol, key.label
+        cases.append((key.label, stock.digest(*place), *stock.about(*place)))
+    side_by_side = asked.parallel_methods and asked.processes > 1 and len(chosen) > 1
+    where = f"{machine}; {asked.processes} methods side by side" if side_by_side else machine
+    blanks: dict[tuple[str, str], Record] = {}
+    plans = []
+    for method in chosen:
+        version, why = _version(method, asked.budget), _missing(method, asked.budget)
+        for label, digest, name, facts in cases:
+            print_ = fingerprint(digest, version, asked.budget, asked.perceptual is not None)
+            blank = Record(asked.protocol, method.name, label, name, print_, facts=facts, machine=where)
+            if why:
+                _write(asked, replace(blank, missing=why))
+            elif not _up_to_date(asked, blank):
+                blanks[method.name, label] = blank
+        if why:
+            say(f"{asked.protocol}: {method.name}: {why}")
+        own = [blank for (name, _), blank in blanks.items() if name == method.name]
+        if own:
+            plans.append(_plan(asked, method, version, own, where, side_by_side))
+    for number, event in enumerate(children.run(plans, asked.processes if side_by_side else 1), 1):
+        if event.died:
+            _write(asked, replace(blanks[event.plan.name, event.label], error=event.died))
+        reason = event.died or event.said
+        line = f"{asked.protocol}: {number} of {len(blanks)}: {event.plan.name} on {event.label}"
+        say(line + (f": {reason}" if reason else ""))
+
+
+def _plan(
+    asked: Asked, method: Method, version: str, blanks: Iterable[Record], machine: str, side_by_side: bool
+) -> Plan:
+    job = {
+        "task": "edit",
+        "protocol": asked.protocol,
+        "method": method.name,
+        "version": version,
+        "budget": to_json(asked.budget),
+        "out": str(asked.out.absolute()),
+        "perceptual": None if asked.perceptual is None else str(asked.perceptual.absolute()),
+        "machine": machine,
+    }
+    items = [{k: getattr(blank, k) for k in ("label", "name", "fingerprint", "facts")} for blank in blanks]
+    log = asked.out / asked.protocol / "logs" / f"{method.name}.log"
+    return Plan(method.name, job, tuple(items), log, max(1, threads() // asked.processes) if side_by_side else None)
+
+
+def _record_path(asked: Asked, record: Record) -> Path:
+    return asked.out / asked.protocol / "records" / record.method / f"{record.label}.json"
+
+
+def _write(asked: Asked, record: Record) -> None:
+    """A record without figures; the picture of an older one goes."""
+    path = _record_path(asked, record)
+    path.with_suffix(".png").unlink(missing_ok=True)
+    record.write(path)
+
+
+def _up_to_date(asked: Asked, blank: Record) -> bool:
+    if asked.redo == "all" or not os.path.exists(_record_path(asked, blank)):
+        return False
+    try:
+        there = Record.read(_record_path(asked, blank))
+    except ValueError:
+        return False
+    wanted = there.whole or (asked.redo == "nothing" and not there.missing)
+    return wanted and there.fingerprint == blank.fingerprint
+
+
+def _wanted(asked: Asked, record: Record, digests: dict[str, str], versions: dict[str, str]) -> str:
+    if record.method not in versions:  # a method that is no more
+        return ""
+    return fingerprint(digests[record.label], versions[record.method], asked.budget, asked.perceptual is not None)
+
+
+def _missing(method: Method, budget: Budget) -> str:
+    try:
+        return method.missing(budget)
+    except ValueError as error:  # e.g. a file of adapters that cannot be read
+        return f"cannot run: {last_line(error)}"
+
+
+def _version(method: Method, budget: Budget) -> str:
+    try:
+        return method.version(budget)
+    except ValueError as error:
+        return f"none: {last_line(error)}"

@@ -1,0 +1,159 @@
+"""Adaptive density control (Kerbl et al. 2023, Section 5.2, with the constants of its reference implementation).
+
+Rows whose centres are pulled hard on the screen, on average over the views that draw them, stand for more than they can
+show: small ones are cloned, large ones split in two. Rows that became transparent or huge are removed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatpainter.cameras import Camera
+from splatpainter.fit.gradients import Pull
+from splatpainter.fit.parameters import Parameters
+
+ORIGINAL_STEPS = 30_000
+"""Of the run that the constants are made for."""
+
+
+@dataclass(frozen=True)
+class DensityOptions:
+    """Constants of the original. Lengths are parts of the scene's extent."""
+
+    threshold: float = 2e-4
+    """Mean screen-space gradient above which a row is cloned or split (per half picture, as in the original)."""
+    absolute: bool = False
+    """Sum magnitudes over tiles instead (gradients._pull); wants a threshold of about twice as much."""
+    dense: float = 0.01
+    """Rows up to this large are cloned, larger ones split."""
+    children: int = 2
+    shrink: float = 1.6
+    """Children of a split are smaller than their parent by this factor (phi)."""
+    faintest: float = 0.005
+    """Rows below this opacity are removed."""
+    largest: float = 0.1
+    """Rows larger than this are removed, once opacities were reset."""
+    reset: float = 0.01
+    """Opacities are brought down to this."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Steps, counted from 1, at which density is controlled."""
+
+    start: int = 500
+    every: int = 100
+    stop: int = 15_000
+    reset: int = 3000
+    """Between resets of opacity; 0: none."""
+
+    @staticmethod
+    def scaled(steps: int, views: int) -> Schedule:
+        """The original schedule in proportion for a run of `steps`. Between two rounds every view is seen about once,
+        or means would be of one side of the object, and rows have SETTLE steps to use the room that they were given;
+        resets closer than HEAL steps are left out, for rows would not get over them."""
+        part = steps / ORIGINAL_STEPS
+        every = max(round(100 * part), min(views, steps // 10, 100), SETTLE)
+        reset = round(3000 * part)
+        return Schedule(max(round(500 * part), every), every, round(15_000 * part), reset if reset >= HEAL else 0)
+
+    def due(self, step: int) -> bool:
+        """Whether rows are cloned, split and removed after this step."""
+        return self.start <= step <= self.stop and (step - self.start) % self.every == 0
+
+    def resets(self, step: int) -> bool:
+        """Whether opacities are reset after this step."""
+        return self.reset > 0 and step % self.reset == 0 and step <= self.stop
+
+
+SETTLE = 25
+"""Steps between rounds, at least: clones are on top of each other at first, and pulled as hard as before."""
+HEAL = 300
+"""Steps that opacities need after a reset: 150 to come back at 0.05 of a logit each, as many again to settle."""
+
+
+class Pulls:
+    """Mean magnitude of the screen-space gradient per row, since the last round."""
+
+    def __init__(self, rows: int) -> None:
+        self.total, self.count = np.zeros(rows, np.float32), np.zeros(rows, np.float32)
+
+    def add(self, pull: Pull, camera: Camera) -> None:
+        half = np.array([camera.width / 2, camera.height / 2], np.float32)
+        self.total[pull.rows] += np.linalg.norm(pull.pixels * half, axis=1)
+        self.count[pull.rows] += 1
+
+    def mean(self) -> np.ndarray:
+        """[N], 0 for rows that no view drew."""
+        return self.total / np.maximum(self.count, 1)
+
+
+@dataclass(frozen=True)
+class Round:
+    """What one round of density control made of N rows."""
+
+    parameters: Parameters
+    """Kept rows in their order, then clones, then children."""
+    kept: Tensor
+    """[M] int64 rows that were kept."""
+    source: Tensor
+    """[N'] int64 the old row that each new one is, or comes from."""
+
+
+def densify(
+    parameters: Parameters,
+    pulls: np.ndarray,
+    extent: float,
+    options: DensityOptions,
+    most_rows: int,
+    prune_large: bool,
+    generator: torch.Generator,
+) -> Round:
+    """One round. pulls: [N]; extent: world units; most_rows: after the round, as far as removing allows; where more
+    want to be cloned or split, those pulled hardest are. The generator lives on the CPU."""
+    device = parameters.means.device
+    size = parameters.scales.exp().amax(1)
+    opacity = parameters.opacities.sigmoid()
+    chosen = torch.as_tensor(pulls, device=device) >= options.threshold
+    chosen &= torch.isfinite(size) & (opacity >= options.faintest)
+    room = max(most_rows - len(parameters), 0)
+    if int(chosen.sum()) > room:
+        hardest = np.argsort(-np.where(chosen.cpu().numpy(), pulls, -1), kind="stable")[:room]
+        chosen = torch.zeros_like(chosen)
+        chosen[torch.as_tensor(hardest.copy(), device=device)] = True
+    large = size > options.dense * extent
+    cloned = torch.nonzero(chosen & ~large)[:, 0]
+    split = torch.nonzero(chosen & large)[:, 0].repeat(options.children)
+    gone = (chosen & large) | (opacity < options.faintest)
+    if prune_large:
+        gone |= size > options.largest * extent
+    kept = torch.nonzero(~gone)[:, 0]
+    children = _children(parameters.take(split), options.shrink, generator)
+    whole = parameters.take(kept).append(parameters.take(cloned), children)
+    return Round(whole, kept, torch.cat([kept, cloned, split]))
+
+
+def reset_opacities(parameters: Parameters, value: float) -> None:
+    """Bring all opacities down to `value`, in place."""
+    parameters.opacities.clamp_(max=float(np.log(value / (1 - value))))
+
+
+def _children(parents: Parameters, shrink: float, generator: torch.Generator) -> Parameters:
+    """One smaller row per parent, at a place drawn from the parent's own density."""
+    drawn = torch.randn(parents.means.shape, generator=generator).to(parents.means)
+    offset = drawn * parents.scales.exp()
+    parents.means = parents.means + _turned(parents.quats, offset)
+    parents.scales = parents.scales - float(np.log(shrink))
+    return parents
+
+
+def _turned(quats: Tensor, vectors: Tensor) -> Tensor:
+    """[N, 3] vectors rotated by quaternions w, x, y, z of any norm: v + 2 w (u x v) + 2 u x (u x v)."""
+    unit = torch.nn.functional.normalize(quats, dim=1)
+    w, axis = unit[:, :1], unit[:, 1:]
+    once = torch.linalg.cross(axis, vectors)
+    return vectors + 2 * (w * once + torch.linalg.cross(axis, once))

@@ -1,0 +1,117 @@
+"""First rows for an optimisation: round Gaussians at coloured points, or at the points that depth maps show.
+
+As 3DGS starts from a sparse point cloud (Kerbl et al. 2023, Section 5): a row's size is the root mean squared distance
+to its three nearest neighbours. Numpy only. M points, V views of H x W pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.fit.neighbours import mean_squares
+from splatpainter.splats import SH_C0, SH_COUNTS, ColorSpace, Splats
+
+OPACITY = 0.1
+"""Of first rows, as in 3DGS."""
+SOLID = 0.5
+"""Pixels with less alpha have no depth to speak of."""
+EVEN = 16
+"""Rows larger than this many times the median row are made this large: a stray point has no near neighbours."""
+
+
+def from_points(
+    points: np.ndarray,
+    colors: np.ndarray,
+    sh_degree: int = 3,
+    *,
+    opacity: float = OPACITY,
+    size: float = 1.0,
+    color_space: ColorSpace = "srgb",
+) -> Splats:
+    """M round rows of one colour each. points: [M, 3] world units; colors: [M, 3] 0..1; opacity: 0..1 of all rows;
+    size: standard deviation over the root mean squared distance to the three nearest points.
+
+    Raises ValueError for shapes that do not fit, no points, or values that are not finite."""
+    points, colors = np.asarray(points, np.float32), np.asarray(colors, np.float32)
+    if points.ndim != 2 or points.shape[1] != 3 or points.shape != colors.shape or len(points) == 0:
+        raise ValueError(
+            f"points: expected [M, 3] points and as many colours, got {list(points.shape)} and {list(colors.shape)}"
+        )
+    if not (np.isfinite(points).all() and np.isfinite(colors).all()):
+        raise ValueError("points: expected finite places and colours, got NaN or infinite ones")
+    if sh_degree not in SH_COUNTS.values():
+        raise ValueError(f"points: expected an SH degree from 0 to 4, got {sh_degree}")
+    scales = size * _spacing(points)
+    sh = np.zeros((len(points), (sh_degree + 1) ** 2, 3), np.float32)
+    sh[:, 0] = (colors - 0.5) / SH_C0
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1))
+    opacities = np.full(len(points), opacity, np.float32)
+    return Splats(
+        points.copy(),
+        quats,
+        np.repeat(scales[:, None], 3, 1).astype(np.float32),
+        opacities,
+        sh,
+        color_space=color_space,
+    )
+
+
+def from_depths(
+    cameras: Sequence[Camera],
+    colors: np.ndarray,
+    depths: np.ndarray,
+    alphas: np.ndarray,
+    rows: int,
+    seed: int = 0,
+    sh_degree: int = 3,
+    *,
+    opacity: float = OPACITY,
+    size: float = 1.0,
+) -> Splats:
+    """`rows` rows at points that the views show, drawn evenly over the surface (a pixel counts as the area that it
+    covers, seen straight on).
+
+    colors: [V, H, W, 3] 0..1; depths: [V, H, W] z-depth, world units; alphas: [V, H, W] 0..1, pixels above SOLID have
+    a point. Raises ValueError: shapes that do not fit, or no such pixel."""
+    shape = (len(cameras), *np.shape(depths)[1:])
+    if np.shape(colors) != (*shape, 3) or np.shape(depths) != shape or np.shape(alphas) != shape or rows < 1:
+        raise ValueError(
+            f"depth maps: expected colours [V, H, W, 3], depths and alphas [V, H, W] of {len(cameras)} cameras and at "
+            f"least one row, got {list(np.shape(colors))}, {list(np.shape(depths))}, {list(np.shape(alphas))}, {rows}"
+        )
+    rng = np.random.default_rng(seed)
+    solid = (np.asarray(alphas) > SOLID) & (np.asarray(depths) > 0) & np.isfinite(depths)
+    view, y, x = np.nonzero(solid)
+    if not len(view):
+        raise ValueError("depth maps: expected some opaque pixels, got none; do the cameras see the object?")
+    z = np.asarray(depths, np.float64)[solid]
+    focal = np.array([camera.fx * camera.fy for camera in cameras])
+    keys = rng.exponential(size=len(view)) / (z**2 / focal[view])  # the smallest are a draw weighted by area
+    if rows <= len(view):
+        chosen, jitter = np.argpartition(keys, rows - 1)[:rows], np.zeros((rows, 2))
+    else:  # every pixel, again and again, elsewhere within the pixel
+        chosen = np.concatenate([np.arange(len(view)), rng.integers(len(view), size=rows - len(view))])
+        jitter = rng.uniform(-0.5, 0.5, (rows, 2))
+        jitter[: len(view)] = 0
+    view, y, x, z = view[chosen], y[chosen], x[chosen], z[chosen]
+    points = np.empty((rows, 3))
+    for k, camera in enumerate(cameras):
+        own = view == k
+        u = (x[own] + 0.5 + jitter[own, 0] - camera.cx) / camera.fx
+        v = (y[own] + 0.5 + jitter[own, 1] - camera.cy) / camera.fy
+        local = np.stack([u, v, np.ones_like(u)], 1) * z[own, None]
+        points[own] = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+    return from_points(points, np.clip(colors[view, y, x], 0, 1), sh_degree, opacity=opacity, size=size)
+
+
+def _spacing(points: np.ndarray) -> np.ndarray:
+    """[M] root mean squared distance to the three nearest, world units, within reason."""
+    gap = np.sqrt(mean_squares(points))
+    known = gap[np.isfinite(gap) & (gap > 0)]
+    if not len(known):
+        return np.full(len(points), 0.01)
+    typical = float(np.median(known))
+    return np.clip(np.nan_to_num(gap, posinf=typical), typical / EVEN, typical * EVEN)

@@ -1,0 +1,64 @@
+"""Adam over rows is torch's Adam, rows may come and go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from splatpainter.fit.adam import BETAS, EPSILON, Adam, step_tensor
+
+SHAPES = {"means": (3000, 3), "opacities": (3000,), "sh": (3000, 4, 3)}
+
+
+def values(seed: int, scale: float = 1.0) -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    return {name: scale * torch.randn(shape, generator=generator) for name, shape in SHAPES.items()}
+
+
+def rates() -> dict[str, torch.Tensor]:
+    bands = torch.tensor([0.02] * 3 + [0.001] * 9)
+    return {"means": torch.tensor([0.01]), "opacities": torch.tensor([0.05]), "sh": bands}
+
+
+@pytest.mark.parametrize("path", ["kernel", "torch"])
+def test_five_steps_are_those_of_torch(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if path == "torch":  # what other devices run
+        monkeypatch.setattr("splatpainter.fit.adam._step_rows", step_tensor)
+    ours = values(0)
+    leaves = {name: value.clone().requires_grad_() for name, value in ours.items() if name != "sh"}
+    first, rest = (part.clone().requires_grad_() for part in (ours["sh"][:, :1], ours["sh"][:, 1:]))
+    groups = [
+        {"params": [leaves["means"]], "lr": 0.01},
+        {"params": [leaves["opacities"]], "lr": 0.05},
+        {"params": [first], "lr": 0.02},
+        {"params": [rest], "lr": 0.001},
+    ]
+    theirs = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
+    adam = Adam(ours)
+    for step in range(5):
+        gradients = values(10 + step, 1e-6)
+        gradients["means"][7] = 0  # a row that no view sees
+        for name, leaf in leaves.items():
+            leaf.grad = gradients[name].clone()
+        first.grad, rest.grad = gradients["sh"][:, :1].clone(), gradients["sh"][:, 1:].clone()
+        adam.step(ours, gradients, rates())
+        theirs.step()
+    expected = {**leaves, "sh": torch.cat([first, rest], 1)}
+    for name, value in ours.items():
+        np.testing.assert_allclose(value.numpy(), expected[name].detach().numpy(), rtol=1e-6, atol=1e-6, err_msg=name)
+    assert torch.equal(ours["means"][7], values(0)["means"][7])
+
+
+def test_rows_keep_their_past_and_new_ones_have_none() -> None:
+    ours = values(0)
+    adam = Adam(ours)
+    adam.step(ours, values(1), rates())
+    before = {name: tuple(m.clone() for m in pair) for name, pair in adam.moments.items()}
+    kept = torch.tensor([5, 2, 9])
+    adam.select(kept, 2)
+    for name, pair in adam.moments.items():
+        for old, new in zip(before[name], pair, strict=True):
+            assert torch.equal(new[:3], old[kept]) and new.shape[0] == 5 and not new[3:].any()
+    adam.forget("sh")
+    assert not any(moment.any() for moment in adam.moments["sh"]) and adam.moments["means"][0].any()
