@@ -111,7 +111,7 @@ def test_extreme_residuals_stay_finite() -> None:
 
 
 def test_a_bounded_residual_keeps_rows_of_any_size_in_place() -> None:
-    """However loud the network: at most their own size away (or a voxel), and no more larger or smaller than allowed."""
+    """However loud the network: not further away than their own size (or a voxel) allows, and not larger or smaller."""
     rows = some_rows()
     rows = replace(rows, scales=rows.scales * torch.logspace(-4, 1, len(rows))[:, None])
     head = AttributeHead(8, 3, "bounded")
@@ -127,7 +127,7 @@ def test_a_bounded_residual_keeps_rows_of_any_size_in_place() -> None:
     same = head.attributes(torch.zeros(len(rows), output_count(3)), rows, centers, voxel=0.05)
     assert all((bits(getattr(same, name)) == bits(getattr(rows, name))).all() for name in ATTRIBUTES)
     small = 1e-3 * torch.randn(5, output_count(1), generator=torch.Generator().manual_seed(1))
-    torch.testing.assert_close(bounded(small), small, rtol=1e-4, atol=1e-8)
+    torch.testing.assert_close(bounded(small), small, rtol=1e-3, atol=1e-8)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.3])

@@ -1,7 +1,7 @@
 """Samples whose pictures are path traced: the takes of data/takes.py, every picture made anew by data/pathtrace.py.
 
-For evaluation, and for training at scale. Only kinds whose truth is the mesh itself in a known light; paint on meshes is
-data/painted_mesh.py's.
+For evaluation, and for training at scale. Only kinds whose truth is the mesh itself in a known light; paint on meshes
+is data/painted_mesh.py's.
 """
 
 from __future__ import annotations

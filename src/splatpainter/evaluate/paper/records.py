@@ -36,7 +36,7 @@ class Record:
     setup_seconds: float | None = None
     edit_seconds: float | None = None
     peak_mib: float | None = None
-    """Largest resident memory of the method's process so far."""
+    """Largest resident memory of the method's process in this case; where the system cannot forget peaks, so far."""
     rows: int | None = None
     """Of the edited asset."""
     rows_equal: float | None = None

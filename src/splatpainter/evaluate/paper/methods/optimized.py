@@ -164,7 +164,7 @@ def _method(name: str, label: str, settings: Settings, protocols: tuple[str, ...
         label=label,
         edit=partial(edit, settings),
         protocols=protocols,
-        version=lambda _: f"1-{settings.extra}-{EDITED:g}-{CONTRADICTED:g}",
+        version=lambda _: f"2-{settings.extra}-{EDITED:g}-{CONTRADICTED:g}",
     )
 
 
