@@ -1,6 +1,9 @@
 """The loop: against a plain torch oracle, on what must not change, and on a toy that must improve.
 
-On the demo asset, from 20,000 unprojected points, 24 views of 256 px and 1,000 steps: see the numbers in docs.
+Not run here, measured: the demo asset from 20,000 points unprojected from 24 views of 256 px, 1,000 steps with density
+control (54,542 rows): 36.3 dB on those views, 33.6 on 8 others, over black and white in turn; over its own background
+alone 37.5 and 34.1, but with holes and haze of that colour (mean error of alpha 0.044, not 0.004). With the original's
+rate of SH all along 33.6 and 32.4. About 75 ms of one core a step.
 """
 
 from __future__ import annotations

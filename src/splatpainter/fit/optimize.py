@@ -31,7 +31,8 @@ class View:
 
     camera: Camera
     color: np.ndarray = field(repr=False)
-    """[H, W, 3] float32 0..1 over the camera's background, in the splats' colour space."""
+    """[H, W, 3] float32 0..1 over the camera's background, in the splats' colour space. Where transparency is known,
+    give views different backgrounds (black and white in turn): over one, rows of its colour and holes look alike."""
     weight: float = 1.0
     """Times the view's loss."""
     mask: np.ndarray | None = field(default=None, repr=False)

@@ -92,7 +92,7 @@ def _method(name: str, label: str, everything: bool) -> Method:
         edit=partial(edit, everything),
         protocols=("refine", "relight", "creative"),
         oracle=True,
-        version=lambda _: f"1-{SSIM:g}",
+        version=lambda _: f"2-{SSIM:g}",
     )
 
 
