@@ -113,7 +113,7 @@ def _missing(external: bool, budget: Budget) -> str:
 def _version(external: bool, budget: Budget) -> str:
     from splatpainter.evaluate.paper.methods import srgs_prior
 
-    settings = f"1-{FACTOR}-{EXTRA}-{PATCHES}-{EDGE}-{EDITED:g}"
+    settings = f"2-{FACTOR}-{EXTRA}-{PATCHES}-{EDGE}-{EDITED:g}"
     return f"{settings}-{srgs_prior.digest(budget.adapters)}" if external else settings
 
 
