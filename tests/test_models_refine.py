@@ -339,9 +339,9 @@ def test_normals_are_those_of_the_surface_that_is_seen() -> None:
     hit = missed < (0.85 * radius) ** 2
     reach = np.where(hit, along - np.sqrt(np.maximum(radius**2 - missed, 0)), 0)
     depth = reach * (directions @ camera.forward)
-    shown = [torch.from_numpy(x.astype(np.float32))[None, ..., None] for x in (depth, hit)]
+    far, solid = (torch.from_numpy(x.astype(np.float32))[None, ..., None] for x in (depth, hit))
     config = with_refine(TINY, image_channels=("edited", "normals"), mask_tokens=False).refine
-    views = Pictures([camera], torch.zeros(1, 64, 64, 3), None, *shown, None)
+    views = Pictures([camera], torch.zeros(1, 64, 64, 3), None, far, solid, None)
     pixels = tokenize(views, GROUPS, config).pixels.reshape(8, 8, 8, 8, 6).transpose(1, 2).reshape(64, 64, 6)
     expected = ((origin + reach[..., None] * directions) - middle) / radius
     inner = np.zeros((64, 64), bool)

@@ -184,7 +184,8 @@ def test_shards_and_processes_fill_one_folder(asked: Asked) -> None:
 def test_interrupting_and_resuming_gives_the_same_table(asked: Asked, number: int) -> None:
     ask_for(asked, "slow")
     program = (
-        "import sys; from pathlib import Path; import paper_stubs\n"
+        "import signal, sys; from pathlib import Path; import paper_stubs\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs ignore it
         "from splatpainter.evaluate.paper import children, runner\n"
         "from splatpainter.evaluate.paper.methods import Budget\n"
         "from splatpainter.evaluate.paper.protocols import Setup\n"
