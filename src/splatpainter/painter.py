@@ -90,6 +90,13 @@ class Asset:
 
         return voxelize(self.splats)
 
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """[N, 3] float32 outward unit normals of the rows, made on first use; zeros for rows that cannot be drawn."""
+        from splatpainter.lift.whole import outward_normals
+
+        return outward_normals(self.splats)
+
 
 @dataclass(frozen=True)
 class Learnt:
@@ -281,7 +288,9 @@ class Painter:
         config = None if chosen == "lift" or self.model is None else self.model.config.refine
         base, features = ("lift", False) if config is None else (config.base, config.lift_features)
         if mode == "global":
-            return draft_global(asset.splats, views, base, self.whole, features=features)
+            return draft_global(
+                asset.splats, views, base, self.whole, features=features, normals=asset.normals
+            )
         return draft_local(asset.splats, asset.grid, views, base, self.local, features=features)
 
     def _refined(self, asset: Asset, draft: Draft, views: Sequence[EditView]) -> Asset:

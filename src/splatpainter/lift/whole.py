@@ -14,7 +14,7 @@ import numpy as np
 from splatpainter.cameras import Camera, orbit
 from splatpainter.lift.colors import BRIGHTEST
 from splatpainter.lift.split import rotations
-from splatpainter.render.cpu.frame import project
+from splatpainter.render.cpu.frame import Frame, project
 from splatpainter.splats import SH_C0, Splats
 
 
@@ -33,8 +33,10 @@ class GlobalOptions:
     """The same for the part that depends on the normal (light directions that no view shows stay unchanged)."""
     half_seen: float = 2.0
     """A row seen with this many pixels of weight takes half its colour from the lift, half from the regression."""
-    ring: int = 8
-    """Views around the asset that decide which side of a row is its outside."""
+
+
+RING = 8
+"""Views around the asset that decide which side of a row is its outside."""
 
 
 @dataclass(frozen=True)
@@ -57,26 +59,28 @@ def lift_global(
     splats: Splats,
     views: Sequence[tuple[Camera, np.ndarray, np.ndarray]],
     options: GlobalOptions = GlobalOptions(),
+    normals: np.ndarray | None = None,
 ) -> Regraded:
     """Regrade all rows by (camera, target [H, W, 3], mask [H, W] bool) views. Pixels that the asset covers by less than
-    0.9 are not learnt from (their colour is the background's too). Rows that cannot be drawn keep their bits. Raises
-    ValueError when the views show no solid part of the asset."""
+    0.9 are not learnt from (their colour is the background's too). Rows that cannot be drawn keep their bits. normals:
+    [N, 3] of `outward_normals`, where they are known already. Raises ValueError when the views show no solid part of
+    the asset."""
     drawable = splats.finite
+    normals = outward_normals(splats) if normals is None else normals
     if not drawable.all():  # a NaN would spread through the regression
-        some = lift_global(splats.take(drawable), views, options)
+        some = lift_global(splats.take(drawable), views, options, normals[drawable])
         sh = splats.sh.copy()
         sh[drawable] = some.splats.sh
         told = (some.confidence, some.seen, some.predicted, some.normals)
         return Regraded(replace(splats, sh=sh), *(_spread(values, drawable) for values in told))
     old = 0.5 + SH_C0 * splats.sh[:, 0]  # [N, 3] base colours
     shown, weight = _prepared(splats, views)
-    change = _colored(splats, shown, weight, options.rounds)
+    change = _colored([view.frame for view in shown], shown, weight, options.rounds)
     seen = weight > 0.05
     if not seen.any():
         raise ValueError(
             "edit: the views show no solid part of the asset (alpha above 0.9); check the cameras and masks"
         )
-    normals = outward_normals(splats, options.ring)
     features = _features(np.clip(old, 0, 1), normals)
     solution, spread = _ridge(features[seen], change[seen], weight[seen], options)
     predicted = features @ solution  # [N, 3] change of base colour
@@ -89,7 +93,7 @@ def lift_global(
         sh[:, 1:] = sh[:, 1:] @ _matrices(features, solution).transpose(0, 2, 1)
     result = replace(splats, sh=sh.astype(splats.sh.dtype))
     if len(views) > 1 and options.last_rounds:
-        moved = _colored(result, shown, weight, options.last_rounds)
+        moved = _colored([project(result, view.camera) for view in shown], shown, weight, options.last_rounds)
         result.sh[:, 0] += moved / SH_C0  # its own copy
     leverage = ((features @ spread.astype(np.float32)) * features).sum(1)
     typical = np.maximum(np.average(leverage[seen], weights=weight[seen]), 1e-12)
@@ -119,6 +123,8 @@ class _Shown:
     """[H, W] float32: 1 where pixels count."""
     weight: np.ndarray
     """[N] float32 pixels that show each row; 0 where a later view contradicts."""
+    frame: Frame
+    """The asset before the edit, in this view."""
 
 
 def _prepared(
@@ -140,15 +146,14 @@ def _prepared(
         last[rows[fresh]], decided[rows[fresh]] = wish[fresh], True
         whole = np.zeros(n, np.float32)
         whole[rows] = weight
-        shown.append(_Shown(camera, target, use, whole))
+        shown.append(_Shown(camera, target, use, whole, frame))
     shown.reverse()
     return shown, np.sum([view.weight for view in shown], axis=0)
 
 
-def _colored(splats: Splats, shown: Sequence[_Shown], total: np.ndarray, rounds: int) -> np.ndarray:
-    """[N, 3] change of base colour that takes all views' error down, all at once."""
-    change = np.zeros((len(splats), 3), np.float32)
-    frames = [project(splats, view.camera) for view in shown]
+def _colored(frames: Sequence[Frame], shown: Sequence[_Shown], total: np.ndarray, rounds: int) -> np.ndarray:
+    """[N, 3] change of base colour that takes all views' error down, all at once. frames: of the asset, per view."""
+    change = np.zeros((len(total), 3), np.float32)
     for _ in range(rounds):
         gain = np.zeros_like(change)
         for frame, view in zip(frames, shown, strict=True):
@@ -161,9 +166,13 @@ def _colored(splats: Splats, shown: Sequence[_Shown], total: np.ndarray, rounds:
     return np.where(total[:, None] > 0.05, change, 0)
 
 
-def outward_normals(splats: Splats, ring: int) -> np.ndarray:
-    """[N, 3] unit shortest axes, turned towards the side from which a ring of views sees the row (else away from the
-    asset's centre). All rows must be drawable."""
+def outward_normals(splats: Splats, ring: int = RING) -> np.ndarray:
+    """[N, 3] float32 unit shortest axes, turned towards the side from which a ring of views sees the row (else away
+    from the asset's centre); zeros for rows that cannot be drawn. Colours have no part in them. At least one row must
+    be drawable."""
+    drawable = splats.finite
+    if not drawable.all():
+        return _spread(outward_normals(splats.take(drawable), ring), drawable)
     n = len(splats)
     shortest = splats.scales.argmin(1)
     normal = rotations(splats.quats)[np.arange(n), :, shortest]

@@ -138,16 +138,18 @@ def draft_global(
     options: GlobalOptions | None = None,
     *,
     features: bool = True,
+    normals: np.ndarray | None = None,
 ) -> Draft:
-    """All rows that can be drawn. splats: numpy, N rows; options and features: as in `draft_local`. Raises ValueError,
-    naming the views, where they show no solid part of it."""
+    """All rows that can be drawn. splats: numpy, N rows; options and features: as in `draft_local`; normals: as in
+    `lift_global`. Raises ValueError, naming the views, where they show no solid part of it."""
     from splatpainter.lift.whole import GlobalOptions, lift_global
 
     rows = np.flatnonzero(splats.finite)
     if base == "own" and not features:
         return Draft(splats, rows, rows, _nothing(rows))
     with errors_name(", ".join(dict.fromkeys(view.name for view in views))):
-        lift = lift_global(splats, [(v.camera, v.target, v.mask) for v in views], options or GlobalOptions())
+        shown = [(v.camera, v.target, v.mask) for v in views]
+        lift = lift_global(splats, shown, options or GlobalOptions(), normals)
     told = _nothing(rows)
     if features:
         further = (lift.seen[rows, None], np.clip(lift.predicted[rows], 0, 1), lift.normals[rows])

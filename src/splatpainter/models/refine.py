@@ -20,8 +20,8 @@ from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.nn.layers import CrossAttention, SelfAttention, SwiGLU, layer_norm, linear
 from splatpainter.nn.ttt import TTTLayer
 
-CHUNK = 1 << 13
-"""Latents that are worked on at once without gradients (as in compress.py)."""
+CHUNK = 1 << 12
+"""Latents that are worked on at once without gradients: few enough for what they pass through to stay in the caches."""
 LIFT_FEATURES = 13
 """Numbers per latent that the analytic lift says: colour before and after (3 + 3), how much was seen, the colour that
 its regression predicts (3), and the row's normal (3)."""

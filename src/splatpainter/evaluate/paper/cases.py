@@ -19,7 +19,7 @@ from splatpainter.io import files
 from splatpainter.painter import Mode
 from splatpainter.splats import ATTRIBUTES, Splats
 
-VERSION = 1
+VERSION = 2
 """Of the files: another one is made anew."""
 
 
