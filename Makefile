@@ -15,7 +15,7 @@ studio: .venv/installed-studio
 
 test: .venv/installed-dev
 	scripts/web test
-	$(PY) -m pytest
+	OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile
 
 check: .venv/installed-dev
 	.venv/bin/ruff format --check .

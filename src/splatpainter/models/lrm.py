@@ -152,6 +152,13 @@ class GaussianLrm(nn.Module):
             sh=sh,
         )
 
+    def shown(self, views: AssetViews, splats: Splats) -> Tensor:
+        """[V * H * W] bool: Gaussians (one per pixel, of `decode`) that are worth drawing: with known geometry those of
+        pixels that show the asset, the rest of the picture teaches nothing."""
+        if not self.config.geometry or views.alpha is None:
+            return torch.ones_like(splats.opacities, dtype=torch.bool)
+        return patchify(views.alpha, self.config.patch).reshape(-1) > KNOWN_ALPHA
+
     def _channels(self, views: AssetViews) -> Tensor:
         """[V, H, W, C]: colour in -1..1, ray direction, the ray's point nearest the cube's centre; with geometry the
         place of the surface along the ray from that point (0 where unknown), and alpha in -1..1."""

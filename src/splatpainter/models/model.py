@@ -139,7 +139,8 @@ class SplatPainterModel(nn.Module):
     def copy_rows(self, views: AssetViews) -> Copy:
         """The LRM's Gaussians that can be seen, with their tokens. Raises ValueError when there are none."""
         output = self.lrm(views)
-        shown = torch.nonzero(output.splats.opacities > self.config.compress.min_opacity)[:, 0]
+        seen = (output.splats.opacities > self.config.compress.min_opacity) & self.lrm.shown(views, output.splats)
+        shown = torch.nonzero(seen)[:, 0]
         if len(shown) == 0:
             raise ValueError("encode: the model sees nothing in the views; check that they show the asset")
         patches = (shown // self.config.lrm.patch**2).cpu().numpy()[:, None]

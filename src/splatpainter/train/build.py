@@ -22,23 +22,29 @@ from splatpainter.train.stages.task import Task
 from splatpainter.train.state import differing_config
 
 Say = Callable[[str], None]
-LATER = {"lrm": ("lrm.",), "compress": ("lrm.", "compressor."), "refine": ("lrm.", "compressor.", "refiner.", "head.")}
-"""Stage -> the parts of the model that a checkpoint of it has trained."""
+TRAINED = {
+    "lrm": ("lrm.",),
+    "compress": ("lrm.", "compressor."),
+    "refine": ("lrm.", "compressor.", "refiner.", "head."),
+}
+"""Stage, in the order of training -> the parts of the model that a checkpoint of it has trained."""
 SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "compress.min_opacity")
 """Keys of a model's config that its weights do not depend on."""
 
 
 def start(recipe: Recipe, weights: Path | None, say: Say = print) -> SplatPainterModel:
-    """The recipe's model, untrained (seed torch before), with what a checkpoint has trained of it: of an earlier stage
-    its own parts, the rest stays new. Raises ValueError naming what differs where the checkpoint is of another
-    model."""
+    """The recipe's model, untrained (seed torch before), with what a checkpoint has trained of it: of this stage or an
+    earlier one its own parts, of a later one what this stage builds on; the rest stays new. Raises ValueError naming
+    what differs where the checkpoint is of another model."""
     model = SplatPainterModel(recipe.model)
     if weights is None:
         return model
     held = checkpoint.load(weights)
     stage = str(held.notes.get("stage", "refine"))
-    parts = LATER.get(stage, LATER["refine"])
-    if stage == "compress" and held.config.representation == "copy":
+    parts, order = TRAINED.get(stage, TRAINED["refine"]), list(TRAINED)
+    if stage in order and recipe.stage in order[1:] and order.index(stage) > order.index(recipe.stage):
+        parts = TRAINED[order[order.index(recipe.stage) - 1]]
+    if stage == recipe.stage == "compress" and held.config.representation == "copy":
         parts = (*parts, "head.")
     untrained = _untrained_keys(parts)
 
@@ -102,5 +108,5 @@ def densify_task(recipe: Recipe, weights: Path | None, say: Say = print) -> Dens
 
 def _untrained_keys(parts: tuple[str, ...]) -> tuple[str, ...]:
     """Beginnings of config keys that only concern parts that are not taken over."""
-    keys = {"compressor.": "compress.", "refiner.": "refine.", "head.": "decoder"}
-    return tuple(key for part, key in keys.items() if part not in parts)
+    keys = {"compressor.": ("compress.", "representation"), "refiner.": ("refine.",), "head.": ("decoder",)}
+    return tuple(key for part, own in keys.items() if part not in parts for key in own)

@@ -41,7 +41,7 @@ class CopyTask(Task[SplatPainterModel]):
         freeze(model.lrm, model.refiner)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
-        made = self._copy(sample)
+        made, _ = self._copy(sample)
         cameras, wanted = truth(sample, self.device)
         rendered, _ = draw(made, cameras, self.device)
         chosen = np.random.default_rng(seed).permutation(len(rendered))[: self.perceptual_views]
@@ -49,15 +49,17 @@ class CopyTask(Task[SplatPainterModel]):
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> Verdict:
-        return judged(self._copy(sample), sample, input_views(self.model, sample, self.device), self.device)
+        made, before = self._copy(sample)
+        return judged(made, sample, input_views(self.model, sample, self.device), self.device, before)
 
-    def _copy(self, sample: Sample) -> Splats:
+    def _copy(self, sample: Sample) -> tuple[Splats, Splats]:
+        """After Stage I, and the LRM's Gaussians before it."""
         with fast_math(self.device):
             with torch.no_grad():
                 copy = self.model.copy_rows(input_views(self.model, sample, self.device))
             grid = voxelize(copy.rows.numpy(), self.model.config.compress.resolution)
             latents = self.model.compressor(copy.tokens, copy.rows, copy.links, self.model.groups(grid))
-        return self.model.decode_latents(latents, copy.rows)
+        return self.model.decode_latents(latents, copy.rows), copy.rows
 
 
 class HiddenColors(Task[SplatPainterModel]):

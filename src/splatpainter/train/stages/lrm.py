@@ -14,7 +14,7 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.models.encode import asset_views, canonical_cameras
-from splatpainter.models.lrm import KNOWN_ALPHA, AssetViews, patchify
+from splatpainter.models.lrm import AssetViews
 from splatpainter.models.model import SplatPainterModel, fast_math
 from splatpainter.splats import Splats
 from splatpainter.train.loss import PictureLoss, Wanted, global_target, masked_psnr, scattered_depth
@@ -59,12 +59,13 @@ class LrmTask(Task[SplatPainterModel]):
         return judged(_drawn(made, views, self.model), sample, views, self.device)
 
 
-def judged(made: Splats, sample: Sample, views: AssetViews, device: torch.device) -> Verdict:
-    """What a reconstruction looks like beside the truth."""
+def judged(
+    made: Splats, sample: Sample, views: AssetViews, device: torch.device, before: Splats | None = None
+) -> Verdict:
+    """What a reconstruction looks like beside the truth, and beside what it was made of (before)."""
     cameras, wanted = truth(sample, device)
-    rendered, _ = draw(made, cameras, device)
-    asset, _ = draw(sample.asset, cameras, device)
-    pictures = {"asset": asset, "ours": rendered}
+    shown = {"asset": sample.asset, "before": before, "ours": made}
+    pictures = {name: draw(rows, cameras, device)[0] for name, rows in shown.items() if rows is not None}
     numbers = {name: v for name, p in pictures.items() if (v := masked_psnr(p, wanted)) is not None}
     strip = [("input", views.colors[0].cpu().numpy())]
     strip += [(f"{name} {numbers.get(name, float('nan')):.2f} dB", p[0].cpu().numpy()) for name, p in pictures.items()]
@@ -100,12 +101,7 @@ def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], Wanted]:
 
 
 def _drawn(made: Splats, views: AssetViews, model: SplatPainterModel) -> Splats:
-    """The Gaussians that are worth drawing: with known geometry those on the object, two thirds fewer."""
-    if views.alpha is None:
-        return made
-    patch = model.config.lrm.patch
-    on_it = patchify(views.alpha, patch).reshape(-1) > KNOWN_ALPHA
-    return made.take(torch.nonzero(on_it)[:, 0])
+    return made.take(torch.nonzero(model.lrm.shown(views, made))[:, 0])
 
 
 def _distances(made: Splats, views: AssetViews) -> Tensor:
