@@ -159,13 +159,16 @@ def test_a_failing_system_is_one_line_with_its_log(installed, tmp_path, program,
     assert "launch.py --config configs/dge.yaml" in log.read_text()
 
 
-def test_scratch_is_kept_only_for_a_failures_log(installed, tmp_path, monkeypatch):
+def test_what_is_kept_of_a_job(installed, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
     (tmp_path / "temporary").mkdir()
     answer(tmp_path, edited())
     budget = replace(installed("dge"), scratch=None)
     METHODS["dge"].edit(work(), budget)
     assert not list((tmp_path / "temporary").iterdir())
+    METHODS["dge"].edit(work(), installed("dge"))
+    (folder,) = (tmp_path / "scratch").glob("dge-*")
+    assert [path.name for path in folder.iterdir()] == ["log.txt"], "renders and results are large"
     write(tmp_path / "dge" / "launch.py", "raise SystemExit('not today')", checks=False)
     with pytest.raises(ValueError, match="not today"):
         METHODS["dge"].edit(work(), budget)

@@ -39,7 +39,7 @@ def test_a_table_from_words_to_files(toy: Path, capfd: pytest.CaptureFixture[str
     assert not told["complete"] and any("LPIPS: n/a" in note for note in told["notes"])
     assert told["sheet"] == str(toy / "toy" / "sheet.png")
     there = {path.name for path in (toy / "toy").iterdir() if path.is_file()}
-    assert there == {"results.csv", "summary.csv", "table.md", "table.tex", "sheet.png", "run.json"}
+    assert there == {"results.csv", "summary.csv", "table.md", "table.tex", "sheet.png", "run.json", "setup.json"}
     assert main(["bench", "report", str(toy), "--out", str(toy.parent / "page")]) == 0
     assert "Grow" in (toy.parent / "page" / "index.html").read_text()
 
@@ -90,6 +90,7 @@ def test_report_wants_folders_of_benches(toy: Path, tmp_path: Path, capfd: pytes
 def test_presets_give_way_to_words() -> None:
     quick = bench_paper.preset(Config(quick=True, size=64), ["--quick", "--size", "64", "--held-out"], "refine")
     assert (quick.objects, quick.size, quick.held_out, quick.truth) == (2, 64, True, "surfels")
+    assert quick.out != Config.out, "its cases are of another setup"
     assert bench_paper.preset(Config(quick=True), ["--quick"], "ablate").objects == 1
     full = bench_paper.preset(Config(full=True, novel_views=5), ["--full", "--novel-views=5"], "refine")
     assert (full.objects, full.size, full.base_views, full.lights, full.novel_views) == (370, 512, 9, 24, 5)

@@ -188,7 +188,7 @@ def test_gaussians_of_a_close_up_are_as_small_as_its_pixels() -> None:
     asked = lrm_work()
     views = learned.all_views(model, asked, asked.step.edited)
     with torch.no_grad():
-        own, ours = model.lrm(views).splats, learned.dense(model, views, on_object=True)
+        own, ours = model.lrm(views).splats, learned.dense(model, views)
     places = torch.from_numpy(ours.links.patches[:, 0]) >= 3 * 16  # patches of the fourth view, with twice the focal
     close = ours.rows.scales[places]
     assert views.alpha is not None

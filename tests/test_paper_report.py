@@ -20,7 +20,8 @@ from splatpainter.evaluate.paper.report import pictures, runs, sheets
 from splatpainter.evaluate.paper.report.grid import best_of
 from splatpainter.evaluate.paper.report.names import Names
 from splatpainter.evaluate.paper.report.page import write_page
-from splatpainter.evaluate.paper.report.summary import blocks, interval, summarize
+from splatpainter.evaluate.paper.report.summary import blocks, summarize
+from splatpainter.metrics.bootstrap import interval
 
 VOID = {"meta", "link", "img", "input", "br"}
 
@@ -98,7 +99,10 @@ def test_interval_agrees_with_scipy_and_repeats():
     means = np.random.default_rng(1).normal(20, 3, 12)
     wanted = stats.bootstrap((means,), np.mean, method="percentile", n_resamples=20_000, rng=0).confidence_interval
     assert interval(means) == pytest.approx((wanted.low, wanted.high), abs=0.12) and interval(means) == interval(means)
-    assert interval(np.array([math.inf, math.inf, 3.0]))[1] == math.inf  # and not NaN
+    assert (interval([math.inf, math.inf, 3.0]) or (0, 0))[1] == math.inf  # and not NaN
+    assert interval([1.0]) is None and interval([]) is None
+    # Values of one owner are drawn together: twice the same ones are no more evidence.
+    assert interval(means.repeat(2), np.arange(12).repeat(2)) == pytest.approx(interval(means), abs=1e-12)
 
 
 def test_blocks_are_in_order_of_numbers():
@@ -171,11 +175,13 @@ def test_page_says_what_was_measured_and_what_was_not(plain):
     assert "Made up (Tab. 1)" in said and "3 objects, 3 cases." in said and "two cores" in said and "load" not in said
     assert "not installed: no path in the adapters' file" in said and "2 of 3 cases" in said
     assert "3DGS: error: ValueError: no splats left (1 of 3 cases)" in said and "Ours (TTT): eight views" in said
-    assert "99.99" in said and "22.00 – 24.00" in said  # never rounded up to 100; the interval of 22, 23, 24
+    assert "99.99" in said and "22.00–24.00" in said  # never rounded up to 100; the interval of 22, 23, 24
     text = path.read_text()
     assert '<b>23.00</b><span class="unseen"> best</span>' in text  # not the upper bound's 31
     assert "as published, other data" in said and "21.07" in said and "1.54 + 0.64" in said
-    assert text.index("GenDen") > text.index("VoxHammer") and said.count("not run") >= 3  # rows only the paper has
+    assert text.index("GenDen") > text.index("VoxHammer")  # rows that only the paper has, below the measured ones
+    measured, own = text[text.index('<table class="results">') :].split('<table class="results paper">')
+    assert "21.07" not in measured and "21.07" in own
 
 
 def test_page_is_the_same_again_and_forgets_old_pictures(tmp_path):

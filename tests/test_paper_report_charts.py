@@ -14,7 +14,7 @@ from paper_runs import COLUMNS, METHODS, FakeTable, record
 from scipy.optimize import isotonic_regression
 
 from splatpainter.evaluate.paper.report import plots, svg
-from splatpainter.evaluate.paper.report.labels import overlap, place, shortened, spread, text_width
+from splatpainter.evaluate.paper.report.labels import overlap, place, shortened, spread, text_width, wrapped
 from splatpainter.evaluate.paper.report.names import Names
 from splatpainter.evaluate.paper.report.scales import Scale, fitted, linear_ticks, log_ticks, tick_text
 from splatpainter.evaluate.paper.report.summary import summarize
@@ -92,16 +92,38 @@ def test_spread_is_the_nearest_arrangement(wanted):
 def test_labels_stay_inside_and_off_each_other(anchors, width):
     frame = (0.0, 0.0, 400.0, 300.0)
     marks = [(x - 6, y - 6, x + 6, y + 6) for x, y in anchors]
-    boxes = [b for b in place(anchors, [(width, 13.0)] * len(anchors), frame, marks) if b]
+    boxes = [b for b in place([[a] for a in anchors], [(width, 13.0)] * len(anchors), frame, marks) if b]
     assert boxes, "the first label always finds a place"
     assert all(0 <= b[0] and 0 <= b[1] and b[2] <= 400 and b[3] <= 300 for b in boxes)
     assert not any(overlap(a, b) for a, b in combinations(boxes, 2))
 
 
 def test_a_lone_label_stands_right_of_its_point_and_left_at_the_edge():
-    assert place([(50, 50)], [(40, 10)], (0, 0, 200, 100), clear=8) == [(58, 45, 98, 55)]
-    assert place([(190, 50)], [(40, 10)], (0, 0, 200, 100), clear=8) == [(142, 45, 182, 55)]
-    assert place([(5, 5)], [(400, 10)], (0, 0, 200, 100)) == [None]
+    assert place([[(50, 50)]], [(40, 10)], (0, 0, 200, 100), clear=8) == [(58, 45, 98, 55)]
+    assert place([[(190, 50)]], [(40, 10)], (0, 0, 200, 100), clear=8) == [(142, 45, 182, 55)]
+    assert place([[(5, 5)]], [(400, 10)], (0, 0, 200, 100)) == [None]
+
+
+def test_labels_keep_off_lines():
+    """A level across the frame, a slanted curve, whiskers: there is room beside them."""
+    frame = (0.0, 0.0, 400.0, 300.0)
+    lines = [((0.0, 150.0), (400.0, 150.0)), ((20.0, 280.0), (380.0, 40.0)), ((200.0, 20.0), (200.0, 290.0))]
+    anchors = [[(float(x), 150.0) for x in range(380, 20, -40)], [(200.0, 160.0)], [(380.0, 40.0), (20.0, 280.0)]]
+    boxes = place(anchors, [(60, 13), (60, 13), (60, 13)], frame, [(194, 154, 206, 166)], lines)
+    for box in boxes:
+        assert box is not None
+        for (ax, ay), (bx, by) in lines:  # many points of the line, none in the box
+            t = np.linspace(0, 1, 2001)
+            x, y = ax + t * (bx - ax), ay + t * (by - ay)
+            assert not ((x > box[0]) & (x < box[2]) & (y > box[1]) & (y < box[3])).any()
+
+
+def test_text_is_wrapped_to_lines_that_fit():
+    lines = wrapped("Edit-and-fit from true views, all attributes, finer rows", 12, 200)
+    assert " ".join(lines) == "Edit-and-fit from true views, all attributes, finer rows" and len(lines) == 2
+    short = wrapped("one two three four five six seven eight", 12, 60)
+    assert len(short) == 2 and short[1].endswith("…") and all(text_width(line, 12) <= 60 for line in short)
+    assert wrapped("", 12, 60) == [""]
 
 
 def test_text_is_shortened_to_what_fits():
@@ -135,6 +157,29 @@ def test_svg_is_well_formed_and_its_labels_do_not_collide(width, at_ends):
     view = [float(v) for v in root.get("viewBox", "").split()]
     assert view[2] == width and all(b[0] >= 0 and b[2] <= width and b[1] >= 0 and b[3] <= view[3] for b in boxes)
     assert root.get("aria-label") == "A & B" and len([n for n in root.iter("title")]) >= 12
+
+
+def test_many_methods_are_named_in_a_legend_from_the_best_down():
+    chart = crowd(12, False)
+    for width in (720, 372):
+        root = ET.fromstring(svg.draw(chart, width))
+        named = [t for t in root.iter("text") if t.get("class") == "label"]
+        assert len({t.get("x") for t in named}) == 1, "one column"
+        said = [t.text for t in sorted(named, key=lambda t: float(t.get("y", "")))]
+        height = {s.label: s.marks[0].y for s in chart.series} | {"Nothing": 19.9}
+        assert said == sorted(height, key=lambda name: -height[name])
+    few = ET.fromstring(svg.draw(crowd(3, False), 720))
+    assert len({t.get("x") for t in few.iter("text") if t.get("class") == "label"}) > 1
+
+
+def test_a_level_far_off_is_said_and_does_not_squeeze_the_points():
+    marks = [svg.Series(f"s{k}", k, (svg.Mark(1 + k, 30 + 5 * k),)) for k in range(3)]
+    levels = (svg.Level("Untouched", 100.0), svg.Level("Near", 28.0))
+    root = ET.fromstring(svg.draw(svg.Chart("t", svg.Axis("x"), svg.Axis("y"), tuple(marks), levels), 720))
+    said = [t.text for t in root.iter("text") if t.get("class") == "label"]
+    assert "Untouched: 100 ↑" in said and "Near" in said
+    ticks = [t.text or "" for t in root.iter("text") if t.get("class") == "tick" and t.get("text-anchor") == "end"]
+    assert max(map(float, ticks)) == 40 and len([p for p in root.iter("path") if p.get("class") == "level"]) == 1
 
 
 def test_svg_puts_points_where_the_axes_say():
@@ -185,7 +230,7 @@ def test_quality_against_views_is_in_order_and_apart():
     told += [record("3dgs", f"{n}-{v}", 10 + v, facts={"views": v}) for n in "ab" for v in (4, 1, 2)]
     found = plots.charts(told, FakeTable(split_by="views"), Names.of(METHODS, {"ttt", "3dgs"}))
     assert [chart.title for chart in found] == [
-        "PSNR against seconds per edit (views 4)",
+        "PSNR against seconds (views 4)",
         "PSNR against number of views",
     ]
     lines = found[1].series
@@ -195,10 +240,13 @@ def test_quality_against_views_is_in_order_and_apart():
 
 
 def test_steps_in_a_row_and_rows_at_each_stage():
-    told = [record("ttt", n, 20, numbers={"gaussians_before": 1000.0, "gaussians_kept": 250.0}) for n in "ab"]
+    stages = {"gaussians_before": 1000.0, "gaussians_kept": 250.0}
+    told = [record(method, n, 20, numbers=stages) for method in ("ttt", "3dgs") for n in "ab"]
     for k, r in enumerate(told):
-        r.figures.update({f"psnr_{step}": 30.0 - step + k for step in (1, 2, 10)}, ssim_1=0.5)
-    found = {c.title: c for c in plots.charts(told, FakeTable(), Names.of(METHODS, {"ttt"}))}
-    assert set(found) == {"PSNR against seconds per edit", "PSNR after each step", "Rows at each stage"}
-    assert [(m.x, m.y) for m in found["PSNR after each step"].series[0].marks] == [(1, 29.5), (2, 28.5), (10, 20.5)]
+        r.figures.update({f"psnr_{step}": 30.0 - step + k % 2 for step in (1, 2, 10)}, ssim_1=0.5)
+    found = {c.title: c for c in plots.charts(told, FakeTable(), Names.of(METHODS, {"ttt", "3dgs"}))}
+    assert set(found) == {"PSNR against seconds", "PSNR after each step", "Rows at each stage"}
+    first = found["PSNR after each step"].series[0].marks
+    assert [(round(m.x), m.y) for m in first] == [(1, 29.5), (2, 28.5), (10, 20.5)]
+    assert plots.charts(told[:2], FakeTable(), Names.of(METHODS, {"ttt"})) == [], "one method is no comparison"
     assert [m.y for m in found["Rows at each stage"].series[0].marks] == [1000, 250, 100]

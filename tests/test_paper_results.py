@@ -25,8 +25,11 @@ def test_holds_tables_plots_and_sheets_that_are_there(tmp_path: Path) -> None:
     for link in links:
         if link.endswith(".svg"):
             assert ET.parse(out.parent / link).getroot().tag.endswith("svg")
+    assert text.count("\n\n*PSNR against seconds*\n") == 1, "a caption: pictures do not show their titles"
+    (out.parent / "results" / "refine-of-an-earlier-run.svg").write_text("<svg/>")
     again = write_results([folder], tmp_path / "docs" / "RESULTS.md", "# Results\n\nFive objects.", _tables(), METHODS)
     assert again.read_text() == text
+    assert not (out.parent / "results" / "refine-of-an-earlier-run.svg").exists()
 
 
 def test_folders_without_records_are_left_out_and_none_at_all_is_an_error(tmp_path: Path) -> None:

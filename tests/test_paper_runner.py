@@ -68,6 +68,8 @@ def test_figures_seconds_rows_and_pictures(asked: Asked) -> None:
     assert (two.numbers, two.note, two.facts) == ({"edits": 2.0}, "grows", {"edits": 2, "number": 1})
     assert [(p["seconds"], p["steps"], p["sum"]) for p in two.curve] == [(0.5, 10, 1.5), (1.0, 20, 2.0)]
     assert one.peak_mib is not None and 10 < one.peak_mib < 4000
+    said = "Grow, on the way: best Sum (edits 2) 2.00 after 20 steps (1.00 s), 2.00 at the end (2.00 s)"
+    assert said in done.notes and not any("Bound, on the way" in note for note in done.notes)
     bound = found(asked, "bound")["toy-0-1"]
     assert (bound.rows, bound.rows_equal, bound.appended) == (16, None, None)
     rows = {(row.method, row.block): row for row in done.rows}
@@ -97,7 +99,15 @@ def test_what_changes_is_made_again(asked: Asked) -> None:
     run(replace(asked, budget=Budget(weights={"grow": "2"})))
     assert (counted("grow"), counted("make-*")) == (12, 4), "a method of another version answers anew"
     edited = replace(asked, setup=replace(asked.setup, seed=1))
-    run(edited)
+    with pytest.raises(
+        ValueError, match=r"^bench toy: .*toy holds cases of another setup \(seed 0, not 1\); take another"
+    ):
+        run(edited)
+    (asked.out / "toy" / "setup.json").unlink()  # a folder of an older version: what its last run says counts
+    with pytest.raises(ValueError, match=r"another setup \(seed 0, not 1\)"):
+        run(edited)
+    assert (counted("grow"), counted("make-*")) == (12, 4), "refused before any work"
+    run(replace(edited, redo="all"))
     assert (counted("grow"), counted("make-*")) == (18, 8), "another setup makes new cases"
     run(replace(edited, setup=replace(edited.setup, objects=3)))
     assert (counted("grow"), counted("make-*")) == (21, 10), "one more object makes no other one new"
@@ -108,8 +118,20 @@ def test_a_method_run_alone_keeps_the_rows_of_others(asked: Asked) -> None:
     done = run(replace(asked, methods=("bound",), budget=Budget(steps=5)))
     assert {row.method for row in done.rows} == {"grow", "bound"}
     assert "Grow: 4 answers come from an earlier run with another budget or weights" in done.notes
-    run(replace(asked, setup=replace(asked.setup, seed=1), methods=("bound",)))
+    run(replace(asked, setup=replace(asked.setup, seed=1), methods=("bound",), redo="all"))
     assert "| Grow" not in table(asked), "but not those on other cases"
+
+
+def test_methods_files_lie_beside_the_logs(asked: Asked) -> None:
+    blank = Record("toy", "grow", "toy-0-1", "toy-0", "f")
+    logs = asked.out / "toy" / "logs"
+    told = {}
+    for scratch in (None, asked.out / "own"):
+        own = replace(asked, budget=replace(asked.budget, scratch=scratch))
+        plan = runner._plan(own, paper_stubs.METHODS[0], "1", [blank], "", False)
+        told[scratch] = worker.budget_from(plan.job["budget"]).scratch
+        assert plan.log == logs / "grow.log"
+    assert told == {None: logs, asked.out / "own": asked.out / "own"}
 
 
 def test_errors_are_rows(asked: Asked) -> None:

@@ -176,8 +176,8 @@ def test_a_step_down_the_loss_moves_the_colour_of_a_pixel_to_its_sub_pixels_mean
 def test_further_views_lie_evenly_around_the_asset_with_the_optics_of_the_base(up: tuple[float, float, float]) -> None:
     asset = sheet(20)
     asset = replace(asset, means=asset.means + np.array([3, 1, -2], np.float32))
-    ring = orbit((3, 1, -2), 4.0, 9, up=up, width=40, height=32, fov=35, background=(1, 1, 1))
-    base = Pictures(tuple(ring), np.zeros((9, 32, 40, 3), np.float32))
+    ring = orbit((3, 1, -2), 4.0, 9, up=up, width=40, height=40, fov=35, background=(1, 1, 1))
+    base = Pictures(tuple(ring), np.zeros((9, 40, 40, 3), np.float32))
     cameras = around(asset, base, 48)
     places = np.array([c.position for c in cameras]) - (3, 1, -2)
     np.testing.assert_allclose(np.linalg.norm(places, axis=1), 4, rtol=0.02)
@@ -185,7 +185,7 @@ def test_further_views_lie_evenly_around_the_asset_with_the_optics_of_the_base(u
     closeness = (places @ places.T / 16 - 2 * np.eye(48)).max(1)
     assert np.degrees(np.arccos(closeness.max())) > 18  # 48 even points are about 29 degrees apart
     for c in cameras:
-        assert (c.width, c.height, c.background) == (40, 32, (1, 1, 1))
+        assert (c.width, c.height, c.background) == (40, 40, (1, 1, 1))
         assert c.fx == pytest.approx(ring[0].fx) and c.fy == pytest.approx(ring[0].fy)
         assert c.forward @ ((3, 1, -2) - c.position) == pytest.approx(4, rel=0.02)
         assert -c.world_to_camera[1, :3] @ np.array(up) >= -1e-6

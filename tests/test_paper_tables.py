@@ -142,6 +142,11 @@ def test_csv_has_one_line_per_object_method_and_metric(grid: tables.Grid, tmp_pa
     assert "% of two lines\n" in (tmp_path / "table.tex").read_text()
 
 
+def test_seconds_for_people() -> None:
+    told = {0.0: "0", 0.00002: "< 0.01", 0.0149: "0.01", 1.5: "1.50", 9.994: "9.99", 9.996: "10.0", 99.96: "100"}
+    assert {value: tables.seconds(value) for value in told} == told and tables.seconds(1234.5) == "1,234"
+
+
 def test_states_in_cells() -> None:
     assert tables.short("not installed: pip install x") == "not installed"
     assert tables.short("needs a CUDA GPU") == "needs a CUDA GPU"

@@ -21,7 +21,8 @@ from splatpainter.evaluate.paper.protocols import Setup
 QUICK: dict[str, Any] = {
     "objects": 2,
     "held_out": False,
-    "size": 96,
+    "size": 128,
+    "detail": 2,
     "samples": 8,
     "truth": "surfels",
     "rows": 3000,
@@ -31,10 +32,11 @@ QUICK: dict[str, Any] = {
     "steps": 20,
     "processes": 2,
     "parallel_methods": True,
+    "out": Path("out/bench-quick"),
 }
 """--quick: enough that every number is there. Its seconds mean nothing, so that methods may share the machine."""
 QUICK_OF: dict[str, dict[str, Any]] = {"ablate": {"objects": 1}}
-"""Of single tables: ablate has three cases for each object asked for, and the most rows."""
+"""Of single tables: ablate has two cases for each object asked for, and the most rows."""
 FULL: dict[str, Any] = {
     "objects": 370,
     "size": 512,
@@ -118,7 +120,7 @@ class Config(Setup):
     perceptual_weights: Folder = None
     """Folder of the LPIPS weights; default: that of SPLATPAINTER_PERCEPTUAL; without them LPIPS is n/a."""
     out: Path = Path("out/bench")
-    """Folder for all tables."""
+    """Folder for all tables of one setup: cases of other sizes or another seed need another folder, or --redo all."""
     processes: int = 1
     """How many make ground truth at once."""
     parallel_methods: bool = False
@@ -126,9 +128,9 @@ class Config(Setup):
     shard: str = "0/1"
     """K/N: only every N-th object from number K on, so that N machines fill one folder."""
     redo: Literal["nothing", "errors", "all"] = "nothing"
-    """What is measured again though nothing changed."""
+    """What is measured again though nothing changed; "all" also makes cases of another setup anew."""
     quick: bool = False
-    """Two small objects, few views and steps: shows in a minute or two that every part works."""
+    """Two small objects, few views and steps: shows in a minute or two that every part works (out/bench-quick)."""
     full: bool = False
     """The paper's sizes. Days on a processor."""
     json: bool = False

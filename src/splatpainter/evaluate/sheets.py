@@ -27,21 +27,23 @@ class Strip:
 
 
 def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
-    """[H, W, 3] uint8: one strip below the other, every picture fitted into cell x cell pixels."""
+    """[H, W, 3] uint8: one strip below the other, every picture fitted into cell x cell pixels. A strip without a
+    caption stands close below the one before."""
     from PIL import Image, ImageDraw, ImageFont
 
     small, large = max(cell // 18, 9), max(cell // 14, 11)
-    line, label = round(large * 1.7), round(small * 1.5)
     most = max(len(strip.cells) for strip in strips)
     width = most * (cell + GAP) + GAP
-    top = line if title else 0
-    page = Image.new("RGB", (width, top + len(strips) * (line + label + cell + GAP) + GAP), PAPER)
-    pen = ImageDraw.Draw(page)
     body, fine = ImageFont.load_default(large), ImageFont.load_default(small)
+    head = _title_size(title, width - 2 * GAP, small, round(large * 1.4))
+    heights = [round(large * 1.7) if strip.caption else 0 for strip in strips]
+    label, top = round(small * 1.5), round(head * 1.8) if title else 0
+    page = Image.new("RGB", (width, top + sum(heights) + len(strips) * (label + cell + GAP) + GAP), PAPER)
+    pen = ImageDraw.Draw(page)
     if title:
-        pen.text((GAP, GAP), title, FAINT, fine)
-    for k, strip in enumerate(strips):
-        y = top + k * (line + label + cell + GAP)
+        pen.text((GAP, head // 3), title, INK, ImageFont.load_default(head))
+    y = top
+    for strip, line in zip(strips, heights, strict=True):
         pen.text((GAP, y + line // 5), strip.caption, INK, body)
         for column, (name, picture) in enumerate(strip.cells):
             x = GAP + column * (cell + GAP)
@@ -51,7 +53,16 @@ def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
             if image.width < cell and image.height < cell:
                 image = image.resize((cell, round(cell * image.height / image.width)), Image.Resampling.NEAREST)
             page.paste(image, (x, y + line + label))
+        y += line + label + cell + GAP
     return np.asarray(page)
+
+
+def _title_size(title: str, width: int, least: int, most: int) -> int:
+    """The largest size of letters within least..most pixels that fits the title into the width; else the least."""
+    from PIL import ImageFont
+
+    fits = (k for k in range(most, least, -1) if ImageFont.load_default(k).getlength(title) <= width)
+    return next(fits, least)
 
 
 def error_map(image: np.ndarray, wanted: np.ndarray, most: float = 0.25) -> np.ndarray:

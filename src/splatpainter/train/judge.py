@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.data.samples import KINDS
+from splatpainter.metrics.bootstrap import interval
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.train import state
 from splatpainter.train.build import make_task
@@ -27,8 +28,6 @@ from splatpainter.train.stages.lrm import LrmTask
 from splatpainter.train.stages.task import Task, Verdict
 from splatpainter.train.trials import MANY_VIEWS, Trial, first_views
 
-ROUNDS, LEVEL = 2000, 0.95
-"""Of the bootstrap."""
 COPY, LRM, HIDDEN = "Stage I (copy)", "LRM", "Stage I (hidden colours)"
 
 
@@ -208,19 +207,6 @@ def merged(findings: Sequence[Finding]) -> list[Finding]:
 def gains(rows: Sequence[EditRow]) -> dict[str, float]:
     """{mode: mean gain over the lift in dB}, as `Painter.choose` reads it from the notes of a checkpoint."""
     return {row.kind: row.gain for row in rows if row.kind in ("local", "global")}
-
-
-def interval(values: Sequence[float], owners: Sequence[str], seed: int = 0) -> tuple[float, float] | None:
-    """(low, high) of the mean: percentile bootstrap (Efron 1979) that draws whole owners with replacement, since
-    values of one owner depend on each other. Too narrow for a handful of owners. None with fewer than two."""
-    names, owner = np.unique(np.asarray(owners), return_inverse=True)
-    if len(names) < 2:
-        return None
-    sums, counts = np.bincount(owner, np.asarray(values, np.float64)), np.bincount(owner)
-    drawn = np.random.default_rng(seed).integers(len(names), size=(ROUNDS, len(names)))
-    means = sums[drawn].sum(1) / counts[drawn].sum(1)
-    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return float(low), float(high)
 
 
 def sheet_strips(findings: Sequence[Finding]) -> list[tuple[tuple[str, np.ndarray], ...]]:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from splatpainter.evaluate.paper import published
 from splatpainter.evaluate.paper.protocols import Setup, Table
 from splatpainter.evaluate.paper.records import Record
+from splatpainter.evaluate.paper.report import curves, summary
+from splatpainter.evaluate.paper.report.tables import seconds
 
 if TYPE_CHECKING:
     from splatpainter.evaluate.paper.runner import Asked
@@ -61,6 +63,7 @@ def lines(told: Told) -> list[str]:
         found.append(
             f"{_label(told, method)}: {number} answers come from an earlier run with another budget or weights"
         )
+    found += _curves(told)
     found += _rows(told)
     if published.rows(told.asked.protocol):
         found.append(f"{published.MARK}: the paper's own figures, which no row here can be compared with")
@@ -166,6 +169,26 @@ def _rows(told: Told) -> Iterable[str]:
         if shown:
             more = f"; and {len(said) - 3} other remarks" if len(said) > 3 else ""
             yield f"{_label(told, method)}: " + "; ".join(shown) + more
+
+
+def _curves(told: Told) -> Iterable[str]:
+    """The best that methods which take steps had on their way, and when: more steps may make novel views worse."""
+    for method in dict.fromkeys(r.method for r in told.records if r.curve):
+        own = [r for r in told.records if r.method == method]
+        for block in summary.blocks(own, told.table.split_by):
+            within = [r for r in own if summary.block_of(r, told.table.split_by) == block]
+            part = f"{told.table.split_by} {block}" if block else ""
+            rows = summary.summarize(within)
+            for column in summary.leading(told.table.columns, rows):
+                way = curves.points(within, method, column.key)
+                best, end = curves.best(way, column.better), rows[0].figures.get(column.key)
+                if best is None or end is None or rows[0].edit_seconds is None:
+                    continue
+                where = ", ".join(filter(None, [column.group[:1].lower() + column.group[1:], part]))
+                shown = f"{best.mean:.{column.digits}f} after {best.steps:g} steps ({seconds(best.seconds)} s)"
+                final = f"{end.mean:.{column.digits}f} at the end ({seconds(rows[0].edit_seconds)} s)"
+                name = f"best {column.label}{f' ({where})' if where else ''}"
+                yield f"{_label(told, method)}, on the way: {name} {shown}, {final}"
 
 
 def _label(told: Told, method: str) -> str:

@@ -7,6 +7,7 @@ run one at a time, for their seconds are compared.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -26,12 +27,14 @@ from splatpainter.evaluate.paper.records import Record, records
 from splatpainter.evaluate.paper.report import runs, tables
 from splatpainter.evaluate.paper.report.names import Names
 from splatpainter.evaluate.paper.report.summary import SummaryRow, summarize
-from splatpainter.evaluate.paper.worker import to_json
+from splatpainter.evaluate.paper.worker import SETUP_PATHS, to_json
 from splatpainter.io import files
 from splatpainter.parallel import threads
 
 Redo = Literal["nothing", "errors", "all"]
 """Which records that are up to date are made anew."""
+SETUP = "setup.json"
+"""In OUT/PROTOCOL: what its cases were made with."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,8 @@ class Asked:
 def run(asked: Asked, say: Callable[[str], None]) -> Finished:
     """Make, measure, write the table. say: gets a line whenever something is done.
 
-    Raises ValueError before any work: unknown protocol or method, data that gives no case."""
+    Raises ValueError before any work: unknown protocol or method, data that gives no case, a folder with cases of
+    another setup (unless all is to be made again)."""
     table = protocols.table(asked.protocol)
     known = registry.all_methods()
     chosen = [known[name] for name in known if name in asked.methods]
@@ -85,6 +89,7 @@ def run(asked: Asked, say: Callable[[str], None]) -> Finished:
     own = of_shard(keys, asked.shard)
     folder = asked.out / asked.protocol
     machine = timing.machine()
+    _claim(asked, folder)
     with Children() as children:
         _make(asked, own, children, say)
         made = [key for key in own if _made(asked, key)]
@@ -143,6 +148,31 @@ def report(
     with files.writing(folder / runs.ABOUT) as file:
         file.write(json.dumps(about, indent=1).encode())
     return Finished(folder, rows, tables.markdown(layout), notes, complete(told))
+
+
+def _claim(asked: Asked, folder: Path) -> None:
+    """Note the setup that the folder's cases are of. Raises ValueError where it holds those of another one: hours of
+    path tracing are not to be lost by a word. Numbers of objects and places of files may differ."""
+    own, there = to_json(asked.setup), _claimed(folder)
+    compared = [name for name in own if name in there and name not in ("objects", *SETUP_PATHS)]
+    if other := [f"{name} {there[name]}, not {own[name]}" for name in compared if there[name] != own[name]]:
+        if asked.redo != "all":
+            raise ValueError(
+                f"bench {asked.protocol}: {folder} holds cases of another setup ({'; '.join(other)}); "
+                "take another --out, or --redo all to make them anew"
+            )
+    folder.mkdir(parents=True, exist_ok=True)
+    with files.writing(folder / SETUP) as file:
+        file.write(json.dumps(own, indent=1).encode())
+
+
+def _claimed(folder: Path) -> dict[str, Any]:
+    """The setup that was noted; of folders without a note, that of the last run that ended; {}: none is known."""
+    for path, inside in ((folder / SETUP, False), (folder / runs.ABOUT, True)):
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            told = json.loads(path.read_bytes())
+            return dict(told["setup"] if inside else told)
+    return {}
 
 
 def _made(asked: Asked, key: Key) -> bool:
@@ -222,18 +252,20 @@ def _answer(
 def _plan(
     asked: Asked, method: Method, version: str, blanks: Iterable[Record], machine: str, side_by_side: bool
 ) -> Plan:
+    logs = asked.out / asked.protocol / "logs"
+    budget = asked.budget if asked.budget.scratch else replace(asked.budget, scratch=logs)
     job = {
         "task": "edit",
         "protocol": asked.protocol,
         "method": method.name,
         "version": version,
-        "budget": to_json(asked.budget),
+        "budget": to_json(budget),
         "out": str(asked.out.absolute()),
         "perceptual": None if asked.perceptual is None else str(asked.perceptual.absolute()),
         "machine": machine,
     }
     items = [{k: getattr(blank, k) for k in ("label", "name", "fingerprint", "facts")} for blank in blanks]
-    log = asked.out / asked.protocol / "logs" / f"{method.name}.log"
+    log = logs / f"{method.name}.log"
     return Plan(method.name, job, tuple(items), log, max(1, threads() // asked.processes) if side_by_side else None)
 
 

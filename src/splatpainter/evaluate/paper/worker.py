@@ -30,7 +30,7 @@ from splatpainter.evaluate.paper.children import last_line, stop_with_parent
 from splatpainter.evaluate.paper.methods import Budget, Done, Method, Work
 from splatpainter.evaluate.paper.protocols import Key, Setup, Table
 from splatpainter.evaluate.paper.records import Record
-from splatpainter.splats import ATTRIBUTES, Splats, rows_sha256
+from splatpainter.splats import Splats, rows_sha256
 
 SETUP_PATHS = ("data", "environments", "decals", "fonts", "textures")
 BUDGET_PATHS = ("adapters", "scratch")
@@ -175,11 +175,7 @@ def equal_rows(before: Splats, after: Splats) -> float:
     as many. Raises ValueError where it has fewer."""
     if len(after) < len(before):
         raise ValueError(f"rows equal: an answer that keeps rows has {len(after)} of the asset's {len(before)}")
-    touched = np.zeros(len(before), bool)
-    for name in ATTRIBUTES:
-        a, b = (np.ascontiguousarray(getattr(splats, name), np.float32) for splats in (before, after))
-        touched |= methods.changed(a, b) if a.shape[1:] == b.shape[1:] else True
-    return 1.0 - float(touched.mean()) if len(before) else 1.0
+    return 1.0 - float(methods.changed(before, after).mean()) if len(before) else 1.0
 
 
 def _figures(told: dict[str, float | None]) -> dict[str, float | None]:

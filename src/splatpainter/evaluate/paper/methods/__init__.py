@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.evaluate.paper.cases import Pictures, Step
-from splatpainter.splats import Splats
+from splatpainter.splats import ATTRIBUTES, Splats
 
 MODULES = (
     "nothing",
@@ -119,7 +119,13 @@ def all_methods() -> dict[str, Method]:
     return found
 
 
-def changed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """[N] bool rows of `before` [N, ...] whose bits `after` [>= N, ...] does not have."""
-    same = before.view(np.int32) == after[: len(before)].view(np.int32)
-    return np.logical_not(same.reshape(len(before), -1).all(1))
+def changed(before: Splats, after: Splats) -> np.ndarray:
+    """[N] bool rows of `before` (N) of which an attribute has other bits in the same row of `after` (at least N)."""
+    touched = np.zeros(len(before), bool)
+    for name in ATTRIBUTES:
+        a, b = (np.ascontiguousarray(getattr(splats.numpy(), name), np.float32) for splats in (before, after))
+        if a.shape[1:] != b.shape[1:]:
+            return np.ones(len(before), bool)
+        same = a.view(np.int32) == b[: len(a)].view(np.int32)
+        touched |= np.logical_not(same.reshape(len(a), -1).all(1))
+    return touched

@@ -24,7 +24,7 @@ SYSTEMS = (voxhammer.SYSTEM, vinedresser.SYSTEM, dge.SYSTEM, instruct_gs2gs.SYST
 VERSION = "1"
 """Of what the systems are given."""
 LOG = "log.txt"
-"""Of a job's folder; after a failure it stays."""
+"""Of a job's folder, which stays after a failure; with a scratch folder the log stays in any case."""
 
 
 def missing(system: System, budget: Budget) -> str:
@@ -65,8 +65,19 @@ def edit(system: System, work: Work, budget: Budget) -> Done:
         failed = False
         return done
     finally:
-        if budget.scratch is None and not (failed and (folder / LOG).exists()):
+        if not (folder / LOG).exists() or (budget.scratch is None and not failed):
             shutil.rmtree(folder, ignore_errors=True)
+        elif not failed:
+            _keep_only(folder / LOG)
+
+
+def _keep_only(log: Path) -> None:
+    """Remove what else is in its folder: renders and results are tens of megabytes per case."""
+    for path in log.parent.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path != log:
+            path.unlink(missing_ok=True)
 
 
 def _edit(system: System, work: Work, own: config.Section, seed: int, folder: Path) -> Done:

@@ -180,15 +180,13 @@ def all_views(model: SplatPainterModel, work: Work, edited: Pictures) -> AssetVi
     return AssetViews(cameras, torch.from_numpy(colors).to(device), **known, middle=lo + size / 2, half=size / 2)
 
 
-def dense(model: SplatPainterModel, views: AssetViews, *, on_object: bool = False) -> Copy:
+def dense(model: SplatPainterModel, views: AssetViews) -> Copy:
     """`model.copy_rows` for views of several focal lengths: one pass of the transformer over all of them, but the
-    Gaussians of each view get sizes of that view's own pixels (a close-up's are smaller).
-
-    on_object: with geometry, only Gaussians of pixels that show the asset, as the LRM alone is trained and judged
-    (Stage I is trained on all). Raises ValueError as copy_rows."""
+    Gaussians of each view get sizes of that view's own pixels (a close-up's are smaller). Raises ValueError as
+    copy_rows."""
     import torch
 
-    from splatpainter.models.lrm import KNOWN_ALPHA, AssetViews, patchify
+    from splatpainter.models.lrm import AssetViews
     from splatpainter.models.model import Copy
     from splatpainter.models.rows import TokenLinks
     from splatpainter.splats import ATTRIBUTES
@@ -202,9 +200,7 @@ def dense(model: SplatPainterModel, views: AssetViews, *, on_object: bool = Fals
         parts.append(model.lrm.decode(part, own))
     whole = {name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
     splats = replace(parts[0], **whole)
-    seen = splats.opacities > model.config.compress.min_opacity
-    if on_object and views.alpha is not None:
-        seen &= patchify(views.alpha, model.config.lrm.patch).reshape(-1) > KNOWN_ALPHA
+    seen = (splats.opacities > model.config.compress.min_opacity) & model.lrm.shown(views, splats)
     shown = torch.nonzero(seen)[:, 0]
     if len(shown) == 0:
         raise ValueError("encode: the model sees nothing in the views; check that they show the asset")
@@ -237,7 +233,7 @@ def reconstruction(needed: Needed, *, stage_one: bool) -> Callable[[Work, Budget
         edited = joined(work.memory, work.step.edited)
         with torch.inference_mode(), fast_math(budget.device):
             views = all_views(model, work, edited)
-            copy = dense(model, views, on_object=not stage_one)
+            copy = dense(model, views)
             splats, numbers = compressed(model, copy) if stage_one else (copy.rows, {})
             splats = splats.numpy()
         numbers["lrm_gaussians"] = float(len(copy.rows))

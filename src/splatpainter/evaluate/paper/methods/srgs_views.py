@@ -14,11 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatpainter.cameras import Camera, look_at
+from splatpainter.cameras import Camera
 from splatpainter.evaluate.paper.cases import Pictures
 from splatpainter.evaluate.paper.methods.srgs_prior import Prior, blocks, pooled
 from splatpainter.fit.loss import picture_loss, torch_loss
 from splatpainter.fit.optimize import View
+from splatpainter.fit.spread import spread
 from splatpainter.render import render
 from splatpainter.splats import Splats
 
@@ -26,7 +27,6 @@ SSIM = 0.2
 """Share of 1 - SSIM in both parts of the loss; the rest is L1."""
 LEAST = 16
 """Edge of a patch in low-resolution pixels, at least (SSIM's window is 11 wide)."""
-GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 @dataclass(frozen=True)
@@ -88,26 +88,17 @@ class _Known(torch.autograd.Function):
 
 
 def around(splats: Splats, base: Pictures, count: int) -> tuple[Camera, ...]:
-    """`count` cameras evenly on a sphere (Fibonacci's) around the asset, as far from it and with the same optics as the
-    base views."""
+    """`count` square cameras evenly around the asset, as far from it and with the same optics as the base views."""
     means = splats.means[splats.finite]
     low, high = np.quantile(means, [0.01, 0.99], axis=0)
     center = (low + high) / 2
     distance = float(np.median([np.linalg.norm(c.position - center) for c in base.cameras]))
     up = -np.mean([c.world_to_camera[1, :3] for c in base.cameras], axis=0)
-    up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
+    up = up if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
     like = base.cameras[0]
     fov = float(np.degrees(2 * np.arctan(like.height / (2 * like.fy))))
-    side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    side /= np.linalg.norm(side)
-    heights = 1 - (2 * np.arange(count) + 1) / count
-    out = []
-    for k, y in enumerate(heights):
-        turn = np.cos(GOLDEN * k) * side + np.sin(GOLDEN * k) * np.cross(up, side)
-        eye = center + distance * (y * up + np.sqrt(1 - y * y) * turn)
-        optics = {"width": like.width, "height": like.height, "fov": fov, "background": like.background}
-        out.append(look_at(eye, center, up, **optics))
-    return tuple(out)
+    optics = {"size": like.height, "fov": fov, "backgrounds": (like.background,)}
+    return tuple(spread(center, distance, count, up=up, **optics))
 
 
 def patches(

@@ -84,7 +84,7 @@ def reconstructed(weights: Needed, *, compress: bool) -> Callable[[Work, Budget]
             if compress:
                 splats, numbers = compressed(model, model.copy_rows(views))
             else:
-                splats, numbers = dense(model, views, on_object=True).rows, {}
+                splats, numbers = dense(model, views).rows, {}
             splats = splats.numpy()
         seconds = time.perf_counter() - start
         if not compress:

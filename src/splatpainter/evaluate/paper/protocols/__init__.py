@@ -81,6 +81,23 @@ class Column:
     digits: int = 2
 
 
+def measures(group: str = "", ending: str = "") -> tuple[Column, Column, Column]:
+    """Columns of PSNR, SSIM and LPIPS; `ending`: of their keys."""
+    return (
+        Column(f"psnr{ending}", "PSNR", group, "higher"),
+        Column(f"ssim{ending}", "SSIM", group, "higher", 4),
+        Column(f"lpips{ending}", "LPIPS", group, "lower", 4),
+    )
+
+
+def view(case: Case, done: Sequence[Done], place: int) -> dict[str, Any]:
+    """Table.pictures of one novel view: the last answer beside its truth."""
+    from splatpainter.evaluate.paper.scoring import drawn
+
+    told = case.after.take([place])
+    return {"result": drawn(done[-1].splats, told.cameras)[0], "truth": told.colors[0]}
+
+
 class Table(Protocol):
     """A protocol."""
 

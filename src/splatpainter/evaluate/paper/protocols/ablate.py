@@ -17,7 +17,7 @@ import numpy as np
 
 from splatpainter.data.recipes import SampleRecipe
 from splatpainter.evaluate.paper.cases import Case, Pictures, Step
-from splatpainter.evaluate.paper.protocols import Column, Key, Setup
+from splatpainter.evaluate.paper.protocols import Key, Setup, measures
 from splatpainter.evaluate.paper.scoring import drawn
 
 if TYPE_CHECKING:
@@ -61,11 +61,7 @@ class Ablate:
 
     name = "ablate"
     title = "Ablations on held-out training samples"
-    columns = (
-        Column("psnr", "PSNR", "", "higher"),
-        Column("ssim", "SSIM", "", "higher", 4),
-        Column("lpips", "LPIPS", "", "lower", 4),
-    )
+    columns = measures()
     split_by = "mode"
 
     def keys(self, setup: Setup) -> list[Key]:
@@ -113,11 +109,6 @@ class Ablate:
 
 
 def protocol() -> Ablate:
-    return _only()
-
-
-@lru_cache(maxsize=1)
-def _only() -> Ablate:
     return Ablate()
 
 

@@ -8,7 +8,6 @@ free of what the asset lacks. Row counts before and after are the paper's figure
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from splatpainter.data import viewpoints
 from splatpainter.evaluate.paper import assets, ground
 from splatpainter.evaluate.paper.cases import Case, Pictures, Step
 from splatpainter.evaluate.paper.objects import drawn_lights, environments, generator, objects, safe
-from splatpainter.evaluate.paper.protocols import Column, Key, Setup
+from splatpainter.evaluate.paper.protocols import Column, Key, Setup, measures, view
 from splatpainter.evaluate.paper.scoring import drawn, object_masks, scored
 
 if TYPE_CHECKING:
@@ -33,9 +32,7 @@ class Compress:
     name = "compress"
     title = "Voxel compression in Stage I, nothing edited (Tab. 4)"
     columns = (
-        Column("psnr", "PSNR", "Against the truth", "higher"),
-        Column("ssim", "SSIM", "Against the truth", "higher", 4),
-        Column("lpips", "LPIPS", "Against the truth", "lower", 4),
+        *measures("Against the truth"),
         Column("psnr_asset", "PSNR", "Against the asset", "higher"),
         Column("gaussians_before", "Before", "Gaussians", digits=0),
         Column("gaussians_kept", "Kept", "Gaussians", digits=0),
@@ -85,14 +82,8 @@ class Compress:
         return found | counts | {"share_kept": kept / before if before and kept is not None else None}
 
     def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
-        first = case.after.take([0])
-        return {"result": drawn(done[-1].splats, first.cameras)[0], "truth": first.colors[0]}
+        return view(case, done, 0)
 
 
 def protocol() -> Compress:
-    return _only()
-
-
-@lru_cache(maxsize=1)
-def _only() -> Compress:
     return Compress()

@@ -8,7 +8,6 @@ in the paper); there the edit is known in its own picture alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +18,9 @@ from splatpainter.evaluate.paper.cases import Case, Pictures, Step
 from splatpainter.evaluate.paper.designs import KINDS
 from splatpainter.evaluate.paper.objects import drawn_lights, environments, generator, objects, safe
 from splatpainter.evaluate.paper.painted import Truth, changed, changes
-from splatpainter.evaluate.paper.protocols import Column, Key, Setup
+from splatpainter.evaluate.paper.protocols import Column, Key, Setup, measures, view
 from splatpainter.evaluate.paper.scoring import compared, drawn, object_masks, scored
+from splatpainter.evaluate.paper.stock import telling_view
 
 if TYPE_CHECKING:
     from splatpainter.evaluate.paper.methods import Done
@@ -45,15 +45,9 @@ class Creative:
     name = "creative"
     title = "Creative editing: painted, stickered, lettered and recoloured views (Tab. 3)"
     columns = (
-        Column("psnr", "PSNR", EDITED, "higher"),
-        Column("ssim", "SSIM", EDITED, "higher", 4),
-        Column("lpips", "LPIPS", EDITED, "lower", 4),
-        Column("psnr_outside", "PSNR", OUTSIDE, "higher"),
-        Column("ssim_outside", "SSIM", OUTSIDE, "higher", 4),
-        Column("lpips_outside", "LPIPS", OUTSIDE, "lower", 4),
-        Column("psnr_novel", "PSNR", NOVEL, "higher"),
-        Column("ssim_novel", "SSIM", NOVEL, "higher", 4),
-        Column("lpips_novel", "LPIPS", NOVEL, "lower", 4),
+        *measures(EDITED),
+        *measures(OUTSIDE, "_outside"),
+        *measures(NOVEL, "_novel"),
         Column("touched", "touched", ROWS, "", 0),
         Column("appended", "appended", ROWS, "", 0),
         Column("equal", "bitwise equal, %", ROWS, "higher"),
@@ -92,45 +86,25 @@ class Creative:
     def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
         edited = case.steps[-1].edited.take([0])
         first = drawn(done[-1].splats, edited.cameras)[0]
-        place = telling(case)
+        place = telling_view(case) if case.near.any() else None
         if place is None:
             return {"result": first, "truth": edited.colors[0]}
-        told = case.after.take([place])
-        return {"result": drawn(done[-1].splats, told.cameras)[0], "truth": told.colors[0], "edited view": first}
+        return view(case, done, place) | {"edited view": first}
 
 
 def protocol() -> Creative:
-    return _only()
-
-
-@lru_cache(maxsize=1)
-def _only() -> Creative:
     return Creative()
 
 
 def rows(asset: Splats, done: Done) -> dict[str, float | None]:
     """{"touched": rows of the asset whose bits changed, "appended", "equal": per cent}; None for a new asset."""
-    from splatpainter.evaluate.paper.methods import changed as bits
-    from splatpainter.splats import ATTRIBUTES
+    from splatpainter.evaluate.paper import methods
 
     if not done.keeps_rows:
         return {"touched": None, "appended": None, "equal": None}
-    before, after = asset.numpy(), done.splats.numpy()
-    touched = np.zeros(len(before), bool)
-    for name in ATTRIBUTES:
-        own, new = (np.ascontiguousarray(getattr(s, name), np.float32) for s in (before, after))
-        touched |= bits(own.reshape(len(own), -1), new.reshape(len(new), -1))
-    count = int(touched.sum())
-    share = 100 * (1 - count / len(before))
-    return {"touched": float(count), "appended": float(len(after) - len(before)), "equal": share}
-
-
-def telling(case: Case) -> int | None:
-    """The near novel view that the edit changes most; None without novel truth."""
-    if not case.near.any():
-        return None
-    change = np.abs(case.after.colors - case.before.colors).sum((1, 2, 3))
-    return int(np.argmax(np.where(case.near, change, -1.0)))
+    count = int(methods.changed(asset, done.splats).sum())
+    share = 100 * (1 - count / len(asset))
+    return {"touched": float(count), "appended": float(len(done.splats) - len(asset)), "equal": share}
 
 
 def _of_mesh(key: Key, setup: Setup) -> Case:

@@ -7,7 +7,6 @@ is asked is texture that the asset lacks. All figures are over the object's pixe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from splatpainter.data.meshes import Mesh
 from splatpainter.evaluate.paper import assets, ground
 from splatpainter.evaluate.paper.cases import Case, Step
 from splatpainter.evaluate.paper.objects import drawn_lights, environments, generator, objects, safe
-from splatpainter.evaluate.paper.protocols import Column, Key, Setup
+from splatpainter.evaluate.paper.protocols import Key, Setup, measures, view
 from splatpainter.evaluate.paper.scoring import drawn, object_masks, scored
 from splatpainter.evaluate.paper.spots import textured
 
@@ -46,14 +45,7 @@ class Refine:
 
     name = "refine"
     title = "High-fidelity refinement from zoomed-in views (Tab. 1)"
-    columns = (
-        Column("psnr", "PSNR", "Near the close-ups", "higher"),
-        Column("ssim", "SSIM", "Near the close-ups", "higher", 4),
-        Column("lpips", "LPIPS", "Near the close-ups", "lower", 4),
-        Column("psnr_around", "PSNR", "Whole object", "higher"),
-        Column("ssim_around", "SSIM", "Whole object", "higher", 4),
-        Column("lpips_around", "LPIPS", "Whole object", "lower", 4),
-    )
+    columns = (*measures("Near the close-ups"), *measures("Whole object", "_around"))
     split_by = ""
 
     def keys(self, setup: Setup) -> list[Key]:
@@ -116,8 +108,7 @@ class Refine:
         return close | {f"{name}_around": value for name, value in around.items()}
 
     def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
-        first = case.after.take([int(np.argmax(case.near))])
-        found = {"result": drawn(done[-1].splats, first.cameras)[0], "truth": first.colors[0]}
+        found = view(case, done, int(np.argmax(case.near)))
         whole = np.flatnonzero(np.logical_not(case.near))
         if len(whole):
             found["whole"] = drawn(done[-1].splats, case.after.take(whole[:1]).cameras)[0]
@@ -125,11 +116,6 @@ class Refine:
 
 
 def protocol() -> Refine:
-    return _only()
-
-
-@lru_cache(maxsize=1)
-def _only() -> Refine:
     return Refine()
 
 

@@ -17,8 +17,8 @@ from splatpainter.data import viewpoints
 from splatpainter.evaluate.paper import assets, ground
 from splatpainter.evaluate.paper.cases import Case, Pictures, Step
 from splatpainter.evaluate.paper.objects import drawn_lights, environments, generator, objects, safe
-from splatpainter.evaluate.paper.protocols import Column, Key, Setup
-from splatpainter.evaluate.paper.scoring import drawn, object_masks, scored
+from splatpainter.evaluate.paper.protocols import Key, Setup, measures, view
+from splatpainter.evaluate.paper.scoring import object_masks, scored
 
 if TYPE_CHECKING:
     from splatpainter.cameras import Camera
@@ -38,11 +38,7 @@ class Relight:
 
     name = "relight"
     title = "Global relighting from 1, 2 and 4 relit views (Tab. 2)"
-    columns = (
-        Column("psnr", "PSNR", "", "higher"),
-        Column("ssim", "SSIM", "", "higher", 4),
-        Column("lpips", "LPIPS", "", "lower", 4),
-    )
+    columns = measures()
     split_by = "views"
 
     def keys(self, setup: Setup) -> list[Key]:
@@ -89,16 +85,10 @@ class Relight:
         return dict(scored(done[-1].splats, case.after, object_masks(case.after), perceptual))
 
     def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
-        first = case.after.take([0])
-        return {"result": drawn(done[-1].splats, first.cameras)[0], "truth": first.colors[0]}
+        return view(case, done, 0)
 
 
 def protocol() -> Relight:
-    return _only()
-
-
-@lru_cache(maxsize=1)
-def _only() -> Relight:
     return Relight()
 
 

@@ -8,7 +8,6 @@ region differently, and the later one must win.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,8 +17,9 @@ from splatpainter.evaluate.paper.cases import Case
 from splatpainter.evaluate.paper.designs import KINDS
 from splatpainter.evaluate.paper.objects import drawn_lights, environments, objects, safe
 from splatpainter.evaluate.paper.painted import changes
-from splatpainter.evaluate.paper.protocols import Column, Key, Setup
+from splatpainter.evaluate.paper.protocols import Column, Key, Setup, view
 from splatpainter.evaluate.paper.scoring import compared, drawn, object_masks, scored
+from splatpainter.evaluate.paper.stock import telling_view
 
 if TYPE_CHECKING:
     from splatpainter.evaluate.paper.methods import Done
@@ -90,19 +90,14 @@ class InARow:
         if case.facts["part"] == "conflict":
             earlier = drawn(last, case.after.take([0]).cameras)[0]
             return {"result": earlier, "truth": case.after.colors[0], "first edit": case.steps[0].edited.colors[0]}
-        change = np.abs(case.after.colors - case.before.colors).sum((1, 2, 3))
-        place = int(np.argmax(np.where(case.near, change, -1.0) if case.near.any() else change))
-        told = case.after.take([place])
-        found = {"result": drawn(last, told.cameras)[0], "truth": told.colors[0]}
-        return found | {f"step {k + 1}": drawn(d.splats, told.cameras)[0] for k, d in enumerate(done[:-1])}
+        place = telling_view(case)
+        assert place is not None  # every part has novel views
+        camera = case.after.cameras[place]
+        earlier = {f"step {k + 1}": drawn(d.splats, [camera])[0] for k, d in enumerate(done[:-1])}
+        return view(case, done, place) | earlier
 
 
 def protocol() -> InARow:
-    return _only()
-
-
-@lru_cache(maxsize=1)
-def _only() -> InARow:
     return InARow()
 
 

@@ -1,4 +1,4 @@
-"""A protocol's table as HTML: means with intervals, what they cost, and the paper's own figures in grey beside them."""
+"""A protocol's table as HTML: means with intervals, and what they cost."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from splatpainter.evaluate.paper import published
 from splatpainter.evaluate.paper.protocols import Column
-from splatpainter.evaluate.paper.published import Published
 from splatpainter.evaluate.paper.report.names import Layout, Names
 from splatpainter.evaluate.paper.report.summary import MEASURED, Estimate, SummaryRow
 from splatpainter.evaluate.paper.report.svg import symbol
-from splatpainter.evaluate.tables import shown
+from splatpainter.evaluate.paper.report.tables import seconds
 
 COSTS = {
     "setup_seconds": "Set-up, s",
@@ -22,32 +20,25 @@ COSTS = {
     "rows_equal": "Rows kept, %",
 }
 """Field of SummaryRow -> what stands above it."""
-Key = tuple[str, str]
+WIDE = 12
+"""Columns; more are set smaller."""
 
 
-def grid(rows: Sequence[SummaryRow], table: Layout, names: Names, protocol: str) -> str:
-    """A <table>, one <tbody> per block. protocol: whose figures of the paper stand beside."""
-    paper = published.rows(protocol)
+def grid(rows: Sequence[SummaryRow], table: Layout, names: Names) -> str:
+    """A <table>, one <tbody> per block."""
     taken = {"rows_equal"} if any(column.key == "equal" for column in table.columns) else set()
     costs = [f for f in COSTS if f not in taken and any(getattr(row, f) is not None for row in rows)]
-    keys: list[Key] = list(dict.fromkeys(key for row in paper for key in row.figures))
-    timed = any(row.seconds for row in paper)
-    head = _head(table.columns, costs, keys, timed)
-    width = 1 + len(table.columns) + len(costs) + len(keys) + timed
+    head = _head(table.columns, costs)
+    width = 1 + len(table.columns) + len(costs)
     bodies = []
     for block in dict.fromkeys(row.block for row in rows):
         within = [row for row in rows if row.block == block]
-        views = int(block) if table.split_by == "views" and block.isdecimal() else None
-        present = [row.method for row in within]
-        beside = published.beside(protocol, present, views)
         best = {column.key: best_of(within, column, names) for column in table.columns}
-        lines = [_row(row, table.columns, costs, keys, timed, best, names, beside.get(row.method)) for row in within]
-        blank = len(table.columns) + len(costs)
-        others = published.others(protocol, present, views)
-        lines += [_published_only(row, blank, keys, timed) for row in others]
+        lines = [_row(row, table.columns, costs, best, names) for row in within]
         title = f"{table.split_by} {block}" if table.split_by and block else ""
         bodies.append(_body(lines, title, width))
-    return "\n".join(['<table class="results">', head, *bodies, "</table>"])
+    kind = "results wide" if width > WIDE else "results"
+    return "\n".join([f'<table class="{kind}">', head, *bodies, "</table>"])
 
 
 def best_of(rows: Sequence[SummaryRow], column: Column, names: Names) -> set[str]:
@@ -71,16 +62,13 @@ def number(value: float, digits: int) -> str:
     return "∞" if math.isinf(value) else f"{value:,.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
-def _head(columns: Sequence[Column], costs: Sequence[str], keys: Sequence[Key], timed: bool) -> str:
+def _head(columns: Sequence[Column], costs: Sequence[str]) -> str:
     groups = [escape(column.group) for column in columns]
     if not any(groups):
         groups = ["Measured"] * len(groups)
     spans = _runs(groups) + ([("Cost", len(costs))] if costs else [])
     top = ['<tr><th rowspan="2" scope="col" class="name">Method</th>']
     top += [f'<th colspan="{count}" scope="colgroup">{text}</th>' for text, count in spans]
-    if keys:
-        count = len(keys) + timed
-        top.append(f'<th colspan="{count}" scope="colgroup" class="paper">{escape(published.MARK)}</th>')
     low = ["<tr>"]
     last = None
     for column, group in zip(columns, groups, strict=True):
@@ -88,12 +76,6 @@ def _head(columns: Sequence[Column], costs: Sequence[str], keys: Sequence[Key], 
         low.append(_sortable(column.label + arrow, column.better == "lower", group != last))
         last = group
     low += [_sortable(COSTS[field], field not in ("rows_equal",), k == 0) for k, field in enumerate(costs)]
-    short = len({group for group, _ in keys}) > 1
-    for k, (group, label) in enumerate(keys):
-        text = f"{label}, {group.split()[0].lower()}" if short and group else label
-        low.append(f'<th scope="col" class="paper{" first" if k == 0 else ""}">{escape(text)}</th>')
-    if timed:
-        low.append('<th scope="col" class="paper">Time, s</th>')
     return "\n".join(["<thead>", "".join([*top, "</tr>"]), "".join([*low, "</tr>"]), "</thead>"])
 
 
@@ -101,11 +83,8 @@ def _row(
     row: SummaryRow,
     columns: Sequence[Column],
     costs: Sequence[str],
-    keys: Sequence[Key],
-    timed: bool,
     best: dict[str, set[str]],
     names: Names,
-    paper: Published | None,
 ) -> str:
     mark = symbol(names.style(row.method), row.method in names.unmarked)
     few = f' <span class="few">{row.cases} of {row.asked} cases</span>' if 0 < row.cases < row.asked else ""
@@ -120,7 +99,6 @@ def _row(
             last = column.group
             cells.append(_figure(row.figures.get(column.key), column, row.method in best[column.key], first))
         cells += [_cost(row, field, k == 0) for k, field in enumerate(costs)]
-    cells += _paper(paper, keys, timed)
     return f'<tr data-m="{key}">' + "".join(cells) + "</tr>"
 
 
@@ -132,9 +110,11 @@ def _figure(found: Estimate | None, column: Column, best: bool, first: bool) -> 
     if best:
         text = f'<b>{text}</b><span class="unseen"> best</span>'
     if found.low is not None and found.high is not None:
-        low, high = number(found.low, column.digits), number(found.high, column.digits)
+        digits = min(column.digits, 3) if found.high - found.low > 0.0015 else column.digits
+        low, high = (number(end, digits) for end in (found.low, found.high))
         if low != high:
-            text += f'<span class="interval">{low} – {high}</span>'
+            dash = "–" if found.low >= 0 else " – "
+            text += f'<span class="interval">{low}{dash}{high}</span>'
     return f'<td class="{kind}" data-v="{found.mean!r}">{text}</td>'
 
 
@@ -148,25 +128,8 @@ def _cost(row: SummaryRow, field: str, first: bool) -> str:
         percent = 100 * value
         text = "100" if value == 1 else f"{math.floor(percent * 100) / 100:.2f}"
     else:
-        text = f"{round(value):,}" if field in ("rows", "peak_mib") else shown(float(value))
+        text = f"{round(value):,}" if field in ("rows", "peak_mib") else escape(seconds(value))
     return f'<td class="{kind}" data-v="{float(value)!r}">{text}</td>'
-
-
-def _paper(row: Published | None, keys: Sequence[Key], timed: bool) -> list[str]:
-    if row is None:
-        return [f'<td class="paper{" first" if k == 0 else ""}"></td>' for k in range(len(keys) + timed)]
-    cells = []
-    for k, key in enumerate(keys):
-        value = row.figures.get(key)
-        text = "" if value is None else f"{value:.{4 if abs(value) < 1 else 2}f}"
-        title = f' title="{escape(row.label, quote=True)}"'
-        cells.append(f'<td class="num paper{" first" if k == 0 else ""}"{title}>{text}</td>')
-    return [*cells, f'<td class="num paper">{escape(row.seconds)}</td>'] if timed else cells
-
-
-def _published_only(row: Published, blank: int, keys: Sequence[Key], timed: bool) -> str:
-    name = f'<th scope="row" class="name paper"><span>{escape(row.label)}</span></th>'
-    return f'<tr>{name}<td colspan="{blank}" class="state">not run</td>{"".join(_paper(row, keys, timed))}</tr>'
 
 
 def _body(lines: Sequence[str], title: str, width: int) -> str:

@@ -16,6 +16,10 @@ _WIDTHS = {0.28: "ijl|'.,:;!I", 0.36: 'ftr()[]/\\- "*', 0.86: "mM%@&", 0.96: "W"
 _WIDTH = {letter: width for width, letters in _WIDTHS.items() for letter in letters}
 """Em; about those of Helvetica and of what systems have in its place."""
 SAFETY = 1.08
+STRUCK, LATER = 40.0, 3.0
+"""What a label pays for each line through it, and for every anchor that it does not take, in pixels of distance."""
+ROOM = 1.5
+"""Pixels that lines keep away from labels."""
 
 
 def text_width(text: str, size: float) -> float:
@@ -30,6 +34,21 @@ def shortened(text: str, size: float, most: float) -> str:
     while text and text_width(text + "…", size) > most:
         text = text[:-1]
     return text.rstrip() + "…"
+
+
+def wrapped(text: str, size: float, most: float, lines: int = 2) -> list[str]:
+    """The text in at most so many lines of `most` pixels; what does not fit is cut off the last."""
+    out, words = [""], text.split()
+    for k, word in enumerate(words):
+        longer = f"{out[-1]} {word}".strip()
+        if text_width(longer, size) > most and out[-1]:
+            if len(out) == lines:
+                out[-1] = " ".join([out[-1], *words[k:]])
+                break
+            longer = word
+            out.append("")
+        out[-1] = longer
+    return [shortened(line, size, most) for line in out]
 
 
 def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
@@ -57,43 +76,45 @@ def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list
 
 
 def place(
-    anchors: Sequence[Point],
+    anchors: Sequence[Sequence[Point]],
     sizes: Sequence[Point],
     frame: Box,
     marks: Sequence[Box] = (),
     lines: Sequence[tuple[Point, Point]] = (),
     clear: float = 7.0,
 ) -> list[Box | None]:
-    """A box for each label of sizes (width, height) near its anchor, inside the frame and clear of all other labels;
-    those that fit nowhere get None. Marks and lines are avoided where there is another place as near.
+    """A box for each label of sizes (width, height) near one of its anchors, the first by preference, inside the frame
+    and clear of all other labels; those that fit nowhere get None. Marks and lines are avoided where there is another
+    place not much farther.
 
-    Greedy, in the given order: each takes the cheapest of rings of places around its anchor. clear: pixels between
+    Greedy, in the given order: each takes the cheapest of rings of places around its anchors. clear: pixels between
     anchor and the nearest place.
     """
     taken: list[Box] = []
     found: list[Box | None] = []
     lines = list(lines)
-    for (x, y), (width, height) in zip(anchors, sizes, strict=True):
-        others = [mark for mark in marks if not (mark[0] <= x <= mark[2] and mark[1] <= y <= mark[3])]
-        best, price = None, math.inf
-        for ring in range(14):
-            reach = clear + ring * 9.0
-            if reach - clear >= price:  # farther ones only cost more
-                break
-            for box in _around(x, y, width, height, reach, frame):
-                if not _inside(box, frame) or any(overlap(box, other, 1.0) for other in taken):
-                    continue
-                cost = reach - clear + 60.0 * sum(overlap(box, mark, 1.0) for mark in marks)
-                cost += 8.0 * sum(_crosses(box, *line) for line in lines)
-                if ring:  # far enough for a leader, which is to cross little
-                    leader = (x, y), nearest((x, y), box)
-                    cost += 14.0 * sum(_crosses(b, *leader) for b in (*others, *taken))
-                if cost < price - 1e-9:
-                    best, price = box, cost
+    for spots, (width, height) in zip(anchors, sizes, strict=True):
+        best, price, start = None, math.inf, spots[0]
+        for rank, (x, y) in enumerate(spots):
+            others = [mark for mark in marks if not (mark[0] <= x <= mark[2] and mark[1] <= y <= mark[3])]
+            for ring in range(14):
+                least = rank * LATER + ring * 9.0
+                if least >= price:  # farther ones only cost more
+                    break
+                for box in _around(x, y, width, height, clear + ring * 9.0, frame):
+                    if not _inside(box, frame) or any(overlap(box, other, 1.0) for other in taken):
+                        continue
+                    cost = least + 60.0 * sum(overlap(box, mark, 1.0) for mark in marks)
+                    cost += STRUCK * sum(_crosses(_grown(box), *line) for line in lines)
+                    if ring:  # far enough for a leader, which is to cross little
+                        leader = (x, y), nearest((x, y), box)
+                        cost += 14.0 * sum(_crosses(b, *leader) for b in (*others, *taken))
+                    if cost < price - 1e-9:
+                        best, price, start = box, cost, (x, y)
         found.append(best)
         if best is not None:
             taken.append(best)
-            lines.append(((x, y), nearest((x, y), best)))
+            lines.append((start, nearest(start, best)))
     return found
 
 
@@ -118,10 +139,14 @@ def _around(x: float, y: float, width: float, height: float, reach: float, frame
         (x + slant, y + slant - half),
         (x - slant - width, y - slant - half),
         (x - slant - width, y + slant - half),
-        (middle, y - reach - height * 0.8),
-        (middle, y + reach - height * 0.2),
+        (middle, y - reach - height + 1),
+        (middle, y + reach - 1),
     ]
     return [(left, top, left + width, top + height) for left, top in corners]
+
+
+def _grown(box: Box) -> Box:
+    return box[0] - ROOM, box[1] - ROOM, box[2] + ROOM, box[3] + ROOM
 
 
 def _inside(box: Box, frame: Box) -> bool:

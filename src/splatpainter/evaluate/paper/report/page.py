@@ -20,6 +20,7 @@ from splatpainter.evaluate.paper.report.grid import grid
 from splatpainter.evaluate.paper.report.names import Layout, Named, Names
 from splatpainter.evaluate.paper.report.page_script import SCRIPT
 from splatpainter.evaluate.paper.report.page_style import STYLE
+from splatpainter.evaluate.paper.report.paper_grid import paper_grid
 from splatpainter.evaluate.paper.report.pictures import picture_rows
 from splatpainter.evaluate.paper.report.plots import charts
 from splatpainter.evaluate.paper.report.summary import SummaryRow, summarize
@@ -113,9 +114,15 @@ def _section(part: Part, names: Names, out: Path) -> str:
         f'<section id="{anchor}"><h2>{escape(table.title)}</h2>',
         f'<p class="about">{_count(objects, "object")}, {_count(cases, "case")}. {_legend(rows)}</p>',
         f'<div class="scroller" tabindex="0" role="region" aria-label="Table: {escape(table.title, quote=True)}">',
-        grid(rows, table, names, part.name),
+        grid(rows, table, names),
         "</div>",
     ]
+    if own := paper_grid(part.name, {row.method for row in rows}, names):
+        body += [
+            '<div class="scroller own" tabindex="0" role="region" aria-label="The paper\'s own table">',
+            own,
+            "</div>",
+        ]
     if said := part.run.notes if part.run.notes is not None else notes(rows, table, names):
         body += ['<details class="notes"><summary>', f"{_count(len(said), 'note')}</summary><ul>"]
         body += [f"<li>{escape(note)}</li>" for note in said]

@@ -44,15 +44,15 @@ section{padding-block:clamp(32px,4vw,60px);border-bottom:1px solid var(--line)}
 section:last-child{border:0}
 .scroller{position:relative;margin-top:20px;overflow-x:auto;border:1px solid var(--line);border-radius:10px;
 background:var(--panel)}
-.results{border-collapse:separate;border-spacing:0;width:100%;font-size:.9rem;font-variant-numeric:tabular-nums;
+.results{border-collapse:separate;border-spacing:0;width:100%;font-size:.86rem;font-variant-numeric:tabular-nums;
 line-height:1.3}
-.results th,.results td{padding:7px 9px;text-align:right;white-space:nowrap;font-weight:400}
-.results thead th{color:var(--quiet);font-size:.8rem;font-weight:560;vertical-align:bottom}
+.results th,.results td{padding:6px 7px;text-align:right;white-space:nowrap;font-weight:400}
+.results thead th{color:var(--quiet);font-size:.78rem;font-weight:560;vertical-align:bottom}
 .results thead tr:first-child th{padding-bottom:2px}.results thead tr:first-child th[colspan]{text-align:left}
 .results thead tr:last-child th{padding-top:3px;border-bottom:1px solid var(--line)}
 .results thead .name{border-bottom:1px solid var(--line)}
 .results .name{text-align:left;position:sticky;left:0;z-index:1;background:var(--panel);white-space:normal;
-min-width:min(210px,38vw);border-right:1px solid var(--line)}
+min-width:min(150px,38vw);border-right:1px solid var(--line)}
 .results tbody .name{font-weight:540}
 .results tbody .symbol{margin:0 8px -2px 0;flex:none}
 .results .few{display:block;font-size:.75rem;color:var(--accent);font-weight:400}
@@ -66,12 +66,17 @@ min-width:min(210px,38vw);border-right:1px solid var(--line)}
 .results thead tr:last-child th:first-child{border-left:0}
 .results thead tr:first-child .name+th{border-left:0}
 .results .best b{font-weight:720;box-shadow:inset 0 -2px var(--accent)}
-.results .interval{display:block;font-size:.74rem;color:var(--quiet)}
+.results .interval{display:block;font-size:.68rem;color:var(--quiet)}
 .results .state{text-align:left;color:var(--quiet);font-style:italic;white-space:normal;min-width:240px}
 .results td{vertical-align:top}.results .name{vertical-align:top}
-.results .paper{color:var(--paper);background:var(--faint)}.results thead .paper{font-weight:480}
-.results tbody th.paper{font-weight:400}
-.results button{all:unset;cursor:pointer;white-space:nowrap}
+.results.wide{font-size:.8rem}.results.wide th,.results.wide td{padding-inline:5px}
+.results.wide .interval{font-size:.62rem}.results.wide .name{min-width:min(132px,38vw)}
+.results thead tr:last-child th{white-space:normal}
+.own{width:fit-content;max-width:100%;margin-top:12px}
+.results.paper{width:auto}.results.paper th,.results.paper td{color:var(--paper);padding-block:3px}
+.results.paper thead tr:first-child th+th{border-left:0;padding-bottom:3px}
+.results.paper thead .name{font-style:italic;font-weight:480}.results.paper tbody .name{font-weight:400}
+.results button{all:unset;cursor:pointer}
 .results button:focus-visible{outline:2px solid var(--focus);
 outline-offset:3px;border-radius:3px}
 .results [aria-sort] button::after{content:"";display:inline-block;width:0;margin-left:0}

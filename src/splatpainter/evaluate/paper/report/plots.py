@@ -8,19 +8,19 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from statistics import median
-
-import numpy as np
 
 from splatpainter.evaluate.paper.protocols import Column
 from splatpainter.evaluate.paper.records import Record
+from splatpainter.evaluate.paper.report import curves
 from splatpainter.evaluate.paper.report.names import Layout, Names
-from splatpainter.evaluate.paper.report.summary import SummaryRow, block_of, blocks, summarize
+from splatpainter.evaluate.paper.report.summary import SummaryRow, block_of, blocks, leading, summarize
 from splatpainter.evaluate.paper.report.svg import Axis, Chart, Level, Mark, Series
-from splatpainter.evaluate.tables import shown
+from splatpainter.evaluate.paper.report.tables import seconds
 
 INSTANT = 1e-4
 """Seconds; what takes less is a line across the plot, for a log axis has no place for it."""
+LEAST = 2
+"""Methods in a plot: one alone is in the table already."""
 STAGES = (("from the LRM", ("gaussians_before", "lrm_gaussians")), ("after Stage I", ("gaussians_kept",)))
 """(stage, keys of Record.numbers that have its row count)."""
 RESULT = "in the edited asset"
@@ -52,53 +52,44 @@ def charts(records: Sequence[Record], table: Layout, names: Names) -> list[Chart
     return [chart for chart in found if chart is not None]
 
 
-def leading(columns: Sequence[Column], rows: Sequence[SummaryRow]) -> list[Column]:
-    """The first column that these rows have figures for, and those of other groups that are called the same."""
-    told = [column for column in columns if any(column.key in row.figures for row in rows)]
-    return [column for column in told if column.label == told[0].label]
-
-
 def against_seconds(
     rows: Sequence[SummaryRow], records: Sequence[Record], column: Column, names: Names, within: str = ""
 ) -> Chart | None:
-    """One point per method at the median seconds of an edit (of the set-up, where that is all it does); methods with
-    Record.curve as lines through their steps. rows: one block's."""
-    series, levels = [], []
+    """One point per method at the median seconds of its edits (of the set-up, where that is all it does); methods with
+    Record.curve as lines through their steps. rows: one block's. None for fewer than two points to compare."""
+    series, levels, timed = [], [], set()
     for row in rows:
         found = row.figures.get(column.key)
         if found is None or not math.isfinite(found.mean):
             continue
         label, style = names.labels[row.method], names.style(row.method)
         tip = _tip(label, row, column)
-        seconds = next((s for s in (row.edit_seconds, row.setup_seconds) if s is not None and s >= INSTANT), None)
-        if seconds is None:
+        spent = {"edits": row.edit_seconds, "set-up": row.setup_seconds}
+        what = next((name for name, value in spent.items() if value is not None and value >= INSTANT), None)
+        if what is None:
             levels.append(Level(label, found.mean, style, tip, row.method))
             continue
-        end = Mark(seconds, found.mean, found.low, found.high, tip)
+        timed.add(what)
+        end = Mark(spent[what] or 0.0, found.mean, found.low, found.high, tip)
         way = [m for m in curve(records, row.method, column, label) if abs(math.log(m.x / end.x)) > 0.05]
         marks = tuple(sorted((*way, end), key=lambda mark: mark.x))
         series.append(Series(label, style, marks, len(marks) > 1, row.method in names.unmarked, row.method))
-    if not series:
+    if len(series) < LEAST:
         return None
-    title = f"{column.label} against seconds per edit{_where(column.group, within)}"
-    return Chart(title, Axis("seconds per edit", log=True), _axis(column), tuple(series), tuple(levels))
+    axis = f"seconds of {timed.pop()}" if len(timed) == 1 else "seconds of edits, or of set-up where there are none"
+    axis += " (small numbers: steps)" if any(m.note for s in series for m in s.marks) else ""
+    title = f"{_named(column)} against seconds{_where(_place(column), within)}"
+    return Chart(title, Axis(axis, log=True), _axis(column), tuple(series), tuple(levels))
 
 
 def curve(records: Sequence[Record], method: str, column: Column, label: str) -> list[Mark]:
-    """What a method had after so many steps: the median of seconds and the mean of the figure over its cases, at step
-    counts that all its cases with a curve have."""
-    told = [{p["steps"]: p for p in r.curve} for r in records if r.method == method and r.whole and r.curve]
-    if not told:
-        return []
+    """What a method had on its way, as marks."""
     marks = []
-    for steps in sorted(s for s in set.intersection(*(set(points) for points in told)) if s is not None):
-        points = [points[steps] for points in told]
-        seconds = [p["seconds"] for p in points if p["seconds"] is not None]
-        values = [v for p in points if (v := p.get(column.key)) is not None and math.isfinite(v)]
-        if len(values) == len(points) and seconds and median(seconds) >= INSTANT:
-            at, mean = median(seconds), float(np.mean(values))
-            tip = f"{label} after {steps:g} steps: {column.label} {mean:.{column.digits}f}, {shown(at)} s"
-            marks.append(Mark(at, mean, tip=tip, note=f"{steps:g}"))
+    for point in curves.points(records, method, column.key):
+        if point.seconds >= INSTANT:
+            tip = f"{label} after {point.steps:g} steps: {column.label} {point.mean:.{column.digits}f}"
+            tip += f", {seconds(point.seconds)} s"
+            marks.append(Mark(point.seconds, point.mean, tip=tip, note=f"{point.steps:g}"))
     return marks
 
 
@@ -115,9 +106,9 @@ def against_blocks(rows: Sequence[SummaryRow], column: Column, split_by: str, na
         if marks:
             hollow = method in names.unmarked
             series.append(Series(names.labels[method], names.style(method), tuple(marks), True, hollow, method))
-    if max((len(s.marks) for s in series), default=0) < 2:
+    if len(series) < LEAST or max(len(s.marks) for s in series) < 2:
         return None
-    title = f"{column.label} against number of {split_by}{_where(column.group)}"
+    title = f"{_named(column)} against number of {split_by}{_where(_place(column))}"
     return Chart(title, _counts(series, f"number of {split_by}"), _axis(column), _apart(series), at_ends=True)
 
 
@@ -145,7 +136,7 @@ def numbered(rows: Sequence[SummaryRow], columns: Sequence[Column], names: Names
             )
             for method, marks in by_method.items()
         ]
-        if max(len(s.marks) for s in series) > 1:
+        if len(series) >= LEAST and max(len(s.marks) for s in series) > 1:
             title = f"{STEMS[stem]}{_where(within)}"
             found_charts.append(Chart(title, _counts(series, "step"), Axis("PSNR ↑"), _apart(series), at_ends=True))
     return found_charts
@@ -165,7 +156,7 @@ def row_counts(rows: Sequence[SummaryRow], names: Names, within: str = "") -> Ch
             if count:
                 marks.append(Mark(float(at), count, tip=f"{label}: {count:,.0f} rows {stage}"))
         series.append(Series(label, names.style(row.method), tuple(marks), True, key=row.method))
-    if not series:
+    if len(series) < LEAST:
         return None
     axis = Axis("", ticks=tuple((float(k), text) for k, text in enumerate((*(name for name, _ in STAGES), RESULT))))
     return Chart(
@@ -173,9 +164,20 @@ def row_counts(rows: Sequence[SummaryRow], names: Names, within: str = "") -> Ch
     )
 
 
+def _named(column: Column) -> str:
+    """Its measure; where the label only says when or where, the group ends in the measure: "PSNR, after the last"."""
+    group, _, measure = column.group.rpartition(", ")
+    return f"{measure}, {column.label}" if group and column.label[:1].islower() else column.label
+
+
+def _place(column: Column) -> str:
+    """Its group, without the measure that `_named` has."""
+    return column.group if _named(column) == column.label else column.group.rpartition(", ")[0]
+
+
 def _axis(column: Column) -> Axis:
     arrow = {"higher": " \N{UPWARDS ARROW}", "lower": " \N{DOWNWARDS ARROW}"}.get(column.better, "")
-    return Axis(f"{column.label}{arrow}")
+    return Axis(f"{_named(column).partition(',')[0]}{arrow}")
 
 
 def _where(*parts: str) -> str:
@@ -187,9 +189,9 @@ def _where(*parts: str) -> str:
 def _tip(label: str, row: SummaryRow, column: Column) -> str:
     found = row.figures[column.key]
     spread = "" if found.low is None else f" ({found.low:.{column.digits}f} to {found.high:.{column.digits}f})"
-    seconds = "" if row.edit_seconds is None else f", {shown(row.edit_seconds)} s per edit"
-    setup = f" + {shown(row.setup_seconds)} s once" if row.setup_seconds else ""
-    return f"{label}: {column.label} {found.mean:.{column.digits}f}{spread}{seconds}{setup}"
+    edits = "" if row.edit_seconds is None else f", {seconds(row.edit_seconds)} s of edits"
+    setup = f" + {seconds(row.setup_seconds)} s once" if row.setup_seconds else ""
+    return f"{label}: {column.label} {found.mean:.{column.digits}f}{spread}{edits}{setup}"
 
 
 def _counts(series: Sequence[Series], label: str) -> Axis:

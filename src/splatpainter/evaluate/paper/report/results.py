@@ -68,11 +68,15 @@ def _section(
     cases, objects = len({r.label for r in run.records}), len({r.name for r in run.records})
     parts = [f"## {table.title}", f"`splatpainter bench {name}`: {objects} objects, {cases} cases."]
     parts.append(markdown(grid(name, table.columns, rows, names, table.split_by)))
+    stale = set(beside.glob(f"{name}-*.svg"))
     for chart in charts(run.records, table, names):
         file = beside / f"{name}-{_slug(chart.title)}.svg"
         with files.writing(file) as stream:
             stream.write(svg.document(svg.draw(chart, WIDTH)).encode())
-        parts.append(f"![{chart.title}]({beside.name}/{file.name})")
+        parts.append(f"![{chart.title}]({beside.name}/{file.name})\n\n*{chart.title}*")
+        stale.discard(file)
+    for file in stale:  # of an earlier run
+        file.unlink()
     sheet = write_contact_sheet(folder, beside / f"{name}.webp", tables[name], methods)
     if sheet is not None:
         parts.append(f"![Input, answers with their errors, and truth of some cases]({beside.name}/{sheet.name})")

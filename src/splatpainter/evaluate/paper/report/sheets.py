@@ -46,7 +46,7 @@ def write_contact_sheet(
         strips += _strips(row, table.split_by)
     if not strips:
         return None
-    title = f"{table.title}   (errors: largest channel, white at {WHITE:g} and more)"
+    title = f"{table.title}. Errors: largest channel, white at {WHITE:g} and more."
     out.parent.mkdir(parents=True, exist_ok=True)
     write_sheet(out, sheet(strips, CELL, title))
     return out
@@ -77,10 +77,10 @@ def _strips(row: PictureRow, split_by: str) -> Iterable[Strip]:
         said = f"   beside names: {row.column.label}{f', {row.column.group}' if row.column.group else ''}"
         cells = tuple((_label(tile, row.column.digits), pictures.read(tile.path)) for tile in tiles)
         yield Strip(caption(row, split_by) + (" (continued)" if k else said), cells)
-        errors = [(tile.label, error_of(tile, truth)) for tile in tiles]
-        if any(error is not None for _, error in errors):
+        errors = [error_of(tile, truth) for tile in tiles]
+        if any(error is not None for error in errors):
             blank = np.broadcast_to(np.float32(250 / 255), (8, 8, 3))
-            yield Strip("", tuple(("" if e is None else f"error: {n}", blank if e is None else e) for n, e in errors))
+            yield Strip("", tuple(("", blank) if error is None else ("error", error) for error in errors))
 
 
 def _label(tile: Tile, digits: int) -> str:

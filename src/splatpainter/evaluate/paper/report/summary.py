@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from splatpainter.evaluate.paper.records import Record
+from splatpainter.metrics.bootstrap import interval
 
-RESAMPLES = 2000
 MEASURED = "measured"
 
 
@@ -102,6 +102,13 @@ def blocks(records: Iterable[Record], split_by: str) -> list[str]:
     return sorted(found, key=lambda text: (0, float(text)) if _is_number(text) else (1, 0.0))
 
 
+def leading(columns: Sequence[Any], rows: Sequence[SummaryRow]) -> list[Any]:
+    """The first column (protocols.Column) that these rows have figures for, and those of other groups that are called
+    the same."""
+    told = [column for column in columns if any(column.key in row.figures for row in rows)]
+    return [column for column in told if column.label == told[0].label]
+
+
 def estimate(values: Mapping[str, Sequence[float | None]], seed: int = 0) -> Estimate | None:
     """Object -> figures of its cases. None where there is none; None and NaN among figures are left out."""
     kept = {name: [v for v in told if v is not None and not math.isnan(v)] for name, told in values.items()}
@@ -109,18 +116,8 @@ def estimate(values: Mapping[str, Sequence[float | None]], seed: int = 0) -> Est
     if not kept:
         return None
     means = np.array([np.mean(told) for told in kept.values()], np.float64)
-    low, high = interval(means, seed)
+    low, high = interval(means, seed=seed) or (None, None)
     return Estimate(float(means.mean()), low, high, len(means), sum(map(len, kept.values())))
-
-
-def interval(means: np.ndarray, seed: int = 0) -> tuple[float | None, float | None]:
-    """95 % percentile bootstrap of the mean of means [n]; (None, None) for n < 2. Equal input, equal answer."""
-    if len(means) < 2:
-        return None, None
-    drawn = np.random.default_rng(seed).integers(len(means), size=(RESAMPLES, len(means)))
-    # no interpolation between order statistics: infinite figures would give NaN
-    low, high = np.quantile(means[drawn].mean(1), [0.025, 0.975], method="inverted_cdf")
-    return float(low), float(high)
 
 
 def _row(method: str, block: str, asked: int, records: Sequence[Record]) -> SummaryRow:

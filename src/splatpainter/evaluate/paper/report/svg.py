@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 from splatpainter.evaluate.paper.report import labels
@@ -32,6 +32,11 @@ divisor, so that the first 35 series all differ."""
 TEXT, SMALL = 12.0, 10.0
 """Pixels."""
 RADIUS = 6.0
+FEW = 5
+"""Series and levels that are named beside their points; more are named in a legend."""
+FAR = 1.5
+"""Ranges of the points within which a level still has its line."""
+ARROWS = {True: "\N{UPWARDS ARROW}", False: "\N{DOWNWARDS ARROW}"}
 SMALL_SCREEN = 500
 
 
@@ -96,16 +101,25 @@ class Chart:
 def draw(chart: Chart, width: int) -> str:
     """An <svg> element of this many pixels' width, without a style. Raises ValueError for a chart without a point."""
     chart = _kept(chart)
+    values = [v for s in chart.series for m in s.marks for v in (m.y, m.low, m.high) if v is not None]
+    beyond = _beyond(chart.levels, values)
+    chart = replace(chart, levels=tuple(level for level in chart.levels if level not in beyond))
     named = [*chart.levels, *chart.series]
     # small screens: labels have less width, so that they get more height
     height = round(min(width * 0.58, 400.0) if width >= SMALL_SCREEN else min(280.0 + 10.0 * len(named), 480.0))
     right = 14.0
+    beside = _legend(chart, width) if len(named) > FEW and not chart.at_ends else ()
     if chart.at_ends:
         right = 20.0 + min(max(text_width(s.label, TEXT) for s in named), width * 0.34)
         height = max(height, round(len(named) * (TEXT + 3) + 90))
-    values = [v for s in chart.series for m in s.marks for v in (m.y, m.low, m.high) if v is not None]
+    elif beside and width >= SMALL_SCREEN:
+        right = 34.0 + max(text_width(line, TEXT) for _, lines in beside for line in lines)
+        height = max(height, round(_legend_height(beside) + 70))
+    plot = height
+    if beside and width < SMALL_SCREEN:
+        height = round(plot + _legend_height(beside) + 6)
     values += [level.y for level in chart.levels]
-    top, bottom = 26.0, height - 44.0
+    top, bottom = 26.0, plot - 44.0
     y = fitted(values, bottom, top, chart.y.log)
     y_ticks = _ticks(chart.y, y, 7)
     left = 12.0 + max((text_width(text, TEXT) for _, text in y_ticks), default=20.0)
@@ -115,7 +129,11 @@ def draw(chart: Chart, width: int) -> str:
     body = _grid(chart, x, y, y_ticks, frame)
     body += [_level(level, y(level.y), frame) for level in chart.levels]
     body += [_line(s, x, y) for s in chart.series if s.joined and len(s.marks) > 1]
-    body += _end_labels(chart, x, y, frame, width) if chart.at_ends else _near_labels(chart, x, y, frame)
+    ends = [(level.key, text, frame[1 if higher else 3]) for level, (text, higher) in beyond.items()]
+    body += _end_labels(chart, x, y, frame, width, ends) if chart.at_ends else []
+    body += _near_labels(chart, x, y, frame, ends, not beside) if not chart.at_ends else []
+    if beside:
+        body += _legend_at(beside, *((width - right + 14, top + 4) if width >= SMALL_SCREEN else (left, plot + 8.0)))
     body += [_marks(s, x, y) for s in chart.series]  # above the labels, whose halo would hide them
     said = escape(chart.title, quote=True)
     head = f'<svg class="chart" viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img"'
@@ -170,6 +188,18 @@ def _kept(chart: Chart) -> Chart:
     return Chart(chart.title, chart.x, chart.y, tuple(series), levels, chart.at_ends)
 
 
+def _beyond(levels: Sequence[Level], values: Sequence[float]) -> dict[Level, tuple[str, bool]]:
+    """Levels so far from all points that an axis with both would show neither: (what is said instead, whether they are
+    higher)."""
+    finite = [v for v in values if math.isfinite(v)]
+    if not finite:
+        return {}
+    low, high = min(finite), max(finite)
+    far = FAR * (high - low)
+    found = {level: level.y > high for level in levels if far and (level.y > high + far or level.y < low - far)}
+    return {level: (f"{level.label}: {level.y:.4g} {ARROWS[up]}", up) for level, up in found.items()}
+
+
 def _shown(value: float, log: bool) -> bool:
     return math.isfinite(value) and (value > 0 or not log)
 
@@ -222,26 +252,30 @@ def _marks(series: Series, x: Scale, y: Scale) -> str:
     return "".join([*parts, "</g>"])
 
 
-def _end_labels(chart: Chart, x: Scale, y: Scale, frame: Box, width: int) -> list[str]:
-    ends: list[tuple[float, float, Series | Level]] = [(frame[2], y(level.y), level) for level in chart.levels]
-    ends += [(x(s.marks[-1].x), y(s.marks[-1].y), s) for s in chart.series]
+def _end_labels(
+    chart: Chart, x: Scale, y: Scale, frame: Box, width: int, beyond: Sequence[tuple[str, str, float]]
+) -> list[str]:
+    """beyond: (key, text, height) of what lies above or below the chart."""
+    ends = [(frame[2], height, text, key) for key, text, height in beyond]
+    ends += [(frame[2], y(level.y), level.label, level.key) for level in chart.levels]
+    ends += [(x(s.marks[-1].x) + RADIUS + 1, y(s.marks[-1].y), s.label, s.key) for s in chart.series]
     places = labels.spread([end[1] for end in ends], TEXT + 3, frame[1], frame[3])
     body, start = [], frame[2] + 16
-    for (from_x, from_y, item), place in zip(ends, places, strict=True):
-        text = labels.shortened(item.label, TEXT, width - start - 2)
-        begin = from_x + RADIUS + 1 if isinstance(item, Series) else from_x
-        body.append(_leader((begin, from_y), (start - 3, place)))
-        body.append(_text("label", start, place + 4, text, "start", item.key))
+    for (from_x, from_y, said, key), place in zip(ends, places, strict=True):
+        text = labels.shortened(said, TEXT, width - start - 2)
+        body.append(_leader((from_x, from_y), (start - 3, place)))
+        body.append(_text("label", start, place + 4, text, "start", key))
     return body
 
 
-def _near_labels(chart: Chart, x: Scale, y: Scale, frame: Box) -> list[str]:
+def _near_labels(
+    chart: Chart, x: Scale, y: Scale, frame: Box, beyond: Sequence[tuple[str, str, float]], named: bool
+) -> list[str]:
+    """beyond: as in `_end_labels`; named: also what series and levels are called, which is else in a legend."""
     marks, lines = [], [((frame[0], y(v.y)), (frame[2], y(v.y))) for v in chart.levels]
-    wanted: list[tuple[Point, str, float, str]] = [
-        ((frame[2] - 4 - text_width(level.label, TEXT) / 2, y(level.y)), level.label, TEXT, level.key)
-        for level in chart.levels
-    ]
-    notes: list[tuple[Point, str, float, str]] = []
+    across = [*beyond, *((level.key, level.label, y(level.y)) for level in chart.levels if named)]
+    wanted = [(_along(frame, height, text_width(text, TEXT)), text, TEXT, key) for key, text, height in across]
+    notes: list[tuple[list[Point], str, float, str]] = []
     for s in chart.series:
         at = [(x(m.x), y(m.y)) for m in s.marks]
         marks += [(px - RADIUS, py - RADIUS, px + RADIUS, py + RADIUS) for px, py in at]
@@ -250,26 +284,66 @@ def _near_labels(chart: Chart, x: Scale, y: Scale, frame: Box) -> list[str]:
         ]
         if s.joined:
             lines += list(zip(at, at[1:], strict=False))
-        wanted.append((at[-1], s.label, TEXT, s.key))
-        notes += [(spot, m.note, SMALL, s.key) for spot, m in zip(at, s.marks, strict=True) if m.note]
+        wanted += [(at[::-1], s.label, TEXT, s.key)] if named else []
+        notes += [([spot], m.note, SMALL, s.key) for spot, m in zip(at, s.marks, strict=True) if m.note]
     wanted = [
-        (spot, labels.shortened(text, size, (frame[2] - frame[0]) * 0.6), size, key)
-        for spot, text, size, key in [*wanted, *notes]
+        (spots, labels.shortened(text, size, (frame[2] - frame[0]) * 0.6), size, key)
+        for spots, text, size, key in [*wanted, *notes]
     ]
     sizes = [(text_width(text, size), size + 1) for _, text, size, _ in wanted]
-    boxes = labels.place([spot for spot, *_ in wanted], sizes, frame, marks, lines, RADIUS + 2)
+    boxes = labels.place([spots for spots, *_ in wanted], sizes, frame, marks, lines, RADIUS + 2)
     body = []
-    for (spot, text, size, key), box in zip(wanted, boxes, strict=True):
+    for (spots, text, size, key), box in zip(wanted, boxes, strict=True):
         if box is None:
             continue
-        edge = labels.nearest(spot, box)
-        away = math.dist(spot, edge)
+        away, spot, edge = min((math.dist(spot, edge := labels.nearest(spot, box)), spot, edge) for spot in spots)
         if size == SMALL and away > 14:  # a number far from its point says nothing
             continue
         if away > 18:
             body.append(_leader(spot, edge))
         body.append(_text("label" if size == TEXT else "note", box[0], box[3] - 2.5, text, "start", key))
     return body
+
+
+Entry = tuple[Series | Level, list[str]]
+"""Of a legend: what, and its name in lines."""
+
+
+def _legend(chart: Chart, width: int) -> list[Entry]:
+    """Series and levels from the highest to the lowest."""
+    most = width * 0.34 if width >= SMALL_SCREEN else width - 76.0
+    height = {item: item.y if isinstance(item, Level) else item.marks[-1].y for item in (*chart.series, *chart.levels)}
+    order = sorted(height, key=lambda item: -height[item])
+    return [(item, labels.wrapped(item.label, TEXT, most)) for item in order]
+
+
+def _legend_height(entries: Sequence[Entry]) -> float:
+    return sum(len(lines) * (TEXT + 2) + 4 for _, lines in entries)
+
+
+def _legend_at(entries: Sequence[Entry], left: float, top: float) -> list[str]:
+    body = []
+    for item, lines in entries:
+        middle = top + TEXT / 2 + 1
+        if isinstance(item, Level):
+            body.append(f'<path class="level m{item.style}" d="M{left:.1f},{middle:.1f}h14"/>')
+        else:
+            kind = f"m{item.style}" + (" hollow" if item.hollow else "")
+            shape = SHAPES[item.style % len(SHAPES)]
+            spot = f'transform="translate({left + 7:.1f},{middle:.1f})"'
+            body.append(f'<g class="{kind}"><path class="mark" {spot} d="{shape}"/></g>')
+        for line in lines:
+            body.append(_text("label", left + 20, top + TEXT - 1, line, "start", item.key))
+            top += TEXT + 2
+        top += 4
+    return body
+
+
+def _along(frame: Box, height: float, width: float) -> list[Point]:
+    """Places for a text about a level, from the right to the left."""
+    first, last = frame[2] - 4 - width / 2, frame[0] + 4 + width / 2
+    count = max(round((first - last) / 40), 1) + 1
+    return [(first + (last - first) * k / (count - 1), height) for k in range(count)]
 
 
 def _leader(a: Point, b: Point) -> str:

@@ -23,6 +23,8 @@ from splatpainter.io import files
 NONE = "–"
 ARROWS = {"higher": " ↑", "lower": " ↓", "": ""}
 NOT_RUN = "not run"
+SHORTEST = 0.01
+"""Seconds; less is not told apart."""
 _TEX = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--"}
 _TEX |= {c: "\\" + c for c in "&%$#_{}"} | {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "<": "$<$", ">": "$>$"}
 
@@ -238,6 +240,13 @@ def short(state: str) -> str:
     return state.partition(":")[0]
 
 
+def seconds(value: float) -> str:
+    """For people: hundredths, tenths from 10 s on, whole ones from 100 s on."""
+    if 0 < value < SHORTEST:
+        return f"< {SHORTEST:g}"
+    return f"{value:,.{2 if 0 < value < 9.995 else 1 if 0 < value < 99.95 else 0}f}"
+
+
 def tex(text: str) -> str:
     """Text as LaTeX."""
     return "".join(_TEX.get(letter, letter) for letter in text)
@@ -269,8 +278,8 @@ def _seconds(row: SummaryRow) -> str:
     """As the paper prints them; set-up is left out where there is none."""
     if row.edit_seconds is None:
         return NONE
-    edit = f"{row.edit_seconds:,.2f}"
-    return f"{row.setup_seconds:,.2f} + {edit}" if row.setup_seconds else edit
+    edit = seconds(row.edit_seconds)
+    return f"{seconds(row.setup_seconds)} + {edit}" if row.setup_seconds and row.setup_seconds >= SHORTEST else edit
 
 
 def _memory(row: SummaryRow) -> str:
