@@ -61,6 +61,16 @@ class Live:
     url: str
     http: httpx.Client
 
+    def post(self, name: str, /, **fields: Any) -> dict[str, Any]:
+        """The answer of a command over HTTP, which must work."""
+        answer = self.http.post(f"/api/do/{name}", json=fields)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    def send(self, data: bytes, name: str = "picture.png") -> str:
+        """The name under which uploaded bytes are known."""
+        return self.http.post(f"/api/blobs?name={name}", content=data).json()["blob"]
+
     @contextlib.contextmanager
     def browser(self, mirror: Mirror | None = None) -> Iterator[Browser]:
         """A new connection, not greeted yet."""
@@ -89,6 +99,14 @@ def live(studio: Studio, access: Access | None = None) -> Iterator[Live]:
     finally:
         server.should_exit = True
         thread.join()
+
+
+@contextlib.contextmanager
+def live_with_folder(folder: Path) -> Iterator[Live]:
+    """A served studio whose clients may name files of `folder`/shared."""
+    (folder / "shared").mkdir()
+    with live(make_studio(folder, shared=folder / "shared")) as own:
+        yield own
 
 
 def dab(size: int, color: tuple[int, int, int, int]) -> str:

@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "splatpainter"
 ORDER = (
     ("splats",),
     ("cameras",),
+    ("framing",),
     ("parallel",),
     ("warmup",),
     ("io",),

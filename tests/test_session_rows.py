@@ -99,6 +99,26 @@ def test_looks_are_functions_of_each_row():
         assert changed[old.means[:, 0] > 0.2].all() and not changed[old.means[:, 0] < -0.2].any()
 
 
+def test_regraded_pictures_can_stay_within_masks():
+    half = disk(CAMERA, 16, 16, 40)
+    half[:, :16] = False
+    redder = Edit(np.broadcast_to(np.array(RED, np.float32), (SIZE, SIZE, 3)), CAMERA, half)
+    with Session(sheet(16, degree=1, opacity=0.95)) as session:
+        old = session.splats
+        whole = session.add("look", [redder])
+        everywhere = session.splats
+        assert differing(old, everywhere).mean() > 0.9
+        session.set(whole.id, visible=False)
+        within = session.add("look", [redder], parameters={"within": True})
+        changed = differing(old, session.splats)
+        assert changed[old.means[:, 0] > 0.2].all() and not changed[old.means[:, 0] < -0.2].any()
+        assert same_bits(session.splats.take(np.flatnonzero(changed)), everywhere.take(np.flatnonzero(changed)))
+        assert within.mode == "global" and session.coverage()[~changed].max() == 0
+        assert session.verify(repaint=True) == []
+        with pytest.raises(ValueError, match="expected a mask in one of its views to stay within"):
+            session.add("look", [replace(redder, mask=None)], parameters={"within": True})
+
+
 def conflicting(policy: Any) -> tuple[Session, str, str]:
     session = flat()
     a = session.add("paint", [dab(RED)])

@@ -288,9 +288,7 @@ class Painter:
         config = None if chosen == "lift" or self.model is None else self.model.config.refine
         base, features = ("lift", False) if config is None else (config.base, config.lift_features)
         if mode == "global":
-            return draft_global(
-                asset.splats, views, base, self.whole, features=features, normals=asset.normals
-            )
+            return draft_global(asset.splats, views, base, self.whole, features=features, normals=asset.normals)
         return draft_local(asset.splats, asset.grid, views, base, self.local, features=features)
 
     def _refined(self, asset: Asset, draft: Draft, views: Sequence[EditView]) -> Asset:

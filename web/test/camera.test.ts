@@ -11,6 +11,7 @@ import {
   orbit,
   pan,
   project,
+  sameSight,
   sub,
   target,
   toCamera,
@@ -34,6 +35,14 @@ describe("cameras", () => {
     const camera = toCamera(pose, 640, 480, [0, 0, 0]);
     near(project(camera, [0.1, 0.2, 0.3]), [320, 240, pose.distance]);
     expect(project(camera, [0.1, 0.1, 0.3])[1]).toBeLessThan(240); // y down: smaller y is higher
+  });
+
+  it("knows the same sight at another size and on another ground", () => {
+    const camera = toCamera(pose, 640, 480, [0, 0, 0]);
+    expect(sameSight(camera, toCamera(pose, 1280, 960, [1, 1, 1]))).toBe(true);
+    expect(sameSight(camera, toCamera(pose, 640, 400, [0, 0, 0]))).toBe(false);
+    expect(sameSight(camera, toCamera(zoomLens(pose, 41), 640, 480, [0, 0, 0]))).toBe(false);
+    expect(sameSight(camera, toCamera(orbit(pose, 0.01, 0, UP), 640, 480, [0, 0, 0]))).toBe(false);
   });
 
   it("sees the field of view from border to border", () => {

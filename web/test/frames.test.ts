@@ -1,6 +1,13 @@
 import { describe, expect, it } from "vitest";
 
-import { FRAME_COLORS_ONLY, FRAME_PREVIEW, FRAME_SNAPSHOT } from "../src/messages";
+import {
+  FRAME_COLORS_ONLY,
+  FRAME_FORMAT,
+  FRAME_MAGIC,
+  FRAME_PACKED,
+  FRAME_PREVIEW,
+  FRAME_SNAPSHOT,
+} from "../src/messages";
 import { parseFrame } from "../src/net/frames";
 import { makeFrame } from "./make_frame";
 
@@ -25,6 +32,29 @@ describe("frames", () => {
     expect(colors.preview).toBe(true);
     expect(colors.rows.shape).toBeNull();
     expect([...colors.rows.opacities]).toEqual([0]);
+  });
+
+  it("reads tints of some rows and of all", () => {
+    const head = (total: number, count: number, bands: number) => [
+      FRAME_MAGIC,
+      FRAME_FORMAT,
+      FRAME_PREVIEW | FRAME_PACKED,
+      3,
+      3,
+      total,
+      count,
+      bands,
+    ];
+    const some = parseFrame(new Uint32Array([...head(9, 1, 2), 7, 0x3800_3400, 0x3c00, 0xabcdef12]).buffer);
+    expect([...some.indices!]).toEqual([7]);
+    expect([...some.rows.tints!.base]).toEqual([0x3400, 0x3800, 0x3c00]);
+    expect([...some.rows.tints!.codes]).toEqual([0xabcdef12]);
+    expect(some.rows.shape).toBeNull();
+    const all = parseFrame(new Uint32Array([...head(2, 2, 1), 1, 2, 3]).buffer);
+    expect(all.indices).toBeNull();
+    expect(all.preview && !all.snapshot).toBe(true);
+    expect(all.rows.tints!.codes.length).toBe(0);
+    expect(() => parseFrame(new Uint32Array([...head(2, 2, 1), 1, 2]).buffer)).toThrow("bytes");
   });
 
   it("refuses what is no frame, saying why", () => {

@@ -32,8 +32,8 @@ class FakeSocket {
   frame(flags: number, from: number, to: number) {
     this.onmessage({ data: makeFrame(flags, from, to, 4, flags & FRAME_SNAPSHOT ? [0, 1, 2, 3] : [1], 1) });
   }
-  greet(session = "s") {
-    this.say({ re: this.sent[0].id, ok: true, python: "", state: { session } });
+  greet(session = "s", known = true) {
+    this.say({ re: this.sent[0].id, ok: true, python: "", known, state: { session } });
   }
   drop(code = 1006, reason = "") {
     this.readyState = 3;
@@ -139,16 +139,46 @@ describe("link", () => {
     expect(shown.at(-1)!.to).toBe(9);
   });
 
-  it("fails what was under way, and sends what waited after the greeting", async () => {
+  it("sends what was not answered again, under its number and before what waited", async () => {
     const link = connected();
+    const page = last().sent[0].page;
+    expect(page).toMatch(/^[0-9a-f]{32}$/);
+    const done = link.do("receipt", {});
+    last().say({ re: done.id, ok: true, python: "" });
     const under = link.do("undo", {});
     last().drop();
-    await expect(under).rejects.toMatchObject({ kind: "lost" });
     const waiting = link.do("redo", {});
     vi.advanceTimersByTime(250);
     last().accept();
     expect(asked()).toEqual(["hello"]);
     last().greet();
+    expect(asked()).toEqual(["hello", "undo", "redo"]);
+    expect(
+      last()
+        .sent.map((message) => message.id)
+        .slice(1),
+    ).toEqual([under.id, waiting.id]);
+    expect(last().sent[0].page).toBe(page);
+    last().say({ re: under.id, ok: true, python: "" });
+    last().say({ re: waiting.id, ok: true, python: "" });
+    await expect(under).resolves.toBeTruthy();
+    await expect(waiting).resolves.toBeTruthy();
+    last().drop();
+    vi.advanceTimersByTime(250);
+    last().accept();
+    last().greet();
+    expect(asked()).toEqual(["hello"]);
+  });
+
+  it("gives up what was under way where the server was started anew, and sends what waited", async () => {
+    const link = connected();
+    const under = link.do("undo", {});
+    last().drop();
+    const waiting = link.do("redo", {});
+    vi.advanceTimersByTime(250);
+    last().accept();
+    last().greet("t", false);
+    await expect(under).rejects.toMatchObject({ kind: "lost" });
     expect(asked()).toEqual(["hello", "redo"]);
     last().say({ re: waiting.id, ok: true, python: "" });
     await expect(waiting).resolves.toBeTruthy();

@@ -100,6 +100,23 @@ describe("rows", () => {
     expect(decodeSh(texels.sh[3][3 * 4 + 2])[2]).toBeCloseTo(one().sh[(14 + 1) * 3 + 2], 2);
   });
 
+  it("takes tints as they are, as if they had come as floats", () => {
+    const [floats, tinted] = [allocate(2, 4), allocate(2, 4)];
+    const sh = new Float32Array([0.3, -1.2, 0, 0.75, -0.3, 0.1, 1e-9, 0, 0, -0.01, 0.02, 0.004]);
+    for (const texels of [floats, tinted]) encodeRow(texels, 1, one({ coefficients: 4, sh: new Float32Array(12) }), 0);
+    encodeRow(floats, 1, one({ shape: null, coefficients: 4, sh }), 0);
+    // the same numbers as in tests/test_studio_frames.py
+    const tints = {
+      base: new Uint16Array([0x38ad, 0x312b, 0x3800]),
+      codes: new Uint32Array([0x7a1a4dbf, 0, 0x5121a352]),
+    };
+    encodeRow(tinted, 1, one({ shape: null, coefficients: 4, tints }), 0);
+    expect(tinted).toEqual(floats);
+    const { base } = tints;
+    encodeRow(tinted, 1, one({ shape: null, coefficients: 1, tints: { base, codes: new Uint32Array(0) } }), 0);
+    expect(tinted).toEqual(floats);
+  });
+
   it("changes colours alone without touching the shape", () => {
     const texels = allocate(2, 4);
     encodeRow(texels, 1, one({ coefficients: 4, sh: new Float32Array(12) }), 0);

@@ -31,7 +31,7 @@ MESHES = (".glb", ".gltf", ".obj")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 TRANSFORMS = ("transforms.json", "transforms_train.json")
 MESH_FRAME = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Meshes have y up, assets in memory y down (commands/framing.AUTO_UP)."""
+"""Meshes have y up, assets in memory y down (framing.AUTO_UP)."""
 TRIES = 20
 """Random points per first row that carving may throw away."""
 
@@ -84,7 +84,7 @@ def is_mesh(path: Path) -> bool:
 
 
 def _from_asset(source: Path, wish: Wish) -> Material:
-    from splatpainter.commands.framing import AUTO_UP, UPS, reach
+    from splatpainter.framing import AUTO_UP, UPS, reach
     from splatpainter.io import read
     from splatpainter.render import render
     from splatpainter.warmup import ensure_compiled

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.framing import reach
 from splatpainter.commands.options import AssetFile
 from splatpainter.commands.terminal import count, size, stages
+from splatpainter.framing import reach
 from splatpainter.io import FORMATS, read
 from splatpainter.splats import Splats
 

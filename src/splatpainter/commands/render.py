@@ -11,10 +11,10 @@ from tyro.conf import arg
 
 from splatpainter.cameras import Camera
 from splatpainter.commands import Outcome
-from splatpainter.commands.framing import around
 from splatpainter.commands.options import AssetFile, CameraFiles
 from splatpainter.commands.targets import check_folder, check_target, make_folder, save_picture
 from splatpainter.commands.terminal import count, progress
+from splatpainter.framing import around
 from splatpainter.io import read
 from splatpainter.sources.color import from_display, to_display
 from splatpainter.splats import Splats

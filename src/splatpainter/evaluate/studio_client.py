@@ -64,6 +64,8 @@ class Mirror:
         elif frame.version_from != self.version:
             raise RuntimeError(f"studio: gap in versions: has {self.version}, got rows from {frame.version_from} on")
         else:
+            if frame.flags & frames.PACKED:
+                values = {"sh": values["sh"]}
             for name, value in values.items():
                 if frame.flags & frames.COLORS_ONLY and name in GEOMETRY:
                     continue
@@ -71,7 +73,10 @@ class Mirror:
                 if len(old) < frame.rows_total:
                     more = np.zeros((frame.rows_total - len(old), *old.shape[1:]), np.float32)
                     old = np.concatenate([old, more])
-                old[frame.rows] = value
+                if name == "sh":
+                    old[frame.rows, : value.shape[1]] = value  # of a preview maybe the first coefficient alone
+                else:
+                    old[frame.rows] = value
                 self.columns[name] = old
         self.previews += bool(frame.flags & frames.PREVIEW)
         self.version, self.total = frame.version_to, frame.rows_total
@@ -110,7 +115,8 @@ class Browser:
             return None
         data = json.loads(message)
         if "event" in data:
-            self.events = [*self.events[-99:], data]
+            states = data["event"] == "state"  # each says everything: only the latest is kept
+            self.events = [event for event in self.events[-99:] if not (states and event["event"] == "state")] + [data]
         self.order.append("event" if "event" in data else "progress" if "progress" in data else "answer")
         return data
 
@@ -134,10 +140,11 @@ class Browser:
             raise RuntimeError(f"studio: {name}: {data['error']['message']}")
         return data
 
-    def hello(self) -> dict[str, Any]:
-        """Greet as a page does, going on where the mirror stopped."""
+    def hello(self, page: str | None = None) -> dict[str, Any]:
+        """Greet as a page does, going on where the mirror stopped. page: its name, where it wants to be known again."""
         since = None if self.mirror.version < 0 else self.mirror.version
-        data = self.do("hello", schema_hash=own_hash(), session=self.mirror.session or None, since=since)
+        own = {"schema_hash": own_hash(), "session": self.mirror.session or None, "since": since, "page": page}
+        data = self.do("hello", **own)
         self.mirror.session = data["state"]["session"]
         return data
 

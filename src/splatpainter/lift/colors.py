@@ -3,7 +3,8 @@
 A picture is linear in the rows' colours, C_p = sum_i w_ip c_i + T_p background. One round is
 c_i += sum_p w_ip m_p (I*_p - C_p) / sum_p w_ip m_p over *all* pixels of the row, edited or not (SIRT; as
 sum_i w_ip <= 1 the error cannot rise). Few rounds are right: more write one view's noise into the rows, and other
-views pay.
+views pay. With a hold h_i on a row's old colour the round is a step of damped least squares: h_i is added to the
+divisor and h_i (c_i - old) taken from the sum.
 """
 
 from __future__ import annotations
@@ -19,17 +20,23 @@ other with colours that are never drawn (measured: 2 dB inside the mask, 0.5 dB 
 
 
 def lift_colors(
-    frame: Frame, target: np.ndarray, weights: np.ndarray, editable: np.ndarray, rounds: int
+    frame: Frame,
+    target: np.ndarray,
+    weights: np.ndarray,
+    editable: np.ndarray,
+    rounds: int,
+    hold: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours [M, 3] towards this view after `rounds`, and [M] sum_p w_ip m_p. target: [H, W, 3]; weights: [H, W] m_p;
-    editable: [M] bool, rows that may move."""
-    colors = np.maximum(frame.raw_colors, 0).copy()
+    editable: [M] bool, rows that may move; hold: [M] >= 0, what each row's old colour weighs beside that sum."""
+    first = np.maximum(frame.raw_colors, 0)
+    colors, ceiling = first.copy(), np.maximum(first, BRIGHTEST)
     total = frame.accumulate(target, weights).weight
-    step = np.where(editable & (total > 0), 1 / np.maximum(total, 1e-6), 0).astype(colors.dtype)[:, None]
-    ceiling = np.maximum(colors, BRIGHTEST)
+    pull = np.zeros_like(total) if hold is None else hold.astype(total.dtype)
+    step = np.where(editable & (total > 0), 1 / np.maximum(total + pull, 1e-6), 0).astype(colors.dtype)[:, None]
     for _ in range(rounds):
         gain, _ = frame.residual_round(target, weights, colors)
-        colors = np.clip(colors + step * gain, 0, ceiling)
+        colors = np.clip(colors + step * (gain - pull[:, None] * (colors - first)), 0, ceiling)
     return colors, total
 
 

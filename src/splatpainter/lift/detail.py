@@ -21,8 +21,10 @@ from splatpainter.splats import Splats
 DEPTH = 0.4
 """The surface is where this much of a pixel's light has been stopped: in front of the expected depth, so that little
 lies before the new rows, but not on the first floater."""
-WIDTH = 0.6
-"""Standard deviation of a detail row across the line of sight, in pixels."""
+WIDTH = 0.45
+"""Standard deviation of a detail row across the line of sight, in pixels. Against 0.6 on 8 painted training meshes:
+32.8 dB in the edited view, not 32.1, and 26.3 beside it, not 26.2; 0.2 to 0.5 dB on captures. Narrower ones would leave
+holes in views from nearer."""
 THIN = 0.15
 """Thickness / width."""
 OPACITY = 0.9

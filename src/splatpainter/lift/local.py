@@ -14,6 +14,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.lift.colors import lift_colors, recolor
 from splatpainter.lift.detail import detail_rows, grown
+from splatpainter.lift.evidence import Evidence
 from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.render.cpu.frame import Frame, Sums, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -61,6 +62,9 @@ FAINTEST = 0.004
 """A row whose largest share of any masked pixel is below this is not written (1/255)."""
 SOLID = 0.9
 """Detail rows are nearly opaque: less covered pixels, such as a silhouette's, would gain alpha from one."""
+FINER = 0.8
+"""Above this doubt about the edit (Evidence.doubt), split or not, rows are neither split nor given a detail layer:
+detail that is everywhere finer than the asset, as in close-ups, would be right in this view alone."""
 SLACK = 1.4
 """Rows up to this many goals wide are not halved any more: they end between 0.7 and 1.4 goals."""
 LARGE = 3.0
@@ -89,13 +93,17 @@ def lift_local(
     area = project(splats, camera, rows=editable).tiles_of(editable)
     rows = np.sort(project(splats, camera, tiles=area).rows)
     patch = _Patch.start(splats.take(rows), camera, area, target, mask, editable[rows])
+    whole = patch
     for _ in range(options.levels):
         coarse = patch.too_coarse(options)
         if not coarse.any():
             break
         patch = patch.split(coarse, options)
+    if patch.evidence.doubt > FINER:
+        patch = whole
     painted = replace(patch.splats, sh=patch.colored(options))
-    return _assemble(splats, rows, painted, patch, patch.detail(painted, options))
+    detail = None if patch.evidence.doubt > FINER else patch.detail(painted, options)
+    return _assemble(splats, rows, painted, patch, detail)
 
 
 def reached_rows(
@@ -153,6 +161,8 @@ class _Patch:
     """[S] bool."""
     share: np.ndarray
     """[S] largest share of a masked pixel that the row's owner gave at the start."""
+    evidence: Evidence
+    """Of the frame's rows."""
 
     @staticmethod
     def start(
@@ -162,26 +172,22 @@ class _Patch:
         image, alpha, _ = frame.draw()
         inside = mask & (alpha > 0.02)  # tiles that are not drawn have none
         change = np.where(inside[..., None], target - image, 0).astype(np.float32)
+        evidence = Evidence.of(frame, change, inside)
         share = np.zeros(len(splats), np.float32)
-        share[frame.rows] = _inside(frame, change, inside).peak
-        return _Patch(Lattice.of(splats, camera), splats, frame, image + change, change, inside, editable, share)
+        share[frame.rows] = evidence.peak
+        lattice = Lattice.of(splats, camera)
+        return _Patch(lattice, splats, frame, image + change, change, inside, editable, share, evidence)
 
     def too_coarse(self, options: LocalOptions) -> np.ndarray:
         """[S] bool rows over whose footprint the wanted change varies too much, if they are large enough to split."""
-        frame = self.frame
-        energy = np.repeat((self.change**2).mean(-1, keepdims=True), 3, 2)
-        over = _inside(frame, energy, np.ones(self.mask.shape, bool))  # of undrawn tiles nothing is counted
-        inside = _inside(frame, self.change, self.mask)
-        total = np.maximum(over.weight, 1e-6)
-        spread = over.values[:, 0] / total - ((inside.values / total[:, None]) ** 2).mean(1)
-        rows = frame.rows
-        able = self.editable[rows] & (inside.peak > FAINTEST) & (spread > options.tolerance**2)
+        rows, told = self.frame.rows, self.evidence
+        able = self.editable[rows] & (told.peak > FAINTEST) & (told.spread > options.tolerance**2)
         able &= self.share[rows] > options.share
         able &= self.lattice.widths.max(1)[rows] > SLACK * options.goal
         room = options.budget - int((~self.lattice.slot).sum())
         most = max(room // 6, 0)  # a split adds about six rows
         if able.sum() > most:  # keep those with most to gain
-            gain = np.where(able, spread * total, 0)
+            gain = np.where(able, told.spread * told.shown, 0)
             able &= gain >= (np.partition(gain, -most)[-most] if most else np.inf)
         out = np.zeros(len(self.splats), bool)
         out[rows[able]] = True
@@ -192,12 +198,14 @@ class _Patch:
         lattice, source = self.lattice.halved(coarse, SLACK * options.goal)
         splats = lattice.splats()
         frame = project(splats, self.frame.camera, tiles=self.frame.tiles)
+        evidence = Evidence.of(frame, self.change, self.mask)
         painted = np.zeros(len(splats), bool)
-        painted[frame.rows] = _inside(frame, self.change, self.mask).peak > FAINTEST
+        painted[frame.rows] = evidence.peak > FAINTEST
         editable = self.editable[source] & painted
         tiles = frame.tiles_of(editable)
         if tiles.sum() < 0.8 * frame.tiles.sum():
             frame = project(splats, self.frame.camera, tiles=tiles)
+            evidence = Evidence.of(frame, self.change, self.mask)
         return replace(
             self,
             lattice=lattice,
@@ -205,24 +213,24 @@ class _Patch:
             frame=frame,
             editable=editable,
             share=self.share[source],
+            evidence=evidence,
         )
 
     def movable(self, options: LocalOptions) -> np.ndarray:
         """[M] bool rows of the frame that may take new colours."""
-        rows = self.frame.rows
-        inside = _inside(self.frame, self.change, self.mask)
-        whole = _inside(self.frame, self.change, np.ones(self.mask.shape, bool)).weight
-        able = self.editable[rows] & (inside.peak > FAINTEST)
+        rows, told = self.frame.rows, self.evidence
+        able = self.editable[rows] & (told.peak > FAINTEST)
         large = np.zeros(len(rows), bool)
         large[able] = self.lattice.widths.max(1)[rows[able]] > LARGE * options.goal
-        return able & (inside.weight > np.where(large, INSIDE, INSIDE_SMALL) * whole)
+        return able & (told.inside > np.where(large, INSIDE, INSIDE_SMALL) * told.shown)
 
     def colored(self, options: LocalOptions) -> np.ndarray:
         """[S, K, 3] SH after the colour rounds; rows that did not move keep their bits."""
         frame, rows = self.frame, self.frame.rows
         movable = self.movable(options)
         everywhere = np.ones(self.mask.shape, np.float32)
-        colors, _ = lift_colors(frame, self.wanted, everywhere, movable, options.rounds)
+        hold = self.evidence.hold(frame)
+        colors, _ = lift_colors(frame, self.wanted, everywhere, movable, options.rounds, hold)
         seen = frame.raw_colors
         moved = movable & (np.abs(colors - np.maximum(seen, 0)).max(1) > 1 / 1024)
         sh = self.splats.sh.copy()

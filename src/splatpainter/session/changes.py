@@ -16,6 +16,7 @@ REMEMBERED = 256
 """Versions back from which a sparse answer is possible, at most; older ones get everything."""
 MOST_ROWS = 1 << 24
 """Rows that all of them may name together: global edits of a large asset are forgotten sooner."""
+GEOMETRY = ("means", "quats", "scales")
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class AssetDelta:
     """T rows."""
     appended: Splats = field(repr=False)
     """A rows, which become rows kept, kept + 1, ..."""
+    recolored: bool = False
+    """Whether means, scales and rotations of all rows are as they were."""
 
 
 class Changes:
@@ -40,14 +43,16 @@ class Changes:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._steps: deque[tuple[int, int, np.ndarray]] = deque(maxlen=REMEMBERED)
+        self._steps: deque[tuple[int, int, np.ndarray, bool]] = deque(maxlen=REMEMBERED)
 
     def note(self, version: int, before: Splats, after: Splats) -> None:
         """`after` is what `version` shows, `before` what the one before it showed."""
-        step = (version, min(len(before), len(after)), changed_rows(before, after).astype(np.int32))
+        rows = changed_rows(before, after).astype(np.int32)
+        recolored = all(getattr(before, name) is getattr(after, name) for name in GEOMETRY)
+        step = (version, min(len(before), len(after)), rows, recolored)
         with self._lock:
             self._steps.append(step)
-            while len(self._steps) > 1 and sum(len(rows) for _, _, rows in self._steps) > MOST_ROWS:
+            while len(self._steps) > 1 and sum(len(step[2]) for step in self._steps) > MOST_ROWS:
                 self._steps.popleft()
 
     def since(self, version: int | None, now: int, splats: Splats) -> AssetDelta:
@@ -57,8 +62,9 @@ class Changes:
         if version is None or version > now or len(steps) != now - version:
             version, kept, rows = None, 0, np.zeros(0, np.int64)
         else:
-            kept = min([len(splats), *(both for _, both, _ in steps)])
-            rows = np.unique(np.concatenate([np.zeros(0, np.int64), *(own for _, _, own in steps)])).astype(np.int64)
+            kept = min([len(splats), *(step[1] for step in steps)])
+            rows = np.unique(np.concatenate([np.zeros(0, np.int64), *(step[2] for step in steps)])).astype(np.int64)
             rows = rows[rows < kept]
         tail = np.arange(kept, len(splats))
-        return AssetDelta(version, now, kept, rows, bare(splats.take(rows)), bare(splats.take(tail)))
+        recolored = version is not None and all(step[3] for step in steps)
+        return AssetDelta(version, now, kept, rows, bare(splats.take(rows)), bare(splats.take(tail)), recolored)

@@ -5,6 +5,9 @@ names the painter that it was made with.
 
     level = replay.compose(document)        # from the nearest level that is still known
 
+Where something below a layer changed, and nothing of what the layer read there, its result is moved, not painted again
+(reads.py).
+
 A layer that cannot be applied where it now stands (hidden, reordered or reshaped layers below it took its rows away)
 changes nothing and says why; it is kept, and works again when they return.
 """
@@ -28,12 +31,21 @@ from splatpainter.session.conflicts import Touch, strengths
 from splatpainter.session.deltas import Delta, between, no_delta
 from splatpainter.session.layers import Document, Layer, View, digest
 from splatpainter.session.pictures import decode_mask, decode_picture
+from splatpainter.session.reads import Read, moved, read_of
 from splatpainter.splats import ATTRIBUTES, Splats
 
 KEPT = 1 << 28
 """Bytes of composed assets that are kept to start from, ..."""
 MOST_KEPT = 64
 """... and how many at most."""
+WITHIN = "within"
+"""Name of the parameter {"within": true} of layers of mode global: only rows that their views' masks reach change."""
+STANDS = 4
+"""Arrangements that are remembered of each layer, ..."""
+MOST_STANDS = 1024
+"""... of so many layers, ..."""
+READ_ROWS = 1 << 23
+"""... and the rows that they read, in all."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +111,10 @@ class Replay:
         self._cache = cache
         self._adapter = Adapter(original, painter)
         self._levels: OrderedDict[str, Level] = OrderedDict()
+        self._stands: OrderedDict[str, dict[str, str]] = OrderedDict()
+        """Key of a layer -> {key of the level below: key of its result}, the latest last."""
+        self._reads: OrderedDict[tuple[str, str], Read | None] = OrderedDict()
+        """(key of the level below, key of a layer) -> what it reads there."""
         self.ground = Level(digest(f"original {original.sha256}"), original)
 
     def compose(self, document: Document, progress: Progress | None = None, strict: str | None = None) -> Level:
@@ -125,11 +141,12 @@ class Replay:
         stored = layer.kind != "look" or any(view.picture for view in layer.views)
         painted = self._cache.get(result) if stored else None
         if painted is None or painted.delta.count != len(below.splats):  # the latter: of a damaged file
-            painted = self._try(below, layer)
+            painted = self._moved(below, layer) or self._try(below, layer)
             if painted.problem and layer.id == strict:
                 raise ValueError(painted.problem)
             if stored:
                 self._cache.put(result, painted)
+        self._stood(below, layer, result)
         delta = mixed(below.splats, painted.delta, layer.opacity, layer.blend, strength)
         splats = delta.apply(below.splats)
         span = (len(below.splats), len(splats))
@@ -161,6 +178,55 @@ class Replay:
         key = digest(f"{below.key} merged {level.key} {layer.opacity!r} {layer.blend}")
         return replace(level, key=key, splats=splats, facts=facts)
 
+    def _stood(self, below: Level, layer: Layer, result: str) -> None:
+        """Remember where a layer's result can be had from."""
+        if not self._reads_little(layer):
+            return
+        stands = self._stands.setdefault(layer.key, {})
+        self._stands.move_to_end(layer.key)
+        stands.pop(below.key, None)
+        stands[below.key] = result
+        if len(stands) > STANDS:
+            del stands[next(iter(stands))]
+        if len(self._stands) > MOST_STANDS:
+            self._stands.popitem(last=False)
+
+    def _moved(self, below: Level, layer: Layer) -> Painted | None:
+        """A layer's result of another arrangement, where it read the same there; None: it has to be painted."""
+        for key, result in reversed(self._stands.get(layer.key, {}).items()):
+            old = self._read(key, layer)
+            now = self._read(below.key, layer, below) if old is not None else None
+            if old is None or now is None or old.digest != now.digest:
+                continue
+            painted = self._cache.get(result)
+            if painted is None or painted.problem:
+                continue
+            delta = moved(painted.delta, old, now, len(below.splats))
+            if delta is not None:
+                return replace(painted, delta=delta)
+        return None
+
+    def _read(self, key: str, layer: Layer, level: Level | None = None) -> Read | None:
+        """What a layer reads of a level; None where that cannot be said (any more)."""
+        place = (key, layer.key)
+        if place not in self._reads:
+            level = level or (self.ground if key == self.ground.key else self._levels.get(key))
+            if level is None:
+                return None
+            (view,) = layer.views
+            grid = self._adapter.grid(level.splats)
+            self._reads[place] = read_of(level.splats, grid, view.camera, self.mask(view))
+        self._reads.move_to_end(place)
+        found = self._reads[place]
+        while len(self._reads) > 1 and sum(len(read.rows) for read in self._reads.values() if read) > READ_ROWS:
+            self._reads.popitem(last=False)
+        return found
+
+    def _reads_little(self, layer: Layer) -> bool:
+        """Whether reads.py knows what a layer reads: one masked view, lifted locally by the analytic painter."""
+        painted = layer.mode == "local" and layer.method == "lift" and layer.kind in ("paint", "picture", "clone")
+        return painted and type(self.painter) is Painter and len(layer.views) == 1 and layer.views[0].mask is not None
+
     def _try(self, below: Level, layer: Layer) -> Painted:
         start = time.perf_counter()
         try:
@@ -178,11 +244,11 @@ class Replay:
             rows = erase.reached(splats, [(view.camera, self.mask(view)) for view in layer.views])
             return Painted(erase.erased(splats, self.original, rows))
         if layer.kind == "look" and not any(view.picture for view in layer.views):
-            sh = looks.recolored(splats.sh, layer.parameters, self.looks)
+            graded = replace(splats, sh=looks.recolored(splats.sh, layer.parameters, self.looks))
             if layer.views:
                 rows = erase.reached(splats, [(view.camera, self.mask(view)) for view in layer.views])
-                sh = np.where(rows[:, None, None], sh, splats.sh)
-            return Painted(between(splats, replace(splats, sh=sh)))
+                graded = _within(rows, splats, graded)
+            return Painted(between(splats, graded))
         return self._apply(below, layer)
 
     def _apply(self, below: Level, layer: Layer) -> Painted:
@@ -200,7 +266,17 @@ class Replay:
             )
         certain = None if done.confidence is None else (np.clip(done.confidence, 0, 1) * 255 + 0.5).astype(np.uint8)
         state = None if done.learnt is None else done.learnt.state
-        return Painted(between(numbered, done.splats, parents), facts, certain, state)
+        splats = done.splats
+        if layer.mode == "global" and layer.parameters.get(WITHIN):
+            splats = _within(self._reached(below, layer), below.splats, splats)
+        return Painted(between(numbered, splats, parents), facts, certain, state)
+
+    def _reached(self, below: Level, layer: Layer) -> np.ndarray:
+        """[N] bool: rows that the masks of a layer's views reach."""
+        views = [(view.camera, self.mask(view)) for view in layer.views if view.mask is not None]
+        if not views:
+            raise ValueError(f"layer {layer.name!r}: expected a mask in one of its views to stay within")
+        return erase.reached(below.splats, views)
 
     def _edit(self, view: View, layer: Layer) -> Edit:
         assert view.picture is not None, "a painted layer has pictures"
@@ -241,6 +317,15 @@ class Replay:
         size = sum(getattr(level.splats, name).nbytes for name in ATTRIBUTES)
         while len(self._levels) > max(min(KEPT // max(size, 1), MOST_KEPT), 1):
             self._levels.popitem(last=False)
+
+
+def _within(rows: np.ndarray, below: Splats, above: Splats) -> Splats:
+    """`above` on some rows ([N] bool), `below` on the others; attributes in which nothing differs are shared."""
+    kept = {}
+    for name in ATTRIBUTES:
+        old, new = getattr(below, name), getattr(above, name)
+        kept[name] = old if old is new else np.where(rows.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+    return replace(above, **kept)
 
 
 def _matters(layer: Layer) -> bool:

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from splatpainter import cameras
+from splatpainter.framing import AUTO_UP, MARGIN, UPS, reach
 from splatpainter.io import FORMATS
 from splatpainter.receipts import changed_rows
 from splatpainter.session import Layer, Session
 from splatpainter.splats import Splats
 from splatpainter.studio.messages import state
 
-UP = (0.0, -1.0, 0.0)
+UP = UPS[AUTO_UP]
 """Captures have y down, and readers turn other formats into that frame."""
 HOME = {"elevation": 15.0, "fov": 40.0}
 BACKGROUND = (0.16, 0.17, 0.18)
-MARGIN = 1.08
 
 
 def camera_to_wire(camera: cameras.Camera) -> state.Camera:
@@ -38,14 +38,7 @@ def camera_from_wire(camera: state.Camera, pixels: int) -> cameras.Camera:
 
 def home(splats: Splats) -> tuple[np.ndarray, float, cameras.Camera]:
     """([3] middle, radius of nearly all opaque rows, a view of them)."""
-    opaque = splats.finite & (splats.opacities > 0.1)
-    means = splats.means[opaque if opaque.any() else splats.finite].astype(np.float64)
-    away = np.linalg.norm(means - np.median(means, 0), axis=1)
-    core = means[away <= max(3 * np.median(away), 1e-9)]
-    low, high = np.quantile(core, [0.01, 0.99], axis=0)
-    center = (low + high) / 2
-    radius = float(np.quantile(np.linalg.norm(core - center, axis=1), 0.98))
-    radius = max(radius, 3 * float(np.median(splats.scales[splats.finite].max(1))), 1e-6)
+    center, radius = reach(splats)
     distance = MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
     view = cameras.orbit(center, distance, 1, up=UP, width=800, height=800, background=BACKGROUND, **HOME)[0]
     return center, radius, view

@@ -26,6 +26,7 @@ from splatpainter.studio.messages import COMMANDS, Answer, Command, Failure, Mod
 from splatpainter.studio.messages.connection import StateEvent, ToastEvent
 from splatpainter.studio.messages.state import State
 from splatpainter.studio.queue import Busy, Cancelled, Ticket, WorkQueue
+from splatpainter.studio.visitors import Visitor, Visitors
 
 log = logging.getLogger("splatpainter.studio")
 PACE = 0.1
@@ -55,12 +56,11 @@ class Client:
     def __init__(self, hub: Hub, socket: Socket) -> None:
         self.hub, self.socket = hub, socket
         self.name = secrets.token_hex(4)
-        self.desk = Desk(self.name)
+        self.visitor = Visitor("")
+        """Whose connection it is; `hello` says so."""
         self.session, self.version = "", -1
         """Which rows it has; -1: none yet."""
         self.greeted = self._gone = False
-        self._previewed = np.zeros(0, np.int64)
-        self._put_back = False
         self._state_due = False
         self._waiting: list[str | _Preview] = []
         self._wake, self._room = asyncio.Event(), asyncio.Event()
@@ -76,13 +76,12 @@ class Client:
         self._wake.set()
 
     def after(self, call: Call) -> None:
-        """Take over what a command leaves for this client's screen."""
-        if call.put_back:
-            self._put_back = True
+        """Take over what a command leaves for the screen of its page, which may have another connection by now."""
+        self.visitor.put_back |= call.put_back
+        shown = self.visitor.client or self
         if call.preview is not None and call.preview_rows is not None:
-            studio = self.hub.studio
-            self._add(_Preview(call.preview, call.preview_rows, studio.session_id))
-        self._wake.set()
+            shown._add(_Preview(call.preview, call.preview_rows, self.hub.studio.session_id))
+        shown._wake.set()
 
     def _add(self, item: str | _Preview) -> None:
         if self._gone:
@@ -117,24 +116,25 @@ class Client:
                 if isinstance(item, str):
                     await self.socket.send_text(item)
                 elif item.session == self.session and item.version == self.version:
-                    self._previewed = np.union1d(self._previewed, item.rows) if len(self._previewed) else item.rows
+                    old = self.visitor.previewed
+                    self.visitor.previewed = np.union1d(old, item.rows) if len(old) else item.rows
                     await self.socket.send_bytes(item.frame)
 
     async def _send_rows(self, coming: list[_Preview]) -> None:
         """Rows that changed since this client's version, and the true values of rows whose preview is over."""
         studio = self.hub.studio
-        put_back, self._put_back = self._put_back, False
+        put_back, self.visitor.put_back = self.visitor.put_back, False
         shown, session_id = studio.session.shown, studio.session_id
         if self.session == session_id and self.version == shown.version and not put_back:
             return
-        old, self._previewed = self._previewed, np.zeros(0, np.int64)
+        old, self.visitor.previewed = self.visitor.previewed, np.zeros(0, np.int64)
         stale = old if put_back else np.zeros(0, np.int64)
         if put_back and coming:  # rows that are about to be previewed anew need not flicker
             stale = np.setdiff1d(stale, coming[-1].rows, assume_unique=True)
         known = self.version if self.session == session_id and self.version >= 0 else None
         version, packed = await self.hub.frames(known, stale)
         if not put_back:
-            self._previewed = old
+            self.visitor.previewed = old
         for frame in packed:
             await self.socket.send_bytes(frame)
         self.session, self.version = session_id, version
@@ -162,7 +162,7 @@ def _frames(session: Session, known: int | None, stale: np.ndarray) -> tuple[int
     total, out = len(shown.splats), []
     rows = np.concatenate([found.rows, np.arange(found.kept, total)])
     if known != shown.version:
-        out.append(frames.delta(shown.splats, rows, known, shown.version))
+        out.append(frames.delta(shown.splats, rows, known, shown.version, found.recolored))
     stale = np.setdiff1d(stale[stale < total], rows)
     if len(stale):
         out.append(frames.preview(shown.splats.take(stale), stale, total, shown.version))
@@ -175,6 +175,7 @@ class Hub:
     def __init__(self, studio: Studio, queue: WorkQueue | None = None) -> None:
         self.studio, self.queue = studio, queue or WorkQueue()
         self.clients: set[Client] = set()
+        self.visitors = Visitors()
         self.handlers: dict[type[Command], Handler] = load()
         self.leaving: set[asyncio.Task[None]] = set()
         """Work of clients that have gone, to its end."""
@@ -292,7 +293,7 @@ def problem_of(error: Exception) -> Problem:
 
 
 def pacer(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Callable[[float, str], None]:
-    """Progress of a command from a worker thread to its client, not more often than every PACE seconds."""
+    """Progress of a command from a worker thread to its page, not more often than every PACE seconds."""
     last = [0.0, ""]
 
     def report(share: float, stage: str) -> None:
@@ -300,8 +301,9 @@ def pacer(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Calla
         if now - float(last[0]) < PACE and stage == last[1]:
             return
         last[:] = [now, stage]
+        shown = client.visitor.client or client
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(client.say, Progress(re=number, progress=share, stage=stage))
+            loop.call_soon_threadsafe(shown.say, Progress(re=number, progress=share, stage=stage))
 
     return report
 

@@ -24,6 +24,7 @@ FRAME = {
     "FRAME_SNAPSHOT": frames.SNAPSHOT,
     "FRAME_PREVIEW": frames.PREVIEW,
     "FRAME_COLORS_ONLY": frames.COLORS_ONLY,
+    "FRAME_PACKED": frames.PACKED,
 }
 
 

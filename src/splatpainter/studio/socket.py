@@ -1,4 +1,4 @@
-"""One WebSocket connection: its commands in order, `hello` first, `cancel` at once."""
+"""One WebSocket connection: its commands in order and each of them once, `hello` first, `cancel` at once."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ class Connection:
     def __init__(self, hub: Hub, client: Client) -> None:
         self.hub, self.client = hub, client
         self._commands: asyncio.Queue[tuple[int, Command, Ticket] | None] = asyncio.Queue(AHEAD + 1)
-        self._tickets: dict[int, Ticket] = {}
+        self._taken: set[int] = set()
+        """Numbers of its commands that wait or are in work."""
         self._asides: dict[asyncio.Task[None], Ticket] = {}
 
     async def read_all(self, socket: WebSocket) -> None:
@@ -74,22 +75,22 @@ class Connection:
                 return
             if not self.client.greeted and not isinstance(command, Hello):
                 raise Refused(Problem(kind="input", message="expected hello as the first message"))
-            if number in self._tickets or self._commands.qsize() >= AHEAD:
-                why = "is still in work" if number in self._tickets else "came too fast"
+            if number in self._taken or self._commands.qsize() >= AHEAD:
+                why = "is still in work" if number in self._taken else "came too fast"
                 raise Refused(Problem(kind="busy", message=f"command {number} {why}", hint="Wait for the answers."))
         except Refused as refused:
             self.client.say(failure(number, refused.problem))
             return
-        loop = asyncio.get_running_loop()
-        ticket = self._tickets[number] = Ticket(pacer(self.client, number, loop))
         if isinstance(command, Hello):
             self._greet(number, command)
-        else:
-            self._commands.put_nowait((number, command, ticket))
+            return
+        ticket = Ticket(pacer(self.client, number, asyncio.get_running_loop()))
+        self._taken.add(number)
+        self.client.visitor.tickets.setdefault(number, ticket)
+        self._commands.put_nowait((number, command, ticket))
 
     def _greet(self, number: int, command: Hello) -> None:
         """Answer `hello`; rows go out before it by themselves."""
-        del self._tickets[number]
         own = own_hash()
         if command.schema_hash != own:
             text = "This page is of another version than the studio."
@@ -98,14 +99,15 @@ class Connection:
         studio, client = self.hub.studio, self.client
         if command.session == studio.session_id and command.since is not None and command.since >= 0:
             client.session, client.version = studio.session_id, command.since
+        known = self.hub.visitors.enter(client, command.page)
         client.greeted = True
-        greeting = Greeting(re=number, schema_hash=own, client=client.name, state=self.hub.state())
+        greeting = Greeting(re=number, schema_hash=own, client=client.name, known=known, state=self.hub.state())
         client.say(greeting.model_copy(update={"version": studio.session.version}))
         for other in self.hub.clients - {client}:
             other.notice()
 
     def _cancel(self, number: int, command: Cancel) -> None:
-        ticket = self._tickets.get(command.of)
+        ticket = self.client.visitor.tickets.get(command.of)
         if ticket is not None:
             ticket.cancel()
         self.client.say(Answer(re=number, version=self.hub.studio.session.version))
@@ -118,7 +120,7 @@ class Connection:
             if isinstance(command, Sync):
                 self.client.version = -1 if command.since is None else command.since
                 self.client.say(Answer(re=number, version=self.hub.studio.session.version))
-                del self._tickets[number]
+                self._done(number, ticket)
             elif self.hub.handlers[type(command)].aside:
                 task = asyncio.create_task(self._work(number, command, ticket))
                 self._asides[task] = ticket
@@ -127,13 +129,25 @@ class Connection:
                 await self._work(number, command, ticket)
 
     async def _work(self, number: int, command: Command, ticket: Ticket) -> None:
+        client = self.client
+        visitor = client.visitor
+
+        async def work() -> Answer:
+            return await self.hub.carry_out(command, visitor.desk, ticket, client)
+
         try:
-            answer = await self.hub.carry_out(command, self.client.desk, ticket, self.client)
-            self.client.say(answer.model_copy(update={"re": number}))
+            looks = self.hub.handlers[type(command)].aside  # these end with their connection, and may be done again
+            answer = await (work() if looks else visitor.once(number, work))
+            client.say(answer.model_copy(update={"re": number}))
         except Refused as refused:
-            self.client.say(failure(number, refused.problem))
+            client.say(failure(number, refused.problem))
         finally:
-            self._tickets.pop(number, None)
+            self._done(number, ticket)
+
+    def _done(self, number: int, ticket: Ticket) -> None:
+        self._taken.discard(number)
+        if self.client.visitor.tickets.get(number) is ticket:
+            del self.client.visitor.tickets[number]
 
     def leave(self) -> None:
         """The client has gone. What it asked for is still done (it may come back for it), long looks are stopped."""
@@ -141,3 +155,4 @@ class Connection:
             ticket.cancel()
         self._commands.put_nowait(None)
         self.client.gone()
+        self.hub.visitors.leave(self.client)

@@ -1,6 +1,6 @@
 /** The binary frames of splats: snapshots and deltas. Little endian; layout in splatpainter/studio/frames.py. */
 
-import { FRAME_COLORS_ONLY, FRAME_FORMAT, FRAME_MAGIC, FRAME_PREVIEW, FRAME_SNAPSHOT } from "../messages";
+import { FRAME_COLORS_ONLY, FRAME_FORMAT, FRAME_MAGIC, FRAME_PACKED, FRAME_PREVIEW, FRAME_SNAPSHOT } from "../messages";
 import type { Rows } from "../splats/rows";
 
 const HEADER = 8;
@@ -14,7 +14,7 @@ export interface Frame {
   to: number;
   /** Rows of the whole asset afterwards. */
   total: number;
-  /** [rows.count] the rows that changed or were appended; null in a snapshot: all of them, in order. */
+  /** [rows.count] the rows that changed or were appended; null: all of them, in order (as in a snapshot). */
   indices: Uint32Array | null;
   rows: Rows;
 }
@@ -30,8 +30,12 @@ export function parseFrame(buffer: ArrayBuffer): Frame {
     throw new Error(`splat frame: expected format ${FRAME_FORMAT}, got ${format}; reload the page`);
   const snapshot = (flags & FRAME_SNAPSHOT) !== 0;
   const preview = (flags & FRAME_PREVIEW) !== 0;
-  const shapes = (flags & FRAME_COLORS_ONLY) === 0;
-  const words = HEADER + count * ((snapshot ? 0 : 1) + (shapes ? 3 + 3 + 4 : 0) + 1 + coefficients * 3);
+  const packed = (flags & FRAME_PACKED) !== 0;
+  const named = packed ? count !== total : !snapshot;
+  const shapes = (flags & FRAME_COLORS_ONLY) === 0 && !packed;
+  const floatsEach = (shapes ? 3 + 3 + 4 : 0) + 1 + coefficients * 3;
+  const colorWords = packed ? Math.ceil((count * 3) / 2) + count * (coefficients - 1) : count * floatsEach;
+  const words = HEADER + (named ? count : 0) + colorWords;
   if (buffer.byteLength !== words * 4)
     throw new Error(`splat frame: expected ${words * 4} bytes, got ${buffer.byteLength}`);
   if (snapshot && count !== total) throw new Error(`splat frame: a snapshot of ${count} rows of ${total}`);
@@ -42,11 +46,18 @@ export function parseFrame(buffer: ArrayBuffer): Frame {
     return array;
   };
   let indices: Uint32Array | null = null;
-  if (!snapshot) {
+  if (named) {
     indices = new Uint32Array(buffer, at, count);
     at += count * 4;
     for (let k = 0; k < count; k++)
       if (indices[k] >= total) throw new Error(`splat frame: row ${indices[k]} of ${total}`);
+  }
+  if (packed) {
+    const base = new Uint16Array(buffer, at, count * 3);
+    const codes = new Uint32Array(buffer, at + Math.ceil((count * 3) / 2) * 4, count * (coefficients - 1));
+    const none = new Float32Array(0);
+    const rows = { count, shape: null, opacities: none, sh: none, coefficients, tints: { base, codes } };
+    return { snapshot, preview, from, to, total, indices, rows };
   }
   const shape = shapes ? { means: floats(count * 3), scales: floats(count * 3), quats: floats(count * 4) } : null;
   const opacities = floats(count);

@@ -1,7 +1,8 @@
 /**
  * The connection to the server: commands with answers, progress and cancel; binary frames in order; coming back after
- * a loss. Knows no user interface. What was acknowledged is in the server's project file, so nothing is repeated here:
- * a command whose answer was lost fails with kind "lost", and the state that follows says whether it took effect.
+ * a loss. Knows no user interface. What was acknowledged is in the server's project file. A command without an answer
+ * is sent again under its number after a loss, and the server does it once. Only where the server itself was started
+ * anew, and so cannot know, such a command fails with kind "lost": the state that follows says whether it took effect.
  */
 
 import {
@@ -32,6 +33,8 @@ export class CommandError extends Error {
 }
 
 interface Pending {
+  /** What is sent again after a loss; null: only this connection wants to know. */
+  text: string | null;
   resolve: (answer: Answer) => void;
   reject: (error: CommandError) => void;
   onProgress?: (progress: number, stage: string) => void;
@@ -57,8 +60,11 @@ const LONGEST_WAIT = 8000;
 
 export class Link {
   private socket: WebSocket | null = null;
+  /** By their numbers, which ascend: a Map keeps that order. */
   private pending = new Map<number, Pending>();
-  private queued: string[] = [];
+  /** Numbers of those that were sent, over this connection or one before. */
+  private sent = new Set<number>();
+  private readonly page = randomName();
   private nextId = 1;
   private wait = FIRST_WAIT;
   private timer: ReturnType<typeof setTimeout> | undefined;
@@ -86,12 +92,11 @@ export class Link {
   /** Send a command. While the connection is away it waits for the next one. Rejects with a CommandError. */
   do<N extends Name>(name: N, fields: Fields<N>, onProgress?: Pending["onProgress"]): Running<Result<N>> {
     const id = this.nextId++;
-    const promise = new Promise<Answer>((resolve, reject) => {
-      this.pending.set(id, { resolve, reject, onProgress });
-    }) as Running<Result<N>>;
     const text = JSON.stringify({ id, do: name, ...fields });
-    if (this.greeted && this.socket?.readyState === WebSocket.OPEN) this.socket.send(text);
-    else this.queued.push(text);
+    const promise = new Promise<Answer>((resolve, reject) => {
+      this.pending.set(id, { text, resolve, reject, onProgress });
+    }) as Running<Result<N>>;
+    this.transmit();
     promise.id = id;
     promise.cancel = () => void this.do("cancel", { of: id }).catch(() => {});
     return promise;
@@ -113,22 +118,58 @@ export class Link {
   private hello(socket: WebSocket): void {
     const id = this.nextId++;
     this.pending.set(id, {
+      text: null,
       resolve: (answer) => {
         const greeting = answer as Greeting;
         this.wait = FIRST_WAIT;
         this.greeted = true;
         this.session = greeting.state.session;
+        if (!greeting.known) this.fail((number) => this.sent.has(number));
+        this.sent.clear();
         this.handlers.status("open", "");
         this.handlers.greeted(greeting);
-        for (const text of this.queued.splice(0)) socket.send(text);
+        this.transmit();
       },
       reject: (error) => {
         if (error.kind !== "lost") this.stop(`${error.message} ${error.hint}`.trim());
       },
     });
     socket.send(
-      JSON.stringify({ id, do: "hello", schema_hash: SCHEMA_HASH, session: this.session, since: this.version }),
+      JSON.stringify({
+        id,
+        do: "hello",
+        schema_hash: SCHEMA_HASH,
+        session: this.session,
+        since: this.version,
+        page: this.page,
+      }),
     );
+  }
+
+  /** Send what has not been sent over this connection, if there is one. */
+  private transmit(): void {
+    if (!this.greeted || this.socket?.readyState !== WebSocket.OPEN) return;
+    for (const [id, { text }] of this.pending) {
+      if (text === null || this.sent.has(id)) continue;
+      this.sent.add(id);
+      this.socket.send(text);
+    }
+  }
+
+  /** Give up commands: whether they took effect is not known. */
+  private fail(which: (number: number) => boolean): void {
+    for (const [id, pending] of [...this.pending]) {
+      if (!which(id)) continue;
+      this.pending.delete(id);
+      this.sent.delete(id);
+      pending.reject(
+        new CommandError(
+          "lost",
+          "The connection was lost before the answer came.",
+          "Look at the layers: what is listed there was kept.",
+        ),
+      );
+    }
   }
 
   private receive(data: string | ArrayBuffer): void {
@@ -139,6 +180,7 @@ export class Link {
     if (!pending) return;
     if ("progress" in message) return pending.onProgress?.(message.progress, message.stage);
     this.pending.delete(message.re);
+    this.sent.delete(message.re);
     if (message.ok) {
       this.handlers.answered(message);
       pending.resolve(message);
@@ -170,18 +212,7 @@ export class Link {
     if (socket !== this.socket) return;
     this.socket = null;
     this.greeted = this.syncing = false;
-    const waiting = new Set(this.queued.map((text) => (JSON.parse(text) as { id: number }).id));
-    for (const [id, pending] of this.pending) {
-      if (waiting.has(id)) continue;
-      this.pending.delete(id);
-      pending.reject(
-        new CommandError(
-          "lost",
-          "The connection was lost before the answer came.",
-          "Look at the layers: what is listed there was kept.",
-        ),
-      );
-    }
+    this.fail((id) => this.pending.get(id)!.text === null);
     if (code === 1008) return this.stop(reason || "The server refused this page.");
     this.handlers.status("lost", "");
     clearTimeout(this.timer);
@@ -195,5 +226,12 @@ export class Link {
     socket?.close();
     clearTimeout(this.timer);
     this.handlers.status("stopped", reason);
+    this.fail(() => true);
   }
+}
+
+/** 32 random hex digits. */
+function randomName(): string {
+  const bytes = crypto.getRandomValues(new Uint8Array(16));
+  return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }

@@ -17,6 +17,15 @@ export interface Rows {
   sh: Float32Array;
   /** (degree + 1)^2. */
   coefficients: number;
+  /** Colours as texels hold them, in place of all the others. */
+  tints?: Tints;
+}
+
+export interface Tints {
+  /** [count * 3] half floats, the base colours. */
+  base: Uint16Array;
+  /** [count * (coefficients - 1)], see sh.ts; none: they stay. */
+  codes: Uint32Array;
 }
 
 export interface Shape {
@@ -54,6 +63,7 @@ export function allocate(capacity: number, coefficients: number): Texels {
 /** Write row `source` of `rows` as row `target` of `texels`. A row that cannot be drawn gets opacity 0. */
 export function encodeRow(texels: Texels, target: number, rows: Rows, source: number): void {
   const at = target * 4;
+  if (rows.tints) return tint(texels, at, rows.tints, source, rows.coefficients - 1);
   const { geometry, appearance } = texels;
   const drawable = rows.shape ? encodeShape(texels, at, rows.shape, source) : true;
   const opacity = rows.opacities[source];
@@ -64,6 +74,15 @@ export function encodeRow(texels: Texels, target: number, rows: Rows, source: nu
   appearance[at] = toHalf(0.5 + SH_C0 * sh[c]) | (toHalf(0.5 + SH_C0 * sh[c + 1]) << 16);
   appearance[at + 1] = (appearance[at + 1] & 0xffff0000) | toHalf(0.5 + SH_C0 * sh[c + 2]);
   encodeHarmonics(texels.sh, at, sh, c + 3, Math.min(rows.coefficients - 1, SH_SHOWN));
+}
+
+/** Colours that need no encoding; a row that cannot be drawn keeps its opacity of 0. */
+function tint({ appearance, sh }: Texels, at: number, { base, codes }: Tints, source: number, count: number): void {
+  const c = source * 3;
+  appearance[at] = base[c] | (base[c + 1] << 16);
+  appearance[at + 1] = (appearance[at + 1] & 0xffff0000) | base[c + 2];
+  const shown = Math.min(count, sh.length * 4);
+  for (let k = 0; k < shown; k++) sh[k >> 2][at + (k & 3)] = codes[source * count + k];
 }
 
 /** Place, scales and rotation. Returns whether they can be drawn; zeros are written if not. */

@@ -57,7 +57,7 @@ export class SplatTable {
     }
     this.count = total;
     this.splats.numSplats = total;
-    if (last >= 0) this.upload(first, last);
+    if (last >= 0) this.upload(first, last, rows.tints ? this.uploads().slice(1) : this.uploads());
     this.mesh.updateVersion();
   }
 
@@ -72,7 +72,7 @@ export class SplatTable {
     return Object.fromEntries(this.texels.sh.map((array, k) => [names[k], array]));
   }
 
-  /** Every texture with the array behind it. SH textures exist after the first frame; before that the array is uploaded whole. */
+  /** Every texture with the array behind it, places and opacities first. SH textures exist after the first frame; before that the array is uploaded whole. */
   private uploads(): Upload[] {
     const { textures, extra } = this.splats;
     const found: Upload[] = [
@@ -86,11 +86,11 @@ export class SplatTable {
     return found;
   }
 
-  private upload(first: number, last: number): void {
+  private upload(first: number, last: number, uploads: Upload[]): void {
     const gl = this.renderer.getContext() as WebGL2RenderingContext;
     const y = first >> WIDTH_BITS;
     const height = (last >> WIDTH_BITS) - y + 1;
-    for (const { texture, data } of this.uploads()) {
+    for (const { texture, data } of uploads) {
       const handle = (this.renderer.properties.get(texture) as { __webglTexture?: WebGLTexture }).__webglTexture;
       if (!handle || last >= LAYER) {
         texture.needsUpdate = true; // not on the card yet, or several layers: the whole texture

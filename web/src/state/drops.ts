@@ -5,7 +5,9 @@ import { computed, signal } from "@preact/signals";
 import type { Checked } from "../messages";
 import { blobUrl, sendBlob } from "../net/blobs";
 import { CommandError } from "../net/link";
-import type { CameraJson } from "../view/camera";
+import { maskPng } from "../paint/picture";
+import { selectedArea } from "../paint/selection";
+import { sameSight, type CameraJson } from "../view/camera";
 import { camera, selectedLayer, state, tab, toast } from "./store";
 import { link, remember, report, run, watched } from "./studio";
 
@@ -24,6 +26,16 @@ export interface Drop {
 
 export const drops = signal<Drop[]>([]);
 export const dropMode = signal<"local" | "global">("local");
+/** Of global edits: only what is selected on one of the views. */
+export const dropWithin = signal(false);
+/** The picture on whose view something is selected. */
+export const selectedDrop = computed(
+  () =>
+    drops.value.find(
+      ({ checked }) =>
+        checked && selectedArea.value && sameSight(checked.camera as CameraJson, selectedArea.value.camera),
+    ) ?? null,
+);
 let nextId = 1;
 
 computed(() => state.value?.session).subscribe(() => (drops.value = [])); // they were pictures of another asset
@@ -81,10 +93,12 @@ export const maskUrl = (drop: Drop): string | null => drop.checked && blobUrl(dr
 export async function applyDrops(method: "auto" | "ttt" | "lift" | "fit"): Promise<void> {
   const ready = drops.value.filter((one) => one.checked);
   const mode = dropMode.value;
-  const views = ready.map(({ checked }) => ({
-    camera: checked!.camera,
-    picture: checked!.picture,
-    mask: mode === "local" ? checked!.mask : null,
+  const within = mode === "global" && dropWithin.value ? selectedDrop.value : null;
+  const selected = within && (await sendBlob(await maskPng(selectedArea.value!.mask), "mask.png"));
+  const views = ready.map((one) => ({
+    camera: one.checked!.camera,
+    picture: one.checked!.picture,
+    mask: mode === "local" ? one.checked!.mask : one === within ? selected : null,
   }));
   const name = ready
     .map((one) => one.name.replace(/\.[^.]*$/, ""))
@@ -92,7 +106,7 @@ export async function applyDrops(method: "auto" | "ttt" | "lift" | "fit"): Promi
     .slice(0, 200);
   const answer = await run(
     "edit",
-    { views, kind: "picture", mode, method, name },
+    { views, kind: "picture", mode, method, name, within: within !== null },
     "Lifting the picture onto the asset",
   );
   if (!answer) return;

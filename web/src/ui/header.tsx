@@ -75,7 +75,7 @@ export function Header() {
         onInput={(fov) => pose.value && go(zoomLens(pose.value, fov))}
       />
       <Choice
-        label="Ground"
+        label="Background"
         value={shown.background}
         options={BACKGROUNDS}
         onChange={(background) => set({ background })}

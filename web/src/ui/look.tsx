@@ -11,7 +11,7 @@ import { readOnly, selectedLayer, state } from "../state/store";
 import { link, remember, report, run } from "../state/studio";
 import type { CameraJson } from "../view/camera";
 import { Curve } from "./curve";
-import { Button, Check, Slider } from "./parts";
+import { Button, Check, Percent, Slider } from "./parts";
 
 type Full = Required<LookValues>;
 const NEUTRAL: Full = {
@@ -97,6 +97,12 @@ const AMOUNTS = [
   ["Saturation", "saturation", -1, 1],
 ] as const;
 
+const BANDS = [
+  ["Shift", "shift", 180, 1, "°"],
+  ["Saturation", "saturation", 1, 0.01, ""],
+  ["Lightness", "lightness", 1, 0.01, ""],
+] as const;
+
 export function Look() {
   const chosen = state.value?.layers.find((layer) => layer.id === selectedLayer.value && layer.kind === "look");
   useEffect(() => resetLook, []);
@@ -142,55 +148,36 @@ export function Look() {
           />
         ))}
       </span>
-      <Slider
-        label="Shift"
-        value={band.shift ?? 0}
-        min={-180}
-        max={180}
-        step={1}
-        unit="°"
-        reset={0}
-        disabled={readOnly.value}
-        onInput={(shift) => setBand({ shift })}
-      />
-      <Slider
-        label="Saturation"
-        value={band.saturation ?? 0}
-        min={-1}
-        max={1}
-        digits={2}
-        reset={0}
-        disabled={readOnly.value}
-        onInput={(saturation) => setBand({ saturation })}
-      />
-      <Slider
-        label="Lightness"
-        value={band.lightness ?? 0}
-        min={-1}
-        max={1}
-        digits={2}
-        reset={0}
-        disabled={readOnly.value}
-        onInput={(lightness) => setBand({ lightness })}
-      />
+      {BANDS.map(([label, key, most, step, unit]) => (
+        <Slider
+          key={key}
+          label={label}
+          value={band[key] ?? 0}
+          min={-most}
+          max={most}
+          step={step}
+          digits={step < 1 ? 2 : 0}
+          unit={unit}
+          reset={0}
+          disabled={readOnly.value}
+          onInput={(v) => setBand({ [key]: v })}
+        />
+      ))}
       <h3>Where</h3>
-      <Slider
+      <Percent
         label="Strength"
-        value={values.strength * 100}
-        min={0}
-        max={100}
-        unit=" %"
-        reset={100}
+        value={values.strength}
+        reset={1}
         disabled={readOnly.value}
-        onInput={(v) => change({ strength: v / 100 })}
+        onInput={(strength) => change({ strength })}
       />
       <Check
-        label={selectedArea.value ? "Only the selected area" : "Only the selected area (select one first)"}
+        label={selectedArea.value ? "Only the selected area" : "Only the selected area (none yet)"}
         value={onlySelected.value}
         disabled={!selectedArea.value}
         onChange={(on) => ((onlySelected.value = on), void preview(look.value))}
       />
-      <p class="row">
+      <p class="row actions">
         <Button
           label="Make it a layer"
           icon="check"

@@ -25,7 +25,7 @@ import {
 } from "../state/store";
 import { report } from "../state/studio";
 import { fonts, loadFont, systemFonts } from "./fonts";
-import { Button, Check, Choice, FileButton, Slider } from "./parts";
+import { Button, Check, Choice, FileButton, Percent, Slider } from "./parts";
 
 const MODES: readonly (readonly [PaintMode, string])[] = [
   ["normal", "Normal"],
@@ -91,23 +91,9 @@ function Round() {
         unit=" px"
         onInput={(size) => set({ size })}
       />
-      <Slider
-        label="Hardness"
-        value={b.hardness * 100}
-        min={0}
-        max={100}
-        unit=" %"
-        onInput={(v) => set({ hardness: v / 100 })}
-      />
-      <Slider
-        label="Opacity"
-        value={b.opacity * 100}
-        min={1}
-        max={100}
-        unit=" %"
-        onInput={(v) => set({ opacity: v / 100 })}
-      />
-      <Slider label="Flow" value={b.flow * 100} min={1} max={100} unit=" %" onInput={(v) => set({ flow: v / 100 })} />
+      <Percent label="Hardness" value={b.hardness} onInput={(v) => set({ hardness: v })} />
+      <Percent label="Opacity" value={b.opacity} least={0.01} onInput={(v) => set({ opacity: v })} />
+      <Percent label="Flow" value={b.flow} least={0.01} onInput={(v) => set({ flow: v })} />
       <Button label="Pen pressure" text="Pen" pressed={more.value} onClick={() => (more.value = !more.value)} />
       {more.value && (
         <span class="group">
@@ -123,21 +109,12 @@ function Fill() {
   const f = fill.value;
   return (
     <>
-      <Slider
-        label="Tolerance"
-        value={f.tolerance * 100}
-        min={0}
-        max={100}
-        unit=" %"
-        onInput={(v) => (fill.value = { ...f, tolerance: v / 100 })}
-      />
-      <Slider
+      <Percent label="Tolerance" value={f.tolerance} onInput={(v) => (fill.value = { ...f, tolerance: v })} />
+      <Percent
         label="Opacity"
-        value={brush.value.opacity * 100}
-        min={1}
-        max={100}
-        unit=" %"
-        onInput={(v) => (brush.value = { ...brush.value, opacity: v / 100 })}
+        value={brush.value.opacity}
+        least={0.01}
+        onInput={(v) => (brush.value = { ...brush.value, opacity: v })}
       />
       <Check
         label="Connected only"
@@ -244,14 +221,7 @@ function Select() {
         onChange={(combine) => (selecting.value = { ...s, combine })}
       />
       {s.kind === "color" && (
-        <Slider
-          label="Tolerance"
-          value={s.tolerance * 100}
-          min={0}
-          max={100}
-          unit=" %"
-          onInput={(v) => (selecting.value = { ...s, tolerance: v / 100 })}
-        />
+        <Percent label="Tolerance" value={s.tolerance} onInput={(v) => (selecting.value = { ...s, tolerance: v })} />
       )}
       <Slider
         label="Feather"

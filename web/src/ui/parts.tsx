@@ -103,6 +103,27 @@ export function Slider({
   );
 }
 
+/** A slider of 0 to 1 in per cent. */
+export function Percent({
+  value,
+  least = 0,
+  reset,
+  onInput,
+  ...rest
+}: Pick<SliderProps, "label" | "value" | "reset" | "disabled" | "onInput"> & { least?: number }) {
+  return (
+    <Slider
+      {...rest}
+      value={value * 100}
+      min={least * 100}
+      max={100}
+      unit=" %"
+      reset={reset === undefined ? undefined : reset * 100}
+      onInput={(v) => onInput(v / 100)}
+    />
+  );
+}
+
 interface NumberProps {
   label: string;
   value: number;

@@ -1,6 +1,6 @@
 /** Pictures edited elsewhere: what they are, what changed in them, and one edit from up to four. */
 
-import { useRef } from "preact/hooks";
+import { useEffect, useRef } from "preact/hooks";
 
 import { blobUrl } from "../net/blobs";
 import { startStamp } from "../paint/placement";
@@ -11,20 +11,22 @@ import {
   discard,
   dropMode,
   drops,
+  dropWithin,
   isPresentView,
   maskUrl,
   MOST,
+  selectedDrop,
   type Drop,
 } from "../state/drops";
 import { camera, method, readOnly } from "../state/store";
 import { report } from "../state/studio";
-import { Button, Choice, FileButton, Slider } from "./parts";
+import { Button, Check, Choice, FileButton, Slider } from "./parts";
 import { chooseTool } from "./toolbar";
 import { goTo } from "./views";
 
 const MODES = [
-  ["local", "Only what changed"],
-  ["global", "The whole asset (regrade, relight)"],
+  ["local", "Only what was edited"],
+  ["global", "The whole asset (relit)"],
 ] as const;
 const FOUND = {
   given: "the present view",
@@ -57,8 +59,27 @@ export function Pictures() {
       ))}
       {ready > 0 && (
         <>
-          <Choice label="Changes" value={dropMode.value} options={MODES} onChange={(mode) => (dropMode.value = mode)} />
-          <p class="row">
+          <p class="row wide">
+            <Choice
+              label="Changes"
+              value={dropMode.value}
+              options={MODES}
+              onChange={(mode) => (dropMode.value = mode)}
+            />
+          </p>
+          {dropMode.value === "global" && (
+            <Check
+              label={
+                selectedDrop.value
+                  ? `Only the area selected on ${selectedDrop.value.name}`
+                  : "Only a selected area (none yet)"
+              }
+              value={dropWithin.value && selectedDrop.value !== null}
+              disabled={!selectedDrop.value}
+              onChange={(on) => (dropWithin.value = on)}
+            />
+          )}
+          <p class="row actions">
             <Button
               label="Make it a layer"
               icon="check"
@@ -75,6 +96,9 @@ export function Pictures() {
 }
 
 function Entry({ one }: { one: Drop }) {
+  const entry = useRef<HTMLElement>(null);
+  const known = one.checked !== null || one.problem !== "";
+  useEffect(() => entry.current?.scrollIntoView({ block: "nearest" }), [known]); // a picture that was dropped is seen
   const timer = useRef<ReturnType<typeof setTimeout> | undefined>(undefined);
   const { checked } = one;
   const stamp = async () => {
@@ -90,7 +114,7 @@ function Entry({ one }: { one: Drop }) {
     timer.current = setTimeout(() => void check(one.id, { threshold: percent / 100 }).catch(report), 150);
   };
   return (
-    <article class="drop" aria-label={one.name}>
+    <article ref={entry} class="drop" aria-label={one.name}>
       <header>
         <b title={one.name}>{one.name}</b>
         {checked && <Button icon="camera" label="Go to this view" onClick={() => goTo(checked.camera)} />}
@@ -99,7 +123,12 @@ function Entry({ one }: { one: Drop }) {
       <span class="drop-picture">
         <img src={blobUrl(checked?.picture ?? one.blob)} alt={one.name} />
         {checked && dropMode.value === "local" && (
-          <span class="drop-mask" role="img" aria-label="What changed" style={{ "--mask": `url(${maskUrl(one)})` }} />
+          <span
+            class="drop-mask"
+            role="img"
+            aria-label="What did not change is dimmed"
+            style={{ "--mask": `url(${maskUrl(one)})` }}
+          />
         )}
       </span>
       {checked && (

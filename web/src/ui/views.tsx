@@ -169,7 +169,7 @@ function ConflictRow({ one }: { one: Conflict }) {
     <div class="conflict">
       <p>
         <b>{name(one.upper)}</b> overwrites {one.rows.toLocaleString()} rows of <b>{name(one.lower)}</b> (
-        {Math.round(one.share * 100)} %), painted from another view.
+        {one.share < 0.01 ? "under 1" : Math.round(one.share * 100)} %), painted from another view.
       </p>
       <Choice
         label="Show"

@@ -148,3 +148,12 @@ export function sameView(a: CameraJson, b: CameraJson): boolean {
   const other = numbers(b);
   return numbers(a).every((value, k) => value === other[k]);
 }
+
+/** Whether two pictures show the same, be it with other pixels and another background. */
+export function sameSight(a: CameraJson, b: CameraJson): boolean {
+  const lens = (c: CameraJson) => [c.fx / c.width, c.fy / c.height, c.cx / c.width, c.cy / c.height];
+  const place = (c: CameraJson) => c.world_to_camera.flat();
+  const near = (one: number[], two: number[], most: number) => one.every((v, k) => Math.abs(v - two[k]) <= most);
+  const reach = Math.max(1, ...place(a).map(Math.abs));
+  return near(lens(a), lens(b), 2e-3) && near(place(a), place(b), 1e-5 * reach);
+}

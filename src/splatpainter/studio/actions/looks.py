@@ -31,8 +31,9 @@ def preview(call: Call, command: say.LookPreview) -> Previewed:
     rows = changed_rows(splats, replace(splats, sh=sh))
     if len(rows):
         every = len(rows) == len(splats)  # as a rule; 100,000 rows need not be copied for it
-        some = replace(splats, sh=sh) if every else replace(splats.take(rows), sh=sh[rows])
-        call.preview = frames.preview(some, rows, len(splats), shown.version)
+        some, old = (sh, splats.sh) if every else (sh[rows], splats.sh[rows])
+        some = some[:, :1] if np.array_equal(some[:, 1:], old[:, 1:]) else some
+        call.preview = frames.tints(some, rows, len(splats), shown.version)
         call.preview_rows = rows
     return Previewed(rows=len(rows))
 

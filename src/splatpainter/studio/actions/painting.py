@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.painter import Edit
+from splatpainter.session.replay import WITHIN
 from splatpainter.sources.color import from_display
 from splatpainter.studio import frames
 from splatpainter.studio.actions import Call, handles
@@ -44,7 +45,7 @@ def dab(call: Call, command: say.PaintDab) -> say.Previewed:
     shown = studio.session.shown
     found = stroke.preview(shown.splats, studio.original, shown.version, box)
     if len(found.rows):
-        call.preview = frames.preview(found.splats, found.rows, len(shown.splats), shown.version)
+        call.preview = frames.tints(found.splats.sh, found.rows, len(shown.splats), shown.version)
         call.preview_rows = found.rows
     return say.Previewed(rows=len(found.rows))
 
@@ -90,6 +91,11 @@ def edit(call: Call, command: say.Edit) -> say.LayerMade:
         edits = [edit_of(call, view, command.mode) for view in command.views]
     look: dict[str, Any] = {"name": command.name, "mode": command.mode, "method": command.method}
     look |= {"opacity": command.opacity, "blend": command.blend}
+    if command.within and command.mode == "global":
+        edits = [edit for edit in edits if edit.mask is not None]
+        if not edits:
+            raise ValueError("edit: expected a mask in one of the views; select an area on one of them")
+        look["parameters"] = {WITHIN: True}
     with progress(call, "editing"):
         layer = session.add(command.kind, edits, **look)
     if command.stroke is not None:

@@ -13,9 +13,15 @@ from splatpainter.studio import pictures
 from splatpainter.studio.actions import Call, handles
 from splatpainter.studio.actions.common import camera_of, draw
 from splatpainter.studio.blobs import Blob
+from splatpainter.studio.crops import Crop, error_at, find_crop
 from splatpainter.studio.describe import camera_to_wire
 from splatpainter.studio.messages import looking as say
 from splatpainter.studio.messages.base import PIXELS
+
+CUT_FROM = 8
+"""Latest exported views that a picture without a camera may be a part of."""
+CLEARLY = 0.5
+"""A picture of its view's shape is a part of it only where that agrees better by this factor."""
 
 
 @handles(say.PictureCheck)
@@ -27,11 +33,24 @@ def check(call: Call, command: say.PictureCheck) -> say.Checked:
     camera, found = _camera(call, command, blob, name, picture)
     notes, warnings = list(picture.notes), []
     wanted = (camera.width, camera.height)
-    if picture.size != wanted:
-        notes.append(f"resampled from {picture.size[0]}x{picture.size[1]} to its camera's {wanted[0]}x{wanted[1]}")
-    render = np.clip(draw(studio.session.splats, camera), 0, 1)
-    colors = _flat(picture.resized(*wanted), render)
-    shift = pictures.shift_of(colors, render)
+    render = _drawn(call, camera)
+    crop = _crop(picture, render)
+    if crop is None and not pictures.same_shape(picture.size, wanted):
+        got, want = f"{picture.size[0]}x{picture.size[1]}", f"{wanted[0]}x{wanted[1]}"
+        raise ValueError(
+            f"{name}: expected the shape of its view ({want}) or a part of it, got {got}, which is like no part; "
+            "resize without cropping"
+        )
+    shift = (0, 0)
+    if crop is not None:
+        colors = render.copy()
+        colors[crop.window] = _flat(picture, render[crop.window], (crop.width, crop.height))
+        notes.append(f"a part of its view: {crop.width}x{crop.height} at {crop.x}, {crop.y}; the rest is as it was")
+    else:
+        if picture.size != wanted:
+            notes.append(f"resampled from {picture.size[0]}x{picture.size[1]} to its camera's {wanted[0]}x{wanted[1]}")
+        colors = _flat(picture, render, wanted)
+        shift = pictures.shift_of(colors, render)
     if shift != (0, 0):
         colors = pictures.moved_back(colors, render, *shift)
         notes.append(f"moved back by {shift[0]}, {shift[1]} pixels")
@@ -66,13 +85,10 @@ def check(call: Call, command: say.PictureCheck) -> say.Checked:
 
 
 def _camera(call: Call, command: say.PictureCheck, blob: Blob, name: str, picture: Picture) -> tuple[Camera, say.Found]:
-    """The camera of a picture and where it was found. Raises ValueError where there is none, or its shape is wrong."""
+    """The camera of a picture and where it was found. Raises ValueError where there is none."""
     camera, found = _search(call, command, blob, name, picture)
     if camera.width * camera.height > PIXELS:
         raise ValueError(f"{name}: expected a view of at most {PIXELS // 10**6} megapixels; export a smaller one")
-    if not pictures.same_shape(picture.size, (camera.width, camera.height)):
-        got, want = f"{picture.size[0]}x{picture.size[1]}", f"{camera.width}x{camera.height}"
-        raise ValueError(f"{name}: expected the shape of its view ({want}), got {got}; resize without cropping")
     return camera, found
 
 
@@ -94,14 +110,49 @@ def _search(call: Call, command: say.PictureCheck, blob: Blob, name: str, pictur
     colors = picture.colors if picture.alpha is None else picture.colors * picture.alpha[..., None]
     best = pictures.most_alike(colors, [export.small for export in fitting])
     if best is None:
+        cropped = _cut_from(call, colors)
+        if cropped is not None:
+            return cropped, "export"
         raise ValueError(
             f"{name}: it carries no camera and is like no exported view; turn to its view and drop it there"
         )
     return fitting[best].camera, "export"
 
 
-def _flat(picture: Picture, render: np.ndarray) -> np.ndarray:
-    """[H, W, 3] the picture over the render, where it is transparent."""
-    if picture.alpha is None:
-        return picture.colors
-    return picture.alpha[..., None] * picture.colors + (1 - picture.alpha[..., None]) * render
+def _crop(picture: Picture, render: np.ndarray) -> Crop | None:
+    """The part of the view that the picture shows; None where it shows all of it, or none that can be told."""
+    height, width = render.shape[:2]
+    if picture.size == (width, height):
+        return None
+    found = find_crop(_opaque(picture), render)
+    if found is not None and pictures.same_shape(picture.size, (width, height)):
+        whole = error_at(_opaque(picture, (width, height)), render)
+        return found if found.error < CLEARLY * whole else None
+    return found
+
+
+def _cut_from(call: Call, colors: np.ndarray) -> Camera | None:
+    """The latest exported view that a picture is a part of."""
+    for export in list(call.studio.exports)[: -CUT_FROM - 1 : -1]:
+        call.ticket.check()
+        if find_crop(colors, _drawn(call, export.camera)) is not None:
+            return export.camera
+    return None
+
+
+def _drawn(call: Call, camera: Camera) -> np.ndarray:
+    return np.clip(draw(call.studio.session.splats, camera), 0, 1)
+
+
+def _opaque(picture: Picture, size: tuple[int, int] | None = None) -> np.ndarray:
+    """[H, W, 3] its colours over black."""
+    own = picture.resized(*(size or picture.size))
+    return own.colors if own.alpha is None else own.colors * own.alpha[..., None]
+
+
+def _flat(picture: Picture, render: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """[H, W, 3] the picture at a size over the render, where it is transparent."""
+    own = picture.resized(*size)
+    if own.alpha is None:
+        return own.colors
+    return own.alpha[..., None] * own.colors + (1 - own.alpha[..., None]) * render

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import Field
+
 from splatpainter.studio.messages.base import Answer, Command
 from splatpainter.studio.messages.state import Blob, Model, State
 
@@ -12,6 +14,8 @@ class Greeting(Answer):
     schema_hash: str
     client: str
     """This connection's name."""
+    known: bool
+    """Whether this page has been here before: then commands that it sends again are not carried out again."""
     state: State
 
 
@@ -25,6 +29,9 @@ class Hello(Command):
     """SCHEMA_HASH of messages.ts; where it differs the error says to reload the page."""
     session: str | None = None
     since: int | None = None
+    page: str | None = Field(default=None, pattern=r"^[0-9a-f]{32}$")
+    """A random name that a page keeps over all its connections. Its command ids must then never repeat: one that came
+    before is answered with what came of it, and not carried out again."""
 
 
 class Sync(Command):

@@ -93,5 +93,7 @@ class Edit(Command):
     name: Name = "Picture"
     opacity: Unit = 1.0
     blend: Blend = "normal"
+    within: bool = False
+    """Of mode global: only rows that the masks reach change, and only masked pixels count."""
     stroke: str | None = None
     """A previewed stroke that this edit replaces."""
