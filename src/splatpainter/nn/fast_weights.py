@@ -17,6 +17,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from splatpainter.nn.layers import gated
+
 InnerLoss = Literal["dot", "l2"]
 MUON = (3.4445, -4.7750, 2.0315)
 """Coefficients of the quintic Newton-Schulz iteration (Jordan et al. 2024, "Muon")."""
@@ -50,8 +52,7 @@ def apply(weights: FastWeights, x: Tensor) -> Tensor:
     """f_W(x). x: [T, D] -> [T, D]."""
     if len(weights.w0) == 1 and x.ndim == 3:  # one head: plain matrices, which CPUs multiply faster than batches of one
         inner = torch.cat([weights.w0[0], weights.w2[0]], dim=-1).mT.contiguous()
-        gate, value = functional.linear(x[0], inner).chunk(2, dim=-1)
-        return functional.linear(functional.silu(gate) * value, weights.w1[0].mT.contiguous())[None]
+        return functional.linear(gated(functional.linear(x[0], inner)), weights.w1[0].mT.contiguous())[None]
     return (functional.silu(x @ weights.w0) * (x @ weights.w2)) @ weights.w1
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -32,6 +33,15 @@ def layer_norm(dim: int) -> nn.LayerNorm:
     return nn.LayerNorm(dim, eps=EPS, bias=False)
 
 
+def gated(x: Tensor) -> Tensor:
+    """silu(a) * b of x = [a, b], [..., 2 F] -> [..., F]. x is the caller's to lose: without gradients it is
+    overwritten, which saves a third of the memory traffic."""
+    gate, value = x.chunk(2, dim=-1)
+    if torch.is_grad_enabled():
+        return functional.silu(gate) * value
+    return functional.silu(gate, inplace=True).mul_(value)
+
+
 class SwiGLU(nn.Module):
     """(silu(x A) * (x B)) C, arXiv 2002.05202. x: [..., D] -> [..., D]."""
 
@@ -41,8 +51,7 @@ class SwiGLU(nn.Module):
         self.outer = linear(hidden, dim)
 
     def forward(self, x: Tensor) -> Tensor:
-        gate, value = self.inner(x).chunk(2, dim=-1)
-        return self.outer(functional.silu(gate) * value)
+        return self.outer(gated(self.inner(x)))
 
 
 class Gelu(nn.Module):
