@@ -63,8 +63,11 @@ FAINTEST = 0.004
 SOLID = 0.9
 """Detail rows are nearly opaque: less covered pixels, such as a silhouette's, would gain alpha from one."""
 FINER = 0.8
-"""Above this doubt about the edit (Evidence.doubt), split or not, rows are neither split nor given a detail layer:
-detail that is everywhere finer than the asset, as in close-ups, would be right in this view alone."""
+"""Above this doubt (Evidence.doubt) about an edit of most of a picture (WIDE), split or not, rows are neither split nor
+given a detail layer: detail that is everywhere finer than the asset, as in close-ups, would be right in this view
+alone. What is painted on a part is wanted as it is, however fine."""
+WIDE = 0.4
+"""An edit of a larger share of the picture's pixels than this is one of what it shows as a whole."""
 SLACK = 1.4
 """Rows up to this many goals wide are not halved any more: they end between 0.7 and 1.4 goals."""
 LARGE = 3.0
@@ -99,10 +102,11 @@ def lift_local(
         if not coarse.any():
             break
         patch = patch.split(coarse, options)
-    if patch.evidence.doubt > FINER:
+    wide = mask.mean() > WIDE
+    if wide and patch.evidence.doubt > FINER:
         patch = whole
     painted = replace(patch.splats, sh=patch.colored(options))
-    detail = None if patch.evidence.doubt > FINER else patch.detail(painted, options)
+    detail = None if wide and patch.evidence.doubt > FINER else patch.detail(painted, options)
     return _assemble(splats, rows, painted, patch, detail)
 
 
