@@ -88,8 +88,8 @@ def test_the_whole_bench(tmp_path: Path) -> None:
     steps = [named[f"start: to the {step}"].median for step in ("address", "page", "rows", "first picture")]
     assert steps == sorted(steps)
     assert named["preview of a stroke"].repeats == 2 * studio.BATCHES
-    # A frame of the slider's rows: a header, indices, opacities and 4 SH coefficients of most of 600 rows.
-    row = 4 * (1 + 1 + 12) / 1024
+    # A frame of the slider's rows: a header, indices, halves of 3 base colours and 3 codes of most of 600 rows.
+    row = (4 + 6 + 3 * 4) / 1024
     assert 300 * row < named["slider previewed: rows sent"].median <= 600 * row + 1
     assert named["load: 2 clients x 5 edits, one edit"].repeats == 10
     if os.path.exists("/proc/self/status"):

@@ -62,9 +62,7 @@ def test_the_lift_paints_what_is_seen_and_leaves_the_other_sheet_bit_for_bit() -
     assert paint.mask is not None and done.keeps_rows
     before, after = (render(s, CAMERA).colors[0] for s in (own, done.splats))
     assert db(after, paint.image, paint.mask) > db(before, paint.image, paint.mask) + 6
-    touched = np.zeros(len(own), bool)
-    for name in ATTRIBUTES:
-        touched |= changed(getattr(own, name), getattr(done.splats, name))
+    touched = changed(own, done.splats)
     assert 0 < touched.sum() < 200
     assert not touched[900:].any()  # the sheet behind, and rows that cannot be drawn
 

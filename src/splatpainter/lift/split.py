@@ -27,8 +27,6 @@ REACH = 2
 """A row that is halved puts children on 2 REACH + 1 sites of the next level."""
 LEVELS = 12
 """Most halvings along one axis."""
-FAINTEST = 0.01
-"""Rows with a smaller peak alpha are dropped: the outermost of a lattice that no neighbour's fell together with."""
 _SITE = 1 << 15
 """Sites of a key run from -_SITE to _SITE."""
 
@@ -153,12 +151,7 @@ class Lattice:
             wide = rows[source] & (new.widths[:, k] > goal) & (new.level[:, k] < LEVELS)
             new, index = new._halved_along(np.flatnonzero(wide), k)
             source = source[index]
-        kept = np.flatnonzero((new.peak >= FAINTEST) | new.slot | ~new.level.any(1))
-        return new._take(kept), source[kept]
-
-    def _take(self, rows: np.ndarray) -> Lattice:
-        parts = {name: getattr(self, name)[rows] for name in ("owner", "level", "site", "peak", "slot")}
-        return replace(self, **parts)
+        return new, source
 
     def _halved_along(self, rows: np.ndarray, k: int) -> tuple[Lattice, np.ndarray]:
         if not len(rows):
