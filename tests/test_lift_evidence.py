@@ -19,7 +19,7 @@ def seen(*x: float, z: tuple[float, ...] = (), opacity: float = 0.8) -> tuple[Sp
     n = len(x)
     means = np.zeros((n, 3), np.float32)
     means[:, 0], means[:, 2] = x, z or 0.0
-    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
     splats = Splats(
         means=means,
         quats=quats,
