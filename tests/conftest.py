@@ -16,3 +16,8 @@ def shared() -> Path:
     if not (SHARED / "data").is_dir():
         pytest.skip(f"no real assets: {SHARED / 'data'} is absent (set SPLATPAINTER_SHARED)")
     return SHARED
+
+
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """File contents are called "bytes" in test names: gzip and zip write the time, and workers must agree on names."""
+    return "bytes" if isinstance(val, bytes | bytearray) else None
