@@ -13,7 +13,10 @@ import numpy as np
 import pytest
 from studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
 
+from splatpainter.evaluate import studio_client
+from splatpainter.evaluate.studio_client import Browser, after
 from splatpainter.io import write
+from splatpainter.session import project
 from splatpainter.splats import rows_sha256
 from splatpainter.studio import visitors
 from splatpainter.studio.actions import HANDLERS, Call, Handler
@@ -75,10 +78,41 @@ def test_two_windows_see_the_same(studio: Live) -> None:
         for browser in (one, two):
             browser.do("receipt")  # an answer comes after all rows
             assert browser.mirror.agrees(studio.studio.session.splats)
-            state = browser.events[-1]["state"]
+            state = browser.state
             assert [layer["name"] for layer in state["layers"]] == ["Stroke", "brighter"]
             assert state["layers"][0]["opacity"] == 0.5 and state["clients"] == 2
             assert state["version"] == studio.studio.session.version == browser.mirror.version
+
+
+def test_of_the_long_lists_only_what_is_new_is_told(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(project, "STEPS", 6)  # so that old steps go
+
+    def told(browser: Browser) -> dict[str, Any]:
+        browser.do("receipt")
+        state = studio.http.get("/api/state").json()
+        assert browser.state == state
+        return state
+
+    with studio.greeted() as one, studio.greeted() as two:
+        marks = [one.do("bookmark.add", name=f"{k}", camera=wire(view(48)))["bookmark"] for k in range(3)]
+        assert [mark["name"] for mark in told(two)["bookmarks"]] == ["0", "1", "2"]
+        for k in range(8):
+            one.do("look.commit", look={"exposure": 0.1 * (k + 1)}, name=f"look {k}")
+            assert told(two)["history"][-1]["label"] == f"add look {k}"
+        assert len(told(two)["history"]) == 7  # the start of the history and six steps to undo
+        two.do("undo")
+        two.do("undo")
+        told(one)
+        two.do("look.commit", look={"exposure": 0.3}, name="another")  # in place of what was undone
+        assert [step["label"] for step in told(one)["history"][-2:]] == ["add look 5", "add another"]
+        one.do("bookmark.delete", bookmark=marks[1]["id"])
+        assert [mark["name"] for mark in told(two)["bookmarks"]] == ["0", "2"]
+        news: list[dict[str, Any]] = []
+        monkeypatch.setattr(studio_client, "after", lambda state, event: news.append(event) or after(state, event))
+        one.do("layer.set", layer=one.state["layers"][0]["id"], opacity=0.5)
+        two.do("receipt")
+    assert [len(event["history"]["steps"]) for event in news if event["history"]] == [1, 1]
+    assert all(event["bookmarks"] is None for event in news)
 
 
 def test_after_a_break_only_what_is_missing_comes(studio: Live) -> None:
@@ -349,9 +383,8 @@ def test_another_asset_replaces_the_session_for_everybody(studio: Live, tmp_path
         for browser in (one, two):
             browser.do("project.recent")
             assert browser.mirror.agrees(session.splats)
-            state = [event["state"] for event in browser.events if event["event"] == "state"][-1]
-            assert state["asset"]["name"] == "other.ply"
-            assert state["session"] == studio.studio.session_id
+            assert browser.state["asset"]["name"] == "other.ply"
+            assert browser.state["session"] == studio.studio.session_id
         toasts = [[e["message"] for e in browser.events if e["event"] == "toast"] for browser in (one, two)]
         assert toasts == [[], ["Another window opened other.ply."]]
         broken = studio.http.post("/api/blobs?name=bad.ply", content=b"ply\nformat ascii 1.0\nend_header\n").json()

@@ -94,6 +94,8 @@ class Browser:
     def __init__(self, socket: ClientConnection, mirror: Mirror | None = None) -> None:
         self.socket, self.mirror = socket, mirror or Mirror()
         self.number, self.events = 0, []
+        self.state: dict[str, Any] = {}
+        """What the studio said of itself last, as GET /api/state says it."""
         self.order: list[str] = []
         """What came since the last `ask`: "frame", "event", "progress" or "answer"."""
         self.received = 0
@@ -114,9 +116,10 @@ class Browser:
             self.received += len(message)
             return None
         data = json.loads(message)
-        if "event" in data:
-            states = data["event"] == "state"  # each says everything: only the latest is kept
-            self.events = [event for event in self.events[-99:] if not (states and event["event"] == "state")] + [data]
+        if data.get("event") == "state":
+            self.state = after(self.state, data)
+        elif "event" in data:
+            self.events = [*self.events[-99:], data]
         self.order.append("event" if "event" in data else "progress" if "progress" in data else "answer")
         return data
 
@@ -145,8 +148,22 @@ class Browser:
         since = None if self.mirror.version < 0 else self.mirror.version
         own = {"schema_hash": own_hash(), "session": self.mirror.session or None, "since": since, "page": page}
         data = self.do("hello", **own)
-        self.mirror.session = data["state"]["session"]
+        self.state = data["state"]
+        self.mirror.session = self.state["session"]
         return data
+
+
+def after(state: dict[str, Any], news: dict[str, Any]) -> dict[str, Any]:
+    """The state after a state event."""
+    history, bookmarks = state["history"], state["bookmarks"]
+    if (change := news["history"]) is not None:
+        start = change["dropped"]
+        history = history[start : start + change["kept"]] + change["steps"]
+    return {
+        **news["state"],
+        "history": history,
+        "bookmarks": bookmarks if news["bookmarks"] is None else news["bookmarks"],
+    }
 
 
 @contextlib.contextmanager

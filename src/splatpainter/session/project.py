@@ -66,6 +66,7 @@ class Project:
         self.path, self.read_only = path, read_only
         self._db, self._hold = connection, lock
         self._mutex = threading.RLock()
+        self._bookmarks: list[Bookmark] | None = None
 
     # ---- opening and closing
 
@@ -190,8 +191,13 @@ class Project:
             )
 
     def bookmarks(self) -> list[Bookmark]:
-        rows = self.rows("SELECT id, name, camera FROM bookmarks ORDER BY id")
-        return [Bookmark(str(k), name, Camera.from_json(text, f"{self.path}: bookmark")) for k, name, text in rows]
+        """The same objects as long as they are the same."""
+        with self._mutex:
+            if self._bookmarks is None or self.read_only:  # somebody else may write
+                rows = self.rows("SELECT id, name, camera FROM bookmarks ORDER BY id")
+                where = f"{self.path}: bookmark"
+                self._bookmarks = [Bookmark(str(k), name, Camera.from_json(text, where)) for k, name, text in rows]
+            return list(self._bookmarks)
 
     def steps(self) -> tuple[list[Step], int]:
         """(the history, oldest first; place of the step in effect)."""
@@ -255,15 +261,21 @@ class Project:
             _move(db, step)
 
     def add_bookmark(self, name: str, camera: Camera) -> str:
-        with self._writing() as db:
-            return str(
-                db.execute("INSERT INTO bookmarks (name, camera) VALUES (?, ?)", (name, camera.to_json())).lastrowid
-            )
+        query = "INSERT INTO bookmarks (name, camera) VALUES (?, ?)"
+        with self._mutex:
+            known = self.bookmarks()
+            with self._writing() as db:
+                made = Bookmark(str(db.execute(query, (name, camera.to_json())).lastrowid), name, camera)
+            self._bookmarks = [*known, made]
+            return made.id
 
     def delete_bookmark(self, bookmark: str) -> None:
-        with self._writing() as db:
-            if not db.execute("DELETE FROM bookmarks WHERE CAST(id AS TEXT) = ?", (bookmark,)).rowcount:
-                raise ValueError(f"bookmark: there is none with id {bookmark!r}")
+        with self._mutex:
+            known = self.bookmarks()
+            with self._writing() as db:
+                if not db.execute("DELETE FROM bookmarks WHERE CAST(id AS TEXT) = ?", (bookmark,)).rowcount:
+                    raise ValueError(f"bookmark: there is none with id {bookmark!r}")
+            self._bookmarks = [one for one in known if one.id != bookmark]
 
     def set_fact(self, name: str, value: str) -> None:
         with self._writing() as db:

@@ -80,6 +80,7 @@ class Studio:
     def _adopt(self, session: Session, name: str) -> None:
         self.session, self.session_id, self.name = session, secrets.token_hex(8), name
         self._asset = describe.asset_info(session, name)
+        self._lists = describe.Lists()
         self._counted = 0
         self.refresh()
 
@@ -94,10 +95,10 @@ class Studio:
             version=shown.version,
             asset=self._asset,
             layers=[describe.layer_info(session, layer) for layer in session.layers],
-            history=describe.steps(session),
+            history=self._lists.history(session),
             cursor=session.cursor,
             conflicts=describe.conflict_infos(session),
-            bookmarks=describe.bookmark_infos(session),
+            bookmarks=self._lists.bookmarks(session),
             project=self._project(),
             methods=describe.methods(session),
             folder=None if self.folder is None else self.folder.root.name,

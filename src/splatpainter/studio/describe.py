@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import operator
+from collections.abc import Sequence
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -13,8 +16,10 @@ from splatpainter.framing import AUTO_UP, MARGIN, UPS, reach
 from splatpainter.io import FORMATS
 from splatpainter.receipts import changed_rows
 from splatpainter.session import Layer, Session
+from splatpainter.session.project import Bookmark, Step
 from splatpainter.splats import Splats
 from splatpainter.studio.messages import state
+from splatpainter.studio.messages.connection import StateEvent
 
 UP = UPS[AUTO_UP]
 """Captures have y down, and readers turn other formats into that frame."""
@@ -114,9 +119,52 @@ def conflict_infos(session: Session) -> list[state.Conflict]:
     ]
 
 
-def bookmark_infos(session: Session) -> list[state.Bookmark]:
-    """Views to come back to."""
-    return [state.Bookmark(id=b.id, name=b.name, camera=camera_to_wire(b.camera)) for b in session.bookmarks()]
+class Lists:
+    """The long lists of a session. What was there before is described by the same objects as before, so that
+    `history_change` and whoever else wants to know what is new need not compare what they say."""
+
+    def __init__(self) -> None:
+        self._steps: dict[Step, state.Step] = {}
+        self._bookmarks: dict[int, tuple[Bookmark, state.Bookmark]] = {}
+
+    def history(self, session: Session) -> list[state.Step]:
+        """Oldest first."""
+        known = self._steps
+        self._steps = {s: known.get(s) or state.Step(id=s.id, label=s.label) for s in session.history}
+        return list(self._steps.values())
+
+    def bookmarks(self, session: Session) -> list[state.Bookmark]:
+        """Views to come back to."""
+        known = self._bookmarks
+        self._bookmarks = {id(b): known.get(id(b)) or (b, _bookmark_info(b)) for b in session.bookmarks()}
+        return [info for _, info in self._bookmarks.values()]
+
+
+def _bookmark_info(bookmark: Bookmark) -> state.Bookmark:
+    return state.Bookmark(id=bookmark.id, name=bookmark.name, camera=camera_to_wire(bookmark.camera))
+
+
+def changes(before: state.State, now: state.State, clients: int) -> StateEvent:
+    """What a client that was told `before` is to be told; lists made by Lists."""
+    present = state.Present.model_validate(
+        {k: getattr(now, k) for k in state.Present.model_fields} | {"clients": clients}
+    )
+    history = history_change(before.history, now.history)
+    marks = None if _same(before.bookmarks, now.bookmarks) else now.bookmarks
+    return StateEvent(state=present, history=history, bookmarks=marks)
+
+
+def history_change(before: list[state.Step], now: list[state.Step]) -> state.HistoryChange | None:
+    """How one list of steps (of one Lists) became the other; None: it did not change."""
+    if _same(before, now):
+        return None
+    dropped = next((k for k, step in enumerate(before) if now and step is now[0]), len(before))
+    kept = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(before[dropped:], now, strict=False)))
+    return state.HistoryChange(dropped=dropped, kept=kept, steps=now[kept:])
+
+
+def _same(before: Sequence[object], now: Sequence[object]) -> bool:
+    return len(before) == len(now) and all(map(operator.is_, before, now))
 
 
 def methods(session: Session) -> list[state.Method]:
@@ -127,8 +175,3 @@ def methods(session: Session) -> list[state.Method]:
 def endings() -> list[str]:
     """File name endings that can be written."""
     return [entry.suffixes[0] for entry in FORMATS.values() if entry.write is not None]
-
-
-def steps(session: Session) -> list[state.Step]:
-    """The history, oldest first."""
-    return [state.Step(id=step.id, label=step.label) for step in session.history]

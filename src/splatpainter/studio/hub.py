@@ -19,11 +19,11 @@ import numpy as np
 from pydantic import ValidationError
 
 from splatpainter.session import Session
-from splatpainter.studio import frames
+from splatpainter.studio import describe, frames
 from splatpainter.studio.actions import Call, Desk, Handler, load
 from splatpainter.studio.core import Studio
 from splatpainter.studio.messages import COMMANDS, Answer, Command, Failure, Model, Problem, Progress
-from splatpainter.studio.messages.connection import StateEvent, ToastEvent
+from splatpainter.studio.messages.connection import Greeting, ToastEvent
 from splatpainter.studio.messages.state import State
 from splatpainter.studio.queue import Busy, Cancelled, Ticket, WorkQueue
 from splatpainter.studio.visitors import Visitor, Visitors
@@ -61,14 +61,16 @@ class Client:
         self.session, self.version = "", -1
         """Which rows it has; -1: none yet."""
         self.greeted = self._gone = False
+        self._told: State | None = None
+        """The state that it was told last; None: no greeting has gone out yet."""
         self._state_due = False
-        self._waiting: list[str | _Preview] = []
+        self._waiting: list[str | _Preview | Greeting] = []
         self._wake, self._room = asyncio.Event(), asyncio.Event()
         self._room.set()
 
     def say(self, message: Model) -> None:
-        """Send a message after everything that it may speak of."""
-        self._add(message.model_dump_json())
+        """Send a message after everything that it may speak of. A greeting goes out with the state of that moment."""
+        self._add(message if isinstance(message, Greeting) else message.model_dump_json())
 
     def notice(self) -> None:
         """Something changed: send what this client lacks."""
@@ -83,7 +85,7 @@ class Client:
             shown._add(_Preview(call.preview, call.preview_rows, self.hub.studio.session_id))
         shown._wake.set()
 
-    def _add(self, item: str | _Preview) -> None:
+    def _add(self, item: str | _Preview | Greeting) -> None:
         if self._gone:
             return
         self._waiting.append(item)
@@ -109,12 +111,17 @@ class Client:
             self._room.set()
             if self.greeted:
                 await self._send_rows([item for item in items if isinstance(item, _Preview)])
-                if self._state_due:
+                if self._state_due and self._told is not None:
                     self._state_due = False
-                    await self.socket.send_text(self.hub.state_text())
+                    self._told, text = self.hub.news(self._told)
+                    await self.socket.send_text(text)
             for item in items:
                 if isinstance(item, str):
                     await self.socket.send_text(item)
+                elif isinstance(item, Greeting):
+                    self._told, self._state_due = self.hub.studio.state, False
+                    state = self.hub.state()
+                    await self.socket.send_text(item.model_copy(update={"state": state}).model_dump_json())
                 elif item.session == self.session and item.version == self.version:
                     old = self.visitor.previewed
                     self.visitor.previewed = np.union1d(old, item.rows) if len(old) else item.rows
@@ -179,19 +186,22 @@ class Hub:
         self.handlers: dict[type[Command], Handler] = load()
         self.leaving: set[asyncio.Task[None]] = set()
         """Work of clients that have gone, to its end."""
-        self._text: tuple[tuple[State, int], str] | None = None
+        self._texts: tuple[State, dict[tuple[int, int], tuple[State, str]]] | None = None
         self._delta: tuple[Session, int, int, asyncio.Future[tuple[int, list[bytes]]]] | None = None
 
     def state(self) -> State:
         """The state as clients get it."""
         return self.studio.state.model_copy(update={"clients": len(self.clients)})
 
-    def state_text(self) -> str:
-        """The state as an event; made once for all clients."""
-        key = (self.studio.state, len(self.clients))
-        if self._text is None or self._text[0][0] is not key[0] or self._text[0][1] != key[1]:
-            self._text = (key, StateEvent(state=self.state()).model_dump_json())
-        return self._text[1]
+    def news(self, told: State) -> tuple[State, str]:
+        """(the state now, the event for a client that was told another one); made once for all clients that were."""
+        now, clients = self.studio.state, len(self.clients)
+        if self._texts is None or self._texts[0] is not now:
+            self._texts = (now, {})
+        known = self._texts[1]
+        if (id(told), clients) not in known:  # it is kept with what it is known by, or another could have its id
+            known[id(told), clients] = told, describe.changes(told, now, clients).model_dump_json()
+        return now, known[id(told), clients][1]
 
     async def frames(self, known: int | None, stale: np.ndarray) -> tuple[int, list[bytes]]:
         """See _frames; the last delta is kept, for mostly all clients want the same one."""

@@ -2,7 +2,7 @@
 
 import { effect } from "@preact/signals";
 
-import type { Event, State } from "../messages";
+import type { Event, State, StateEvent } from "../messages";
 import { CommandError, Link, type Fields, type Name, type Result } from "../net/link";
 import { fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
@@ -120,14 +120,23 @@ function canvasSize(): { width: number; height: number } {
 }
 
 function event(message: Event): void {
-  if (message.event === "state") adopt(message.state);
+  if (message.event === "state") news(message);
   else if (message.event === "toast") toast(message.level, message.message, message.hint);
   else watched.onPicture(message.picture, message.name);
 }
 
+function news({ state: present, history, bookmarks }: StateEvent): void {
+  const before = state.value!; // the greeting came first
+  const { dropped = 0, kept = before.history.length, steps = [] } = history ?? {};
+  adopt({
+    ...present,
+    history: [...before.history.slice(dropped, dropped + kept), ...steps],
+    bookmarks: bookmarks ?? before.bookmarks,
+  });
+}
+
 function adopt(next: State): void {
   const before = state.value;
-  if (before && before.session === next.session && before.version > next.version) return; // an older one, late
   state.value = next;
   if (before?.session === next.session) return;
   const { asset } = next;

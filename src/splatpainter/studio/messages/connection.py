@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from splatpainter.studio.messages.base import Answer, Command
-from splatpainter.studio.messages.state import Blob, Model, State
+from splatpainter.studio.messages.state import Blob, Bookmark, HistoryChange, Model, Present, State
 
 
 class Greeting(Answer):
@@ -49,10 +49,14 @@ class Cancel(Command):
 
 
 class StateEvent(Model):
-    """After every change of anything in the state, by whomever."""
+    """After every change of anything in the state, by whomever: what is so now, and what is new in the long lists."""
 
     event: Literal["state"] = "state"
-    state: State
+    state: Present
+    history: HistoryChange | None = None
+    """Against the state that this connection was told before; None: as it was."""
+    bookmarks: list[Bookmark] | None = None
+    """All of them; None: as they were."""
 
 
 class ToastEvent(Model):

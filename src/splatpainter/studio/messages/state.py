@@ -149,8 +149,8 @@ class ProjectInfo(Model):
     """Somebody else has it open."""
 
 
-class State(Model):
-    """Everything but pixels and rows."""
+class Present(Model):
+    """What is so now, and bounded by what is on the screen."""
 
     session: str
     """Changes when another asset or project is opened: forget all versions and sync."""
@@ -158,11 +158,9 @@ class State(Model):
     """Of the asset; goes up by one or more with every change of its rows."""
     asset: AssetInfo
     layers: list[LayerInfo]
-    history: list[Step]
     cursor: int
     """Place in the history of the step in effect: undo: cursor - 1, redo: cursor + 1; 0 is as it was opened."""
     conflicts: list[Conflict]
-    bookmarks: list[Bookmark]
     project: ProjectInfo
     methods: list[Method]
     """That work on this machine with what is installed (trained weights or not)."""
@@ -172,3 +170,18 @@ class State(Model):
     """Browser windows on this session."""
     formats: list[str]
     """File name endings that `export` can write."""
+
+
+class State(Present):
+    """Everything but pixels and rows."""
+
+    history: list[Step]
+    bookmarks: list[Bookmark]
+
+
+class HistoryChange(Model):
+    """How a history became another: without its first `dropped` steps, with the next `kept`, and then `steps`."""
+
+    dropped: int
+    kept: int
+    steps: list[Step]
