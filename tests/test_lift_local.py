@@ -319,10 +319,9 @@ def test_colour_rounds_are_sirt_on_the_matrix_of_weights(rounds):
         colors = np.clip(colors + step * (w @ residual), 0, ceiling)
 
     frame = project(splats, camera)
-    found, sums = lift_colors(frame, target, m, editable[frame.rows], rounds)
+    found = lift_colors(frame, target, m, editable[frame.rows], rounds)
     assert len(frame) > 50
     np.testing.assert_allclose(found, colors[frame.rows], atol=1e-4)
-    np.testing.assert_allclose(sums, total[frame.rows], atol=1e-3)
     if rounds == 6:
         assert (found == 0).any() and (found == BRIGHTEST).any()  # both clamps were met
 
@@ -338,7 +337,7 @@ def test_every_round_lessens_the_error():
     frame = project(splats, camera)
     errors = []
     for rounds in range(12):
-        colors, _ = lift_colors(frame, target, m, np.ones(len(frame), bool), rounds)
+        colors = lift_colors(frame, target, m, np.ones(len(frame), bool), rounds)
         assert 0 < colors.min() and colors.max() < BRIGHTEST
         picture = w[frame.rows].T @ colors + left[:, None] * camera.background
         errors.append(float((m.ravel()[:, None] * (picture - target.reshape(-1, 3)) ** 2).sum()))

@@ -11,7 +11,9 @@ from render_scenes import cameras, opaque_stack, scene, with_odd_rows
 
 import splatpainter as sp
 from splatpainter.render import reference
+from splatpainter.render.cpu import rounds
 from splatpainter.render.cpu.frame import project, tile_shape, tiles_of_mask
+from splatpainter.render.cpu.rounds import rounds_towards
 from splatpainter.render.cpu.views import draw_views, views_back
 
 
@@ -142,6 +144,27 @@ def test_a_round_is_draw_subtract_accumulate():
     assert frame.residual_round(image, mask, colors)[1] == pytest.approx(0, abs=1e-8)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_rounds_of_some_rows_are_rounds_of_the_picture(share: float, monkeypatch: pytest.MonkeyPatch):
+    splats, view = with_odd_rows(scene(600, 1, 8, dtype=np.float32)), cameras(83, 64)[0]
+    rng = np.random.default_rng(2)
+    target = rng.uniform(0, 1, (64, 83, 3)).astype(np.float32)
+    mask = rng.uniform(0, 1, (64, 83)).astype(np.float32)
+    mask[:, 30:50] = 0
+    frame = project(splats, view, tiles=tiles_of_mask(mask))
+    chosen = rng.uniform(size=len(frame)) < share
+    colors = frame.colors.copy()
+    colors[chosen] = rng.uniform(-0.2, 1, (int(chosen.sum()), 3))
+    gain, weight = frame.residual_round(target, mask, colors)[0], frame.accumulate(target, mask).weight
+    found = rounds_towards(frame, target, mask, chosen)
+    assert isinstance(found, rounds.Kept)
+    monkeypatch.setattr(rounds, "MOST", -1)
+    for way in (found, rounds_towards(frame, target, mask, chosen)):
+        np.testing.assert_allclose(way.gain(colors[chosen]), gain[chosen], atol=2e-5)
+        np.testing.assert_allclose(way.weight, weight[chosen], atol=2e-5)
+    assert isinstance(way, rounds.Walked)
+
+
 def test_no_row_lists_more_tiles_than_its_bounding_box():
     """Room for a row's tiles is made before they are listed: one more would be written into the next row's room. The
     outline of this row, found among millions, rounds to 304.00003 px and its box to 304, the edge of a tile."""
@@ -176,7 +199,19 @@ def everything(splats, view):
     drawn = draw_views(splats, [view], contributions=True, keep_frames=True)
     back = views_back(splats, drawn, values[None], mask[None, ..., None], mask[None, ..., None])
     total = frame.accumulate(values, mask)
-    return [frame.rows, frame.members, *frame.draw(), *vars(total).values(), sums, np.array(error), *back]
+    chosen = np.arange(len(frame)) % 3 > 0
+    kept = rounds_towards(frame, values, mask, chosen)
+    total_of_some = [kept.weight, kept.gain(frame.colors[chosen])]
+    return [
+        *total_of_some,
+        frame.rows,
+        frame.members,
+        *frame.draw(),
+        *vars(total).values(),
+        sums,
+        np.array(error),
+        *back,
+    ]
 
 
 def test_bits_do_not_depend_on_threads(monkeypatch):

@@ -94,7 +94,8 @@ def test_many_clients_end_up_with_the_same_rows(tmp_path: Path, sessions: int, e
         for k, own in enumerate(served):
             session = own.studio.session
             assert len(session.layers) == (k == 0) and own.studio.blobs.size == 0
-            session.jump(0)
+            for layer in session.layers:  # the start of so long a history is not kept
+                session.delete(layer.id)
             assert rows_sha256(session.splats) == rows_sha256(session.original)
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from splatpainter.render.cpu.frame import Frame
+from splatpainter.render.cpu.rounds import rounds_towards
 from splatpainter.splats import SH_C0
 
 BRIGHTEST = 1.3
@@ -26,18 +27,23 @@ def lift_colors(
     editable: np.ndarray,
     rounds: int,
     hold: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Colours [M, 3] towards this view after `rounds`, and [M] sum_p w_ip m_p. target: [H, W, 3]; weights: [H, W] m_p;
-    editable: [M] bool, rows that may move; hold: [M] >= 0, what each row's old colour weighs beside that sum."""
-    first = np.maximum(frame.raw_colors, 0)
-    colors, ceiling = first.copy(), np.maximum(first, BRIGHTEST)
-    total = frame.accumulate(target, weights).weight
-    pull = np.zeros_like(total) if hold is None else hold.astype(total.dtype)
-    step = np.where(editable & (total > 0), 1 / np.maximum(total + pull, 1e-6), 0).astype(colors.dtype)[:, None]
+) -> np.ndarray:
+    """Colours [M, 3] towards this view after `rounds`. target: [H, W, 3]; weights: [H, W] m_p; editable: [M] bool, rows
+    that may move; hold: [M] >= 0, what each row's old colour weighs beside sum_p w_ip m_p."""
+    out = frame.colors.copy()
+    if not rounds:
+        return out
+    first = out[editable]
+    colors, ceiling = first, np.maximum(first, BRIGHTEST)
+    towards = rounds_towards(frame, target, weights, editable)
+    total = towards.weight
+    pull = np.zeros_like(total) if hold is None else hold[editable].astype(total.dtype)
+    step = np.where(total > 0, 1 / np.maximum(total + pull, 1e-6), 0).astype(colors.dtype)[:, None]
     for _ in range(rounds):
-        gain, _ = frame.residual_round(target, weights, colors)
+        gain = towards.gain(colors)
         colors = np.clip(colors + step * (gain - pull[:, None] * (colors - first)), 0, ceiling)
-    return colors, total
+    out[editable] = colors
+    return out
 
 
 def recolor(

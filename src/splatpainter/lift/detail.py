@@ -123,6 +123,8 @@ def _stopped_at(records, members, tiles, starts, pixels, share, depth, host, thr
                     i = members[p]
                     dx = records[i, 0] - (np.float32(x) + np.float32(0.5))
                     dy = records[i, 1] - (np.float32(y) + np.float32(0.5))
+                    if abs(dy) > records[i, 10] or abs(dx) > records[i, 11]:  # most rows of a tile
+                        continue
                     sigma = records[i, 2] * dx * dx + records[i, 4] * dy * dy
                     sigma = np.float32(0.5) * sigma + records[i, 3] * dx * dy
                     alpha = min(np.float32(0.999), records[i, 5] * np.exp(-max(sigma, np.float32(0))))

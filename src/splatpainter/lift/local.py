@@ -234,7 +234,7 @@ class _Patch:
         movable = self.movable(options)
         everywhere = np.ones(self.mask.shape, np.float32)
         hold = self.evidence.hold(frame)
-        colors, _ = lift_colors(frame, self.wanted, everywhere, movable, options.rounds, hold)
+        colors = lift_colors(frame, self.wanted, everywhere, movable, options.rounds, hold)
         seen = frame.raw_colors
         moved = movable & (np.abs(colors - np.maximum(seen, 0)).max(1) > 1 / 1024)
         sh = self.splats.sh.copy()
@@ -257,7 +257,7 @@ class _Patch:
         both = painted.append(layer.splats)
         frame, count = project(both, camera, tiles=self.frame.tiles), len(painted)
         added = frame.rows >= count
-        colors, _ = lift_colors(frame, self.wanted, np.ones(self.mask.shape, np.float32), added, options.rounds)
+        colors = lift_colors(frame, self.wanted, np.ones(self.mask.shape, np.float32), added, options.rounds)
         sh, rows = layer.splats.sh.copy(), frame.rows[added] - count
         sh[rows] = recolor(sh[rows], frame.raw_colors[added], colors[added], 1.0)
         return replace(layer.splats, sh=sh), host

@@ -27,7 +27,7 @@ def repaint(splats: Splats, camera: Camera, wanted: np.ndarray, rows: np.ndarray
     around = project(splats, camera, rows=rows).tiles_of(rows)
     frame = project(splats, camera, tiles=around)
     movable = rows[frame.rows]
-    colors, _ = lift_colors(frame, wanted, np.ones(wanted.shape[:2], np.float32), movable, rounds)
+    colors = lift_colors(frame, wanted, np.ones(wanted.shape[:2], np.float32), movable, rounds)
     seen = frame.raw_colors
     moved = movable & (np.abs(colors - np.maximum(seen, 0)).max(1) > 1 / 1024)
     if not moved.any():

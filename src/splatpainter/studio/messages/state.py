@@ -159,7 +159,8 @@ class Present(Model):
     asset: AssetInfo
     layers: list[LayerInfo]
     cursor: int
-    """Place in the history of the step in effect: undo: cursor - 1, redo: cursor + 1; 0 is as it was opened."""
+    """Place in the history of the step in effect: undo: cursor - 1, redo: cursor + 1; 0 is as it was opened, or the
+    oldest step that is still kept."""
     conflicts: list[Conflict]
     project: ProjectInfo
     methods: list[Method]
