@@ -14,6 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.colors import BRIGHTEST, recolor
 from splatpainter.lift.local import FAINTEST, INSIDE_SMALL, VISIBLE
 from splatpainter.render.cpu.frame import Frame, project
+from splatpainter.render.cpu.rounds import rounds_towards
 from splatpainter.sources.color import from_display, to_display
 from splatpainter.splats import Splats
 
@@ -129,13 +130,13 @@ class Stroke:
         sums = small.accumulate(target, painted)
         reached = (sums.peak > FAINTEST) & (sums.weight > VISIBLE * sums.alpha)
         canvas.movable[entries] |= reached & (sums.weight > INSIDE_SMALL * canvas.whole[entries])
-        total = small.accumulate(target, everywhere).weight
-        step = np.where(canvas.movable[entries], 1 / np.maximum(total, 1e-6), 0).astype(np.float32)[:, None]
-        colors, ceiling = canvas.colors[entries], np.maximum(frame.raw_colors[entries], BRIGHTEST)
+        movable = canvas.movable[entries]
+        towards = rounds_towards(small, target, everywhere, movable)
+        step, own = 1 / np.maximum(towards.weight, 1e-6)[:, None], entries[movable]
+        colors, ceiling = canvas.colors[own], np.maximum(frame.raw_colors[own], BRIGHTEST)
         for _ in range(ROUNDS):
-            gain, _ = small.residual_round(target, everywhere, colors)
-            colors = np.clip(colors + step * gain, 0, ceiling).astype(np.float32)
-        canvas.colors[entries] = colors
+            colors = np.clip(colors + step * towards.gain(colors), 0, ceiling).astype(np.float32)
+        canvas.colors[own] = colors
         return entries
 
     @property
