@@ -82,6 +82,19 @@ def test_the_perceptual_term_is_dropped_with_one_line(tmp_path: Path) -> None:
     assert set(parts) == {"squared", "loss"}
 
 
+def test_in_decibels_samples_count_by_their_ratio() -> None:
+    wanted = global_target(noise(1, 8, 8, 3), torch.ones(1, 8, 8, dtype=torch.bool))
+    gradients = []
+    for error in (0.3, 0.15):  # far above what counts as nothing
+        rendered = (wanted.colors + error).requires_grad_()
+        parts = PictureLoss(None, 0.0, decibels=True)(rendered, wanted)
+        assert math.isclose(float(parts["loss"].detach()), math.log(error**2 + 2e-4), rel_tol=1e-4)
+        parts["loss"].backward()
+        assert rendered.grad is not None
+        gradients.append(float((rendered.grad * error).sum()))
+    assert math.isclose(*gradients, rel_tol=0.01) and math.isclose(gradients[0], 2, rel_tol=0.01)
+
+
 def test_the_perceptual_term_is_lpips_of_the_chosen_views(shared: Path) -> None:
     loss = PictureLoss.load(0.5, shared / "perceptual")
     assert loss.network is not None

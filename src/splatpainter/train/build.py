@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from splatpainter.data.samples import GLOBAL
@@ -72,6 +73,7 @@ def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path
     loss, problem = perceptual_or_not(recipe.perceptual, perceptual_weights, device)
     if problem:
         say(problem)
+    loss = replace(loss, decibels=recipe.decibels)
     if recipe.stage == "lrm":
         return LrmTask(model, loss, recipe.pull_steps, views)
     if recipe.stage == "compress":

@@ -17,6 +17,8 @@ from torch.nn import functional as F
 
 from splatpainter.metrics.lpips import SMALLEST, Lpips, LpipsUnavailable
 
+NOTHING = 2e-4
+"""An error of which nothing need be left, where ratios count: 37 dB."""
 FLOOR = 0.005
 """Share of a view that counts as edited at least: the loss of a dot must not outweigh everything else."""
 
@@ -41,6 +43,9 @@ class PictureLoss:
     """The squeeze trunk, or None."""
     share: float
     """lambda, the weight of the perceptual term (the paper: 0.5)."""
+    decibels: bool = False
+    """Minimise the logarithm of that sum: what an edit gains counts by its ratio, however small its error already was.
+    Without it (the paper) steps follow the samples that are farthest from their truth."""
 
     @staticmethod
     def load(share: float, folder: str | Path | None = None, device: torch.device | str = "cpu") -> PictureLoss:
@@ -63,6 +68,8 @@ class PictureLoss:
             with torch.autocast(rendered.device.type, enabled=False):
                 parts["perceptual"] = self.network(first.float(), second.float(), mask.float()).mean()
             parts["loss"] = squared + self.share * parts["perceptual"]
+        if self.decibels:
+            parts["loss"] = torch.log(parts["loss"] + NOTHING)
         return parts
 
 

@@ -59,6 +59,9 @@ class Recipe:
     """Decay of the running mean of the weights, which validation and the saved model use."""
     perceptual: float = 0.5
     """lambda, weight of the LPIPS (squeeze) term; 0: none."""
+    decibels: bool = False
+    """Minimise the logarithm of the loss of pictures, so that every sample counts by what it gains in dB; its gradients
+    are some hundred times larger, so give `clip` as much."""
     perceptual_views: int = 1
     """Views per sample that this term looks at, another choice each time."""
     loss_views: int = 0
