@@ -62,6 +62,15 @@ def test_three_stages_one_after_the_other(
     other = [*WORDS, "--model.compress.hidden", "48", "--out", tmp_path / "other", "--from", refine / "model"]
     assert run("refine", "--recipe", recipe, *other) == 2
     assert "weights of another model: compress.hidden 40 there, 48 here" in capsys.readouterr().err
+    # Another Stage II starts from the same Stage I, and from nothing later.
+    anew = [*WORDS, "--model.refine.blocks", "3", "--out", tmp_path / "anew", "--session-steps", "1"]
+    anew += ["--from", refine / "model"]
+    assert run("refine", "--recipe", recipe, *anew, "--from-stage", "densify") == 2
+    assert "expected --from-stage to be one up to refine, got densify" in capsys.readouterr().err
+    assert run("refine", "--recipe", recipe, *anew, "--from-stage", "compress") == 0
+    assert "lrm, compressor as trained by stage refine" in capsys.readouterr().err
+    stage_one = SplatPainterModel.load(tmp_path / "anew" / "model").compressor.state_dict()
+    assert all(torch.equal(stage_one[name], value) for name, value in last.compressor.state_dict().items())
     # Of an LRM, only the LRM must be the same.
     assert run("compress", "--recipe", recipe, *other[:-1], lrm / "model", "--session-steps", "1") == 0
 

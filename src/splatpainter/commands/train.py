@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import parse
 from splatpainter.train import recipes
-from splatpainter.train.recipes import Recipe
+from splatpainter.train.recipes import Recipe, Stage
 
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
@@ -54,6 +54,8 @@ class Config(Recipe):
     """Folder of the run: model/, state/, log.csv, validation.csv, sheets/, tensorboard/."""
     weights: Path | None = None
     """Checkpoint to start from (also written --from): the stage before, or this one."""
+    from_stage: Stage | None = None
+    """Take of --from only what was trained up to this stage, e.g. compress for another Stage II on the same Stage I."""
     minutes: float = 0.0
     """Stop after this many, and save; 0: no limit."""
     session_steps: int = 0
@@ -174,7 +176,7 @@ def _task(config: Config, recipe: Recipe, group: Group, say: Any) -> Task:
     torch.manual_seed(recipe.seed)
     if recipe.stage == "densify":
         return densify_task(recipe, config.weights, say).to(group.device)
-    model: SplatPainterModel = start(recipe, config.weights, say)
+    model: SplatPainterModel = start(recipe, config.weights, say, config.from_stage)
     return make_task(recipe, model.to(group.device), config.perceptual_weights, say).to(group.device)
 
 

@@ -14,7 +14,7 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.train import history
 from splatpainter.train.figures import alex_or_none
 from splatpainter.train.loss import perceptual_or_not
-from splatpainter.train.recipes import Recipe
+from splatpainter.train.recipes import Recipe, Stage
 from splatpainter.train.stages.compress import CopyTask, HiddenColors
 from splatpainter.train.stages.densify import DensifyTask
 from splatpainter.train.stages.lrm import LrmTask
@@ -33,10 +33,10 @@ SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "co
 """Keys of a model's config that its weights do not depend on."""
 
 
-def start(recipe: Recipe, weights: Path | None, say: Say = print) -> SplatPainterModel:
+def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage | None = None) -> SplatPainterModel:
     """The recipe's model, untrained (seed torch before), with what a checkpoint has trained of it: of this stage or an
-    earlier one its own parts, of a later one what this stage builds on; the rest stays new. Raises ValueError naming
-    what differs where the checkpoint is of another model."""
+    earlier one its own parts, of a later one what this stage builds on; the rest stays new. until: of the checkpoint
+    only what was trained up to this stage. Raises ValueError naming what differs where it is of another model."""
     model = SplatPainterModel(recipe.model)
     if weights is None:
         return model
@@ -47,6 +47,10 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print) -> SplatPainte
         parts = TRAINED[order[order.index(recipe.stage) - 1]]
     if stage == recipe.stage == "compress" and held.config.representation == "copy":
         parts = (*parts, "head.")
+    if until is not None:
+        if not set(TRAINED.get(until, "?")) <= set(TRAINED.get(stage, TRAINED["refine"])):
+            raise ValueError(f"{weights}: expected --from-stage to be one up to {stage}, got {until}")
+        parts = TRAINED[until]
     untrained = _untrained_keys(parts)
 
     def free(key: str) -> bool:
