@@ -13,7 +13,7 @@ from lift_scenes import back, bits, db, differing, disk, front, row, same_bits, 
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
-from splatpainter.lift.fit import FitOptions, fit_rows
+from splatpainter.fit.edited import EditFitOptions, fit_edited
 from splatpainter.lift.local import reached_rows
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.receipts import Receipt
@@ -226,20 +226,23 @@ def test_a_second_edit_starts_from_the_first_ones_result(tmp_path):
 # Plain optimisation
 
 
-def test_fit_changes_reached_rows_only_and_brings_the_picture_nearer():
+def test_fit_changes_reached_rows_only_and_brings_the_picture_nearer_than_the_lift():
     splats = object_()
     edit = dab(splats, RED)
-    result = apply(splats, [edit], method="fit")
+    result, lifted = (apply(splats, [edit], method=method) for method in ("fit", "lift"))
     receipt = receipt_of(result)
     mask = np.abs(edit.image - draw(splats)).max(-1) > 4 / 255
     reached = reached_rows(splats, CAMERA, mask)
-    assert len(result.splats) == len(splats) and receipt.method == "fit"
-    assert reached[receipt.touched].all() and len(receipt.touched) > 0.9 * reached.sum()
+    assert len(result.splats) == len(lifted.splats) > len(splats) and receipt.method == "fit"
+    assert set(receipt.seconds) >= {"lift", "fit"} and reached[receipt.touched].all()
     np.testing.assert_array_equal(receipt.touched, np.flatnonzero(differing(splats, result.splats)))
     assert receipt.untouched_sha256_after == hash_without(splats, receipt.touched, len(splats))
     score = receipt.views[0]
-    assert score.psnr_before is not None and score.psnr_after is not None
-    assert score.psnr_after > score.psnr_before + 1  # thirty steps
+    first = receipt_of(lifted).views[0]
+    assert score.psnr_after is not None and first.psnr_after is not None and score.psnr_after > first.psnr_after
+    assert score.psnr_outside is not None and first.psnr_outside is not None
+    assert score.psnr_outside > first.psnr_outside + 1
+    assert db(draw(result.splats, back(96)), draw(splats, back(96)), np.ones((96, 96), bool)) > 35
 
 
 def test_fitted_rows_stay_valid_and_the_others_keep_their_bits():
@@ -248,7 +251,7 @@ def test_fitted_rows_stay_valid_and_the_others_keep_their_bits():
     splats.opacities[50:60] = 0.0
     rows = np.r_[0:60, 1000:1005]
     target = np.clip(draw(splats) + 0.2, 0, 1)
-    fitted = fit_rows(splats, [(CAMERA, target), (back(96), draw(splats, back(96)))], rows, FitOptions(steps=4))
+    fitted = fit_edited(splats, splats, [(CAMERA, target)], rows, EditFitOptions(steps=4))
     others = np.delete(np.arange(len(splats)), rows)
     assert not differing(splats, fitted)[others].any() and differing(splats, fitted)[rows].any()
     assert fitted.finite[rows].all() and (fitted.opacities[rows] >= 0).all() and (fitted.opacities[rows] <= 1).all()

@@ -171,8 +171,9 @@ class Painter:
 
         mode "local": only rows that visibly make the edited pixels change, rows finer than the old ones are appended.
         mode "global": every row changes; what the views do not show is predicted from what they do.
-        method "ttt": the networks (pictures of one size); "lift": analytic; "fit": plain optimisation; "auto": ttt
-        where the painter has a model that is better in this mode, else lift. An asset that its model has not encoded
+        method "ttt": the networks (pictures of one size); "lift": analytic; "fit": the lift, then steps of 3DGS on
+        the rows that it painted, some seconds; "auto": ttt where the painter has a model that is better in this mode,
+        else lift. An asset that its model has not encoded
         yet is encoded first.
         Rows that did not have to change keep their bits, and old rows keep their indices.
         Raises ValueError: no edits, an empty mask, an edit that reaches no row, a camera inside the object."""
@@ -221,15 +222,17 @@ class Painter:
 
     def _edited(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: str, clock: _Clock) -> Asset:
         """The asset after the views, still with the old receipt."""
-        if chosen == "fit":
-            result = replace(asset, splats=_fit(asset, views), confidence=None)
-            clock.lap("fit")
-            return result
-        draft = self._draft(asset, views, mode, chosen)
+        draft = self._draft(asset, views, mode, "ttt" if chosen == "ttt" else "lift")
         clock.lap("lift")
-        if chosen == "lift":
+        if chosen in ("lift", "fit"):
+            splats = draft.splats
+            if chosen == "fit":
+                from splatpainter.fit.edited import fit_edited
+
+                splats = fit_edited(asset.splats, splats, [(v.camera, v.wanted) for v in views], draft.rows)
+                clock.lap("fit")
             owners = draft.owners(len(asset.splats))
-            return replace(asset, splats=draft.splats, confidence=draft.confidence, learnt=_owned(asset, owners))
+            return replace(asset, splats=splats, confidence=draft.confidence, learnt=_owned(asset, owners))
         result = self._refined(asset, draft, views)
         clock.lap("ttt")
         if self.polish:
@@ -388,14 +391,6 @@ def _polished(before: Splats, after: Splats, draft: Draft, views: Sequence[EditV
     rows[: len(before)] = False
     rows[draft.rows] = True
     return polish_local(after, [(v.camera, v.wanted) for v in views], rows)
-
-
-def _fit(asset: Asset, views: Sequence[EditView]) -> Splats:
-    from splatpainter.lift.fit import fit_rows
-    from splatpainter.models.draft import rows_reached
-
-    reached = np.flatnonzero(rows_reached(asset.splats, asset.grid, views))
-    return fit_rows(asset.splats, [(v.camera, v.wanted) for v in views], reached)
 
 
 class _Clock:

@@ -1,4 +1,5 @@
-"""The analytic lift: this package's painter without a network. Also how any painter is run as a row.
+"""The analytic lift, alone and with steps of optimisation after it: this package's painter without a network. Also how
+any painter is run as a row.
 
 Set-up is everything that is done once per asset (its voxels; with a network its encoding). The edit is what comes after
 until the edited asset is there: its pictures beside renders of the asset, the lift, the network. The receipt's own time
@@ -62,4 +63,16 @@ def edit(work: Work, budget: Budget) -> Done:
     return painted(Painter(), "lift", work)
 
 
-METHODS = (Method(name="lift", label="Ours (lift)", edit=edit, protocols=TABLES),)
+def edit_and_fit(work: Work, budget: Budget) -> Done:
+    """The lift, then method "fit"'s steps on the rows that it painted. Global edits are the lift's alone."""
+    from splatpainter.painter import Painter
+
+    if work.step.mode == "global":
+        return painted(Painter(), "lift", work, "global edits: the lift alone")
+    return painted(Painter(), "fit", work)
+
+
+METHODS = (
+    Method(name="lift", label="Ours (lift)", edit=edit, protocols=TABLES),
+    Method(name="lift-fit", label="Ours (lift + fit)", edit=edit_and_fit, protocols=("refine", "creative", "sequence")),
+)
