@@ -49,8 +49,8 @@ class Config:
     mode: Mode = "local"
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
     method: Method = "auto"
-    """How: lift (analytic), fit (plain optimisation, to compare), ttt (the networks); auto: ttt with weights, else
-    lift."""
+    """How: lift (analytic, under a second), fit (the lift, then some seconds of optimisation: nearer to the picture,
+    local edits only), ttt (the networks); auto: ttt where trained weights are better, else lift."""
     preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
     """Weights: compact, paper, a folder of weights, or lift (none); auto: compact where its weights are, else lift."""
     polish: bool = False
