@@ -15,6 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.fit.optimize import FitOptions, View, optimize
 from splatpainter.framing import around
 from splatpainter.render import render
+from splatpainter.render.cpu.frame import TILE, project
 from splatpainter.splats import Splats
 
 __all__ = ["EditFitOptions", "fit_edited"]
@@ -40,6 +41,8 @@ class EditFitOptions:
     """Edge of the held views, pixels; at most that of the edited ones."""
 
 
+ROOM = 5
+"""Pixels around what the rows draw that still enter the structural similarity (half of its window)."""
 ELEVATIONS = {-20.0: (0.0, 0.0, 0.0), 15.0: (1.0, 1.0, 1.0), 50.0: (0.0, 0.0, 0.0)}
 """Degrees -> background: over one alone, rows of its colour and holes look alike."""
 
@@ -55,10 +58,26 @@ def fit_edited(
     whole picture wanted) while it looks from around as it did. before: the asset before the lift; both numpy. All other
     rows keep their bits."""
     held = _held(before, lifted, views[0][0], options)
-    often = max(round(len(held) / len(views)), 1)  # so that half of the steps are of edited views
-    edited = [View(camera, picture) for camera, picture in views]
+    edited = [view for camera, picture in views if (view := _cropped(lifted, camera, picture, rows)) is not None]
+    often = max(round(len(held) / max(len(edited), 1)), 1)  # so that half of the steps are of edited views
     fitted = optimize(lifted, edited * often + held, FitOptions(steps=options.steps, densify=False), rows=rows)
     return fitted.splats
+
+
+def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, rows: np.ndarray) -> View | None:
+    """An edited view around what the rows draw in it, weighted as the same part of the whole one would be; None where
+    they draw nothing."""
+    chosen = np.zeros(len(splats), bool)
+    chosen[rows] = True
+    ys, xs = np.nonzero(project(splats, camera, rows=chosen).tiles_of(chosen))
+    if not len(ys):
+        return None
+    left, top = max(int(xs.min()) * TILE - ROOM, 0), max(int(ys.min()) * TILE - ROOM, 0)
+    right = min((int(xs.max()) + 1) * TILE + ROOM, camera.width)
+    bottom = min((int(ys.max()) + 1) * TILE + ROOM, camera.height)
+    share = (right - left) * (bottom - top) / (camera.width * camera.height)
+    part = np.ascontiguousarray(picture[top:bottom, left:right])
+    return View(camera.cropped(left, top, right - left, bottom - top), part, weight=share)
 
 
 def _held(before: Splats, lifted: Splats, like: Camera, options: EditFitOptions) -> list[View]:
