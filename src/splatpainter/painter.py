@@ -171,10 +171,9 @@ class Painter:
 
         mode "local": only rows that visibly make the edited pixels change, rows finer than the old ones are appended.
         mode "global": every row changes; what the views do not show is predicted from what they do.
-        method "ttt": the networks (pictures of one size); "lift": analytic; "fit": the lift, then steps of 3DGS on
-        the rows that it painted, seconds to tens of them; "auto": ttt where the painter has a model that is better in this mode,
-        else lift. An asset that its model has not encoded
-        yet is encoded first.
+        method "ttt": the networks (pictures of one size); "lift": analytic; "fit": the lift, then steps of 3DGS on the
+        rows that it painted, seconds to tens of them; "auto": ttt where the painter has a model that is better in this
+        mode, else lift. An asset that its model has not encoded yet is encoded first.
         Rows that did not have to change keep their bits, and old rows keep their indices.
         Raises ValueError: no edits, an empty mask, an edit that reaches no row, a camera inside the object."""
         if not 1 <= len(edits) <= MAX_VIEWS:
