@@ -221,7 +221,7 @@ class Painter:
 
     def _edited(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: str, clock: _Clock) -> Asset:
         """The asset after the views, still with the old receipt."""
-        draft = self._draft(asset, views, mode, "ttt" if chosen == "ttt" else "lift")
+        draft = self._draft(asset, views, mode, chosen)
         clock.lap("lift")
         if chosen in ("lift", "fit"):
             splats = draft.splats
@@ -287,7 +287,7 @@ class Painter:
     def _draft(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: str) -> Draft:
         from splatpainter.models.draft import draft_global, draft_local
 
-        config = None if chosen == "lift" or self.model is None else self.model.config.refine
+        config = self.model.config.refine if chosen == "ttt" and self.model is not None else None
         base, features = ("lift", False) if config is None else (config.base, config.lift_features)
         if mode == "global":
             return draft_global(asset.splats, views, base, self.whole, features=features, normals=asset.normals)
