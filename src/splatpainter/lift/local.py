@@ -16,7 +16,7 @@ from splatpainter.lift.colors import lift_colors, recolor
 from splatpainter.lift.detail import detail_rows, grown
 from splatpainter.lift.evidence import Evidence
 from splatpainter.lift.split import Lattice, projected_sizes
-from splatpainter.render.cpu.frame import Frame, Sums, project, tiles_of_mask
+from splatpainter.render.cpu.frame import TILE, Frame, Sums, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
@@ -62,6 +62,10 @@ FAINTEST = 0.004
 """A row whose largest share of any masked pixel is below this is not written (1/255)."""
 SOLID = 0.9
 """Detail rows are nearly opaque: less covered pixels, such as a silhouette's, would gain alpha from one."""
+RIM = 3
+"""Pixels from what lies beside the asset within which there are no detail rows: what is wrong there is mostly the
+outline, and rows that mend it stand off the surface, in the background's colour, for views from other sides. On 29
+painted training meshes, near them: 24.3 dB with such rows, 26.2 without; in the edited views 32.4 and 32.6."""
 FINER = 0.8
 """Above this doubt (Evidence.doubt) about an edit of most of a picture (WIDE), split or not, rows are neither split nor
 given a detail layer: detail that is everywhere finer than the asset, as in close-ups, would be right in this view
@@ -249,7 +253,8 @@ class _Patch:
         frame = project(painted, camera, tiles=self.frame.tiles)
         image, alpha, _ = frame.draw()
         wrong = np.abs(self.wanted - np.clip(image, 0, 1)).max(-1) > options.detail
-        pixels = wrong & grown(self.mask, options.rim) & (alpha > SOLID)
+        beside = (alpha < 0.5) & np.kron(frame.tiles, np.ones((TILE, TILE), bool))[: alpha.shape[0], : alpha.shape[1]]
+        pixels = wrong & grown(self.mask, options.rim) & (alpha > SOLID) & ~grown(beside, RIM)
         layer = detail_rows(painted, frame, pixels, self.wanted)
         if layer is None:
             return None

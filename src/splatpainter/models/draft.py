@@ -27,7 +27,7 @@ from splatpainter.voxels import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
     from splatpainter.lift.local import LocalOptions
-    from splatpainter.lift.whole import GlobalOptions
+    from splatpainter.lift.whole import GlobalOptions, Predict
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.pictures import Pictures
@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 
 TOLD_ROUNDS = 4
 """Colour rounds behind the lift features of base "own": a hint, and half of what a lift would cost."""
+SAME_PART = 0.3
+"""Share of a view's rows from which a later one counts as showing the same part. On 20 painted training meshes with 2
+to 4 edited views, near them: 26.4 dB with a detail layer per view, 27.3 with one for the last; in the edited views 29.0
+and 29.5."""
 HALF_SEEN = 2.0
 """Pixels of weight at which a row counts as half seen (as GlobalOptions.half_seen)."""
 
@@ -139,9 +143,10 @@ def draft_global(
     *,
     features: bool = True,
     normals: np.ndarray | None = None,
+    predict: Predict | None = None,
 ) -> Draft:
-    """All rows that can be drawn. splats: numpy, N rows; options and features: as in `draft_local`; normals: as in
-    `lift_global`. Raises ValueError, naming the views, where they show no solid part of it."""
+    """All rows that can be drawn. splats: numpy, N rows; options and features: as in `draft_local`; normals and
+    predict: as in `lift_global`. Raises ValueError, naming the views, where they show no solid part of it."""
     from splatpainter.lift.whole import GlobalOptions, lift_global
 
     rows = np.flatnonzero(splats.finite)
@@ -149,7 +154,7 @@ def draft_global(
         return Draft(splats, rows, rows, _nothing(rows))
     with errors_name(", ".join(dict.fromkeys(view.name for view in views))):
         shown = [(v.camera, v.target, v.mask) for v in views]
-        lift = lift_global(splats, shown, options or GlobalOptions(), normals)
+        lift = lift_global(splats, shown, options or GlobalOptions(), normals, predict)
     told = _nothing(rows)
     if features:
         further = (lift.seen[rows, None], np.clip(lift.predicted[rows], 0, 1), lift.normals[rows])
@@ -242,22 +247,35 @@ def _lifted(
     splats: Splats, grid: VoxelGrid, views: Sequence[EditView], options: LocalOptions
 ) -> tuple[Splats, np.ndarray, np.ndarray]:
     """One view after the other, each on the result of those before: (N + A rows, [J] those that were changed or
-    appended, [J] rows of `splats` that they come from)."""
+    appended, [J] rows of `splats` that they come from). A view gets no detail layer where a later one shows the same
+    part: from another side its rows stand in the way (SAME_PART)."""
     from splatpainter.lift.local import lift_local
     from splatpainter.raycast import editable_rows
 
     owners, changed = np.arange(len(splats)), np.zeros(len(splats), bool)
+    again = _shown_again(splats, grid, views)
     for k, view in enumerate(views):
         with errors_name(view.name):
             grid = grid if k == 0 else voxelize(splats, grid.resolution)
             allowed = editable_rows(grid, splats, view.camera, view.mask)
-            lifted = lift_local(splats, view.camera, view.target, view.mask, options, allowed)
+            how = replace(options, detail=1.0) if again[k] else options
+            lifted = lift_local(splats, view.camera, view.target, view.mask, how, allowed)
         changed[lifted.touched] = True
         changed = np.append(changed, np.ones(len(lifted.appended), bool))
         owners = np.append(owners, owners[lifted.appended])
         splats = lifted.splats
     rows = np.flatnonzero(changed)
     return splats, rows, owners[rows]
+
+
+def _shown_again(splats: Splats, grid: VoxelGrid, views: Sequence[EditView]) -> list[bool]:
+    """For each view, whether a later one edits SAME_PART of the rows that it edits."""
+    if len(views) == 1:
+        return [False]
+    parts = [rows_reached(splats, grid, [view]) for view in views]
+    return [
+        any((part & later).sum() > SAME_PART * part.sum() for later in parts[k + 1 :]) for k, part in enumerate(parts)
+    ]
 
 
 def _seen(splats: Splats, views: Sequence[EditView]) -> np.ndarray:
