@@ -21,6 +21,7 @@ ORDER = (
     ("metrics",),
     ("demo_asset",),
     ("footprints",),
+    ("visibility",),
     ("voxels",),
     ("raycast",),
     ("lift",),

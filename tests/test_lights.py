@@ -21,8 +21,8 @@ from splatpainter.data.lights import (
     uniform_light,
 )
 from splatpainter.data.surfels import Surfels
-from splatpainter.data.visibility import basis as numpy_basis
-from splatpainter.data.visibility import open_transfer
+from splatpainter.visibility import basis as numpy_basis
+from splatpainter.visibility import open_transfer
 
 
 def directions(count: int, seed: int = 0) -> torch.Tensor:

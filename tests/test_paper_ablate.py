@@ -219,6 +219,7 @@ def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> N
         for name in ("lift", "own")
     }
     usual = {"same-inner-steps-1", "same-inner-l2", "same-newton-schulz-5", "same-strength-1", "same-no-row-tokens"}
+    usual |= {"same-no-predictor"}
     assert told["lift"] == usual and told["own"] == usual | {"same-no-drift"}
     budget = Budget(weights={"compact": str(tmp_path / "lift")})
     assert ROWS["same-strength-1"].missing(budget) == AS_TRAINED

@@ -8,8 +8,9 @@ import torch
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from splatpainter import visibility
 from splatpainter.cameras import orbit
-from splatpainter.data import blue_noise, harmonics, shapes, texels, visibility
+from splatpainter.data import blue_noise, harmonics, shapes, texels
 from splatpainter.data.coarse import quaternions
 from splatpainter.data.lights import shade, uniform_light
 from splatpainter.data.meshes import Material, Mesh

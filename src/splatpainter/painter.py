@@ -23,7 +23,7 @@ from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
     from splatpainter.lift.local import LocalOptions
-    from splatpainter.lift.whole import GlobalOptions
+    from splatpainter.lift.whole import GlobalOptions, Predict
     from splatpainter.models.draft import Draft, EditView
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
@@ -96,6 +96,13 @@ class Asset:
         from splatpainter.lift.whole import outward_normals
 
         return outward_normals(self.splats)
+
+    @cached_property
+    def transfer(self) -> np.ndarray:
+        """[N, 10] float32 the light that reaches the rows (`visibility.row_transfer`), made on first use."""
+        from splatpainter.visibility import row_transfer
+
+        return row_transfer(self.splats.means, self.normals)
 
 
 @dataclass(frozen=True)
@@ -290,8 +297,17 @@ class Painter:
         config = self.model.config.refine if chosen == "ttt" and self.model is not None else None
         base, features = ("lift", False) if config is None else (config.base, config.lift_features)
         if mode == "global":
-            return draft_global(asset.splats, views, base, self.whole, features=features, normals=asset.normals)
+            known = {"normals": asset.normals, "predict": None if config is None else self._predict(asset)}
+            return draft_global(asset.splats, views, base, self.whole, features=features, **known)
         return draft_local(asset.splats, asset.grid, views, base, self.local, features=features)
+
+    def _predict(self, asset: Asset) -> Predict | None:
+        """What the model says of rows that no view shows; None where it leaves that to the lift."""
+        from splatpainter.models.predictor import predicting
+
+        assert self.model is not None
+        able = self.model.predictor is not None and not self.model.predictor.silent
+        return predicting(self.model, asset.splats, asset.normals, asset.transfer) if able else None
 
     def _refined(self, asset: Asset, draft: Draft, views: Sequence[EditView]) -> Asset:
         """What the network makes of a draft."""

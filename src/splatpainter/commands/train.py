@@ -1,5 +1,5 @@
-"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, Stage II, and the densifier, a baseline. The training itself
-is in `train`, judging in train_judge.py."""
+"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, the predictor, Stage II, and the densifier, a baseline. The
+training itself is in `train`, judging in train_judge.py."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 SUMMARIES = {
     "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
     "compress": "Stage I: rows and tokens to latents",
+    "predict": "what rows become that no picture shows: beside the other stages, in minutes",
     "refine": "Stage II: edits to changes of the asset",
     "densify": "a baseline (GenDen): close-ups to finer rows",
 }
@@ -119,7 +120,7 @@ def run(config: Config) -> Outcome:
     """Train. Raises ValueError before anything is written where data, weights or the folder do not fit."""
     from splatpainter.train.distributed import join
     from splatpainter.train.loop import Limits, Loop
-    from splatpainter.train.material import Stock, Supply, open_material
+    from splatpainter.train.material import Stock, Supply, open_material, row_material
     from splatpainter.train.state import exists
 
     recipe = Recipe(**{f.name: getattr(config, f.name) for f in dataclasses.fields(Recipe)})
@@ -137,7 +138,10 @@ def run(config: Config) -> Outcome:
         stock = Stock(config.environments, config.decals, config.fonts, config.textures)
         supply = Supply(config.data, recipe.samples, recipe.seed, recipe.validation_share, stock, str(group.device))
         count = recipe.validation_samples if recipe.validate_every else 0
-        material = open_material(supply, batch=recipe.batch, count=count, workers=recipe.workers)
+        if recipe.stage == "predict":
+            material = row_material(supply, count)
+        else:
+            material = open_material(supply, batch=recipe.batch, count=count, workers=recipe.workers)
         task = _task(config, recipe, group, say)
         say(_first_line(recipe, task, material, group))
         loop = Loop(
@@ -154,7 +158,7 @@ def run(config: Config) -> Outcome:
         if group.first:
             (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8")
         result = loop(Limits(config.minutes, config.session_steps))
-        if recipe.workers:
+        if recipe.workers and recipe.stage != "predict":
             material.training.close()
     finally:
         group.close()

@@ -193,18 +193,19 @@ def card(config: CardConfig) -> Outcome:
 
 
 def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:
-    """The checkpoint's own recipe, or the named one, around the checkpoint's model."""
+    """The checkpoint's own recipe, or the named one, around the checkpoint's model. A predictor is judged by the edits
+    that the whole model makes with it, as Stage II is."""
     stage = model.notes.get("stage", "refine")
     if stage not in STAGES:
         raise ValueError(f"{config.checkpoint}: expected weights of stage {', '.join(STAGES)}, got {stage!r}")
+    as_edits = "refine" if stage == "predict" else stage
     if config.recipe is not None:
-        return dataclasses.replace(recipes.load(config.recipe, stage), model=model.config)
+        return dataclasses.replace(recipes.load(config.recipe, as_edits), model=model.config)
     own = model.notes.get("recipe")
     if not isinstance(own, dict):
         raise ValueError(f"{config.checkpoint}: its notes hold no recipe; name the one it was trained by with --recipe")
-    return dataclasses.replace(
-        recipes.parse(json.dumps(own), stage, f"{config.checkpoint}: recipe"), model=model.config
-    )
+    found = recipes.parse(json.dumps(own), stage, f"{config.checkpoint}: recipe")
+    return dataclasses.replace(found, stage=as_edits, model=model.config)
 
 
 def _supply(config: JudgeConfig, recipe: Recipe, device: str) -> Supply:

@@ -114,6 +114,11 @@ class SampleStream:
         common = (stage.subject.name, kind, mode, stage.asset, stage.base)
         return Sample(*common, take.edited, take.masks, take.before, take.after, take.near)
 
+    def subject(self, block: int) -> Subject:
+        """The object of samples block * recipe.steps_per_object and on. Raises ValueError when the source has no good
+        object at all."""
+        return self._subject(block)[0]
+
     def _take(self, stage: Stage, kind: str, strict: float, rng: np.random.Generator) -> takes.Take | None:
         odds = np.array(self.recipe.views)
         plan = takes.Plan(self.recipe, 1 + int(rng.choice(len(odds), p=odds / odds.sum())), strict)

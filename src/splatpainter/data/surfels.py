@@ -71,7 +71,8 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
 
     Raises ValueError when count is not positive or nothing of the mesh can be seen.
     """
-    from splatpainter.data import blue_noise, visibility
+    from splatpainter.data import blue_noise
+    from splatpainter.visibility import open_transfer
 
     if count < 1:
         raise ValueError(f"{mesh.name}: expected at least one surfel, got {count}")
@@ -83,7 +84,7 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
     width = SIZE * np.clip(gap, 0.5 * found.spacing, 1.5 * found.spacing)
     look = _materials(mesh, part.face, part.weights, part.points, part.normals, width)
     normals = _upright(look.pop("normals"), part.normals)
-    transfer = visibility.open_transfer(normals) - part.blocked
+    transfer = open_transfer(normals) - part.blocked
     rows = {
         "means": part.points,
         "normals": normals,
@@ -163,7 +164,8 @@ def _round(
     mesh: Mesh, number: int, flats: np.ndarray, area: float, rng: np.random.Generator
 ) -> tuple[_Candidates, float]:
     """(those of `number` points that light can reach, their share). flats: [F, 3] unit normals of the faces."""
-    from splatpainter.data import blue_noise, visibility
+    from splatpainter.data import blue_noise
+    from splatpainter.visibility import visibility
 
     face, weights = blue_noise.scatter(mesh.vertices, mesh.faces, number, rng)
     solid = _covered(mesh, face, weights)
@@ -176,7 +178,7 @@ def _round(
     normals = _unit(np.einsum("nk,nkc->nc", weights, mesh.normals[corner]))
     # Smooth normals that leave the triangle by more than a right angle are a fault of the file.
     normals = np.where(((normals * flat).sum(1) > 0.1)[:, None], normals, flat).astype(np.float32)
-    sees = visibility.visibility(points, normals, float(np.sqrt(area / number)))
+    sees = visibility(points, normals, float(np.sqrt(area / number)))
     turn = (sees.front < INVERTED) & (sees.front < 0.3 * sees.back)
     openness = np.where(turn, sees.back, sees.front)
     blocked = np.where(turn[:, None], sees.blocked_back, sees.blocked_front)

@@ -12,8 +12,14 @@ from splatpainter.evaluate.card_data import OBJECTS, SOURCES
 from splatpainter.evaluate.trained import goals, rows_of, table, weak_kinds
 from splatpainter.models.config import ModelConfig
 
-STAGES = {"lrm": "Gaussian LRM", "compress": "Stage I", "refine": "Stage II"}
-NETWORKS = {"lrm": "Gaussian LRM", "compressor": "Stage I", "refiner": "Stage II", "head": "decoder"}
+STAGES = {"lrm": "Gaussian LRM", "compress": "Stage I", "predict": "predictor", "refine": "Stage II"}
+NETWORKS = {
+    "lrm": "Gaussian LRM",
+    "compressor": "Stage I",
+    "predictor": "predictor",
+    "refiner": "Stage II",
+    "head": "decoder",
+}
 
 
 def card(

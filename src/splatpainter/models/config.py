@@ -22,6 +22,8 @@ _Config = TypeVar("_Config")
 
 CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1, "normals": 3}
 """Channels per pixel of each group that an image token of an edit can hold."""
+LATER: dict[str, Any] = {"predict": {"features": 0, "hidden": 128}}
+"""Keys that older checkpoints lack, and what they mean there."""
 LARGEST = 1 << 20
 """Bytes; no honest config is longer."""
 
@@ -166,6 +168,20 @@ class RefineConfig:
 
 
 @dataclass(frozen=True)
+class PredictConfig:
+    """What rows that no picture shows become in a global edit: features for a regression (models/predictor.py)."""
+
+    features: int = 0
+    """Of every row, for lightness and for hue each; 0: no predictor, the lift's own regression (and the paper)."""
+    hidden: int = 128
+    """Width of the network that makes them."""
+
+    def __post_init__(self) -> None:
+        _positive(self, "features", least=0)
+        _positive(self, "hidden")
+
+
+@dataclass(frozen=True)
 class ModelConfig:
     """The whole model."""
 
@@ -183,6 +199,8 @@ class ModelConfig:
     """Stage I."""
     refine: RefineConfig = field(default_factory=RefineConfig)
     """Stage II."""
+    predict: PredictConfig = field(default_factory=PredictConfig)
+    """The predictor of unseen rows, beyond the paper."""
     decoder: Decoder = "residual"
     """residual: on the row's own attributes, centres in voxels, zero at first, so that an untrained model is the
     identity; bounded: likewise, centres in the row's own size and all of it within limits, so that rows far finer than
@@ -229,6 +247,7 @@ def _build(kind: type, data: Any, where: str, path: str) -> Any:
     for name in data:
         if name not in names:
             raise ValueError(f"{where}: unknown key '{prefix}{name}'; known there: {', '.join(names)}")
+    data = {name: LATER[name] for name in names if name in LATER} | data
     for name in names:
         if name not in data:
             raise ValueError(f"{where}: missing key '{prefix}{name}'")
@@ -297,6 +316,7 @@ COMPACT = ModelConfig(
         lift_features=True,
         row_tokens=2048,
     ),
+    predict=PredictConfig(features=64),
     decoder="bounded",
 )
 """What ships trained: one unified model for local and global edits, on two CPU cores. Stage II spends 1.7 MFLOP per

@@ -27,10 +27,12 @@ class Parameters:
     """Stage II with its first fast weights and the detail layer."""
     decode: int
     """The decoder."""
+    predict: int
+    """The predictor of unseen rows."""
 
     @property
     def total(self) -> int:
-        return self.lrm + self.compress + self.refine + self.decode
+        return self.lrm + self.compress + self.refine + self.decode + self.predict
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ def parameters(config: ModelConfig) -> Parameters:
 
     with torch.device("meta"):
         model = SplatPainterModel(config)
-    parts = (model.lrm, model.compressor, model.refiner, model.head)
-    return Parameters(*(sum(p.numel() for p in part.parameters()) for part in parts))
+    parts = (model.lrm, model.compressor, model.refiner, model.head, model.predictor)
+    return Parameters(*(sum(p.numel() for p in part.parameters()) if part else 0 for part in parts))
 
 
 def flops(config: ModelConfig, rows_per_voxel: float = 8.0, views: int | None = None) -> Flops:
@@ -97,6 +99,7 @@ def table(config: ModelConfig) -> str:
             f" + {cost.edit / 1e9:.1f} GFLOP per edit",
             f"  decoder  {size.decode / 1e6:8.2f} M   {cost.latent / 1e6:10.2f} MFLOP per latent (with Stage II)"
             f" + {cost.detail / 1e6:.2f} for detail",
+            *([f"  predictor{size.predict / 1e6:7.2f} M"] if size.predict else []),
         ]
     )
 

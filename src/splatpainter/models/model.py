@@ -26,6 +26,7 @@ from splatpainter.models.config import ModelConfig
 from splatpainter.models.decode import AttributeHead, newborn
 from splatpainter.models.lrm import AssetViews, GaussianLrm
 from splatpainter.models.pictures import Pictures, tokenize
+from splatpainter.models.predictor import Predictor
 from splatpainter.models.refine import CHUNK, SEEN, Refiner, RefineState
 from splatpainter.models.rows import RowGroups, TokenLinks
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -85,7 +86,7 @@ class Decoded:
 
 
 class SplatPainterModel(nn.Module):
-    """The four networks with their weights."""
+    """The networks with their weights: LRM, Stage I, Stage II, decoder, and, where there is one, the predictor."""
 
     notes: dict[str, Any]
     """What the checkpoint said about these weights; empty for untrained ones."""
@@ -100,6 +101,7 @@ class SplatPainterModel(nn.Module):
         self.compressor = Compressor(config.compress, config.lrm.dim, config.sh_degree, share)
         self.refiner = Refiner(config.refine, config.compress.dim)
         self.head = AttributeHead(config.compress.dim, config.sh_degree, config.decoder)
+        self.predictor = Predictor(config.predict) if config.predict.features else None
 
     @staticmethod
     def load(folder: Path | str, preset: str | None = None) -> SplatPainterModel:

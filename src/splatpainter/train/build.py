@@ -18,6 +18,7 @@ from splatpainter.train.recipes import Recipe, Stage
 from splatpainter.train.stages.compress import CopyTask, HiddenColors
 from splatpainter.train.stages.densify import DensifyTask
 from splatpainter.train.stages.lrm import LrmTask
+from splatpainter.train.stages.predict import PredictTask
 from splatpainter.train.stages.refine import RefineOptions, RefineTask
 from splatpainter.train.stages.task import Task
 from splatpainter.train.state import differing_config
@@ -26,9 +27,11 @@ Say = Callable[[str], None]
 TRAINED = {
     "lrm": ("lrm.",),
     "compress": ("lrm.", "compressor."),
-    "refine": ("lrm.", "compressor.", "refiner.", "head."),
+    "predict": ("lrm.", "compressor.", "predictor.", "refiner.", "head."),
+    "refine": ("lrm.", "compressor.", "predictor.", "refiner.", "head."),
 }
-"""Stage, in the order of training -> the parts of the model that a checkpoint of it has trained."""
+"""Stage, in the order of training -> the parts of the model that a checkpoint of it has trained. The predictor stands
+beside the others: training it keeps whatever there is of them."""
 SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "compress.min_opacity")
 """Keys of a model's config that its weights do not depend on."""
 
@@ -43,14 +46,16 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
     held = checkpoint.load(weights)
     stage = str(held.notes.get("stage", "refine"))
     parts, order = TRAINED.get(stage, TRAINED["refine"]), list(TRAINED)
-    if stage in order and recipe.stage in order[1:] and order.index(stage) > order.index(recipe.stage):
-        parts = TRAINED[order[order.index(recipe.stage) - 1]]
+    if recipe.stage == "compress" and stage in order[order.index("compress") + 1 :]:
+        parts = TRAINED["lrm"]
     if stage == recipe.stage == "compress" and held.config.representation == "copy":
         parts = (*parts, "head.")
     if until is not None:
         if not set(TRAINED.get(until, "?")) <= set(TRAINED.get(stage, TRAINED["refine"])):
             raise ValueError(f"{weights}: expected --from-stage to be one up to {stage}, got {until}")
         parts = TRAINED[until]
+    if recipe.stage == "predict" or not held.config.predict.features:  # a new predictor
+        parts = tuple(part for part in parts if part != "predictor." or held.config.predict == recipe.model.predict)
     untrained = _untrained_keys(parts)
 
     def free(key: str) -> bool:
@@ -72,6 +77,8 @@ def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path
     """The task of the recipe's stage. say: told where the perceptual term has no weights and is dropped."""
     device = next(model.parameters()).device
     views = recipe.perceptual_views
+    if recipe.stage == "predict":
+        return PredictTask(model)
     if recipe.stage == "compress" and model.config.representation == "native":
         return HiddenColors(model, objects=2 * recipe.batch)
     loss, problem = perceptual_or_not(recipe.perceptual, perceptual_weights, device)
@@ -114,5 +121,10 @@ def densify_task(recipe: Recipe, weights: Path | None, say: Say = print) -> Dens
 
 def _untrained_keys(parts: tuple[str, ...]) -> tuple[str, ...]:
     """Beginnings of config keys that only concern parts that are not taken over."""
-    keys = {"compressor.": ("compress.", "representation"), "refiner.": ("refine.",), "head.": ("decoder",)}
+    keys = {
+        "compressor.": ("compress.", "representation"),
+        "refiner.": ("refine.",),
+        "head.": ("decoder",),
+        "predictor.": ("predict.",),
+    }
     return tuple(key for part, own in keys.items() if part not in parts for key in own)

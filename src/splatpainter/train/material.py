@@ -43,8 +43,8 @@ class Material:
 
     training: Any
     """[i] -> Sample, endless."""
-    validation: list[Sample]
-    """Fixed."""
+    validation: list[Any]
+    """Fixed; samples, of stage predict row edits."""
     objects: tuple[int, int]
     """Of training, of validation."""
 
@@ -100,6 +100,19 @@ class Lanes:
         if lane not in self._streams:
             self._streams[lane] = self._supply.stream()
         return self._streams[lane][i]
+
+
+def row_material(supply: Supply, count: int) -> Material:
+    """As `open_material`, for stage predict, whose samples have no pictures (data/row_edits.py). Raises ValueError as
+    Supply.stream and RowStream."""
+    from splatpainter.data.row_edits import RowStream
+
+    if is_shards(supply.data):
+        raise ValueError(f"--data {supply.data}: expected meshes or procedural:N for stage predict, got shards")
+    few = dataclasses.replace(supply, memory=supply.memory >> 4)
+    held = few.stream(held=True) if count else None
+    samples = [] if held is None else list(_first(RowStream(held, 0), count))
+    return Material(RowStream(few.stream(), cache_bytes=supply.memory), samples, supply.counts())
 
 
 def open_material(supply: Supply, *, batch: int, count: int, workers: int = 0) -> Material:

@@ -20,7 +20,7 @@ from splatpainter.models.config import COMPACT, PRESETS, ModelConfig
 from splatpainter.models.densification.config import PRESETS as DENSIFIERS
 from splatpainter.models.densification.config import DensifyConfig
 
-Stage = Literal["lrm", "compress", "refine", "densify"]
+Stage = Literal["lrm", "compress", "predict", "refine", "densify"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 Encoder = Literal["nothing", "compress", "all"]
 Parallel = Literal["ddp", "fsdp"]
@@ -32,7 +32,8 @@ class Recipe:
     """How a stage is trained."""
 
     stage: Stage = "refine"
-    """lrm: the Gaussian LRM; compress: Stage I; refine: Stage II; densify: a model of its own, a baseline."""
+    """lrm: the Gaussian LRM; compress: Stage I; predict: the predictor of unseen rows; refine: Stage II; densify: a
+    model of its own, a baseline."""
     model: ModelConfig = COMPACT
     """The model; not of stage densify."""
     densifier: DensifyConfig = DENSIFIERS["compact"]

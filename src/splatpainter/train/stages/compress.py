@@ -38,7 +38,7 @@ class CopyTask(Task[SplatPainterModel]):
     def __init__(self, model: SplatPainterModel, loss: PictureLoss, perceptual_views: int) -> None:
         super().__init__()
         self.model, self.loss, self.perceptual_views = model, loss, perceptual_views
-        freeze(model.lrm, model.refiner)
+        freeze(model.lrm, model.refiner, model.predictor)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         made, _ = self._copy(sample)
@@ -71,7 +71,7 @@ class HiddenColors(Task[SplatPainterModel]):
         self.model = model
         self.guess = nn.Linear(model.config.compress.dim, 3 * (model.config.sh_degree + 1) ** 2)
         self._known: Recent[tuple[Tensor, Splats, TokenLinks, RowGroups]] = Recent(objects)
-        freeze(model.lrm, model.refiner, model.head)
+        freeze(model.lrm, model.refiner, model.head, model.predictor)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         guessed, meant, _ = self._guess(sample, seed)

@@ -37,7 +37,7 @@ class LrmTask(Task[SplatPainterModel]):
         self.model, self.loss = model, loss
         self.pull_steps = 0 if model.config.lrm.geometry else pull_steps
         self.perceptual_views = perceptual_views
-        freeze(model.compressor, model.refiner, model.head)
+        freeze(model.compressor, model.refiner, model.head, model.predictor)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         views = input_views(self.model, sample, self.device)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
+from splatpainter.lift.whole import Predict, outward_normals
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.config import Base
 from splatpainter.models.draft import (
@@ -28,12 +29,14 @@ from splatpainter.models.draft import (
 )
 from splatpainter.models.encode import Encoded, asset_views, canonical_cameras, encode_asset
 from splatpainter.models.model import SplatPainterModel, fast_math
+from splatpainter.models.predictor import predicting
 from splatpainter.models.rows import RowGroups, TokenLinks, links_from_views
 from splatpainter.render import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.train.figures import figures
 from splatpainter.train.loss import PictureLoss, Wanted, global_target, joined, local_target
 from splatpainter.train.stages.task import Recent, Task, Verdict, draw, freeze, tensor
+from splatpainter.visibility import row_transfer
 from splatpainter.voxels import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
@@ -72,6 +75,10 @@ class Known:
     splats: Splats
     """Numpy."""
     grid: VoxelGrid
+    normals: np.ndarray
+    """[N, 3] outward normals of its rows."""
+    predict: Predict | None
+    """What the model says of rows that no view shows, in global edits."""
     encoded: Encoded | None
     """With a frozen encoder."""
     tokens: Tensor | None
@@ -103,7 +110,7 @@ class RefineTask(Task[SplatPainterModel]):
         self._known: Recent[Known] = Recent(options.objects)
         if options.train_encoder != "all":
             freeze(model.lrm)
-        freeze(model.lrm.head, model.lrm.norm_out)
+        freeze(model.lrm.head, model.lrm.norm_out, model.predictor)
         if options.train_encoder == "nothing":
             freeze(model.compressor)
         if self.base == "lift" or "local" not in modes:
@@ -127,8 +134,9 @@ class RefineTask(Task[SplatPainterModel]):
     def judge(self, sample: Sample) -> Verdict:
         known = self._remembered(sample)
         views = self._edits(sample, known)
-        lifted = self._draft(sample, known, views, base="lift")
-        draft = lifted if self.base == "lift" else self._draft(sample, known, views)
+        lifted = self._draft(sample, known, views, analytic=True)
+        same = self.base == "lift" and (sample.mode == "local" or known.predict is None)
+        draft = lifted if same else self._draft(sample, known, views)
         with fast_math(self.device):
             edited = self._refined(known, draft, views)
         wanted = self._novel(sample, known, range(len(sample.novel_after.cameras)))
@@ -166,15 +174,28 @@ class RefineTask(Task[SplatPainterModel]):
             if self.copies:  # what is edited is what Stage I decodes
                 splats = encoded.rows.numpy()
                 grid = voxelize(splats, resolution)
-            return Known(splats, grid, encoded, None, None)
+            return Known(splats, grid, *self._aside(splats), encoded, None, None)
         if self.options.train_encoder == "all":
-            return Known(splats, grid, None, None, None)
+            return Known(splats, grid, *self._aside(splats), None, None, None)
         config = self.model.config.lrm
         cameras = canonical_cameras(splats, config)
         views, seen = asset_views(splats.torch(str(self.device)), cameras, grid)
         with fast_math(self.device):
             tokens = self.model.encode_views(views)
-        return Known(splats, grid, None, tokens, links_from_views(splats.means, cameras, seen, config.patch))
+        return Known(
+            splats,
+            grid,
+            *self._aside(splats),
+            None,
+            tokens,
+            links_from_views(splats.means, cameras, seen, config.patch),
+        )
+
+    def _aside(self, splats: Splats) -> tuple[np.ndarray, Predict | None]:
+        normals = outward_normals(splats)
+        if self.model.predictor is None:
+            return normals, None
+        return normals, predicting(self.model, splats, normals, row_transfer(splats.means, normals))
 
     def _encoded(self, known: Known, parents: np.ndarray) -> Encoded:
         """The asset's latents, those of the given rows at least."""
@@ -190,12 +211,13 @@ class RefineTask(Task[SplatPainterModel]):
         targets = [np.asarray(c, np.float32) for c in torch.as_tensor(sample.edited.colors).cpu().numpy()]
         return edit_views(known.splats, sample.edited.cameras, targets, list(np.asarray(sample.masks, bool)))
 
-    def _draft(
-        self, sample: Sample, known: Known, views: Sequence[EditView], base: Literal["own", "lift"] | None = None
-    ) -> Draft:
+    def _draft(self, sample: Sample, known: Known, views: Sequence[EditView], analytic: bool = False) -> Draft:
+        """What the network starts from; or (analytic) the lift's own answer."""
+        base = "lift" if analytic else self.base
         if sample.mode == "global":
-            return draft_global(known.splats, views, base or self.base)
-        return draft_local(known.splats, known.grid, views, base or self.base)
+            predict = None if analytic else known.predict
+            return draft_global(known.splats, views, base, normals=known.normals, predict=predict)
+        return draft_local(known.splats, known.grid, views, base)
 
     def _first(self, sample: Sample, rng: np.random.Generator) -> int:
         """How many of the views are an edit of their own, before the others."""

@@ -23,6 +23,8 @@ from splatpainter.models.config import ModelConfig
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
 
+SILENCE = "predictor.expected.weight"
+"""Without these weights the predictor counts as untrained, and the lift's own regression takes its place."""
 AS_TRAINED = "as trained: the row 'ttt' of these weights"
 
 
@@ -43,6 +45,7 @@ class Change:
         told = {
             "refiner.lift.weight": config.refine.lift_features,
             "refiner.drift.weight": config.refine.base == "lift",
+            SILENCE: config.predict.features > 0,
         }
         return self.of(config) == config and not any(told[name] for name in self.silent)
 
@@ -153,6 +156,7 @@ SAME = (
     _changed("no-drift", "Without drift features", Change(silent=("refiner.drift.weight",))),
     _changed("no-mask-tokens", "All tokens teach alike", Change({"mask_tokens": False})),
     _changed("no-row-tokens", "Rows do not teach", Change({"row_tokens": 0})),
+    _changed("no-predictor", "Unseen rows by the lift's regression", Change(silent=(SILENCE,))),
 )
 """Strength 0 leaves the fast weights as training left them: what is then lost is what adapting is worth."""
 

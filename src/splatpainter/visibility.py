@@ -30,6 +30,12 @@ class Visibility:
     """[N, 9]."""
 
 
+def turning(rotation: np.ndarray) -> np.ndarray:
+    """[9, 9] D of a rotation [3, 3]: `basis(d @ rotation.T) == basis(d) @ D.T` for unit directions d."""
+    directions = fibonacci(64)
+    return np.linalg.lstsq(basis(directions), basis(directions @ rotation.T), rcond=None)[0].T
+
+
 def basis(directions: np.ndarray) -> np.ndarray:
     """[..., 9] real SH of degree 2 of unit directions [..., 3], INRIA's order and signs."""
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
@@ -59,6 +65,38 @@ def fibonacci(count: int) -> np.ndarray:
     angle = i * (np.pi * (3 - np.sqrt(5)))
     ring = np.sqrt(1 - z * z)
     return np.stack([ring * np.cos(angle), z, ring * np.sin(angle)], 1)
+
+
+SAMPLE = 256
+"""Points of which the distance to their neighbours is measured."""
+NEIGHBOUR = 5
+"""The neighbour whose distance counts."""
+
+
+def row_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """[N, 10] float32 of Gaussians that stand for a surface: transfer over pi, so that an open row under uniform light
+    has 1 / C0 in the first column and 0 in the others, and the open share 0..1 of its hemisphere. points: [N, 3]
+    centres; normals: [N, 3] unit, outwards; rows with a zero normal (not drawable) count for nothing and get zeros."""
+    known = np.abs(normals).max(1, initial=0) > 0
+    out = np.zeros((len(points), 10), np.float32)
+    if not known.any():
+        return out
+    own = np.ascontiguousarray(points[known], np.float32)
+    facing = np.ascontiguousarray(normals[known], np.float32)
+    sees = visibility(own, facing, _spacing(own))
+    out[known, :9] = (open_transfer(facing) - sees.blocked_front) / np.pi
+    out[known, 9] = sees.front
+    return out
+
+
+def _spacing(points: np.ndarray) -> float:
+    """A little less than the usual distance of a point to its NEIGHBOUR-th neighbour: closed for the shadow maps."""
+    chosen = points[np.linspace(0, len(points) - 1, min(SAMPLE, len(points))).astype(np.int64)].astype(np.float64)
+    squares = (points.astype(np.float64) ** 2).sum(1)
+    near = min(NEIGHBOUR, len(points) - 1)
+    apart = [np.partition(squares - 2 * points @ one + one @ one, near)[near] for one in chosen]
+    span = float(np.linalg.norm(np.ptp(points, axis=0)))
+    return max(0.8 * float(np.sqrt(max(np.median(apart), 0.0))), 1e-6 * span, 1e-12)
 
 
 def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directions: int = 48) -> Visibility:

@@ -1,0 +1,221 @@
+"""Global edits as rows feel them, without pictures: what the predictor of unseen rows is trained on.
+
+    stream = RowStream(SampleStream(source, recipe, seed, environments))
+    edit = stream[17]                        # the same for equal (stream, 17), in any order of access
+
+A coarse asset carries its materials (data/surfels.py), so the colours of its rows are known under any light; which of
+them a picture shows is known from the asset and the camera alone. So an object costs seconds once, and an edit of it
+milliseconds. What pictures tell about a row is not exact: the error of that is measured for one light per ring of
+views, and added to what is true under the others.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatpainter.data import edits
+from splatpainter.data.lights import Light, random_light, shade, shade_all
+from splatpainter.data.samples import SampleStream
+from splatpainter.data.stages import Subject, shoot
+from splatpainter.data.surfels import Surfels, to_splats
+from splatpainter.data.viewpoints import Optics, ring
+from splatpainter.lift.whole import SEEN, outward_normals, seen_change
+from splatpainter.sources.looks import random_look
+from splatpainter.splats import SH_C0, Splats
+from splatpainter.visibility import row_transfer, turning
+
+RINGS = 3
+"""Rings of views per object."""
+VIEWS = 4
+"""Of a ring; an edit is shown in the first, in two that face each other, or in all."""
+VIEW_ODDS = (0.5, 0.3, 0.2)
+"""Of one, two and four views: the fewer, the more has to be predicted."""
+ROWS = 2000
+"""Of an edit of training, a random choice."""
+LIGHTS = 1024
+"""Lights that edits choose from, two at a time: a million pairs."""
+UPRIGHT = (
+    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
+    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
+)
+"""Turns of the world: y up, y down (3DGS captures), z up; files do not say which they have."""
+
+
+@dataclass(frozen=True)
+class RowEdit:
+    """One global edit of N rows of an asset. Arrays are numpy float32."""
+
+    name: str
+    """Of the object."""
+    kind: Literal["relight", "regrade"]
+    views: int
+    """In how many pictures it is shown."""
+    asset: Splats
+    """Before the edit, SH degree 0."""
+    normals: np.ndarray = field(repr=False)
+    """[N, 3] unit, outwards, as the painter finds them."""
+    transfer: np.ndarray = field(repr=False)
+    """[N, 10] of `visibility.row_transfer`."""
+    told: np.ndarray = field(repr=False)
+    """[N, 3] change of base colour as the pictures tell it; zeros for rows that none shows."""
+    weight: np.ndarray = field(repr=False)
+    """[N] pixels that show each row, in all pictures."""
+    change: np.ndarray = field(repr=False)
+    """[N, 3] the true one."""
+    counts: np.ndarray = field(repr=False)
+    """[N] how much each row counts: pixels that show it from all around."""
+
+
+@dataclass(frozen=True)
+class _Known:
+    """An object, ready to be relit."""
+
+    name: str
+    rows: Surfels
+    """The asset's, with materials; torch."""
+    normals: np.ndarray
+    transfer: np.ndarray
+    shown: np.ndarray
+    """[RINGS, VIEWS, N] float32 pixels that show each row."""
+    errors: np.ndarray
+    """[RINGS, 3, N, 3] float32 told minus true change under one light, of 1, 2 and 4 views."""
+
+    @property
+    def nbytes(self) -> int:
+        return self.shown.nbytes + self.errors.nbytes + 4 * len(self.rows) * 40
+
+
+class RowStream:
+    """Endless edits by number. Objects, sizes and environments are the stream's; of its kinds "relight" and "regrade"
+    count. Not for several threads at once."""
+
+    def __init__(self, stream: SampleStream, rows: int = ROWS, cache_bytes: int = 1 << 30) -> None:
+        """rows: of an edit, 0: all; cache_bytes: of objects kept. Raises ValueError for splat assets, whose light
+        nobody knows, and for a recipe without global edits."""
+        if stream.splats:
+            raise ValueError("train predict: expected meshes or procedural objects, whose materials are known")
+        weights = np.array([stream.kinds.get(kind, 0.0) for kind in ("relight", "regrade")])
+        if not weights.sum() > 0:
+            raise ValueError("train predict: expected --samples.kinds with relight or regrade")
+        self.stream, self.rows, self._most = stream, rows, cache_bytes
+        self._odds = weights / weights.sum()
+        self._known: OrderedDict[int, _Known] = OrderedDict()
+
+    def __getitem__(self, index: int) -> RowEdit:
+        """Raises IndexError below 0 and ValueError as SampleStream."""
+        if index < 0:
+            raise IndexError(f"row edits: expected an index from 0, got {index}")
+        block = index // self.stream.recipe.steps_per_object
+        known, rng = self._object(block), self._generator("edit", index)
+        kind: Literal["relight", "regrade"] = "relight" if rng.random() < self._odds[0] else "regrade"
+        count = len(known.rows)
+        some = np.sort(rng.permutation(count)[: self.rows]) if self.rows else np.arange(count)
+        rows = known.rows.take(torch.from_numpy(some))
+        before, after = self._colors(rows, kind, rng)
+        which, size = int(rng.integers(RINGS)), int(rng.choice(3, p=VIEW_ODDS))
+        views = 2**size
+        weight = known.shown[which][:: VIEWS // views, some].sum(0)
+        error = known.errors[which, size][some][:, rng.permutation(3)] * rng.choice([-1, 1]) * rng.uniform(0.4, 1.2)
+        change = after - before
+        told = np.where((weight > SEEN)[:, None], change + error, 0)
+        turn = np.array(UPRIGHT[rng.integers(len(UPRIGHT))])
+        asset = Splats(
+            (rows.means.numpy() @ turn.T).astype(np.float32),
+            rows.quats.numpy(),  # shapes play no part
+            rows.scales.numpy(),
+            rows.opacities.numpy(),
+            ((before - 0.5) / SH_C0)[:, None],
+        )
+        transfer = known.transfer[some].copy()
+        transfer[:, :9] = transfer[:, :9] @ _turning(tuple(turn.ravel().tolist())).T
+        counts = known.shown.sum((0, 1))[some]
+        normals = (known.normals[some] @ turn.T).astype(np.float32)
+        numbers = (told.astype(np.float32), weight, change, counts)
+        return RowEdit(known.name, kind, views, asset, normals, transfer.astype(np.float32), *numbers)
+
+    def _colors(self, rows: Surfels, kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Base colours [N, 3] before and after."""
+        coefficients, exposures = self._lights
+        degree = self.stream.recipe.sh_degree
+        pick = torch.from_numpy(rng.integers(len(exposures), size=2))
+        if kind == "relight":
+            both = shade_all(rows, coefficients[pick], exposures[pick], degree)
+        else:
+            own = shade_all(rows, coefficients[pick[0]], exposures[pick[0]], degree)
+            both = torch.stack([own, edits.regraded(own, random_look(rng))])
+        before, after = (0.5 + SH_C0 * both[:, :, 0]).numpy()
+        return before, after
+
+    @property
+    def _lights(self) -> tuple[Tensor, Tensor]:
+        """(SH coefficients [L, 9, 3], exposures [L]), made once per process."""
+        if not hasattr(self, "_pool"):
+            rng = self._generator("lights", 0)
+            small = [_small(torch.as_tensor(picture)) for picture in self.stream.environments]
+            lights = [random_light(rng, small) for _ in range(LIGHTS)]
+            self._pool = torch.stack([x.coefficients for x in lights]), torch.stack([x.exposure for x in lights])
+        return self._pool
+
+    def _object(self, block: int) -> _Known:
+        count = len(self.stream.source)
+        epoch, place = divmod(block, count)
+        key = int(self._generator("epoch", epoch).permutation(count)[place])
+        if key not in self._known:
+            self._known[key] = self._know(self.stream.subject(key), self._generator("object", key))
+            while len(self._known) > 1 and sum(k.nbytes for k in self._known.values()) > self._most:
+                self._known.popitem(last=False)
+        self._known.move_to_end(key)
+        return self._known[key]
+
+    def _know(self, subject: Subject, rng: np.random.Generator) -> _Known:
+        recipe, rows = self.stream.recipe, subject.coarse.to("cpu")
+        shown, errors = [], []
+        normals = None
+        for _ in range(RINGS):
+            optics = Optics(recipe.size, float(rng.uniform(*recipe.fov)))
+            cameras = ring(subject.radius, optics, VIEWS, rng)
+            old, new = (random_light(rng, self.stream.environments, self.stream.device) for _ in range(2))
+            asset = _lit(rows, old, recipe.sh_degree)
+            normals = outward_normals(asset) if normals is None else normals
+            truth = to_splats(subject.surfels, shade(subject.surfels, new, recipe.sh_degree))
+            shots = shoot(truth, cameras)
+            pictures = shots.views.colors.cpu().numpy()
+            masks = (shots.alphas > 0.5).cpu().numpy()
+            views = list(zip(cameras, pictures, masks, strict=True))
+            true = SH_C0 * (_lit(rows, new, recipe.sh_degree).sh[:, 0] - asset.sh[:, 0])
+            told = [seen_change(asset, views[:: VIEWS // number]) for number in (1, 2, VIEWS)]
+            shown.append([seen_change(asset, [view])[1] for view in views])
+            errors.append([np.where((weight > SEEN)[:, None], change - true, 0) for change, weight in told])
+        assert normals is not None
+        transfer = row_transfer(rows.means.numpy(), normals)
+        arrays = (np.asarray(shown, np.float32), np.asarray(errors, np.float32))
+        return _Known(subject.name, rows, normals, transfer, *arrays)
+
+    def _generator(self, what: str, *numbers: int) -> np.random.Generator:
+        return np.random.default_rng([self.stream.seed, *b"rows", *what.encode(), *numbers])
+
+
+def _lit(rows: Surfels, light: Light, degree: int) -> Splats:
+    """The asset under a light, numpy."""
+    return to_splats(rows, shade(rows, light.to("cpu"), degree)).numpy()
+
+
+def _small(picture: Tensor) -> Tensor:
+    """An environment of at most 64 pixels' height: for nine coefficients that is plenty."""
+    factor = picture.shape[0] // 64
+    if factor < 2:
+        return picture
+    return torch.nn.functional.avg_pool2d(picture.permute(2, 0, 1)[None], factor)[0].permute(1, 2, 0)
+
+
+@cache
+def _turning(turn: tuple[float, ...]) -> np.ndarray:
+    return turning(np.array(turn).reshape(3, 3))

@@ -1,0 +1,155 @@
+"""What rows that no edited picture shows become under a new light or look: learned features, an edit solved exactly.
+
+    predict = predicting(model, splats, normals, transfer)      # None for a model without a predictor
+    lift_global(splats, views, predict=predict)
+
+A network describes every row (its colour, normal, place, and the light that reaches it: precomputed transfer) in the
+company of all others; the change of those that the pictures show is regressed on that description, and what comes out
+holds for all. It takes the place of the lift's fixed features and keeps its principle. N rows, F features.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from splatpainter.lift.whole import SEEN, Predict
+from splatpainter.models.config import PredictConfig
+from splatpainter.nn.closed_form import solve
+from splatpainter.splats import SH_C0, Splats
+
+if TYPE_CHECKING:
+    from splatpainter.models.model import SplatPainterModel
+
+FACTS = 21
+"""Numbers per row: `row_facts`."""
+INPUTS = FACTS + 8 + 27
+"""Facts, eight polynomials of the normal, and transfer times colour."""
+MOST = 50.0
+"""A huge row must not outvote a thousand small ones."""
+COMPANY = 8192
+"""Rows, evenly chosen, that say what kind of asset this is and under what light."""
+TEACHERS = 16_384
+"""Seen rows, evenly chosen, that the regression learns from."""
+CHUNK = 1 << 14
+"""Rows described at once without gradients."""
+OPPONENT = ((3**-0.5, 3**-0.5, 3**-0.5), (2**-0.5, -(2**-0.5), 0.0), (6**-0.5, 6**-0.5, -2 * 6**-0.5))
+"""Orthogonal: lightness, and two channels of hue."""
+
+
+def row_facts(splats: Splats, normals: np.ndarray, transfer: np.ndarray) -> np.ndarray:
+    """[N, 21] float32: base colour - 0..1 as -1..1 -, normal, place in the asset's ball, opacity, log of the mean scale
+    over the ball's radius, transfer and open share. splats: numpy; normals: [N, 3] of `outward_normals`; transfer:
+    [N, 10] of `row_transfer`. Rows that cannot be drawn get zeros. At least one row must be drawable."""
+    drawn = splats.finite
+    means = splats.means[drawn]
+    middle = np.median(means, 0)
+    away = (means - middle).astype(np.float64)
+    radius = max(float(np.quantile(np.linalg.norm(away, axis=1), 0.98)), 1e-12)
+    size = np.log(np.maximum(splats.scales[drawn].mean(1, dtype=np.float64) / radius, 1e-9))
+    facts = np.zeros((len(splats), FACTS), np.float32)
+    facts[drawn] = np.concatenate(
+        [
+            2 * np.clip(0.5 + SH_C0 * splats.sh[drawn, 0], 0, 1) - 1,
+            normals[drawn],
+            np.clip(away / radius, -3, 3),
+            2 * splats.opacities[drawn, None] - 1,
+            size[:, None] / 2 + 2,
+            transfer[drawn, :9],
+            2 * transfer[drawn, 9:] - 1,
+        ],
+        1,
+    )
+    return facts
+
+
+class Predictor(nn.Module):
+    """Features of rows, the colours that are expected before anything is seen, and how much evidence counts."""
+
+    def __init__(self, config: PredictConfig) -> None:
+        """Trained on rows alone, without pictures (train/stages/predict.py)."""
+        super().__init__()
+        width, self.features = config.hidden, config.features
+        self.own = nn.Sequential(nn.Linear(INPUTS, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
+        self.company = nn.Sequential(nn.Linear(width, width), nn.SiLU())
+        self.evidence = nn.Sequential(nn.Linear(INPUTS + 3, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
+        self.together = nn.Sequential(nn.Linear(3 * width, width), nn.SiLU())
+        self.describe = nn.Linear(width, 2 * config.features)
+        self.expected = nn.Linear(width, 3)
+        self.trust = nn.Parameter(torch.tensor(6.0))
+        if not self.expected.weight.is_meta:
+            nn.init.zeros_(self.expected.weight)
+            nn.init.zeros_(self.expected.bias)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing has trained it yet: then the lift's own regression is better."""
+        return not bool(self.expected.weight.any())
+
+    def forward(self, facts: Tensor, change: Tensor, weight: Tensor) -> Tensor:
+        """[N, 3] predicted change of base colour of all rows. facts: [N, 21] of `row_facts`; change: [N, 3] as the
+        pictures have it; weight: [N] pixels that show each row. Without a seen row nothing is predicted: zeros."""
+        with torch.autocast(facts.device.type, enabled=False):
+            seen = _spread(torch.nonzero(weight > SEEN)[:, 0], TEACHERS)
+            if len(seen) == 0:
+                return torch.zeros_like(change)
+            opponent = facts.new_tensor(OPPONENT)
+            counts = weight[seen].clamp(max=MOST)
+            share = (counts / counts.sum())[:, None]
+            inputs = _inputs(facts[seen])
+            shown = change[seen] @ opponent.mT
+            told = (share * self.evidence(torch.cat([inputs, 4 * shown], 1))).sum(0)
+            everyone = _spread(torch.arange(len(facts), device=facts.device), COMPANY)
+            company = self.company(self.own(_inputs(facts[everyone]))).mean(0)
+            around = torch.cat([company, told])
+            light, hue, mean = self._described(inputs, around)
+            counted = share[:, 0] * self.trust.exp()
+            rest = shown - mean
+            solved = solve(light, rest[:, :1], counted), solve(hue, rest[:, 1:], counted)
+            size = len(facts) if torch.is_grad_enabled() else CHUNK
+            parts = []
+            for some in facts.split(size):
+                light, hue, mean = self._described(_inputs(some), around)
+                parts.append((mean + torch.cat([light @ solved[0], hue @ solved[1]], 1)) @ opponent)
+            return torch.cat(parts)
+
+    def _described(self, inputs: Tensor, around: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(features for lightness [M, F], for hue [M, F], change expected beforehand [M, 3], lightness and hue)."""
+        x = torch.cat([self.own(inputs), around.expand(len(inputs), -1)], 1)
+        x = self.together(x)
+        light, hue = (2 * self.features**-0.5 * self.describe(x)).chunk(2, dim=1)
+        return light, hue, 0.1 * self.expected(x)
+
+
+def predicting(model: SplatPainterModel, splats: Splats, normals: np.ndarray, transfer: np.ndarray) -> Predict | None:
+    """The model's prediction for edits of this asset, on the model's device; None where it has no trained predictor."""
+    predictor = model.predictor
+    if predictor is None or predictor.silent:
+        return None
+    facts = row_facts(splats, normals, transfer)
+
+    def predict(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        device = predictor.trust.device
+        told = (torch.from_numpy(np.ascontiguousarray(x, np.float32)).to(device) for x in (facts, change, weight))
+        with torch.no_grad():
+            return predictor(*told).cpu().numpy()
+
+    return predict
+
+
+def _inputs(facts: Tensor) -> Tensor:
+    """[N, INPUTS] what the network sees of rows."""
+    x, y, z = facts[:, 3:6].unbind(1)
+    turns = torch.stack([x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y, x * x, y * y, z * z], 1)
+    lit = facts[:, 11:20, None] * (facts[:, None, :3] + 1) / 2
+    return torch.cat([facts, turns, lit.flatten(1)], 1)
+
+
+def _spread(rows: Tensor, most: int) -> Tensor:
+    """At most `most` of these rows, evenly over their order."""
+    if len(rows) <= most:
+        return rows
+    return rows[torch.linspace(0, len(rows) - 1, most, device=rows.device).long()]

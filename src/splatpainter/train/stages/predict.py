@@ -1,0 +1,83 @@
+"""The predictor of unseen rows: edits of rows in, the change of all others out. No picture is drawn.
+
+What is compared is what a global edit would write into the rows: what was seen where much was seen, what is predicted
+elsewhere (`lift_global`). The loss is the logarithm of the mean squared error, so every edit counts by the dB it gains.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatpainter.data.row_edits import RowEdit
+from splatpainter.lift.whole import GlobalOptions, regressed
+from splatpainter.models.model import SplatPainterModel
+from splatpainter.models.predictor import row_facts
+from splatpainter.splats import SH_C0
+from splatpainter.train.stages.task import Task, Verdict, freeze
+
+LEAST = 1e-5
+"""Added to the squared error: 50 dB are enough."""
+
+
+class PredictTask(Task[SplatPainterModel]):
+    """Of the model, the predictor is trained."""
+
+    def __init__(self, model: SplatPainterModel) -> None:
+        """Raises ValueError for a model without a predictor."""
+        super().__init__()
+        if model.predictor is None:
+            raise ValueError("train predict: expected a model with a predictor; give --model.predict.features 64")
+        self.model = model
+        freeze(model)
+        model.predictor.requires_grad_(True)
+
+    def losses(self, sample: RowEdit, seed: int) -> dict[str, Tensor]:  # type: ignore[override]
+        squared = self._squared(sample, self._predicted(sample))
+        return {"loss": torch.log(squared + LEAST), "squared": squared}
+
+    @torch.no_grad()
+    def judge(self, sample: RowEdit) -> Verdict:  # type: ignore[override]
+        if not (sample.weight > 0.05).any():
+            raise ValueError("the pictures show no row")
+        lift = regressed(sample.asset, sample.normals, sample.told, sample.weight)
+        # Nothing done: a change of 0 wherever a row is seen, too.
+        before = np.clip(_colors(sample), 0, 1) - np.clip(_colors(sample) + sample.change, 0, 1)
+        nothing = float(np.average((before**2).mean(1), weights=sample.counts))
+        numbers = {
+            "nothing": _decibels(nothing),
+            "lift": _decibels(float(self._squared(sample, self._tensor(lift)))),
+            "ours": _decibels(float(self._squared(sample, self._predicted(sample)))),
+        }
+        numbers["gain"] = numbers["ours"] - numbers["lift"]
+        return Verdict(f"{sample.kind} {sample.views}", numbers, ())
+
+    def _predicted(self, sample: RowEdit) -> Tensor:
+        predictor = self.model.predictor
+        assert predictor is not None
+        facts = row_facts(sample.asset, sample.normals, sample.transfer)
+        if not (sample.weight > 0.05).any():
+            raise ValueError("the pictures show no row")
+        return predictor(self._tensor(facts), self._tensor(sample.told), self._tensor(sample.weight))
+
+    def _squared(self, sample: RowEdit, predicted: Tensor) -> Tensor:
+        """Mean squared error of the base colours 0..1 that a global edit would give."""
+        old, weight, counts = (self._tensor(x) for x in (_colors(sample), sample.weight, sample.counts))
+        trust = (weight / (weight + GlobalOptions.half_seen))[:, None]
+        moved = trust * self._tensor(sample.told) + (1 - trust) * predicted
+        away = (old + moved).clamp(0, 1) - (old + self._tensor(sample.change)).clamp(0, 1)
+        return (away.square().mean(1) * counts).sum() / counts.sum().clamp(min=1e-6)
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values, np.float32)).to(self.device)
+
+
+def _colors(sample: RowEdit) -> np.ndarray:
+    return 0.5 + SH_C0 * sample.asset.sh[:, 0]
+
+
+def _decibels(squared: float) -> float:
+    return -10 * math.log10(max(squared, 1e-12))
