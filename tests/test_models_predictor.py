@@ -171,6 +171,44 @@ def test_the_painter_asks_the_models_predictor_for_global_edits_alone() -> None:
         assert differs == (mode == "global")
 
 
+def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats, base = ball(500, degree=1), replace(WITH, refine=replace(WITH.refine, base="lift", detail=False))
+    torch.manual_seed(1)
+    both = SplatPainterModel(base).eval()
+    assert both.predictor is not None
+    torch.nn.init.normal_(both.predictor.expected.weight, std=0.3)
+    alone = SplatPainterModel(replace(base, predict=replace(CONFIG, alone=True))).eval()
+    alone.load_state_dict(both.state_dict())
+    assert alone.predicts_alone and not both.predicts_alone
+    change = Edit(draw(regraded(splats), FRONT), FRONT, covered(splats, FRONT))
+    with_stage_two = Painter(model=both)
+    expected = with_stage_two.apply(with_stage_two.encode(splats), [change], mode="global", method="ttt")
+    painter = Painter(model=alone)
+    assert not painter.encodes("ttt", "global") and painter.encodes("ttt", "local")
+    monkeypatch.setattr(Painter, "_encoded", None)  # whoever encodes fails
+    asset = painter.encode(splats, "ttt", ["global"])
+    made = painter.apply(asset, [change], mode="global", method="ttt")
+    # Stage II is untrained, so it adds nothing.
+    np.testing.assert_array_equal(made.splats.sh, expected.splats.sh)
+    assert asset.learnt is None and made.receipt is not None and made.receipt.method == "ttt"
+    assert "encode" not in made.receipt.seconds
+    # An untrained one leaves it to Stage II, and a local edit needs Stage II anyway.
+    torch.nn.init.zeros_(alone.predictor.expected.weight)  # type: ignore[union-attr]
+    assert painter.encodes("ttt", "global")
+
+
+def test_weights_that_only_help_elsewhere_are_not_read(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
+    from splatpainter.models import weights
+
+    SplatPainterModel(replace(WITH, preset="compact")).save(
+        tmp_path / "compact", notes={"gain": {"local": -0.2, "global": 0.4}}
+    )
+    monkeypatch.setenv(weights.VARIABLE, str(tmp_path))
+    assert Painter.load().model is not None and Painter.load(modes=["global"]).model is not None
+    local = Painter.load(modes=["local"])
+    assert local.model is None and "in local edits" in local.choose("auto", "local")[1]
+
+
 def test_a_checkpoint_keeps_it_and_older_ones_have_none(tmp_path) -> None:  # noqa: ANN001
     torch.manual_seed(0)
     model = SplatPainterModel(WITH)

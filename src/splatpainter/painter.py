@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -143,9 +143,12 @@ class Painter:
             object.__setattr__(self, "preset", "lift" if self.model is None else self.model.config.preset)
 
     @staticmethod
-    def load(preset: str = "auto", *, polish: bool = False, cache: bool = True) -> Painter:
+    def load(
+        preset: str = "auto", *, modes: Sequence[Mode] = ("local", "global"), polish: bool = False, cache: bool = True
+    ) -> Painter:
         """The painter of a preset: "lift", "compact", "paper", or a folder of weights; "auto" is "compact" where its
-        weights are there and beat the lift (`choose`), else "lift". polish, cache: as the fields.
+        weights are there and beat the lift (`choose`) in one of the modes that will be asked for, else "lift". polish,
+        cache: as the fields.
 
         Raises ValueError for a preset that is not known, or has no weights or wrong ones."""
         from splatpainter.models import checkpoint, weights
@@ -156,22 +159,29 @@ class Painter:
             if folder is None:
                 return Painter(why="no trained weights: the analytic lift")
             gain = checkpoint.notes(folder).get("gain", {})
-            if gain and max(gain.values()) <= 0:  # reading and running them would be for nothing
-                return Painter(why="the weights of preset 'compact' do not beat the lift yet: the analytic lift")
+            if gain and max((gain[mode] for mode in modes if mode in gain), default=1.0) <= 0:
+                # Reading and running them would be for nothing.
+                told = "" if set(modes) >= set(gain) else f" in {' and '.join(modes)} edits"
+                return Painter(why=f"the weights of preset 'compact' do not beat the lift{told} yet: the analytic lift")
             preset = "compact"
         if preset == "lift":
             return Painter(why=why)
         return Painter(model=weights.load(preset), polish=polish, cache=cache)
 
-    def encode(self, splats: Splats, method: Method = "auto") -> Asset:
-        """Prepare an asset for edits by `method`: for "ttt", run the LRM and Stage I. In `copy` representation the
-        asset's rows are then Stage I's. Raises ValueError when it has no row that can be drawn."""
+    def encode(self, splats: Splats, method: Method = "auto", modes: Sequence[Mode] = ("local", "global")) -> Asset:
+        """Prepare an asset for edits by `method` in these modes: for "ttt", run the LRM and Stage I where they are
+        needed (`encodes`). In `copy` representation the asset's rows are then Stage I's. Raises ValueError when it has
+        no row that can be drawn."""
         own = splats.numpy()
         if not own.finite.any():
             raise ValueError(f"asset: none of the {len(own)} rows can be drawn (NaN, zero scale or zero quaternion)")
         asset = Asset(own)
-        wanted = any(self.choose(method, mode)[0] == "ttt" for mode in get_args(Mode))
+        wanted = any(self.encodes(self.choose(method, mode)[0], mode) for mode in modes)
         return self._encoded(asset) if wanted else asset
+
+    def encodes(self, method: Method, mode: Mode) -> bool:
+        """Whether edits by this method, not "auto", are made on an encoded asset."""
+        return method == "ttt" and self.model is not None and not (mode == "global" and self.model.predicts_alone)
 
     def apply(self, asset: Asset, edits: Sequence[Edit], mode: Mode = "local", method: Method = "auto") -> Asset:
         """The asset after 1..16 edits; `asset` itself does not change. Later edits win where edits conflict.
@@ -192,9 +202,10 @@ class Painter:
             raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
         clock = _Clock()
         if chosen == "ttt":
-            _one_size(edits)
-            asset = self._encoded(asset)
-            clock.lap("encode")
+            if self.encodes(chosen, mode):
+                _one_size(edits)
+                asset = self._encoded(asset)
+                clock.lap("encode")
         views = [_prepare(asset, edit, mode) for edit in edits]
         clock.lap("prepare")
         result = self._edited(asset, views, mode, chosen, clock)
@@ -230,13 +241,16 @@ class Painter:
         """The asset after the views, still with the old receipt."""
         draft = self._draft(asset, views, mode, chosen)
         clock.lap("lift")
-        if chosen in ("lift", "fit"):
+        if not self.encodes(chosen, mode):
             splats = draft.splats
             if chosen == "fit":
                 from splatpainter.fit.edited import fit_edited
 
                 splats = fit_edited(asset.splats, splats, [(v.camera, v.wanted) for v in views], draft.rows)
                 clock.lap("fit")
+            elif chosen == "ttt" and self.polish:
+                splats = _polished(asset.splats, splats, draft, views, mode)
+                clock.lap("polish")
             owners = draft.owners(len(asset.splats))
             return replace(asset, splats=splats, confidence=draft.confidence, learnt=_owned(asset, owners))
         result = self._refined(asset, draft, views)
@@ -297,6 +311,7 @@ class Painter:
         config = self.model.config.refine if chosen == "ttt" and self.model is not None else None
         base, features = ("lift", False) if config is None else (config.base, config.lift_features)
         if mode == "global":
+            base = base if self.encodes(chosen, mode) else "lift"
             known = {"normals": asset.normals, "predict": None if config is None else self._predict(asset)}
             return draft_global(asset.splats, views, base, self.whole, features=features, **known)
         return draft_local(asset.splats, asset.grid, views, base, self.local, features=features)
@@ -306,8 +321,9 @@ class Painter:
         from splatpainter.models.predictor import predicting
 
         assert self.model is not None
-        able = self.model.predictor is not None and not self.model.predictor.silent
-        return predicting(self.model, asset.splats, asset.normals, asset.transfer) if able else None
+        if self.model.predictor is None or self.model.predictor.silent:
+            return None  # and nothing is computed for it
+        return predicting(self.model, asset.splats, asset.normals, asset.transfer)
 
     def _refined(self, asset: Asset, draft: Draft, views: Sequence[EditView]) -> Asset:
         """What the network makes of a draft."""

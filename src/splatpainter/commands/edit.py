@@ -102,14 +102,14 @@ def run(config: Config) -> Outcome:
 
 def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method, painter: Painter | None = None) -> Asset:
     """The asset after the pictures. painter: by default that of preset "auto"."""
-    painter = painter or Painter.load()
-    asset = painter.encode(splats, method)
+    painter = painter or Painter.load(modes=[mode])
+    asset = painter.encode(splats, method, [mode])
     return painter.apply(asset, [source.edit(splats, mode) for source in sources], mode, method)
 
 
 def _painter(config: Config) -> Painter:
     """Before anything is read that takes time: weights that are missing or wrong are the likeliest complaint."""
-    painter = Painter.load(config.preset, polish=config.polish)
+    painter = Painter.load(config.preset, modes=[config.mode], polish=config.polish)
     if painter.model is not None and painter.model.config.representation == "copy" and config.method in ("auto", "ttt"):
         raise ValueError(
             f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no row could be "

@@ -22,7 +22,7 @@ _Config = TypeVar("_Config")
 
 CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1, "normals": 3}
 """Channels per pixel of each group that an image token of an edit can hold."""
-LATER: dict[str, Any] = {"predict": {"features": 0, "hidden": 128}}
+LATER: dict[str, Any] = {"predict": {"features": 0, "hidden": 128, "alone": False}}
 """Keys that older checkpoints lack, and what they mean there."""
 LARGEST = 1 << 20
 """Bytes; no honest config is longer."""
@@ -175,6 +175,8 @@ class PredictConfig:
     """Of every row, for lightness and for hue each; 0: no predictor, the lift's own regression (and the paper)."""
     hidden: int = 128
     """Width of the network that makes them."""
+    alone: bool = False
+    """Global edits are the predictor's, without Stage II and without encoding the asset (`native` only)."""
 
     def __post_init__(self) -> None:
         _positive(self, "features", least=0)
@@ -316,7 +318,7 @@ COMPACT = ModelConfig(
         lift_features=True,
         row_tokens=2048,
     ),
-    predict=PredictConfig(features=64),
+    predict=PredictConfig(features=64, alone=True),
     decoder="bounded",
 )
 """What ships trained: one unified model for local and global edits, on two CPU cores. Stage II spends 1.7 MFLOP per

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from splatpainter.lift.whole import SEEN, Predict
 from splatpainter.models.config import PredictConfig
@@ -34,8 +35,8 @@ COMPANY = 8192
 """Rows, evenly chosen, that say what kind of asset this is and under what light."""
 TEACHERS = 16_384
 """Seen rows, evenly chosen, that the regression learns from."""
-CHUNK = 1 << 14
-"""Rows described at once without gradients."""
+CHUNK = 1 << 12
+"""Rows described at once without gradients: few enough for what they pass through to stay in the caches."""
 OPPONENT = ((3**-0.5, 3**-0.5, 3**-0.5), (2**-0.5, -(2**-0.5), 0.0), (6**-0.5, 6**-0.5, -2 * 6**-0.5))
 """Orthogonal: lightness, and two channels of hue."""
 
@@ -76,7 +77,7 @@ class Predictor(nn.Module):
         self.own = nn.Sequential(nn.Linear(INPUTS, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
         self.company = nn.Sequential(nn.Linear(width, width), nn.SiLU())
         self.evidence = nn.Sequential(nn.Linear(INPUTS + 3, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
-        self.together = nn.Sequential(nn.Linear(3 * width, width), nn.SiLU())
+        self.together = nn.Linear(3 * width, width)
         self.describe = nn.Linear(width, 2 * config.features)
         self.expected = nn.Linear(width, 3)
         self.trust = nn.Parameter(torch.tensor(6.0))
@@ -118,8 +119,9 @@ class Predictor(nn.Module):
 
     def _described(self, inputs: Tensor, around: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(features for lightness [M, F], for hue [M, F], change expected beforehand [M, 3], lightness and hue)."""
-        x = torch.cat([self.own(inputs), around.expand(len(inputs), -1)], 1)
-        x = self.together(x)
+        mine, others = self.together.weight.split([self.expected.in_features, len(around)], dim=1)
+        same = functional.linear(around, others, self.together.bias)  # for all rows
+        x = functional.silu(functional.linear(self.own(inputs), mine) + same)
         light, hue = (2 * self.features**-0.5 * self.describe(x)).chunk(2, dim=1)
         return light, hue, 0.1 * self.expected(x)
 

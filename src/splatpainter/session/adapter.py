@@ -45,7 +45,7 @@ class Adapter:
         painter. Raises ValueError as Painter.apply does."""
         numbered = replace(bare(below), origin=np.arange(len(below)))
         asset = Asset(numbered)
-        if method == "ttt":
+        if self._painter.encodes(method, mode):
             base = self._base()
             assert base.learnt is not None and below.origin is not None
             if state is not None:
