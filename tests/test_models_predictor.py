@@ -179,7 +179,7 @@ def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.nn.init.normal_(both.predictor.expected.weight, std=0.3)
     alone = SplatPainterModel(replace(base, predict=replace(CONFIG, alone=True))).eval()
     alone.load_state_dict(both.state_dict())
-    assert alone.predicts_alone and not both.predicts_alone
+    assert alone.config.predicts_alone and not both.config.predicts_alone
     change = Edit(draw(regraded(splats), FRONT), FRONT, covered(splats, FRONT))
     with_stage_two = Painter(model=both)
     expected = with_stage_two.apply(with_stage_two.encode(splats), [change], mode="global", method="ttt")
@@ -192,9 +192,12 @@ def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(made.splats.sh, expected.splats.sh)
     assert asset.learnt is None and made.receipt is not None and made.receipt.method == "ttt"
     assert "encode" not in made.receipt.seconds
-    # An untrained one leaves it to Stage II, and a local edit needs Stage II anyway.
-    torch.nn.init.zeros_(alone.predictor.expected.weight)  # type: ignore[union-attr]
-    assert painter.encodes("ttt", "global")
+    # While it is untrained, the lift's regression stands in.
+    assert alone.predictor is not None
+    torch.nn.init.zeros_(alone.predictor.expected.weight)
+    again = painter.apply(asset, [change], mode="global", method="ttt")
+    lifted = Painter().apply(asset, [change], mode="global")
+    np.testing.assert_array_equal(again.splats.sh, lifted.splats.sh)
 
 
 def test_weights_that_only_help_elsewhere_are_not_read(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
@@ -223,3 +226,29 @@ def test_a_checkpoint_keeps_it_and_older_ones_have_none(tmp_path) -> None:  # no
     text = TINY.to_json()
     cut = text[: text.index('"predict"')] + text[text.index('"decoder"') :]
     assert ModelConfig.from_json(cut) == TINY and "predict" not in cut
+
+
+def test_weights_are_read_when_they_are_needed(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
+    from splatpainter.models import weights
+
+    config = replace(WITH, preset="compact", predict=replace(CONFIG, alone=True))
+    config = replace(config, refine=replace(config.refine, base="lift", detail=False))
+    torch.manual_seed(2)
+    model = SplatPainterModel(config)
+    assert model.predictor is not None
+    torch.nn.init.normal_(model.predictor.expected.weight, std=0.3)
+    model.save(tmp_path / "compact", notes={"gain": {"local": -0.2, "global": 0.4}}, dtype="float32")
+    monkeypatch.setenv(weights.VARIABLE, str(tmp_path))
+    read = []
+    monkeypatch.setattr(SplatPainterModel, "load", staticmethod(lambda folder: read.append(folder) or model.eval()))
+    painter, splats = Painter.load(), ball(500, degree=1)
+    assert painter.preset == "compact"
+    change = Edit(draw(regraded(splats), FRONT), FRONT, covered(splats, FRONT))
+    painter.apply(painter.encode(splats), [change])
+    assert not read, "local edits are the lift's"
+    made = painter.apply(painter.encode(splats), [change], mode="global")
+    assert len(read) == 1 and made.receipt is not None and made.receipt.method == "ttt"
+    painter.apply(made, [change], mode="global")
+    assert len(read) == 1
+    expected = Painter(model=model).apply(Painter(model=model).encode(splats), [change], mode="global", method="ttt")
+    np.testing.assert_array_equal(made.splats.sh, expected.splats.sh)

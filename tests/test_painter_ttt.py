@@ -109,7 +109,9 @@ def test_presets_with_one_layer_run_from_end_to_end(mode: Mode) -> None:
         painter = Painter(model=built(config))
         asset = painter.encode(SPLATS)
         result = painter.apply(asset, wanted(mode, asset.splats), mode=mode)
-        assert same_bits(result.splats, asset.splats)
+        alone = mode == "global" and config.predicts_alone  # by an untrained predictor: the lift
+        expected = Painter().apply(asset, wanted(mode, asset.splats), mode=mode) if alone else asset
+        assert same_bits(result.splats, expected.splats)
         copied = config.representation == "copy"
         assert (asset.splats is SPLATS) != copied and ("copy" in receipt_of(result).note) == copied
 

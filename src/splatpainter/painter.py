@@ -147,23 +147,23 @@ class Painter:
         preset: str = "auto", *, modes: Sequence[Mode] = ("local", "global"), polish: bool = False, cache: bool = True
     ) -> Painter:
         """The painter of a preset: "lift", "compact", "paper", or a folder of weights; "auto" is "compact" where its
-        weights are there and beat the lift (`choose`) in one of the modes that will be asked for, else "lift". polish,
-        cache: as the fields.
+        weights are there and beat the lift (`choose`) in one of the modes that will be asked for, else "lift"; its
+        weights are read when an edit first needs them. polish, cache: as the fields.
 
         Raises ValueError for a preset that is not known, or has no weights or wrong ones."""
-        from splatpainter.models import checkpoint, weights
+        from splatpainter.models import weights
 
         why = "preset 'lift': the analytic lift"
         if preset == "auto":
-            folder = weights.find("compact")
-            if folder is None:
+            model = weights.deferred("compact")
+            if model is None:
                 return Painter(why="no trained weights: the analytic lift")
-            gain = checkpoint.notes(folder).get("gain", {})
+            gain = model.notes.get("gain", {})
             if gain and max((gain[mode] for mode in modes if mode in gain), default=1.0) <= 0:
                 # Reading and running them would be for nothing.
                 told = "" if set(modes) >= set(gain) else f" in {' and '.join(modes)} edits"
                 return Painter(why=f"the weights of preset 'compact' do not beat the lift{told} yet: the analytic lift")
-            preset = "compact"
+            return Painter(model=model, polish=polish, cache=cache)
         if preset == "lift":
             return Painter(why=why)
         return Painter(model=weights.load(preset), polish=polish, cache=cache)
@@ -181,7 +181,9 @@ class Painter:
 
     def encodes(self, method: Method, mode: Mode) -> bool:
         """Whether edits by this method, not "auto", are made on an encoded asset."""
-        return method == "ttt" and self.model is not None and not (mode == "global" and self.model.predicts_alone)
+        if method != "ttt" or self.model is None:
+            return False
+        return mode == "local" or not self.model.config.predicts_alone
 
     def apply(self, asset: Asset, edits: Sequence[Edit], mode: Mode = "local", method: Method = "auto") -> Asset:
         """The asset after 1..16 edits; `asset` itself does not change. Later edits win where edits conflict.

@@ -218,13 +218,15 @@ def _supply(config: JudgeConfig, recipe: Recipe, device: str) -> Supply:
 
 def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:
     """Kind -> weight, as asked for; the recipe's otherwise."""
-    from splatpainter.data.recipes import KINDS
+    from splatpainter.data.recipes import GLOBAL, KINDS
 
     known = [kind for kind in KINDS if (kind == "plain") != (recipe.stage == "refine")]
     for kind in config.kinds:
         if kind not in known:
             raise ValueError(f"--kinds: expected some of {', '.join(known)} for stage {recipe.stage}, got {kind!r}")
     own = {kind: weight for kind, weight in recipe.samples.kinds.items() if weight > 0 and kind in known}
+    if recipe.model.predicts_alone and not set(own) & set(GLOBAL):  # Stage II does not train on them
+        own |= {kind: sum(own.values()) * share for kind, share in (("relight", 0.75), ("regrade", 0.25))}
     return dict.fromkeys(config.kinds, 1.0) or own or dict.fromkeys(known, 1.0)
 
 

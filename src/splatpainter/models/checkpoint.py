@@ -153,6 +153,12 @@ def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = Mod
     return Checkpoint(config, _joined(found, table, where), notes)
 
 
+def config(folder: Path | str) -> ModelConfig:
+    """The config of the model in a folder, without reading its weights. Raises ValueError as `load`."""
+    path = Path(folder)
+    return ModelConfig.from_json(json.dumps(_index(path, ModelConfig.format).get("config")), str(path / INDEX))
+
+
 def notes(folder: Path | str) -> dict[str, Any]:
     """What the checkpoint in a folder says about its weights, without reading them. Raises ValueError as `load`."""
     return dict(_index(Path(folder)).get("notes") or {})

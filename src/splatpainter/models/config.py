@@ -216,6 +216,12 @@ class ModelConfig:
         if self.refine.base == "lift" and self.decoder == "absolute":
             raise ValueError("config: expected a residual decoder with refine.base='lift', got 'absolute'")
 
+    @property
+    def predicts_alone(self) -> bool:
+        """Whether global edits need neither Stage II nor an encoded asset: the predictor makes them, or, while it is
+        untrained, the lift's own regression."""
+        return self.predict.alone and self.predict.features > 0 and self.representation == "native"
+
     def to_json(self) -> str:
         """Every field, nested as here, two spaces per level."""
         return json.dumps(dataclasses.asdict(self), indent=2)

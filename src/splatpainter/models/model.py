@@ -103,12 +103,6 @@ class SplatPainterModel(nn.Module):
         self.head = AttributeHead(config.compress.dim, config.sh_degree, config.decoder)
         self.predictor = Predictor(config.predict) if config.predict.features else None
 
-    @property
-    def predicts_alone(self) -> bool:
-        """Whether global edits need neither Stage II nor an encoded asset: a trained predictor makes them."""
-        able = self.predictor is not None and not self.predictor.silent
-        return able and self.config.predict.alone and self.config.representation == "native"
-
     @staticmethod
     def load(folder: Path | str, preset: str | None = None) -> SplatPainterModel:
         """The model of a checkpoint, float32 on the CPU, ready to use (eval). Raises ValueError as checkpoint.load and

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import threading
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
+from splatpainter.models import checkpoint
 from splatpainter.models.checkpoint import INDEX
 from splatpainter.models.config import PRESETS
 
@@ -27,6 +30,35 @@ def places(preset: str) -> list[Path]:
 def find(preset: str) -> Path | None:
     """The folder with the weights of a preset, or None."""
     return next((folder for folder in places(preset) if (folder / INDEX).is_file()), None)
+
+
+class _Deferred:
+    """A model of which config and notes are known, and whose weights are read when anything else is asked for: torch
+    and 18 MB are seconds that an edit by the lift should not wait for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.config, self.notes = checkpoint.config(folder), checkpoint.notes(folder)
+        self._folder, self._reading = folder, threading.Lock()
+
+    @cached_property
+    def _model(self) -> SplatPainterModel:
+        from splatpainter.models.model import SplatPainterModel
+
+        return SplatPainterModel.load(self._folder)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        with self._reading:
+            model = self._model
+        return getattr(model, name)
+
+
+def deferred(preset: str) -> SplatPainterModel | None:
+    """The model of a preset, its weights not yet read; None where there are none. What is wrong with the weights is
+    said when they are first needed. Raises ValueError for an index that is not that of a model."""
+    folder = find(preset)
+    return None if folder is None else cast("SplatPainterModel", _Deferred(folder))
 
 
 def load(preset: str) -> SplatPainterModel:

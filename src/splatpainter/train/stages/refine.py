@@ -118,7 +118,7 @@ class RefineTask(Task[SplatPainterModel]):
             freeze(*(getattr(refiner, n, None) for n in ("detail_mixer", "norm_refined", "norm_original")))
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
-        if sample.mode == "global" and self.model.predicts_alone:
+        if sample.mode == "global" and self.model.config.predicts_alone:
             raise ValueError("global edits are the predictor's alone: Stage II learns nothing from them")
         rng = np.random.default_rng(seed)
         known = self._remembered(sample)
@@ -139,7 +139,7 @@ class RefineTask(Task[SplatPainterModel]):
         lifted = self._draft(sample, known, views, analytic=True)
         same = self.base == "lift" and (sample.mode == "local" or known.predict is None)
         draft = lifted if same else self._draft(sample, known, views)
-        alone = sample.mode == "global" and self.model.predicts_alone
+        alone = sample.mode == "global" and self.model.config.predicts_alone
         with fast_math(self.device):
             edited = draft.splats if alone else self._refined(known, draft, views)
         wanted = self._novel(sample, known, range(len(sample.novel_after.cameras)))
