@@ -53,7 +53,7 @@ def test_facts_do_not_know_size_and_place_and_leave_out_what_cannot_be_drawn() -
     splats = ball(400)
     facts = facts_of(splats)
     assert facts.shape == (400, module.FACTS) and np.isfinite(facts).all() and np.abs(facts).max() < 6
-    away = replace(splats, means=100 * splats.means + np.float32([3, 4, 5]), scales=100 * splats.scales)
+    away = replace(splats, means=100 * splats.means + np.array([3, 4, 5], np.float32), scales=100 * splats.scales)
     np.testing.assert_allclose(facts_of(away), facts, atol=2e-3)
     odd = splats.append(replace(splats.take(np.arange(1)), means=np.full((1, 3), np.nan, np.float32)))
     held = facts_of(odd)

@@ -70,7 +70,7 @@ def loop(
     out: Path,
     *,
     samples: Any = None,
-    held: tuple[Sample, ...] = (),
+    held: tuple[Any, ...] = (),
     group: Group | None = None,
     **more: Any,
 ) -> Loop:

@@ -239,7 +239,7 @@ class Painter:
         )
         return replace(result, receipt=receipt)
 
-    def _edited(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: str, clock: _Clock) -> Asset:
+    def _edited(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: Method, clock: _Clock) -> Asset:
         """The asset after the views, still with the old receipt."""
         draft = self._draft(asset, views, mode, chosen)
         clock.lap("lift")
@@ -307,7 +307,7 @@ class Painter:
         assert self.model is not None
         return digest(self.model)
 
-    def _draft(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: str) -> Draft:
+    def _draft(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: Method) -> Draft:
         from splatpainter.models.draft import draft_global, draft_local
 
         config = self.model.config.refine if chosen == "ttt" and self.model is not None else None

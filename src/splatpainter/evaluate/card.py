@@ -51,12 +51,13 @@ def card(
 def _head(config: ModelConfig, weights: Mapping[str, int]) -> str:
     sizes = ", ".join(f"{NETWORKS.get(n, n)} {count / 1e6:.1f}" for n, count in weights.items())
     base = "adds its change to the analytic lift" if config.refine.base == "lift" else "changes the asset's own rows"
+    alone = ALONE if config.predicts_alone else ""
     return f"""
 # Model card: {config.preset}
 
 Weights of SplatPainter's `{config.preset}` preset: they turn edited pictures of a 3D Gaussian asset into a change of
 its rows, in one pass, by test-time training of small fast weights (after arXiv 2512.05354). The network {base}.
-{sum(weights.values()) / 1e6:.1f} million weights in half precision (millions: {sizes}).
+{alone}{sum(weights.values()) / 1e6:.1f} million weights in half precision (millions: {sizes}).
 Representation `{config.representation}`.
 """
 
@@ -178,11 +179,16 @@ def _listed(lines: Sequence[str]) -> str:
     return "\n".join(f"- {line}" for line in lines)
 
 
+ALONE = """\
+Global edits are a second, small network's alone: it describes every row, and an edit solves a ridge regression on these
+descriptions exactly, in place of the lift's fixed ones: what a picture says about sides that it does not show. They
+need no encoding.
+"""
 SHORT = "More steps, larger pictures and more objects are the first things to try."
 FAILURES = (
     "Small pictures, small assets: larger ones are accepted, but none was trained on (sizes above).",
     "Captures, with fog, floaters and baked-in light, were neither trained on nor measured: every asset is a mesh's.",
-    "Relighting from one view: sides that it does not show are guessed from colours and normals, shadows with them.",
+    "Relighting from one view: sides that it does not show are guessed from colours, normals and what light can reach.",
     "The truth is shaded surfels: soft shadows, one blurred highlight; no mirrors, no glass, no light between parts.",
     "The network adds no rows of its own: detail finer than the asset comes from the lift's splitting alone.",
     "Edits that contradict each other in different views: the later view is meant to win; borders can blur.",
