@@ -34,6 +34,9 @@ class FlatPainter:
     def choose(self, method: str, mode: str) -> tuple[str, str]:
         return ("lift" if self.model is None else "ttt") if method == "auto" else method, ""
 
+    def encodes(self, method: str, mode: str) -> bool:
+        return method == "ttt"
+
     def encode(self, splats: Splats, method: str = "auto") -> Asset:
         if self.model is None:
             return Asset(splats)

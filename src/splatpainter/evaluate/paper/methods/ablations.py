@@ -124,7 +124,11 @@ def _trained_without(kinds: tuple[str, ...]) -> str:
 
 
 LOCAL = Needed(("local",), train=_trained_without(recipes.GLOBAL))
-GLOBAL = Needed(("global",), train=_trained_without(recipes.LOCAL))
+GLOBAL = Needed(
+    ("global",),
+    train=f"{_trained_without(recipes.LOCAL)} --samples.kinds.relight 0.75 --samples.kinds.regrade 0.25 "
+    "--model.predict.no-alone",
+)
 
 
 def _separate(work: Work, budget: Budget) -> Done:
