@@ -108,15 +108,18 @@ def test_gradients_reach_every_weight() -> None:
 def test_an_untrained_predictor_leaves_the_lift_alone() -> None:
     splats = ball(300)
     normals = outward_normals(splats)
-    transfer = row_transfer(splats.means, normals)
+
+    def never() -> np.ndarray:
+        raise AssertionError("light is looked for, and nobody needs it")
+
     torch.manual_seed(0)
     assert PRESETS["compact"].predict.features > 0 == PRESETS["paper"].predict.features
-    assert predicting(SplatPainterModel(TINY), splats, normals, transfer) is None
+    assert predicting(SplatPainterModel(TINY), splats, normals, never) is None
     model = SplatPainterModel(WITH)
     assert model.predictor is not None and model.predictor.silent
-    assert predicting(model, splats, normals, transfer) is None
+    assert predicting(model, splats, normals, never) is None
     torch.nn.init.normal_(model.predictor.expected.weight, std=0.1)
-    predict = predicting(model, splats, normals, transfer)
+    predict = predicting(model, splats, normals, lambda: row_transfer(splats.means, normals))
     assert predict is not None
     told = predict(np.full((300, 3), 0.1, np.float32), np.ones(300, np.float32))
     assert told.shape == (300, 3) and told.dtype == np.float32

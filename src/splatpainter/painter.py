@@ -323,9 +323,7 @@ class Painter:
         from splatpainter.models.predictor import predicting
 
         assert self.model is not None
-        if self.model.predictor is None or self.model.predictor.silent:
-            return None  # and nothing is computed for it
-        return predicting(self.model, asset.splats, asset.normals, asset.transfer)
+        return predicting(self.model, asset.splats, asset.normals, lambda: asset.transfer)
 
     def _refined(self, asset: Asset, draft: Draft, views: Sequence[EditView]) -> Asset:
         """What the network makes of a draft."""

@@ -10,6 +10,7 @@ holds for all. It takes the place of the lift's fixed features and keeps its pri
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -126,12 +127,15 @@ class Predictor(nn.Module):
         return light, hue, 0.1 * self.expected(x)
 
 
-def predicting(model: SplatPainterModel, splats: Splats, normals: np.ndarray, transfer: np.ndarray) -> Predict | None:
-    """The model's prediction for edits of this asset, on the model's device; None where it has no trained predictor."""
+def predicting(
+    model: SplatPainterModel, splats: Splats, normals: np.ndarray, transfer: Callable[[], np.ndarray]
+) -> Predict | None:
+    """The model's prediction for edits of this asset, on the model's device; None where it has no trained predictor,
+    and then `transfer`, which says [N, 10] of `row_transfer`, is not asked."""
     predictor = model.predictor
     if predictor is None or predictor.silent:
         return None
-    facts = row_facts(splats, normals, transfer)
+    facts = row_facts(splats, normals, transfer())
 
     def predict(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
         device = predictor.trust.device

@@ -32,7 +32,7 @@ TRAINED = {
 }
 """Stage, in the order of training -> the parts of the model that a checkpoint of it has trained. The predictor stands
 beside the others: training it keeps whatever there is of them."""
-SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "compress.min_opacity")
+SETTINGS = ("preset", "lrm.views", "lrm.image_size", "refine.edit_strength", "compress.min_opacity", "predict.alone")
 """Keys of a model's config that its weights do not depend on."""
 
 
@@ -54,8 +54,9 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
         if not set(TRAINED.get(until, "?")) <= set(TRAINED.get(stage, TRAINED["refine"])):
             raise ValueError(f"{weights}: expected --from-stage to be one up to {stage}, got {until}")
         parts = TRAINED[until]
-    if recipe.stage == "predict" or not held.config.predict.features:  # a new predictor
-        parts = tuple(part for part in parts if part != "predictor." or held.config.predict == recipe.model.predict)
+    sizes = [(c.predict.features, c.predict.hidden) for c in (held.config, recipe.model)]
+    if sizes[0] != sizes[1] and (recipe.stage == "predict" or not held.config.predict.features):  # a new predictor
+        parts = tuple(part for part in parts if part != "predictor.")
     untrained = _untrained_keys(parts)
 
     def free(key: str) -> bool:

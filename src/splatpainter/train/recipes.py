@@ -91,7 +91,8 @@ class Recipe:
     save_minutes: float = 5.0
     """Minutes between checkpoints."""
     workers: int = 0
-    """Processes that prepare samples ahead; 0: the training process does."""
+    """Processes that prepare samples ahead; 0: the training process does. Not of stage predict, whose samples cost
+    nothing once an object is known."""
     parallel: Parallel = "ddp"
     """With several processes: ddp (every one holds the model) or fsdp (sharded)."""
 

@@ -1,7 +1,7 @@
 """The predictor of unseen rows: edits of rows in, the change of all others out. No picture is drawn.
 
-What is compared is what a global edit would write into the rows: what was seen where much was seen, what is predicted
-elsewhere (`lift_global`). The loss is the logarithm of the mean squared error, so every edit counts by the dB it gains.
+What is compared is close to what a global edit writes into the rows: what was seen where much was seen, what is
+predicted elsewhere. The loss is the logarithm of the mean squared error, so every edit counts by the dB it gains.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.data.row_edits import RowEdit
-from splatpainter.lift.whole import GlobalOptions, regressed
+from splatpainter.lift.whole import SEEN, GlobalOptions, regressed
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import row_facts
 from splatpainter.splats import SH_C0
@@ -41,8 +41,7 @@ class PredictTask(Task[SplatPainterModel]):
 
     @torch.no_grad()
     def judge(self, sample: RowEdit) -> Verdict:  # type: ignore[override]
-        if not (sample.weight > 0.05).any():
-            raise ValueError("the pictures show no row")
+        ours = self._predicted(sample)
         lift = regressed(sample.asset, sample.normals, sample.told, sample.weight)
         # Nothing done: a change of 0 wherever a row is seen, too.
         before = np.clip(_colors(sample), 0, 1) - np.clip(_colors(sample) + sample.change, 0, 1)
@@ -50,7 +49,7 @@ class PredictTask(Task[SplatPainterModel]):
         numbers = {
             "nothing": _decibels(nothing),
             "lift": _decibels(float(self._squared(sample, self._tensor(lift)))),
-            "ours": _decibels(float(self._squared(sample, self._predicted(sample)))),
+            "ours": _decibels(float(self._squared(sample, ours))),
         }
         numbers["gain"] = numbers["ours"] - numbers["lift"]
         return Verdict(f"{sample.kind} {sample.views}", numbers, ())
@@ -58,9 +57,9 @@ class PredictTask(Task[SplatPainterModel]):
     def _predicted(self, sample: RowEdit) -> Tensor:
         predictor = self.model.predictor
         assert predictor is not None
-        facts = row_facts(sample.asset, sample.normals, sample.transfer)
-        if not (sample.weight > 0.05).any():
+        if not (sample.weight > SEEN).any():
             raise ValueError("the pictures show no row")
+        facts = row_facts(sample.asset, sample.normals, sample.transfer)
         return predictor(self._tensor(facts), self._tensor(sample.told), self._tensor(sample.weight))
 
     def _squared(self, sample: RowEdit, predicted: Tensor) -> Tensor:

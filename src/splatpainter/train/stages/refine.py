@@ -196,9 +196,7 @@ class RefineTask(Task[SplatPainterModel]):
 
     def _aside(self, splats: Splats) -> tuple[np.ndarray, Predict | None]:
         normals = outward_normals(splats)
-        if self.model.predictor is None:
-            return normals, None
-        return normals, predicting(self.model, splats, normals, row_transfer(splats.means, normals))
+        return normals, predicting(self.model, splats, normals, lambda: row_transfer(splats.means, normals))
 
     def _encoded(self, known: Known, parents: np.ndarray) -> Encoded:
         """The asset's latents, those of the given rows at least."""
