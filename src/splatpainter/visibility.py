@@ -122,6 +122,12 @@ def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directio
     return Visibility(open_share[:, 0], open_share[:, 1], lost_front, lost_back)
 
 
+def warm() -> None:
+    """Compile (or load) the kernel of this module."""
+    points = np.eye(3, dtype=np.float32)
+    row_transfer(points, points)
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def _march(points, normals, towards, side, other, pixel, size, folded, weights, lost_front, lost_back, shade):
     """Adds to lost_front, lost_back [N, 9] and shade [N, 2] (cosine-weighted) what is blocked."""

@@ -23,6 +23,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.render.cpu.warm:warm_rows": ("render/cpu",),
     "splatpainter.raycast:warm": ("raycast.py", "footprints.py"),
     "splatpainter.lift.detail:warm": ("lift/detail.py",),
+    "splatpainter.visibility:warm": ("visibility.py",),
 }
 """Registry. "module:function" that calls every kernel of its package once with float32 arrays -> files and folders
 (relative to the package) whose edits make its compiled kernels stale. Entries are shared out between two processes in
