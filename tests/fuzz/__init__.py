@@ -4,6 +4,6 @@
     python -m tests.fuzz --targets ply --replay 1234                                          (one input again)
 
 An input is a pure function of its target and its seed number. Each target (target.py) knows the structure of what it
-bends: headers, counts, JSON trees, zip directories, packed payloads, database cells; so inputs get past the first check.
+bends: headers, counts, JSON trees, zip directories, packed payloads, database cells; so inputs get past first checks.
 worker.py runs inputs in a process of its own under limits; supervisor.py starts workers and notices when one dies.
 """

@@ -1,4 +1,4 @@
-"""What must hold of every splat file, however it was bent: rows or one line; what opens can be said, drawn and saved."""
+"""What must hold of every splat file, however bent: rows or one line; what opens can be told, drawn, saved."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.commands import info
-from splatpainter.io import FORMATS, read, write
+from splatpainter.io import FORMATS, read
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
 
 from .target import Fault, Target, Verdict, refusal
@@ -105,7 +105,7 @@ def check_edited(splats: Splats, place: Path, rng: random.Random) -> None:
     if rng.random() < 0.5:
         edited = edited.append(edited.take(np.array([row])))
     try:
-        write(place, edited, overwrite=True) if key in ("ply", "spz", "glb", "splat") else writer(place, edited)
+        writer(place, edited)
     except ValueError as error:
         refusal(error)
         return

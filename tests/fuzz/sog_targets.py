@@ -133,7 +133,8 @@ class SogTarget(SogFolderTarget):
         if kind == 7:
             return changed(entry, offset=rng.choice(INTEGERS) & 0xFFFFFFFF)
         if kind == 8:  # much more than it says
-            return changed(entry, data=entry.data + bytes(rng.choice((1 << 20, 24 << 20))), method=8, says_size=size)
+            more = bytes(rng.choice((1000, 70_000, 1 << 20, 24 << 20)) if maybe(rng, 0.3) else 1000)
+            return changed(entry, data=entry.data + more, method=8, says_size=size)
         if kind == 9:
             return changed(entry, method=rng.choice((12, 14)), only_central=only)
         return changed(entry, method=8)

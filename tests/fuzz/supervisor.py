@@ -192,6 +192,7 @@ def faults(out: Path) -> list[dict[str, Any]]:
     seen: dict[str, dict[str, Any]] = {}
     for file in sorted(out.glob("*/fault.json")):
         record = json.loads(file.read_text(encoding="utf-8"))
-        key = json.dumps([record["target"], record["where"], record["fault"].split(":")[0]])
+        about = "".join(letter for letter in record["fault"].split(":")[0] if not letter.isdigit())
+        key = json.dumps([record["target"], record["where"], about])
         seen.setdefault(key, {**record, "count": 0})["count"] += 1
     return list(seen.values())

@@ -3,6 +3,7 @@ so that the supervisor knows the input at which it died."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -106,8 +107,8 @@ def save_failure(out: Path, target: Target | None, name: str, seed: int, line: s
     """Write the input, and what went wrong, to out/NAME-SEED."""
     folder = out / f"{name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
-    if target is not None:
-        for file, data in target.make(rng_of(name, seed)).items():
+    with contextlib.suppress(Exception):  # a fault of the mutations themselves is in the record
+        for file, data in target.make(rng_of(name, seed)).items() if target is not None else ():
             (folder / file).write_bytes(data)
     record = {"target": name, "seed": seed, "fault": line, "where": last_lines(trace)}
     (folder / "fault.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
