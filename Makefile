@@ -1,10 +1,10 @@
 # make demo   edit the bundled asset, write pictures and receipt to demo/
 # make studio paint in the browser
-# make test   run the tests            make check   format, lint, types
+# make test   run the tests            make check   format, lint, types            make fuzz   hostile inputs
 PY := .venv/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo studio test check format clean
+.PHONY: demo studio test fuzz check format clean
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -16,6 +16,14 @@ studio: .venv/installed-studio
 test: .venv/installed-dev
 	scripts/web test
 	OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile
+
+# Hostile inputs for all readers, projects and the studio: make fuzz SECONDS=3600 JOBS=2 TARGETS=ply,spz SEED=7
+SECONDS ?= 600
+JOBS ?= 2
+TARGETS ?= all
+SEED ?= 0
+fuzz: .venv/installed-dev
+	OMP_NUM_THREADS=1 $(PY) -m tests.fuzz --seconds $(SECONDS) --jobs $(JOBS) --targets $(TARGETS) --seed $(SEED)
 
 check: .venv/installed-dev
 	.venv/bin/ruff format --check .

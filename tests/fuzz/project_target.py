@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 import zstandard
+from session_scenes import FlatPainter
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.painter import Edit, Painter
+from splatpainter.painter import Edit
 from splatpainter.session import Session
 from splatpainter.splats import Splats
 
@@ -68,7 +69,7 @@ class ProjectTarget(Target):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.painter = Painter.load("lift")
+        self.painter: Any = FlatPainter()
         self.seeds = [self._seed("asset.ply"), self._seed(""), self._seed("asset.spz")]
         for old in folder.iterdir():
             old.unlink()
@@ -86,7 +87,8 @@ class ProjectTarget(Target):
             session.set(first.id, opacity=0.5)
             session.add("look", parameters={"look": "gain", "gain": [1.1, 1, 0.9]})
             session.add("paint", [dab(0.2)], blend="color")
-            session.add("erase", [dab(0.5)])
+            if not asset:
+                session.add("erase", [dab(0.5)])
             session.duplicate(first.id)
             session.add_bookmark("front", camera())
             session.undo()

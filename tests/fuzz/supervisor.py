@@ -14,14 +14,10 @@ from typing import Any
 from .target import make_target
 from .worker import FIELDS, save_failure, work
 
-HANG_SECONDS = 30.0
-"""Wall time of one input after which its worker is ended (the CPU limit of a target is much lower)."""
 START_SECONDS = 300.0
 """Wall time until a worker's first input: it may have to compile kernels."""
 INPUTS_PER_PROCESS = 40_000
 """Then a fresh process goes on, so that leaks do not add up."""
-MOST_CRASHES = 20
-"""Of one target in a run; then it is left."""
 
 
 @dataclass
@@ -74,6 +70,10 @@ class Plan:
     most_inputs: int | None = None
     """Of each target."""
     out: Path = Path("out/fuzz")
+    hang_seconds: float = 60.0
+    """Wall time of one input after which its worker is ended (the CPU limit of a target is much lower)."""
+    most_crashes: int = 20
+    """Of one target; then it is left."""
     tallies: dict[str, Tally] = field(default_factory=dict)
 
 
@@ -91,7 +91,7 @@ def run(plan: Plan, say=print) -> dict[str, Tally]:
                 jobs.append(_start(plan, name, share - plan.tallies[name].seconds))
             time.sleep(0.05)
             for job in list(jobs):
-                _watch(job)
+                _watch(job, plan.hang_seconds)
                 if job.process.is_alive():
                     continue
                 jobs.remove(job)
@@ -119,7 +119,7 @@ def _start(plan: Plan, name: str, seconds: float) -> Job:
     return Job(name, process, shared, seconds, time.monotonic())
 
 
-def _watch(job: Job) -> None:
+def _watch(job: Job, hang_seconds: float) -> None:
     """End a worker that does not move."""
     now = time.monotonic()
     if not job.value("started"):
@@ -131,8 +131,8 @@ def _watch(job: Job) -> None:
         job.begun = now
     if job.value("inputs") != job.seen:
         job.seen, job.moved = job.value("inputs"), now
-    elif now - job.moved > HANG_SECONDS and job.process.is_alive():
-        job.ended = f"hang: more than {HANG_SECONDS:.0f} s"
+    elif now - job.moved > hang_seconds and job.process.is_alive():
+        job.ended = f"hang: more than {hang_seconds:.0f} s"
         job.process.kill()
 
 
@@ -158,7 +158,7 @@ def _collect(plan: Plan, job: Job, share: float) -> bool:
             return False  # it cannot even begin
         tally.inputs += 1
     enough = plan.most_inputs is not None and tally.inputs >= plan.most_inputs
-    return not enough and tally.crashes < MOST_CRASHES and tally.seconds < share - 1
+    return not enough and tally.crashes < plan.most_crashes and tally.seconds < share - 1
 
 
 def _save_crash(out: Path, name: str, seed: int, why: str) -> None:

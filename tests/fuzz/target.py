@@ -88,6 +88,8 @@ _MODULES = {
     "kernels": "kernels",
 }
 """Target -> module of this package with a class or function in its TARGETS of that name."""
+_SPECIMENS = ("raises", "warns", "dies", "hangs", "swells", "late")
+"""Targets of specimens.py: faults on purpose, to see that they are noticed."""
 
 
 def names() -> list[str]:
@@ -97,8 +99,8 @@ def names() -> list[str]:
 
 def make_target(name: str, folder: Path) -> Target:
     """The target of a name, ready. Raises ValueError for unknown names."""
-    if name not in names():
+    if name not in (*names(), *_SPECIMENS):
         raise ValueError(f"fuzz: unknown target {name!r}; expected one of {', '.join(names())}")
-    module = importlib.import_module(f"{__package__}.{_MODULES[name]}")
+    module = importlib.import_module(f"{__package__}.{_MODULES.get(name, 'specimens')}")
     factory: Callable[[Path], Target] = module.TARGETS[name]
     return factory(folder)
