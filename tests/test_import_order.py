@@ -28,7 +28,7 @@ ORDER = (
     ("fit",),
     ("nn",),
     ("models",),
-    ("painter", "receipts", "proof"),
+    ("painter", "comparison", "receipts", "proof"),
     ("sources",),
     ("session",),
     ("studio",),

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.comparison import compare
 from splatpainter.io import FORMATS, read, write
-from splatpainter.receipts import Receipt, Verification, check, compare, untouched_hashes
+from splatpainter.receipts import Receipt, Verification, check, untouched_hashes
 from splatpainter.splats import Splats
 
 

@@ -1,7 +1,7 @@
 """Receipts: which rows an edit changed, and the proof that it changed no other. Knows no renderer and no network.
 
 A row is untouched when every attribute has the same bits as before. Files prove it by being read again: `verify`
-compares two files row by row, in the edited file's own format, and against the receipt where there is one.
+compares two files part by part (comparison.py), and their rows against the receipt where there is one.
 """
 
 from __future__ import annotations
@@ -9,19 +9,17 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from splatpainter.io import FORMATS, read, write
-from splatpainter.splats import ATTRIBUTES, Splats, rows_sha256
+from splatpainter.comparison import Comparison, compare, listed
+from splatpainter.comparison import changed_rows as changed_rows
+from splatpainter.io import read
+from splatpainter.splats import Splats, rows_sha256
 
-BLOCK = 1 << 14
-"""Rows compared at a time, so that a comparison needs no memory of its own."""
 MOST_ROWS = 1 << 27
 """Rows of an asset that a receipt may speak of."""
 
@@ -140,25 +138,6 @@ def from_runs(runs: np.ndarray, rows: int) -> np.ndarray:
     return np.concatenate([np.arange(a, a + n) for a, n in runs]) if len(runs) else np.zeros(0, np.int64)
 
 
-def changed_rows(before: Splats, after: Splats) -> np.ndarray:
-    """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself)."""
-    n = min(len(before), len(after))
-    changed = np.zeros(n, bool)
-    for name in ATTRIBUTES:
-        old, new = getattr(before, name), getattr(after, name)
-        if old is new or n == 0:
-            continue
-        if old.shape[1:] != new.shape[1:]:
-            return np.arange(n)
-        found = np.flatnonzero(_bits(old[:n]) != _bits(new[:n]))  # a reduction along short rows takes longer
-        changed[found // (old[:n].size // n)] = True
-    return np.flatnonzero(changed)
-
-
-def _bits(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values, np.float32).view(np.uint32)
-
-
 def untouched_hashes(before: Splats, after: Splats, touched: np.ndarray) -> tuple[str, str]:
     """Hashes of all rows but `touched`, before and after; from the arrays themselves, nothing is assumed."""
     keep = np.ones(len(before), bool)
@@ -182,46 +161,25 @@ class Verification:
     """Why it is not ok, one line each."""
     exact: str
     """How the rows were compared."""
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Two assets, row by row, in the edited one's own format."""
-
-    original_sha256: str
-    before: Splats = field(repr=False)
-    """The original, as its rows are in the format of the edited file."""
-    after: Splats = field(repr=False)
-    differs: np.ndarray = field(repr=False)
-    """[D] int64 ascending rows of `before` that `after` does not hold unchanged at their places."""
-    exact: str
-    """How the rows were compared."""
+    differences: tuple[str, ...] = ()
+    """In which stored properties changed rows differ."""
+    compared: tuple[str, ...] = ()
+    """What was compared besides the rows."""
+    not_compared: tuple[str, ...] = ()
+    """What was not."""
 
 
 def verify(
     original: str | os.PathLike[str], edited: str | os.PathLike[str], receipt: Receipt | None = None
 ) -> Verification:
-    """Compare two files row by row. ok is False when rows are missing or, with a receipt, when any row differs that
-    the receipt does not list, or the receipt is of other files. Without a receipt differing rows are only counted.
+    """Compare two files: rows as they are stored, header, other elements, trailing bytes.
 
-    Files of different formats are compared by converting the original to the edited file's format first.
-    Raises ValueError when a file cannot be read."""
+    ok is False when rows are missing, when anything differs that no edit changes (header settings, other properties
+    and elements, trailing bytes) or, with a receipt, when any row differs that the receipt does not list, or the
+    receipt is of other files. Without a receipt rows whose Gaussians differ are only counted.
+    Files of different formats are compared by converting the original to the edited file's format first; then only
+    rows are. Raises ValueError when a file cannot be read."""
     return check(compare(read(original), read(edited)), receipt)
-
-
-def compare(original: Splats, edited: Splats) -> Comparison:
-    """Compare two assets as they were read from their files (both have a source)."""
-    assert original.source is not None and edited.source is not None
-    before, how = original, "every value of every row, bit for bit"
-    if original.source.format != edited.source.format:
-        how = f"the original converted to {edited.source.format}, then {how}"
-        before = _converted(original, edited)
-    if len(edited) < len(before):
-        return Comparison(original.sha256, before, edited, np.arange(len(before)), how)
-    raw = _stored_rows_differ(before, edited)
-    if raw is not None:  # equal bytes of one layout are equal values
-        return Comparison(original.sha256, before, edited, raw, "every byte of every stored row")
-    return Comparison(original.sha256, before, edited, changed_rows(before, edited), how)
 
 
 def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
@@ -230,24 +188,31 @@ def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
     problems = _wrong_files(receipt, found.original_sha256, after) if receipt is not None else []
     if before.sh.shape[1] != after.sh.shape[1]:
         problems.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
-    if len(after) < len(before):
-        problems.append(f"{len(before) - len(after)} rows are missing")
-        return Verification(False, len(before), 0, 0, 0, tuple(problems), found.exact)
-    if receipt is not None:
+    missing = len(before) - len(after)
+    if missing > 0:
+        problems.append(f"{missing} rows are missing")
+    elif receipt is not None:
         strange = np.setdiff1d(differs, receipt.touched)
         if len(strange):
-            shown = ", ".join(map(str, strange[:5])) + (", ..." if len(strange) > 5 else "")
-            problems.append(f"{len(strange)} rows differ that the receipt does not list: {shown}")
-        if len(after) - len(before) != receipt.appended_rows:
-            problems.append(f"{len(after) - len(before)} rows appended, the receipt says {receipt.appended_rows}")
+            problems.append(f"{len(strange)} rows differ that the receipt does not list: {listed(strange)}")
+        if -missing != receipt.appended_rows:
+            problems.append(f"{-missing} rows appended, the receipt says {receipt.appended_rows}")
+    for name, rows in found.strange_fields.items():
+        judged = rows if receipt is None else np.intersect1d(rows, receipt.touched)  # the others are told of above
+        if len(judged):
+            problems.append(f"{name}, which no edit changes, differs in {len(judged)} rows: {listed(judged)}")
+    problems += found.problems
     return Verification(
         not problems,
         len(before),
         len(before) - len(differs),
         len(differs),
-        len(after) - len(before),
+        max(-missing, 0),
         tuple(problems),
         found.exact,
+        found.differences,
+        found.compared,
+        found.not_compared,
     )
 
 
@@ -262,37 +227,6 @@ def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:
             f"the edited file changed since (sha256 {after.sha256[:12]}..., receipt {receipt.output_sha256[:12]}...)"
         )
     return out
-
-
-def _converted(before: Splats, after: Splats) -> Splats:
-    """`before` as its rows would be in the format of `after`."""
-    assert after.source is not None
-    entry = FORMATS[after.source.format]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
-        write(path, before)
-        return read(path)
-
-
-def _stored_rows_differ(before: Splats, after: Splats) -> np.ndarray | None:
-    """[D] int64 ascending, for binary PLY files of one row layout: rows whose stored bytes differ (extra properties
-    too); None otherwise."""
-    assert before.source is not None and after.source is not None
-    sources = (before.source, after.source)
-    old, new = (getattr(getattr(s.detail, "rows", None), "records", None) for s in sources)
-    if not (isinstance(old, np.ndarray) and isinstance(new, np.ndarray) and old.dtype == new.dtype):
-        return None
-    word = np.uint32 if old.dtype.itemsize % 4 == 0 else np.uint8
-    found = [np.zeros(0, np.int64)]
-    for start in range(0, len(old), BLOCK):
-        mine = (
-            np.ascontiguousarray(old[start : start + BLOCK])
-            .view(word)
-            .reshape(-1, old.dtype.itemsize // word(0).nbytes)
-        )
-        theirs = np.ascontiguousarray(new[start : start + len(mine)]).view(word).reshape(mine.shape)
-        found.append(start + np.flatnonzero((mine != theirs).any(1)))
-    return np.concatenate(found)
 
 
 def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | None:

@@ -20,10 +20,11 @@ LARGEST_RECEIPT = 256 << 20
 
 @dataclass(frozen=True)
 class Config:
-    """Compare an edited asset with its original, row by row, and with the receipt of the edit.
+    """Compare an edited asset with its original, part by part as stored, and with the receipt of the edit.
 
-    Exit code 0: every row that the receipt does not list is unchanged. 1: some other row differs or is missing, or the
-    files are not those of the receipt. Without a receipt only missing rows are wrong; differing ones are counted.
+    Exit code 0: every row that the receipt does not list is unchanged, and so is everything else in the file (header,
+    other properties and elements, trailing bytes). 1: something else differs or is missing, or the files are not those
+    of the receipt. Without a receipt rows whose Gaussians differ are counted, not judged.
 
     example:
       splatpainter verify vase.ply painted.ply
@@ -53,7 +54,9 @@ def run(config: Config) -> Outcome:
         f"{found.same:,} of {count(found.rows, 'row')} {same_words(found)}; "
         f"{found.changed:,} changed, {found.appended:,} appended",
         f"receipt: {path}" if path is not None else "no receipt: changed rows are counted, not judged",
-        f"compared: {found.exact}",
+        *found.differences,
+        f"compared: {'; '.join((found.exact, *found.compared))}",
+        *(f"not compared: {part}" for part in found.not_compared),
         *(f"wrong: {problem}" for problem in found.problems),
         "verified" if found.ok else "NOT verified",
     ]
@@ -74,4 +77,4 @@ def read_receipt(path: Path) -> Receipt:
 
 def same_words(found: Verification) -> str:
     """How strongly equal the same rows are."""
-    return "byte-identical" if "byte" in found.exact else "identical, bit for bit"
+    return "byte-identical" if "byte" in found.exact else "identical in value, bit for bit"

@@ -217,10 +217,10 @@ def compact(doc: dict[str, Any], binary: bytes | bytearray) -> bytes:
     views = doc["bufferViews"]
     if any(view.get("extensions") for view in views):
         return bytes(binary)
-    named = {holder["bufferView"] for holder in _holders(doc)}
+    named = {holder["bufferView"] for holder in view_holders(doc)}
     used = [i for i, view in enumerate(views) if i in named or view["buffer"] != 0]
     place = {old: new for new, old in enumerate(used)}
-    for holder in _holders(doc):
+    for holder in view_holders(doc):
         holder["bufferView"] = place.get(holder["bufferView"], len(views))  # what named nothing still does
     out = bytearray()
     for index in used:
@@ -234,13 +234,13 @@ def compact(doc: dict[str, Any], binary: bytes | bytearray) -> bytes:
     return bytes(out)
 
 
-def _holders(item: Any) -> Iterator[dict[str, Any]]:
+def view_holders(item: Any) -> Iterator[dict[str, Any]]:
     """Every object of a glTF document with a `bufferView`, wherever an extension may have put it."""
     if isinstance(item, dict):
         if type(item.get("bufferView")) is int:
             yield item
         for value in item.values():
-            yield from _holders(value)
+            yield from view_holders(value)
     elif isinstance(item, list):
         for value in item:
-            yield from _holders(value)
+            yield from view_holders(value)

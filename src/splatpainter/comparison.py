@@ -1,0 +1,265 @@
+"""Two assets, part by part: rows as they are stored, and everything else that their files hold.
+
+Knows no receipt: what may differ is judged there. Files of one format are compared as they are stored (io/contents.py),
+rows also by value, because a value may lie in two places (a word and the range or codebook that it refers to).
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatpainter.io import FORMATS, read, write
+from splatpainter.io.contents import Contents, contents, fields_differ, rows_differ
+from splatpainter.io.ply_rows import TextRows
+from splatpainter.splats import ATTRIBUTES, Source, Splats
+
+CHUNK = 256
+"""Rows that share a row of a table that follows the rows."""
+MOST_NAMES, MOST_LINES = 8, 6
+"""Names in a line, and lines about one part."""
+STORED = "every byte of every stored row"
+VALUES = "every value of every row, bit for bit"
+STORED_AND_VALUES = "every stored byte and every value of every row"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two assets, in the edited one's own format."""
+
+    original_sha256: str
+    before: Splats = field(repr=False)
+    """The original, as its rows are in the format of the edited file."""
+    after: Splats = field(repr=False)
+    differs: np.ndarray = field(repr=False)
+    """[D] int64 ascending rows of `before` that `after` does not hold unchanged at their places."""
+    exact: str
+    """How the rows were compared."""
+    problems: tuple[str, ...] = ()
+    """What differs besides rows, one line each: no edit changes it."""
+    strange_fields: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+    """Stored properties that are no Gaussian's value, and do differ -> [D] rows."""
+    differences: tuple[str, ...] = ()
+    """In which stored properties rows differ, one line."""
+    compared: tuple[str, ...] = ()
+    not_compared: tuple[str, ...] = ()
+
+
+def compare(original: Splats, edited: Splats) -> Comparison:
+    """Compare two assets as they were read from their files (both have a source)."""
+    assert original.source is not None and edited.source is not None
+    if original.source.format != edited.source.format:
+        return _compare_converted(original, edited)
+    old, new = contents(original.source), contents(edited.source)
+    exact, stored = VALUES, old is not None and new is not None and same_layout(old, new)
+    strange: dict[str, np.ndarray] = {}
+    names: list[str] = []
+    if old is not None and new is not None and stored:
+        plain = edited.source.format in ("ply", "splat")  # a value lies in one place: equal bytes are equal values
+        exact = STORED if plain else STORED_AND_VALUES
+        by_value = np.zeros(0, np.int64) if plain else changed_rows(original, edited)
+        rows, names, strange = _stored_rows(old, new, by_value)
+    else:
+        rows = changed_rows(original, edited)
+    missing = len(edited) < len(original)
+    problems, compared = _other_parts(original.source, edited.source, old, new, rows)
+    unseen = tuple(filter(None, [new.unseen if new is not None else "header, sections and padding"]))
+    if not stored and new is not None and new.tables:
+        unseen += ("the stored bytes of the rows, whose layout differs",)
+    nothing = not (problems or strange or len(rows) or missing) and len(edited) == len(original)
+    if nothing and original.source.sha256 != edited.source.sha256:
+        problems.append(f"the files differ in bytes that are not compared: {'; '.join(unseen) or 'unknown'}")
+    if missing:
+        rows = np.arange(len(original))
+    differences = (f"changed rows differ in {_some(names)}",) if names else ()
+    return Comparison(
+        original.sha256, original, edited, rows, exact, tuple(problems), strange, differences, compared, unseen
+    )
+
+
+def changed_rows(before: Splats, after: Splats) -> np.ndarray:
+    """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself)."""
+    n = min(len(before), len(after))
+    changed = np.zeros(n, bool)
+    for name in ATTRIBUTES:
+        old, new = getattr(before, name), getattr(after, name)
+        if old is new or n == 0:
+            continue
+        if old.shape[1:] != new.shape[1:]:
+            return np.arange(n)
+        found = np.flatnonzero(_bits(old[:n]) != _bits(new[:n]))  # a reduction along short rows takes longer
+        changed[found // (old[:n].size // n)] = True
+    return np.flatnonzero(changed)
+
+
+def _bits(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32).view(np.uint32)
+
+
+def same_layout(old: Contents, new: Contents) -> bool:
+    """Whether rows are stored alike, so that their bytes can be compared."""
+
+    def layout(part: Contents) -> list[Any]:
+        kinds = [None if isinstance(t.records, TextRows) else t.records.dtype for t in part.tables]
+        return [part.settings.get("format"), kinds, [t.fields for t in part.tables]]
+
+    return bool(old.tables) and layout(old) == layout(new)
+
+
+def listed(rows: np.ndarray) -> str:
+    """The first of them."""
+    return ", ".join(map(str, rows[:5].tolist())) + (", ..." if len(rows) > 5 else "")
+
+
+def _compare_converted(original: Splats, edited: Splats) -> Comparison:
+    """Rows alone: another format has other headers and elements."""
+    assert original.source is not None and edited.source is not None
+    before, how = _converted(original, edited), f"the original converted to {edited.source.format}, then "
+    assert before.source is not None
+    unseen = ("header, other elements and trailing bytes, as the formats differ",)
+    if len(edited) < len(before):
+        return Comparison(original.sha256, before, edited, np.arange(len(before)), how + VALUES, not_compared=unseen)
+    old, new = contents(before.source), contents(edited.source)
+    plain = edited.source.format in ("ply", "splat") and old is not None and new is not None and same_layout(old, new)
+    if plain and old is not None and new is not None:
+        rows = _stored_rows(old, new, np.zeros(0, np.int64))[0]
+    else:
+        rows = changed_rows(before, edited)
+    exact = STORED if plain else VALUES
+    return Comparison(original.sha256, before, edited, rows, how + exact, not_compared=unseen)
+
+
+def _converted(before: Splats, after: Splats) -> Splats:
+    """`before` as its rows would be in the format of `after`."""
+    assert after.source is not None
+    entry = FORMATS[after.source.format]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
+        write(path, before)
+        return read(path)
+
+
+def _stored_rows(
+    old: Contents, new: Contents, by_value: np.ndarray
+) -> tuple[np.ndarray, list[str], dict[str, np.ndarray]]:
+    """(rows that differ as stored or by value, names of the properties of Gaussians in which they do, other properties
+    that differ with their rows)."""
+    rows, names, strange = by_value, [], {}
+    for one, two in zip(old.tables, new.tables, strict=True):
+        found = rows_differ(one, two, min(len(one), len(two)))
+        rows = np.union1d(rows, found)
+        for name, where in fields_differ(one, two, found).items():
+            if name in one.edited:
+                names.append(name)
+            else:
+                strange[name] = where
+    return rows, names, strange
+
+
+def _other_parts(
+    original: Source, edited: Source, old: Contents | None, new: Contents | None, rows: np.ndarray
+) -> tuple[list[str], tuple[str, ...]]:
+    """(what differs besides the rows' values, what was compared)."""
+    if old is None or new is None:
+        return [], ()
+    problems = _layout_problems(old, new)
+    for name in [*old.settings, *(key for key in new.settings if key not in old.settings)]:
+        problems += _setting_problems(name, old.settings.get(name), new.settings.get(name))
+    for name in [*old.blocks, *(key for key in new.blocks if key not in old.blocks)]:
+        problems += _block_problems(name, old.blocks.get(name), new.blocks.get(name))
+    for name, table in old.follows_rows.items():
+        problems += _chunk_problems(name, table, new.follows_rows[name], rows, len(original.splats), len(edited.splats))
+    compared = tuple(filter(None, [", ".join(old.settings), ", ".join(old.blocks), ", ".join(old.follows_rows)]))
+    return problems, compared
+
+
+def _layout_problems(old: Contents, new: Contents) -> list[str]:
+    """Properties that were dropped, added, retyped or put in another order."""
+    was, now = (dict(f for t in part.tables for f in t.fields) for part in (old, new))
+    out = []
+    if dropped := [name for name in was if name not in now]:
+        out.append(f"dropped properties: {_some(dropped)}")
+    if added := [name for name in now if name not in was]:
+        out.append(f"added properties: {_some(added)}")
+    if retyped := [f"{n} from {was[n]} to {now[n]}" for n in was if n in now and was[n] != now[n]]:
+        out.append(f"retyped properties: {_some(retyped)}")
+    if [name for name in was if name in now] != [name for name in now if name in was]:
+        out.append("the properties stand in another order")
+    return out
+
+
+def _setting_problems(name: str, was: Any, now: Any) -> list[str]:
+    if was == now:
+        return []
+    if isinstance(was, tuple) and isinstance(now, tuple):
+        gone, new = _without(was, now), _without(now, was)
+        lines = [f"{name}: {_quoted(line)} is missing" for line in gone] + [
+            f"{name}: {_quoted(line)} is new" for line in new
+        ]
+        return lines[:MOST_LINES] or [f"{name}: its lines stand in another order"]
+    if name in ("JSON", "meta.json") and isinstance(was, str) and isinstance(now, str):
+        return [f"{name} differs at {_json_place(json.loads(was), json.loads(now))}"]
+    return [f"{name}: {_quoted(was)} became {_quoted(now)}"]
+
+
+def _block_problems(name: str, was: bytes | None, now: bytes | None) -> list[str]:
+    if was == now or (not was and not now):
+        return []
+    if was is None or now is None or len(was) != len(now):
+        return [f"{_quoted(name)[1:-1]}: {len(was or b'')} bytes became {len(now or b'')}"]
+    at = next(k for k, (a, b) in enumerate(zip(was, now, strict=True)) if a != b)
+    return [f"{_quoted(name)[1:-1]} differs at its byte {at}"]
+
+
+def _chunk_problems(
+    name: str, was: np.ndarray, now: np.ndarray, rows: np.ndarray, before: int, after: int
+) -> list[str]:
+    """Chunks that differ although none of their rows does and none was appended to them."""
+    count = min(len(was), len(now))
+    if was.shape[1] != now.shape[1]:
+        return [f"{name}: {was.shape[1]} bytes a row became {now.shape[1]}"]
+    differing = np.flatnonzero((was[:count] != now[:count]).any(1))
+    moved = np.append(np.unique(rows // CHUNK), [before // CHUNK] if after != before else [])
+    strange = np.setdiff1d(differing, moved)
+    return [f"{name}: its rows {listed(strange)} differ although no Gaussian of them does"] if len(strange) else []
+
+
+def _without(lines: tuple[str, ...], others: tuple[str, ...]) -> list[str]:
+    rest = list(others)
+    out = []
+    for line in lines:
+        if line in rest:
+            rest.remove(line)
+        else:
+            out.append(line)
+    return out
+
+
+def _json_place(was: Any, now: Any, place: str = "") -> str:
+    """The first place at which two trees differ, and how."""
+    if isinstance(was, dict) and isinstance(now, dict):
+        for key in sorted({*was, *now}):
+            if key not in was or key not in now:
+                return f"{place}.{_quoted(key)[1:-1]} ({'new' if key not in was else 'missing'})"[:200]
+            if was[key] != now[key]:
+                return _json_place(was[key], now[key], f"{place}.{_quoted(key)[1:-1]}")
+    if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
+        for k, (one, two) in enumerate(zip(was, now, strict=True)):
+            if one != two:
+                return _json_place(one, two, f"{place}[{k}]")
+    return f"{place[:200] or 'its root'} ({_quoted(was)} became {_quoted(now)})"
+
+
+def _quoted(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _some(names: list[str]) -> str:
+    shown = ", ".join(_quoted(name)[1:-1] for name in names[:MOST_NAMES])
+    return shown + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")

@@ -1,0 +1,290 @@
+"""What a file holds, part by part and as stored: the rows' own bytes or words by property, and everything else by name.
+
+For comparing two files of one format (receipts.py). Nothing is decoded, so that values which only look alike differ.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatpainter.io import gltf
+from splatpainter.io.ply_header import Element, Header, element_size
+from splatpainter.io.ply_rows import TextRows
+from splatpainter.splats import Source
+
+BLOCK = 1 << 14
+"""Rows compared at a time, so that a comparison needs no memory of its own."""
+GAUSSIAN = ("x", "y", "z", "opacity", "red", "green", "blue")
+GAUSSIAN_STEMS = ("f_dc_", "f_rest_", "scale_", "rot_")
+_NOTHING = "nothing"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Stored rows: N rows of fields, of one kind of record."""
+
+    records: Any
+    """[N] structured array, [N, W] array, or TextRows."""
+    fields: tuple[tuple[str, str], ...]
+    """(name, type) of each stored property, in order."""
+    edited: frozenset[str]
+    """Names that hold the Gaussians' own values: no edit changes any other."""
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+
+@dataclass(frozen=True)
+class Contents:
+    """One file."""
+
+    tables: tuple[Table, ...] = ()
+    """All with the same number of rows. Of no table: rows can only be compared by value."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """What a header says besides counts: name -> value."""
+    blocks: dict[str, bytes] = field(default_factory=dict)
+    """Other elements, extensions, trailing bytes: name -> bytes."""
+    follows_rows: dict[str, np.ndarray] = field(default_factory=dict)
+    """Tables that belong to several rows each (chunks of 256): name -> [M, bytes]; they change with their rows."""
+    unseen: str = ""
+    """What is left out here."""
+
+
+def contents(source: Source) -> Contents | None:
+    """The parts of a file as its reader kept them; None for formats whose reader keeps none."""
+    made = _FORMATS.get(source.format)
+    return None if made is None or source.detail is None else made(source.detail)
+
+
+def rows_differ(old: Table, new: Table, count: int) -> np.ndarray:
+    """[D] int64 ascending: rows below `count` whose stored bytes differ. The tables have the same fields."""
+    if isinstance(old.records, TextRows):
+        rows = range(count)
+        return np.array([row for row in rows if old.records.line(row) != new.records.line(row)], np.int64)
+    found = [np.zeros(0, np.int64)]
+    for start in range(0, count, BLOCK):
+        part = slice(start, min(start + BLOCK, count))
+        one, two = _words(old.records[part]), _words(new.records[part])
+        found.append(start + np.flatnonzero((one != two).any(1)))
+    return np.concatenate(found)
+
+
+def fields_differ(old: Table, new: Table, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Name of a property -> those of the rows in which its stored bytes differ; "white space" of text."""
+    if isinstance(old.records, TextRows):
+        return _words_of_text_differ(old, new, rows)
+    if not len(rows):
+        return {}
+    out = {}
+    for k, (name, _) in enumerate(old.fields):
+        one, two = (_column(table, k, rows) for table in (old, new))
+        differing = rows[(one != two).any(1)]
+        if len(differing):
+            out[name] = differing
+    return out
+
+
+def _column(table: Table, k: int, rows: np.ndarray) -> np.ndarray:
+    records = table.records
+    values = records[table.fields[k][0]][rows] if records.dtype.names else records[rows, k, None]
+    return np.ascontiguousarray(values).reshape(len(rows), -1).view(np.uint8).reshape(len(rows), -1)
+
+
+def _words(records: np.ndarray) -> np.ndarray:
+    """[n, words] of packed rows: 4 bytes at a time where they fit."""
+    size = records.dtype.itemsize * (records.shape[1] if records.ndim > 1 else 1)
+    word = np.dtype(np.uint32 if size % 4 == 0 else np.uint8)
+    flat = np.ascontiguousarray(records)
+    return flat.view(np.uint8).reshape(len(flat), size).view(word) if size else np.zeros((len(flat), 1), np.uint8)
+
+
+def _words_of_text_differ(old: Table, new: Table, rows: np.ndarray) -> dict[str, np.ndarray]:
+    out: dict[str, list[int]] = {}
+    for row in rows.tolist():
+        one, two = (table.records.line(row).split() for table in (old, new))
+        names = [name for (name, _), a, b in zip(old.fields, one, two, strict=False) if a != b]
+        for name in names or ["white space"]:
+            out.setdefault(name, []).append(row)
+    return {name: np.array(found, np.int64) for name, found in out.items()}
+
+
+# ---- formats
+
+
+def _ply(record: Any) -> Contents:
+    vertex = record.header.element("vertex")
+    names = tuple((p.name, p.type) for p in vertex.properties)
+    own = frozenset(name for name in vertex.names if name in GAUSSIAN or name.startswith(GAUSSIAN_STEMS))
+    stored = record.rows if isinstance(record.rows, TextRows) else record.rows.records
+    at = record.header.elements.index(vertex)
+    blocks = _elements(record.header, record.header.elements[:at], record.before, "")
+    blocks |= _elements(record.header, record.header.elements[at + 1 :], record.after, "trailing bytes")
+    settings = _header(record.header, ("vertex",)) | {"last line end": not record.unended}
+    return Contents((Table(stored, names, own),), settings, blocks)
+
+
+def _compressed_ply(record: Any) -> Contents:
+    tables, chunked, blocks = [], {}, {}
+    for element in record.header.elements:
+        values = record.tables[element.name]
+        names = tuple((p.name, p.type) for p in element.properties)
+        if element.name in ("vertex", "sh"):
+            own = frozenset(n for n, _ in names if n.startswith(("packed_", "f_rest_")))
+            tables.append(Table(values, names, own))
+        elif element.name == "chunk":
+            chunked["chunk"] = _bytes_of(values)
+        else:
+            blocks[f"element {element.name}"] = values.tobytes()
+    blocks["trailing bytes"] = record.after
+    return Contents(tuple(tables), _header(record.header, ("vertex", "sh", "chunk")), blocks, chunked)
+
+
+def _header(header: Header, counted: tuple[str, ...]) -> dict[str, Any]:
+    """What the lines of a PLY header say, but for the rows' own count and their properties."""
+    lines, element = [], ""
+    for line in header.lines[1:-1]:
+        words = line.split()
+        kind = words[0] if words else b""
+        if kind == b"element":
+            element = words[1].decode("latin-1")
+            line = b" ".join(words[:2]) + b" *" if element in counted else line
+        if kind == b"property" and element in counted[:1]:
+            continue  # compared by name and type
+        if kind != b"format":
+            lines.append(line.rstrip(b"\r\n").decode("latin-1"))
+    ends = sorted({line[len(line.rstrip(b"\r\n")) :] for line in header.lines})
+    return {"format": header.format, "header": tuple(lines), "line ends": tuple(ends)}
+
+
+def _elements(header: Header, elements: tuple[Element, ...], data: bytes, rest: str) -> dict[str, bytes]:
+    """Bytes of other elements by name; what follows them is `rest`."""
+    out, at = {}, 0
+    for element in elements:
+        if header.format == "ascii":
+            end = at
+            for _ in range(element.count):
+                end = data.find(b"\n", end) + 1 or len(data)
+        else:
+            try:
+                end = at + element_size(io.BytesIO(data[at:]), header, element, len(data) - at, Path("element"))
+            except ValueError:  # cut short: its bytes are with those that follow
+                break
+        out[f"element {element.name}"] = data[at:end]
+        at = end
+    return out | ({rest: data[at:]} if rest else {})
+
+
+def _splat(record: Any) -> Contents:
+    names = tuple((name, str(record.rows.dtype[name])) for name in record.rows.dtype.names)
+    return Contents(
+        (Table(record.rows, names, frozenset(record.rows.dtype.names)),), {}, {"trailing bytes": record.after}
+    )
+
+
+def _spz(file: Any) -> Contents:
+    tables = []
+    for name, words in file.streams.items():
+        fields = tuple((f"{name} byte {k}", "u1") for k in range(words.shape[1]))
+        tables.append(Table(words, fields, frozenset(n for n, _ in fields)))
+    settings = {"version": file.version, "fractional bits": file.fractional_bits, "flags": file.flags}
+    settings["reserved bytes"] = bytes(file.reserved)
+    blocks = {"extensions": bytes(file.extensions), "trailing bytes": bytes(file.tail)}
+    return Contents(tuple(tables), settings, blocks, unseen="how the streams are packed (gzip or zstd)")
+
+
+def _sog(file: Any) -> Contents:
+    tables = []
+    for name, pixels in file.pixels.items():
+        fields = tuple((f"{name} {channel}", "u1") for channel in "RGBA")
+        tables.append(Table(pixels, fields, frozenset(n for n, _ in fields)))
+    meta = copy.deepcopy(file.meta)
+    planes = set()
+    for part in ("means", "scales", "quats", "sh0", "shN"):
+        entry = meta.get(part)
+        if isinstance(entry, dict):
+            planes.update(name for name in entry.get("files", ()) if isinstance(name, str))
+            for key in ("codebook", "files", "mins", "maxs", "count", "bands"):
+                entry.pop(key, None)
+    meta.pop("count", None)
+    settings = {"meta.json": json.dumps(meta, sort_keys=True)}
+    blocks = {name: data for name, data in file.container.files.items() if name not in planes | {"meta.json"}}
+    return Contents(
+        tuple(tables), settings, blocks, unseen="pixels beyond the rows, and how planes and bundle are packed"
+    )
+
+
+def _glb(file: Any) -> Contents:
+    """Other JSON with what its accessors and buffer views mean in their places; our primitive's attributes as rows."""
+    glb = file.glb
+    doc = copy.deepcopy(glb.doc)
+    primitive = doc["meshes"][file.mesh]["primitives"][file.primitive]
+    ours, tables = set(file.names.values()), []
+    for name, index in primitive.get("attributes", {}).items():
+        try:
+            values = np.array(gltf.accessor(glb, glb.binary, index, Path("accessor")))
+        except ValueError:
+            continue
+        fields = tuple((f"{name} {k}", values.dtype.str) for k in range(values.shape[1]))
+        tables.append(Table(values, fields, frozenset(n for n, _ in fields) if name in ours else frozenset()))
+    primitive["attributes"] = sorted(primitive.get("attributes", {}))
+    for mesh in doc["meshes"]:
+        for other in mesh.get("primitives", []):
+            for group in (other.get("attributes"), *other.get("targets", [])):
+                for name in group if isinstance(group, dict) else ():
+                    group[name] = _meant(glb, group[name])
+            if "indices" in other:
+                other["indices"] = _meant(glb, other["indices"])
+    for key in ("accessors", "bufferViews", "buffers", "extensionsUsed"):
+        doc.pop(key, None)
+    for holder in gltf.view_holders(doc):
+        holder["bufferView"] = _view(glb, holder["bufferView"])
+    settings = {"JSON": json.dumps(doc, sort_keys=True)}
+    blocks = {f"chunk {kind:#010x}": bytes(data) for kind, data in glb.others} | {"trailing bytes": bytes(glb.tail)}
+    return Contents(tuple(tables), settings, blocks, unseen="where the accessors lie in the buffer, and unused ones")
+
+
+def _meant(glb: gltf.Glb, index: Any) -> Any:
+    """What an accessor holds, wherever it lies."""
+    try:
+        values = np.array(gltf.accessor(glb, glb.binary, index, Path("accessor")))
+        item = glb.doc["accessors"][index]
+    except ValueError:
+        return "not readable"
+    said = {key: value for key, value in item.items() if key not in ("bufferView", "byteOffset")}
+    return [said, hashlib.sha256(values.tobytes()).hexdigest()]
+
+
+def _view(glb: gltf.Glb, index: int) -> str:
+    views = glb.doc.get("bufferViews", [])
+    if not 0 <= index < len(views):
+        return _NOTHING
+    start = views[index].get("byteOffset", 0)
+    data = glb.binary[start : start + views[index]["byteLength"]]
+    said = {key: value for key, value in views[index].items() if key != "byteOffset"}
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode() + data).hexdigest()
+
+
+def _bytes_of(values: np.ndarray) -> np.ndarray:
+    size = values.dtype.itemsize
+    return (
+        np.ascontiguousarray(values).view(np.uint8).reshape(len(values), size) if size else np.zeros((0, 0), np.uint8)
+    )
+
+
+_FORMATS: dict[str, Callable[[Any], Contents]] = {
+    "ply": _ply,
+    "compressed.ply": _compressed_ply,
+    "splat": _splat,
+    "spz": _spz,
+    "sog": _sog,
+    "glb": _glb,
+}
