@@ -17,7 +17,7 @@ import numpy as np
 from splatpainter.io import files
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
 
-Reader = Callable[[Path], Splats]
+Reader = Callable[..., Splats]
 Writer = Callable[[Path, Splats], None]
 
 
@@ -30,6 +30,7 @@ class Format:
     suffixes: tuple[str, ...]
     """Lower-case name endings, the one to suggest first; () for a folder."""
     read: Reader
+    """read(path), and by keyword what `options` names."""
     write: Writer | None
     """None: this format can only be read."""
     description: str
@@ -37,10 +38,12 @@ class Format:
     """What stays byte for byte when a file of this format is edited and written back, in one sentence."""
     lossy: str = ""
     """What is lost when rows of another format, or edited rows, are written; "" where nothing is."""
+    options: tuple[str, ...] = ()
+    """Keywords of `io.read` that `read` takes, too."""
 
 
 def _lazy_reader(module: str, name: str) -> Reader:
-    return lambda path: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path)
+    return lambda path, **options: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, **options)
 
 
 def _lazy_writer(module: str, name: str) -> Writer:
@@ -69,6 +72,7 @@ FORMATS: dict[str, Format] = {
             "INRIA PLY: little or big endian or text, any property order, SH degree 0-4",
             "Every byte outside the values that changed: header, property order, extra properties and elements, "
             "trailing bytes.",
+            options=("lenient",),
         ),
         Format(
             "splat",
@@ -78,6 +82,7 @@ FORMATS: dict[str, Format] = {
             "antimatter15 .splat: 32 bytes a row",
             "Every byte outside the values that changed.",
             "SH above degree 0 is dropped; colours, opacities and rotations are rounded to 8 bits.",
+            options=("lenient",),
         ),
         Format(
             "ksplat",
@@ -119,14 +124,18 @@ FORMATS: dict[str, Format] = {
 _MAGIC = {b"glTF": "glb", b"PK\x03\x04": "sog", b"NGSP": "spz"}
 
 
-def read(path: str | os.PathLike[str]) -> Splats:
+def read(path: str | os.PathLike[str], *, lenient: bool = False) -> Splats:
     """Read a splat file (or a SOG folder) in any of FORMATS; `source` and `origin` are filled in.
 
     The content decides where it is unmistakable (PLY, compressed PLY, GLB, SOG bundle, SPZ), the name otherwise.
+    lenient: also open files that were cut off behind their last whole row (a .splat of 33 bytes, a PLY without the end
+    of a later element); what is left of the cut part is kept and reported in `source.problems`.
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
     place = Path(path)
-    return FORMATS[detect(place)].read(place)
+    entry = FORMATS[detect(place)]
+    options = {"lenient": lenient}
+    return entry.read(place, **{name: value for name, value in options.items() if name in entry.options})
 
 
 def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = False) -> None:
@@ -149,8 +158,8 @@ def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = Fal
 
 def detect(path: Path) -> str:
     """Key of FORMATS that the file at `path` holds. Raises ValueError when it is missing, unreadable or unknown."""
-    if path.is_dir():
-        if (path / "meta.json").is_file():
+    if os.path.isdir(path):  # Path.is_dir raises where a folder above may not be searched
+        if os.path.isfile(path / "meta.json"):
             return "sog"
         raise ValueError(f"{path}: is a folder without meta.json; expected a splat file or a SOG folder")
     head = files.read_head(path, files.HEADER_LIMIT if path.suffix.lower() == ".ply" else 65536)
