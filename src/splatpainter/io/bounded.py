@@ -14,8 +14,13 @@ A refusal is a ValueError with one line that names the file. Table of limits and
 
 from __future__ import annotations
 
+import struct
+import zipfile
 import zlib
 from pathlib import Path
+from typing import BinaryIO
+
+from splatpainter.io.files import printable
 
 ROOM = 16 << 20
 """Bytes that any file may unpack to, however small it is (a synthetic asset of equal rows packs very well)."""
@@ -28,6 +33,8 @@ ROW_RATIO = 96
 one size and rotation, with colours of their own and empty SH bands up to degree 3, take 58."""
 TAIL = 16 << 20
 """Bytes that may follow the rows (extensions, notes of other programs)."""
+MAX_ENTRIES = 4096
+"""Files in a zip, of which SOG needs 8; a directory of them takes ten times its bytes in memory."""
 PROOF = 256 << 20
 """Bytes: what unpacks to more is unpacked once for nothing but its length before memory is taken for it."""
 PIECE = 1 << 20
@@ -124,6 +131,20 @@ def inflate(data: bytes | memoryview, size: int, where: Path | str, what: str) -
     if len(out) != size or not stream.eof or stream.unused_data:
         raise ValueError(f"{where}: damaged: {what} should unpack to {size} bytes, its deflate stream does not")
     return out
+
+
+def zip_directory(file: BinaryIO, where: Path | str) -> list[zipfile.ZipInfo]:
+    """What the directory of a zip lists. Raises ValueError: not a zip, damaged, more than MAX_ENTRIES files."""
+    marks = 0
+    while piece := file.read(PIECE):
+        marks += piece.count(b"PK\x01\x02")  # ahead of every entry of a directory
+        if marks > MAX_ENTRIES:  # before zipfile makes an object of each
+            raise ValueError(f"{where}: a zip of more than {MAX_ENTRIES} files; it is damaged or hostile")
+    try:
+        return zipfile.ZipFile(file).infolist()
+    except (zipfile.BadZipFile, struct.error, OSError, NotImplementedError, ValueError, OverflowError) as error:
+        # OSError: it seeks where a lying directory sends it; struct.error: cut extra fields.
+        raise ValueError(f"{where}: damaged zip ({printable(' '.join(str(error).split()), 120)})") from None
 
 
 def unzstd(data: bytes | memoryview, size: int, where: Path | str, what: str) -> bytes:

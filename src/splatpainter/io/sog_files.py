@@ -14,13 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from splatpainter.io import files, json_text
-from splatpainter.io.bounded import allow, inflate
+from splatpainter.io.bounded import allow, inflate, zip_directory
 from splatpainter.io.json_text import brief
 
 META = "meta.json"
-MAX_ENTRIES = 4096
-"""Files in a bundle, of which SOG itself needs 8; a directory of them takes ten times its bytes in memory."""
-_ENTRY_MARK = b"PK\x01\x02"
 _LOCAL = struct.Struct("<4s5H3I2H")
 """Local file header: signature, version, flags, method, time, date, CRC, sizes (2), lengths of name and extra field."""
 _PLAIN_NAME = re.compile(r"[^/\\:\x00-\x1f]+")
@@ -141,16 +138,8 @@ def _load_bundle(path: Path) -> tuple[Container, dict[str, Any]]:
 
 def _entries(data: bytes, path: Path) -> list[zipfile.ZipInfo]:
     """The files that the zip directory lists, folders left out, each of a kind that can be unpacked."""
-    if data.count(_ENTRY_MARK) > MAX_ENTRIES:  # before zipfile makes an object of each
-        raise ValueError(f"{path}: a bundle of more than {MAX_ENTRIES} files; the file is damaged or hostile")
-    try:
-        listed = zipfile.ZipFile(io.BytesIO(data)).infolist()
-    except (zipfile.BadZipFile, struct.error, OSError, NotImplementedError, ValueError, OverflowError) as error:
-        # OSError: it seeks where a lying directory sends it; struct.error: cut extra fields.
-        said = files.printable(" ".join(str(error).split()), 120)
-        raise ValueError(f"{path}: damaged bundle ({said})") from None
     entries: dict[str, zipfile.ZipInfo] = {}
-    for entry in listed:
+    for entry in zip_directory(io.BytesIO(data), path):
         name = entry.filename
         if name.endswith("/"):  # is_dir() of Python 3.11 fails where the name is empty
             continue

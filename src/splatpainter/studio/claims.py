@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import struct
 import warnings
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from splatpainter.io import detect
-from splatpainter.io.bounded import Gunzip
+from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
 from splatpainter.sources.pictures import KINDS, LIMIT
 
@@ -54,7 +52,7 @@ def claim_of(path: Path, name: str, most_rows: int) -> Claim:
 
     try:
         rows = _rows(path, key)
-    except (ValueError, KeyError, TypeError, struct.error, zipfile.BadZipFile, zlib.error, OSError) as error:
+    except (ValueError, struct.error, OSError) as error:
         said = str(error).replace(str(path), shown)
         raise ValueError(f"{shown}: damaged ({said})") from None
     if rows > most_rows:
@@ -64,9 +62,9 @@ def claim_of(path: Path, name: str, most_rows: int) -> Claim:
 
 def _is_layer(path: Path) -> bool:
     try:
-        with zipfile.ZipFile(path) as archive:
-            return "layer.json" in archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError):
+        with reading(path) as file:
+            return any(entry.filename == "layer.json" for entry in zip_directory(file, path))
+    except ValueError:
         return False
 
 
