@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import FORMATS, read, write
-from splatpainter.splats import ATTRIBUTES, Splats, rows_sha256
+from splatpainter.io import FORMATS, FRAMES, frame_line, read, write
+from splatpainter.splats import ATTRIBUTES, Frame, Splats, rows_sha256
 
 BLOCK = 1 << 14
 """Rows compared at a time, so that a comparison needs no memory of its own."""
@@ -182,6 +182,8 @@ class Verification:
     """Why it is not ok, one line each."""
     exact: str
     """How the rows were compared."""
+    frame: str = ""
+    """Which way the numbers of the edited file point, and who says so."""
 
 
 @dataclass(frozen=True)
@@ -199,14 +201,29 @@ class Comparison:
 
 
 def verify(
-    original: str | os.PathLike[str], edited: str | os.PathLike[str], receipt: Receipt | None = None
+    original: str | os.PathLike[str],
+    edited: str | os.PathLike[str],
+    receipt: Receipt | None = None,
+    *,
+    frame: Frame = "auto",
+    out_frame: Frame = "auto",
 ) -> Verification:
     """Compare two files row by row. ok is False when rows are missing or, with a receipt, when any row differs that
     the receipt does not list, or the receipt is of other files. Without a receipt differing rows are only counted.
 
     Files of different formats are compared by converting the original to the edited file's format first.
+    frame, out_frame: axes of the numbers in the original and in the edited file, as in io.read. Where only one of two
+    files of one format says them (or is told), they are those of the other too.
     Raises ValueError when a file cannot be read."""
-    return check(compare(read(original), read(edited)), receipt)
+    before = read(original, frame=frame, lenient=True)
+    after = read(edited, frame=out_frame, lenient=True)
+    assert before.source is not None and after.source is not None
+    if before.source.format == after.source.format and before.source.frame != after.source.frame:
+        if out_frame == "auto" and after.source.frame_from == "format" and before.source.frame in FRAMES:
+            after = read(edited, frame=before.source.frame, lenient=True)
+        elif frame == "auto" and before.source.frame_from == "format" and after.source.frame in FRAMES:
+            before = read(original, frame=after.source.frame, lenient=True)
+    return check(compare(before, after), receipt)
 
 
 def compare(original: Splats, edited: Splats) -> Comparison:
@@ -218,7 +235,8 @@ def compare(original: Splats, edited: Splats) -> Comparison:
         before = _converted(original, edited)
     if len(edited) < len(before):
         return Comparison(original.sha256, before, edited, np.arange(len(before)), how)
-    raw = _stored_rows_differ(before, edited)
+    one_frame = original.source.flips == edited.source.flips
+    raw = _stored_rows_differ(before, edited) if one_frame else None
     if raw is not None:  # equal bytes of one layout are equal values
         return Comparison(original.sha256, before, edited, raw, "every byte of every stored row")
     return Comparison(original.sha256, before, edited, changed_rows(before, edited), how)
@@ -227,12 +245,13 @@ def compare(original: Splats, edited: Splats) -> Comparison:
 def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
     """Judge a comparison, against the receipt of the edit where there is one."""
     before, after, differs = found.before, found.after, found.differs
+    frame = "" if after.source is None else frame_line(after.source)
     problems = _wrong_files(receipt, found.original_sha256, after) if receipt is not None else []
     if before.sh.shape[1] != after.sh.shape[1]:
         problems.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
     if len(after) < len(before):
         problems.append(f"{len(before) - len(after)} rows are missing")
-        return Verification(False, len(before), 0, 0, 0, tuple(problems), found.exact)
+        return Verification(False, len(before), 0, 0, 0, tuple(problems), found.exact, frame)
     if receipt is not None:
         strange = np.setdiff1d(differs, receipt.touched)
         if len(strange):
@@ -248,6 +267,7 @@ def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
         len(after) - len(before),
         tuple(problems),
         found.exact,
+        frame,
     )
 
 
@@ -270,8 +290,10 @@ def _converted(before: Splats, after: Splats) -> Splats:
     entry = FORMATS[after.source.format]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
-        write(path, before)
-        return read(path)
+        # Words are rounded in the frame of the edited file: -1 and 1 are not rounded alike.
+        frame = after.source.frame if after.source.frame in FRAMES else "auto"
+        write(path, before, frame=frame)
+        return read(path, frame=frame)
 
 
 def _stored_rows_differ(before: Splats, after: Splats) -> np.ndarray | None:

@@ -77,7 +77,7 @@ def read_glb(path: Path) -> Splats:
         local = read_local(file, path, problems)
     rows = frames.move_back(local, turn, scale, shift)
     problems += raw.oddities(rows)
-    source = Source(str(path), "glb", rows, files.sha256(data), file, tuple(problems))
+    source = Source(str(path), "glb", rows, files.sha256(data), file, tuple(problems), "luf")
     return replace(rows, source=source, origin=np.arange(len(rows)))
 
 
