@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import FORMATS, read, write
+from splatpainter.io import FORMATS, FRAMES, read, write
 from splatpainter.io.contents import Contents, contents, fields_differ, rows_differ
 from splatpainter.io.ply_rows import TextRows
 from splatpainter.splats import ATTRIBUTES, Source, Splats
@@ -56,7 +56,8 @@ def compare(original: Splats, edited: Splats) -> Comparison:
     if original.source.format != edited.source.format:
         return _compare_converted(original, edited)
     old, new = contents(original.source), contents(edited.source)
-    exact, stored = VALUES, old is not None and new is not None and same_layout(old, new)
+    one_frame = original.source.flips == edited.source.flips
+    exact, stored = VALUES, one_frame and old is not None and new is not None and same_layout(old, new)
     strange: dict[str, np.ndarray] = {}
     names: list[str] = []
     if old is not None and new is not None and stored:
@@ -70,7 +71,7 @@ def compare(original: Splats, edited: Splats) -> Comparison:
     problems, compared = _other_parts(original.source, edited.source, old, new, rows)
     unseen = tuple(filter(None, [new.unseen if new is not None else "header, sections and padding"]))
     if not stored and new is not None and new.tables:
-        unseen += ("the stored bytes of the rows, whose layout differs",)
+        unseen += (f"the stored bytes of the rows, whose {'layout differs' if one_frame else 'axes are read otherwise'}",)
     nothing = not (problems or strange or len(rows) or missing) and len(edited) == len(original)
     if nothing and original.source.sha256 != edited.source.sha256:
         problems.append(f"the files differ in bytes that are not compared: {'; '.join(unseen) or 'unknown'}")
@@ -126,6 +127,7 @@ def _compare_converted(original: Splats, edited: Splats) -> Comparison:
         return Comparison(original.sha256, before, edited, np.arange(len(before)), how + VALUES, not_compared=unseen)
     old, new = contents(before.source), contents(edited.source)
     plain = edited.source.format in ("ply", "splat") and old is not None and new is not None and same_layout(old, new)
+    plain = plain and before.source.flips == edited.source.flips
     if plain and old is not None and new is not None:
         rows = _stored_rows(old, new, np.zeros(0, np.int64))[0]
     else:
@@ -140,8 +142,10 @@ def _converted(before: Splats, after: Splats) -> Splats:
     entry = FORMATS[after.source.format]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
-        write(path, before)
-        return read(path)
+        # Words are rounded in the frame of the edited file: -1 and 1 are not rounded alike.
+        frame = after.source.frame if after.source.frame in FRAMES else "auto"
+        write(path, before, frame=frame)
+        return read(path, frame=frame)
 
 
 def _stored_rows(

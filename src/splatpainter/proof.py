@@ -9,19 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.comparison import compare
-from splatpainter.io import FORMATS, read, write
+from splatpainter.io import FORMATS, format_of_name, frame_of_target, read, write
 from splatpainter.receipts import Receipt, Verification, check, untouched_hashes
-from splatpainter.splats import Splats
+from splatpainter.splats import Frame, Splats
 
 
-def prove(original: Splats, written: Path, receipt: Receipt) -> tuple[Receipt, Verification]:
+def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "auto") -> tuple[Receipt, Verification]:
     """The receipt of the file at `written`, and the outcome of checking the one against the other.
 
     A format that rounds may encode rows anew that the edit left alone. Such rows are different in the file, so they
     are listed as touched, and the note says how many and why. For a format that keeps everything this is a fault.
-    An original that is no file is compared as that format holds it.
+    An original that is no file is compared as that format holds it. frame: what it was written with.
     Raises RuntimeError where the file does not prove the receipt."""
-    edited = read(written)
+    key = format_of_name(written)
+    taken = frame if key is None else frame_of_target(original, key, frame)
+    edited = read(written, frame=taken, lenient=True)  # what a lenient original had cut off is kept
     assert edited.source is not None
     entry = FORMATS[edited.source.format]
     found = compare(_as_file(original, written), edited)

@@ -17,8 +17,8 @@ import numpy as np
 
 from splatpainter.comparison import Comparison, compare, listed
 from splatpainter.comparison import changed_rows as changed_rows
-from splatpainter.io import read
-from splatpainter.splats import Splats, rows_sha256
+from splatpainter.io import FRAMES, frame_line, read
+from splatpainter.splats import Frame, Splats, rows_sha256
 
 MOST_ROWS = 1 << 27
 """Rows of an asset that a receipt may speak of."""
@@ -167,10 +167,17 @@ class Verification:
     """What was compared besides the rows."""
     not_compared: tuple[str, ...] = ()
     """What was not."""
+    frame: str = ""
+    """Which way the numbers of the edited file point, and who says so."""
 
 
 def verify(
-    original: str | os.PathLike[str], edited: str | os.PathLike[str], receipt: Receipt | None = None
+    original: str | os.PathLike[str],
+    edited: str | os.PathLike[str],
+    receipt: Receipt | None = None,
+    *,
+    frame: Frame = "auto",
+    out_frame: Frame = "auto",
 ) -> Verification:
     """Compare two files: rows as they are stored, header, other elements, trailing bytes.
 
@@ -178,13 +185,25 @@ def verify(
     and elements, trailing bytes) or, with a receipt, when any row differs that the receipt does not list, or the
     receipt is of other files. Without a receipt rows whose Gaussians differ are only counted.
     Files of different formats are compared by converting the original to the edited file's format first; then only
-    rows are. Raises ValueError when a file cannot be read."""
-    return check(compare(read(original), read(edited)), receipt)
+    rows are.
+    frame, out_frame: axes of the numbers in the original and in the edited file, as in io.read. Where only one of two
+    files of one format says them (or is told), they are those of the other too.
+    Raises ValueError when a file cannot be read."""
+    before = read(original, frame=frame, lenient=True)
+    after = read(edited, frame=out_frame, lenient=True)
+    assert before.source is not None and after.source is not None
+    if before.source.format == after.source.format and before.source.frame != after.source.frame:
+        if out_frame == "auto" and after.source.frame_from == "format" and before.source.frame in FRAMES:
+            after = read(edited, frame=before.source.frame, lenient=True)
+        elif frame == "auto" and before.source.frame_from == "format" and after.source.frame in FRAMES:
+            before = read(original, frame=after.source.frame, lenient=True)
+    return check(compare(before, after), receipt)
 
 
 def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
     """Judge a comparison, against the receipt of the edit where there is one."""
     before, after, differs = found.before, found.after, found.differs
+    frame = "" if after.source is None else frame_line(after.source)
     problems = _wrong_files(receipt, found.original_sha256, after) if receipt is not None else []
     if before.sh.shape[1] != after.sh.shape[1]:
         problems.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
@@ -213,6 +232,7 @@ def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
         found.differences,
         found.compared,
         found.not_compared,
+        frame,
     )
 
 

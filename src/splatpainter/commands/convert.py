@@ -10,10 +10,10 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
-from splatpainter.commands.options import AssetFile
+from splatpainter.commands.options import AssetFile, FrameOption
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
-from splatpainter.io import FORMATS, read, write
+from splatpainter.io import FORMATS, frame_line, frame_of_target, read, write
 from splatpainter.splats import Splats
 
 
@@ -25,12 +25,19 @@ class Config:
 
     example:
       splatpainter convert vase.ply vase.sog
+      splatpainter convert vase.ply vase.spz --out-frame rdf    # for viewers that do not turn SPZ files
     """
 
     asset: AssetFile
     """The file to read."""
     out: Annotated[Positional[Path], arg(metavar="OUT")]
     """The file to write."""
+    frame: FrameOption = "auto"
+    """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    out_frame: FrameOption = "auto"
+    """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     overwrite: bool = False
     """Replace OUT if it exists."""
     json: bool = False
@@ -43,28 +50,36 @@ def run(config: Config) -> Outcome:
     check_target(config.out, config.overwrite, [config.asset])
     with stages(3) as bar:
         bar.enter("reading")
-        before = read(config.asset)
+        before = read(config.asset, frame=config.frame, lenient=config.lenient)
         before_size = file_size(config.asset)
         with placed(config.out) as partial:
             bar.enter("writing")
-            write(partial, before)
+            write(partial, before, frame=config.out_frame)
             bar.enter("checking")
-            after = read(partial)
-    assert before.source is not None
+            after = read(partial, frame=frame_of_target(before, entry.key, config.out_frame), lenient=True)
+    assert before.source is not None and after.source is not None
     record = {
-        "input": {"file": config.asset, "format": before.source.format, "bytes": before_size, "rows": len(before)},
+        "input": {
+            "file": config.asset,
+            "format": before.source.format,
+            "bytes": before_size,
+            "rows": len(before),
+            "frame": before.source.frame,
+        },
         "output": {
             "file": config.out,
             "format": entry.key,
             "bytes": file_size(config.out),
             "rows": len(after),
             "sha256": after.sha256,
+            "frame": after.source.frame,
         },
         "lost": losses(before, after),
     }
     lines = [
         f"{config.asset} -> {config.out}",
         f"{count(len(after), 'row')}; {size(before_size)} -> {size(record['output']['bytes'])}",
+        f"frame: {frame_line(before.source)} -> {frame_line(after.source)}",
         *(f"lost: {line}" for line in record["lost"] or ["nothing"]),
     ]
     return Outcome(record, lines)

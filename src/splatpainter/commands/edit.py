@@ -11,7 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import AssetFile, CameraFiles, OutFile
+from splatpainter.commands.options import AssetFile, CameraFiles, FrameOption, OutFile
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verify import receipt_of, same_words
@@ -42,6 +42,12 @@ class Config:
     """1 to 16 edited pictures of it."""
     out: OutFile
     """The file to write; its name says the format."""
+    frame: FrameOption = "auto"
+    """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    out_frame: FrameOption = "auto"
+    """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     camera: CameraFiles = ()
     """Cameras of the pictures, in their order, where the pictures lost theirs (CAM.json)."""
     mask: Annotated[tuple[Path, ...], arg(metavar="M.png ...", help_behavior_hint="")] = ()
@@ -72,7 +78,7 @@ def run(config: Config) -> Outcome:
     with stages(4) as bar:
         painter = _painter(config)
         bar.enter("reading")
-        splats = read(config.asset)
+        splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         laps = {"read": time.perf_counter() - clock}
         _warn_of_other_assets(sources, splats)
         _compile()
@@ -83,11 +89,11 @@ def run(config: Config) -> Outcome:
         # Left in reverse order: OUT takes its name first, the receipt, which is on disk by then, after it.
         with files.writing(receipt_path) as file, placed(config.out) as partial:
             bar.enter("writing")
-            write(partial, edited.splats)
+            write(partial, edited.splats, frame=config.out_frame)
             laps["write"] = time.perf_counter() - clock
             bar.enter("verifying")
             clock = time.perf_counter()
-            receipt, found = prove(splats, partial, edited.receipt)
+            receipt, found = prove(splats, partial, edited.receipt, config.out_frame)
             laps["verify"] = time.perf_counter() - clock
             spent = {"read": laps.pop("read"), **receipt.seconds, **laps}
             receipt = replace(receipt, seconds=spent)
@@ -165,6 +171,7 @@ def _record(config: Config, path: Path, receipt: Receipt, found: Verification, s
         "verified": found.ok,
         "same_rows": found.same,
         "compared": found.exact,
+        "frame": found.frame,
         "notes": [f"{source.path}: {note}" for source in sources for note in source.notes],
         "receipt": json.loads(receipt.to_json()),
     }
@@ -173,6 +180,7 @@ def _record(config: Config, path: Path, receipt: Receipt, found: Verification, s
 def _lines(config: Config, receipt: Receipt, found: Verification, sources: list[FileEdit], rounded: int) -> list[str]:
     lines = [f"{config.asset} -> {config.out}"]
     lines += [f"{source.path}: {note}" for source in sources for note in source.notes]
+    lines.append(f"frame: {found.frame}")
     weights = f" with preset {receipt.preset}" if receipt.method == "ttt" else ""
     lines.append(f"method {receipt.method}{weights}, mode {receipt.mode}")
     lines += [f"note: {note}" for note in receipt.note.split("; ") if note]

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import AssetFile
+from splatpainter.commands.options import AssetFile, FrameOption
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.framing import reach
-from splatpainter.io import FORMATS, read
+from splatpainter.io import FORMATS, frame_line, read
 from splatpainter.splats import Splats
 
 
@@ -25,6 +25,10 @@ class Config:
 
     asset: AssetFile
     """A splat file, or a SOG folder."""
+    frame: FrameOption = "auto"
+    """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     json: bool = False
     """Print one JSON object instead of text."""
 
@@ -33,7 +37,7 @@ def run(config: Config) -> Outcome:
     """Read the file and describe it."""
     with stages(1) as bar:
         bar.enter("reading")
-        record = describe(read(config.asset), config.asset)
+        record = describe(read(config.asset, frame=config.frame, lenient=config.lenient), config.asset)
     return Outcome(record, _lines(record))
 
 
@@ -55,6 +59,11 @@ def describe(splats: Splats, path: Path) -> dict:
         "sh_degree": splats.sh_degree,
         "color_space": splats.color_space,
         "antialiased": splats.antialiased,
+        "frame": {
+            "axes": splats.source.frame,
+            "from": splats.source.frame_from,
+            "description": frame_line(splats.source),
+        },
         "bounds": [placed.min(0), placed.max(0)] if len(placed) else None,
         "reach": {"center": center, "radius": radius} if drawable.any() else None,
         "problems": list(splats.source.problems),
@@ -83,6 +92,7 @@ def _lines(record: dict) -> list[str]:
         "rows": rows,
         "SH degree": str(record["sh_degree"]),
         "colours": f"{record['color_space']}{', antialiased (2D filter)' if record['antialiased'] else ''}",
+        "frame": record["frame"]["description"],
         "bounds": f"{_point(bounds[0])} to {_point(bounds[1])}" if bounds else "no row has a finite centre",
         "most rows": f"within {around['radius']:.3g} of {_point(around['center'])}" if around else "none can be drawn",
         "sha256": record["sha256"],

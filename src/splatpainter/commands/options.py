@@ -14,9 +14,13 @@ from typing import Annotated, Any, TypeAlias
 import tyro
 from tyro.conf import Positional, arg
 
+from splatpainter.splats import Frame
+
 AssetFile: TypeAlias = Annotated[Positional[Path], arg(metavar="ASSET")]
 OutFile: TypeAlias = Annotated[Path, arg(metavar="OUT")]
 CameraFiles: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="CAM.json ...", help_behavior_hint="")]
+FrameOption: TypeAlias = Annotated[Frame, arg(metavar="auto|rub|rdf")]
+"""Which way the numbers of a file point: rub is right-up-back (y up), rdf right-down-front (y down)."""
 WIDE = "4000"
 """Columns: tyro breaks no line where they are joined again."""
 

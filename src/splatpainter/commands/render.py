@@ -11,11 +11,11 @@ from tyro.conf import arg
 
 from splatpainter.cameras import Camera
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import AssetFile, CameraFiles
+from splatpainter.commands.options import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.targets import check_folder, check_target, make_folder, save_picture
 from splatpainter.commands.terminal import count, progress
 from splatpainter.framing import around
-from splatpainter.io import read
+from splatpainter.io import frame_line, read
 from splatpainter.sources.color import from_display, to_display
 from splatpainter.splats import Splats
 
@@ -48,6 +48,10 @@ class Config:
     """Pixels of the longer side; default: 800, or what the camera says."""
     background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
     """Colour behind the asset, 0..1 or #rrggbb; default: 0.25,0.25,0.25, or what the camera says."""
+    frame: FrameOption = "auto"
+    """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
     """Direction that is up in the pictures; auto: -y, the habit of captures (GLB and SPZ are turned when read)."""
     elevation: float = 15.0
@@ -72,7 +76,7 @@ def run(config: Config) -> Outcome:
         for name in names:
             check_target(name, config.overwrite)
             check_target(name.with_suffix(".json"), config.overwrite)
-    splats = read(config.asset)
+    splats = read(config.asset, frame=config.frame, lenient=config.lenient)
     cameras = given or around(
         splats,
         config.views,
@@ -98,6 +102,8 @@ def run(config: Config) -> Outcome:
         ],
     }
     lines = [f"{count(len(names), 'picture')} in {config.out}: {names[0].name} ... each with its camera inside"]
+    assert splats.source is not None
+    lines.append(f"frame: {frame_line(splats.source)}")
     if hidden:
         lines.append(f"{count(hidden, 'row')} of {len(splats):,} cannot be drawn")
     return Outcome(record, lines)

@@ -11,6 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
+from splatpainter.commands.options import FrameOption
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,9 @@ class Config:
 
     asset: Annotated[Positional[Path | None], arg(metavar="ASSET|PROJECT")] = None
     """A splat file or a .splatproj project; without one, the demo asset."""
+    frame: FrameOption = "auto"
+    """Axes of a splat file's numbers: rub is y up, rdf y down; auto: what it says, else what its format has. In the
+    page, one click turns an asset that is upside down."""
     port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
     """Default: 8750, or the next that is free."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
@@ -53,7 +57,7 @@ def run(config: Config) -> Outcome:
     bound = listen(config.host, config.port)
     try:
         ensure_compiled()
-        session, name = open_session(config.asset)
+        session, name = open_session(config.asset, frame=config.frame)
         studio = Studio(session, name, Options(config.folder))
     except BaseException:
         bound.close()

@@ -10,6 +10,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
+from splatpainter.commands.options import FrameOption
 from splatpainter.commands.targets import META
 from splatpainter.commands.terminal import count, stages
 from splatpainter.io import files
@@ -36,6 +37,10 @@ class Config:
     """The asset after it."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """The receipt; default: EDITED.receipt.json where it exists."""
+    frame: FrameOption = "auto"
+    """Axes of ORIGINAL's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    out_frame: FrameOption = "auto"
+    """Axes of EDITED's numbers; auto: those of ORIGINAL if both are of one format, else what EDITED says."""
     json: bool = False
     """Print one JSON object instead of text."""
 
@@ -48,7 +53,7 @@ def run(config: Config) -> Outcome:
     receipt = read_receipt(path) if path is not None else None
     with stages(1) as bar:
         bar.enter("comparing")
-        found = verify(config.original, config.edited, receipt)
+        found = verify(config.original, config.edited, receipt, frame=config.frame, out_frame=config.out_frame)
     record = {"original": config.original, "edited": config.edited, "receipt": path, **asdict(found)}
     lines = [
         f"{found.same:,} of {count(found.rows, 'row')} {same_words(found)}; "
@@ -57,6 +62,7 @@ def run(config: Config) -> Outcome:
         *found.differences,
         f"compared: {'; '.join((found.exact, *found.compared))}",
         *(f"not compared: {part}" for part in found.not_compared),
+        f"frame: {found.frame}",
         *(f"wrong: {problem}" for problem in found.problems),
         "verified" if found.ok else "NOT verified",
     ]

@@ -11,14 +11,19 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from splatpainter.io import files
-from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
+from splatpainter.io.frames import axes_words, chosen, unturned
+from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Frame, Source, Splats
 
-Reader = Callable[[Path], Splats]
-Writer = Callable[[Path, Splats], None]
+Reader = Callable[..., Splats]
+Writer = Callable[..., None]
+
+
+FRAMES = get_args(Frame)
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,7 @@ class Format:
     suffixes: tuple[str, ...]
     """Lower-case name endings, the one to suggest first; () for a folder."""
     read: Reader
+    """read(path), and by keyword what `options` names."""
     write: Writer | None
     """None: this format can only be read."""
     description: str
@@ -37,14 +43,21 @@ class Format:
     """What stays byte for byte when a file of this format is edited and written back, in one sentence."""
     lossy: str = ""
     """What is lost when rows of another format, or edited rows, are written; "" where nothing is."""
+    options: tuple[str, ...] = ()
+    """Keywords of `io.read` that `read` takes, too."""
+    frame: str = "rdf"
+    """Axes of a file's numbers unless it says otherwise (key of frames.AXES)."""
 
 
 def _lazy_reader(module: str, name: str) -> Reader:
-    return lambda path: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path)
+    return lambda path, **options: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, **options)
 
 
 def _lazy_writer(module: str, name: str) -> Writer:
-    return lambda path, splats: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, splats)
+    def write(path: Path, splats: Splats, **options: object) -> None:
+        getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, splats, **options)
+
+    return write
 
 
 FORMATS: dict[str, Format] = {
@@ -69,6 +82,7 @@ FORMATS: dict[str, Format] = {
             "INRIA PLY: little or big endian or text, any property order, SH degree 0-4",
             "Every byte outside the values that changed: header, property order, extra properties and elements, "
             "trailing bytes.",
+            options=("lenient",),
         ),
         Format(
             "splat",
@@ -78,6 +92,7 @@ FORMATS: dict[str, Format] = {
             "antimatter15 .splat: 32 bytes a row",
             "Every byte outside the values that changed.",
             "SH above degree 0 is dropped; colours, opacities and rotations are rounded to 8 bits.",
+            options=("lenient",),
         ),
         Format(
             "ksplat",
@@ -95,6 +110,7 @@ FORMATS: dict[str, Format] = {
             "Niantic SPZ, versions 1-4",
             "The quantised values of rows that did not change.",
             "Positions are fixed-point; scales, colours, opacities, rotations and SH have 8 bits or fewer.",
+            frame="rub",
         ),
         Format(
             "sog",
@@ -112,6 +128,7 @@ FORMATS: dict[str, Format] = {
             _lazy_writer("glb", "write_glb"),
             "glTF 2.0 binary with KHR_gaussian_splatting",
             "Every byte outside the values that changed.",
+            frame="luf",
         ),
     )
 }
@@ -119,22 +136,36 @@ FORMATS: dict[str, Format] = {
 _MAGIC = {b"glTF": "glb", b"PK\x03\x04": "sog", b"NGSP": "spz"}
 
 
-def read(path: str | os.PathLike[str]) -> Splats:
+def read(path: str | os.PathLike[str], *, frame: Frame = "auto", lenient: bool = False) -> Splats:
     """Read a splat file (or a SOG folder) in any of FORMATS; `source` and `origin` are filled in.
 
     The content decides where it is unmistakable (PLY, compressed PLY, GLB, SOG bundle, SPZ), the name otherwise.
+    frame: axes of the file's numbers, "rub" (right-up-back) or "rdf" (right-down-front), whatever the file or its
+    format says; "auto" believes them. Rows always come out right-down-front, so that an asset is upright; `source`
+    says how the file was taken, and writing the same format turns them back (signs only, so every bit survives).
+    lenient: also open files that were cut off behind their last whole row (a .splat of 33 bytes, a PLY without the end
+    of a later element); what is left of the cut part is kept and reported in `source.problems`.
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
+    check_frame(frame)
     place = Path(path)
-    return FORMATS[detect(place)].read(place)
+    key = detect(place)
+    entry = FORMATS[key]
+    options = {"lenient": lenient} if "lenient" in entry.options else {}
+    if key == "spz":  # may name its frame itself
+        return entry.read(place, frame=frame)
+    return chosen(entry.read(place, **options), frame)
 
 
-def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = False) -> None:
+def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = False, frame: Frame = "auto") -> None:
     """Write `splats` (numpy or torch attributes) in the format that the name of `path` says.
 
     Where `splats.source` is of that format, everything that did not change keeps its bytes (see Format.exact).
+    frame: axes of the file's numbers, "rub" or "rdf"; "auto": those of `splats.source` if it is of that format, else
+    the format's own. SPZ files say which it is; other formats cannot, and need `read(path, frame=...)`.
     Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes.
     """
+    check_frame(frame)
     place = Path(path)
     key = format_of_name(place)
     if key is None:
@@ -144,13 +175,47 @@ def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = Fal
         raise ValueError(f"{place}: {FORMATS[key].description}; write one of {_known(writable=True)} instead")
     if place.exists() and not overwrite:
         raise ValueError(f"{place}: already exists; choose another name or allow overwriting")
-    writer(place, canonical(splats))
+    if key == "spz":
+        writer(place, canonical(splats), frame=frame)
+    else:
+        writer(place, unturned(canonical(splats), key, frame, FORMATS[key].frame))
+
+
+def check_frame(frame: str) -> None:
+    """Raises ValueError for anything but the values of Frame."""
+    if frame not in FRAMES:
+        raise ValueError(f"frame: expected one of {', '.join(FRAMES)}, got {str(frame)[:40]!r}")
+
+
+def frame_of(splats: Splats) -> Frame:
+    """What `read` and `write` need to be told for rows in the frame of this source: "auto" where there is no need."""
+    source = splats.source
+    if source is None or source.frame_from != "choice":
+        return "auto"
+    return "rub" if source.frame == "rub" else "rdf"
+
+
+def frame_of_target(splats: Splats, key: str, frame: Frame) -> Frame:
+    """What `read` needs to be told of the file of format `key` that `write(..., splats, frame=frame)` made."""
+    if frame != "auto":
+        return frame
+    return frame_of(splats) if splats.source is not None and splats.source.format == key else "auto"
+
+
+def frame_line(source: Source) -> str:
+    """One line for people: which axes the file's numbers have, and who says so."""
+    reasons = {
+        "file": "as the file says",
+        "choice": "as chosen",
+        "format": "the default of this format; the file does not say",
+    }
+    return f"{axes_words(source.frame)}, {reasons[source.frame_from]}"
 
 
 def detect(path: Path) -> str:
     """Key of FORMATS that the file at `path` holds. Raises ValueError when it is missing, unreadable or unknown."""
-    if path.is_dir():
-        if (path / "meta.json").is_file():
+    if os.path.isdir(path):  # Path.is_dir raises where a folder above may not be searched
+        if os.path.isfile(path / "meta.json"):
             return "sog"
         raise ValueError(f"{path}: is a folder without meta.json; expected a splat file or a SOG folder")
     head = files.read_head(path, files.HEADER_LIMIT if path.suffix.lower() == ".ply" else 65536)

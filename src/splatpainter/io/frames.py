@@ -11,18 +11,87 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatpainter.splats import SH_COUNTS, Splats
+from splatpainter.splats import SH_COUNTS, Frame, Source, Splats
+
+_LETTERS = {"l": "left", "r": "right", "u": "up", "d": "down", "f": "front", "b": "back"}
+AXES = {
+    across + up + depth: (1 if across == "r" else -1, 1 if up == "d" else -1, 1 if depth == "f" else -1)
+    for across in "lr"
+    for up in "du"
+    for depth in "bf"
+}
+"""Where x, y and z of a frame point -> the sign of each axis in the PLY frame, "rdf"."""
+NO_FLIP = (1, 1, 1)
 
 
 def flip(splats: Splats, signs: tuple[int, int, int]) -> Splats:
-    """Rows with the axes whose sign is -1 reversed; changes signs only, so flipping twice restores every bit.
+    """float32 rows with the axes whose sign is -1 reversed; flipping twice restores every bit, of NaN too.
 
     A rotation R becomes F R F, which keeps w and gives the same ellipsoid (a diagonal F commutes with the scales).
     """
     axes = np.array(signs, np.float32)
     turn = np.array([1, axes[1] * axes[2], axes[0] * axes[2], axes[0] * axes[1]], np.float32)
     bands = sh_flip_signs(splats.sh.shape[1], signs)
-    return replace(splats, means=splats.means * axes, quats=splats.quats * turn, sh=splats.sh * bands[:, None])
+    return replace(
+        splats,
+        means=_with_signs(splats.means, axes),
+        quats=_with_signs(splats.quats, turn),
+        sh=_with_signs(splats.sh, bands[:, None]),
+    )
+
+
+def _with_signs(values: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    # The sign bit itself: multiplying would make a signalling NaN a quiet one.
+    bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
+    return (bits ^ np.where(signs < 0, np.uint32(1 << 31), np.uint32(0))).view(np.float32)
+
+
+def axes_words(name: str) -> str:
+    """ "rub" -> "right-up-back"."""
+    return "-".join(_LETTERS[letter] for letter in name)
+
+
+def chosen(splats: Splats, frame: Frame) -> Splats:
+    """Rows as a reader gave them -> as they are when the file's numbers are in `frame`, whatever the reader thought.
+
+    Signs only; `source` follows, so that `unturned` gives back every bit. Nothing happens for "auto".
+    """
+    source = splats.source
+    if frame == "auto" or source is None:
+        return splats
+    flips = _between(source.frame, frame)
+    if flips != NO_FLIP:
+        splats = flip(splats, flips)
+    rows = replace(splats, source=None, origin=None)
+    return replace(splats, source=replace(source, splats=rows, frame=frame, frame_from="choice", flips=flips))
+
+
+def unturned(splats: Splats, format: str, frame: Frame, natural: str) -> Splats:
+    """The inverse of `chosen`, for the writer of `format`, whose numbers would by themselves be in frame `natural`.
+
+    frame: what the file's numbers are to be in; "auto": what the source's were if it is of that format, else `natural`.
+    """
+    source = splats.source
+    before = source if source is not None and source.format == format else None
+    plain = natural if before is None else _before(before)
+    flips = before.flips if before is not None and frame == "auto" else NO_FLIP
+    if frame != "auto":
+        flips = _between(plain, frame)
+    if before is not None and before.flips != NO_FLIP:
+        rows = flip(before.splats, before.flips)
+        splats = replace(splats, source=replace(before, splats=rows, frame=plain, flips=NO_FLIP))
+    return splats if flips == NO_FLIP else flip(splats, flips)
+
+
+def _before(source: Source) -> str:
+    """The frame that the reader took the file's numbers to be in, before one was chosen."""
+    signs = tuple(a * b for a, b in zip(AXES[source.frame], source.flips, strict=True))
+    return next(name for name, axes in AXES.items() if axes == signs)
+
+
+def _between(one: str, other: str) -> tuple[int, int, int]:
+    x, y, z = (a * b for a, b in zip(AXES[one], AXES[other], strict=True))
+    return x, y, z
 
 
 def sh_flip_signs(count: int, signs: tuple[int, int, int]) -> np.ndarray:

@@ -29,6 +29,8 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import files, frames, gltf, raw
+from splatpainter.io.bounded import allow_rows
+from splatpainter.io.json_text import brief
 from splatpainter.splats import SH_C0, Source, Splats
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -71,10 +73,11 @@ def read_glb(path: Path) -> Splats:
                 break
     turn, scale, shift = _placement(glb.doc, mesh, path, problems)
     file = GlbFile(glb, mesh, number, names, turn, scale, shift, data)
-    local = read_local(file, path, problems)
+    with np.errstate(all="ignore"):  # extreme values are reported below
+        local = read_local(file, path, problems)
     rows = frames.move_back(local, turn, scale, shift)
     problems += raw.oddities(rows)
-    source = Source(str(path), "glb", rows, files.sha256(data), file, tuple(problems))
+    source = Source(str(path), "glb", rows, files.sha256(data), file, tuple(problems), "luf")
     return replace(rows, source=source, origin=np.arange(len(rows)))
 
 
@@ -120,6 +123,9 @@ def read_local(file: GlbFile, path: Path, problems: list[str]) -> Splats:
             count = len(values)
         if values.shape != (count, width) and not (semantic == "COLOR_0" and values.shape == (count, 3)):
             raise ValueError(f"{path}: expected {semantic} of {count} x {width} numbers, found {values.shape}")
+        allow_rows(
+            len(file.whole), len(values), sum(name.startswith("SH_") for name in file.names), path
+        )  # accessors may share their bytes
         return gltf.decode(values, file.glb.doc["accessors"][index].get("normalized"))
 
     means, xyzw, scales = read("POSITION", 3), read("ROTATION", 4), read("SCALE", 3)
@@ -174,18 +180,18 @@ def _find(doc: dict[str, Any], path: Path, problems: list[str]) -> tuple[int, in
     extension = _extension(found[0][2])
     packed = extension.get("extensions")
     if isinstance(packed, dict) and packed:
-        names = ", ".join(packed)[:80]
+        names = files.printable(", ".join(packed))
         raise ValueError(
             f"{path}: the Gaussians are stored by {names}, which is not supported; decompress the file first"
         )
     if found[0][2].get("mode", 4) != 0:
-        problems.append(f"primitive mode {str(found[0][2].get('mode', 4))[:10]} in place of 0 (points)")
+        problems.append(f"primitive mode {brief(found[0][2].get('mode', 4))} in place of 0 (points)")
     if "indices" in found[0][2]:
         problems.append("the primitive's indices are not used; every row is shown")
     if extension.get("kernel", "ellipse") != "ellipse":
-        problems.append(f"kernel {str(extension['kernel'])[:40]!r} is shown as 'ellipse'")
+        problems.append(f"kernel {brief(extension['kernel'])} is shown as 'ellipse'")
     if extension.get("colorSpace", SPACES["srgb"]) not in SPACES.values():
-        problems.append(f"colour space {str(extension['colorSpace'])[:40]!r} is treated as sRGB")
+        problems.append(f"colour space {brief(extension['colorSpace'])} is treated as sRGB")
     return found[0]
 
 

@@ -13,8 +13,8 @@
 
 Flags: 1 trained with antialiasing, 2 extensions present: records of u32 type, u32 size, payload.
 
-Frame: SPZ is x right, y up, z back, unless extension 0xADBE0003 names another one; here rows are in the PLY frame
-(y and z reversed). Words are in spz_codec.
+Frame: SPZ is x right, y up, z back, unless extension 0xADBE0003 names another one or the caller does; here rows are in
+the PLY frame (y and z reversed). New files say their frame by that extension. Words are in spz_codec.
 
 Writing over a source of this format keeps its version, fractional bits, frame, extensions and trailing bytes, and the
 packed words of every value that did not change; only changed values are quantised. An untouched asset is written back
@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,16 +34,21 @@ import numpy as np
 
 from splatpainter.io import files, frames, raw
 from splatpainter.io import spz_codec as codec
-from splatpainter.io.bounded import TAIL, Gunzip, allow, unzstd
+from splatpainter.io.bounded import TAIL, Gunzip, allow_rows, unzstd
+from splatpainter.io.frames import axes_words
 from splatpainter.io.reuse import Kept, kept, presentable
-from splatpainter.splats import Source, Splats
+from splatpainter.splats import Frame, Source, Splats
 
 MAGIC = b"NGSP"
 STREAMS = ("positions", "alphas", "colors", "scales", "rotations", "sh")
+BLOCK = 1 << 16
+"""Rows decoded at a time, to bound the float64 intermediates."""
 ANTIALIASED, EXTENDED = 1, 2
 COORDINATE_SYSTEM = 0xADBE0003
-RUB, RDF = 4, 6
-"""Codes of COORDINATE_SYSTEM. Less 1, bits 0-2 say right, up, front; bit 3 says that y and z are exchanged."""
+NAMES = ("ldb", "rdb", "lub", "rub", "ldf", "rdf", "luf", "ruf", "lfd", "rfd", "lfu", "rfu", "lbd", "rbd", "lbu", "rbu")
+CODES = {name: code for code, name in enumerate(NAMES, 1)}
+"""Of COORDINATE_SYSTEM. Less 1, bits 0-2 say right, up, front; bit 3 says that y and z are exchanged."""
+RUB, RDF = CODES["rub"], CODES["rdf"]
 QUARTER_TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
 """About x, (x, y, z) -> (x, z, -y): from the frames of bit 3 to the others."""
 SH_BITS = (7, 7)
@@ -67,10 +73,13 @@ class SpzFile:
     """What follows the last stream or the gzip member."""
     whole: bytes
     """The file."""
+    frame: int = RUB
+    """Code of the frame that the words are in."""
 
 
-def read_spz(path: Path) -> Splats:
-    """Read any version. Raises ValueError: truncated, damaged, unknown version, or a size that cannot be honest."""
+def read_spz(path: Path, frame: Frame = "auto") -> Splats:
+    """Read any version. frame: of the file's words, whatever the file says; "auto": what it says, else right-up-back.
+    Raises ValueError: truncated, damaged, unknown version, or a size that cannot be honest."""
     data = files.read_all(path)
     if data[:4] == MAGIC:
         file = _parse_plain(data, path)
@@ -79,15 +88,22 @@ def read_spz(path: Path) -> Splats:
     else:
         raise ValueError(f"{path}: not an SPZ file: expected a gzip stream or 'NGSP', found {bytes(data[:4])!r}")
     problems: list[str] = []
-    frame = _frame(file, problems)
-    rows = _to_ply_frame(_decode(file), frame)
+    said = _frame_said(file, problems)
+    code = (said or RUB) if frame == "auto" else CODES[frame]
+    if said and said != code:
+        problems.append(f"the file says {axes_words(NAMES[said - 1])}; read as {axes_words(frame)}, as chosen")
+    file = replace(file, frame=code)
+    rows = _to_ply_frame(_decode(file), code)
     problems += raw.oddities(rows)
-    source = Source(str(path), "spz", rows, files.sha256(data), file, tuple(problems))
+    source = Source(str(path), "spz", rows, files.sha256(data), file, tuple(problems), NAMES[code - 1])
+    source = replace(source, frame_from="choice" if frame != "auto" else "file" if said else "format")
     return replace(rows, source=source, origin=np.arange(len(rows)))
 
 
-def write_spz(path: Path, splats: Splats, version: int | None = None) -> None:
+def write_spz(path: Path, splats: Splats, version: int | None = None, frame: Frame = "auto") -> None:
     """Write `splats`. version: 2, 3 or 4; None keeps the source's, and is 3 for other formats (4 for SH degree 4).
+    frame: of the words in the file; "auto" keeps the source's, and is right-up-back for other formats. A file that
+    would be taken for another frame says which it is, by the extension; so does every new file.
 
     Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, or a version not writable.
     """
@@ -95,20 +111,22 @@ def write_spz(path: Path, splats: Splats, version: int | None = None) -> None:
     same = kept(splats, "spz")
     old: SpzFile | None = splats.source.detail if same and splats.source else None
     before = (same, old) if same and old else None
+    code = CODES[frame] if frame != "auto" else old.frame if old else RUB
+    untouched = same is not None and same.identity and old is not None and code == old.frame
     if version is None:
         version = old.version if old else 3
-        if splats.sh_degree > 3:
+        if splats.sh_degree > 3 and not untouched:
             version = 4
     if version not in (2, 3, 4) and not (old and version == old.version):
         raise ValueError(f"{path}: expected SPZ version 2, 3 or 4, got {version}")
-    if splats.sh_degree > 3 and version < 4:
+    if splats.sh_degree > 3 and version < 4 and not (untouched and old and version == old.version):
         raise ValueError(
             f"{path}: SPZ version {version} holds SH up to degree 3, got {splats.sh_degree}; use version 4"
         )
-    if before and before[0].identity and version == before[1].version:
-        out = before[1].whole
+    if old and untouched and version == old.version:
+        out = old.whole
     else:
-        file = _encode(splats, before, version, path)
+        file = _saying_frame(_encode(splats, before, version, code, path), new=not before)
         out = _plain_bytes(file) if version >= 4 else _gzip_bytes(file)
     with files.writing(path) as target:
         target.write(out)
@@ -135,6 +153,7 @@ def _parse_gzip(data: bytes, path: Path) -> SpzFile:
         raise ValueError(f"{path}: expected SPZ version 1-3 in a gzip stream, found {version}")
     _check_header(version, degree, bits, path)
     widths = _widths(version, degree)
+    allow_rows(len(data), count, (degree + 1) ** 2, path)
     rows = stream.take(count * sum(widths.values()), f"{count} rows of SPZ version {version}")
     streams, at = {}, 0
     for name, width in widths.items():
@@ -165,12 +184,11 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
     for name, size in zip(listed, entries[1::2], strict=True):
         if size != sizes[name]:
             raise ValueError(f"{path}: expected {sizes[name]} bytes of {name} for {count} rows, the table says {size}")
-    # All claims together, before the first is unpacked.
-    allow(len(data), sum(sizes.values()), path, f"{count} rows of SPZ version 4")
+    allow_rows(len(data), count, (degree + 1) ** 2, path)
     streams = {}
     for name, packed in zip(listed, entries[::2], strict=True):
         piece = unzstd(files.take(data, at, packed, path, name), sizes[name], path, f"the stream of {name}")
-        streams[name] = np.frombuffer(piece, np.uint8).reshape(count, -1)
+        streams[name] = np.frombuffer(piece, np.uint8).reshape(count, sizes[name] // max(count, 1))
         at += packed
     for name in STREAMS:
         streams.setdefault(name, np.zeros((count, 0 if count else _widths(version, degree)[name]), np.uint8))
@@ -180,30 +198,41 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
 
 def _decode(file: SpzFile) -> Splats:
     """Rows in the file's own frame."""
-    streams = file.streams
-    if file.version == 1:
-        means = codec.unpack_half_positions(streams["positions"])
-    else:
-        means = codec.unpack_positions(streams["positions"], file.fractional_bits)
+    streams, count = file.streams, len(file.streams["alphas"])
     unpack_quats = codec.unpack_quats_first_three if file.version < 3 else codec.unpack_quats_smallest_three
-    base = codec.unpack_colors(streams["colors"])[:, None]
-    rest = codec.unpack_sh(streams["sh"]) if streams["sh"].shape[1] else base[:, :0]
-    return Splats(
-        means,
-        unpack_quats(streams["rotations"]),
-        codec.unpack_scales(streams["scales"]),
-        codec.unpack_opacities(streams["alphas"]),
-        np.concatenate([base, rest], 1),
+    out = Splats(
+        np.empty((count, 3), np.float32),
+        np.empty((count, 4), np.float32),
+        np.empty((count, 3), np.float32),
+        np.empty(count, np.float32),
+        np.empty((count, (file.degree + 1) ** 2, 3), np.float32),
         antialiased=bool(file.flags & ANTIALIASED),
     )
+    for start in range(0, count, BLOCK):
+        block = slice(start, start + BLOCK)
+        positions = streams["positions"][block]
+        if file.version == 1:
+            out.means[block] = codec.unpack_half_positions(positions)
+        else:
+            out.means[block] = codec.unpack_positions(positions, file.fractional_bits)
+        out.quats[block] = unpack_quats(streams["rotations"][block])
+        out.scales[block] = codec.unpack_scales(streams["scales"][block])
+        out.opacities[block] = codec.unpack_opacities(streams["alphas"][block])
+        out.sh[block, 0] = codec.unpack_colors(streams["colors"][block])
+        if file.degree:
+            out.sh[block, 1:] = codec.unpack_sh(streams["sh"][block])
+    return out
 
 
-def _encode(splats: Splats, before: tuple[Kept, SpzFile] | None, version: int, path: Path) -> SpzFile:
-    old = before[1] if before else SpzFile(version, 0, 0, 0, b"", {}, b"", b"", b"")
-    rows = _from_ply_frame(presentable(splats), _frame(old, []))
+def _encode(splats: Splats, before: tuple[Kept, SpzFile] | None, version: int, code: int, path: Path) -> SpzFile:
+    old = before[1] if before else SpzFile(version, 0, 0, 0, b"", {}, b"", b"", b"", code)
+    rows = _from_ply_frame(presentable(splats), code)
     # Version 1 has no fixed point; 2 shares all words but the rotations with 3 and 4.
     keeps = {"positions": (old.version == 1) == (version == 1), "rotations": (old.version < 3) == (version < 3)}
     bits = old.fractional_bits if before and keeps["positions"] else _fractional_bits(rows)
+    turned = code != old.frame
+    if turned:
+        keeps = {"positions": False, "rotations": False, "sh": False}
     pack_quats = codec.pack_quats_first_three if version < 3 else codec.pack_quats_smallest_three
     streams = {
         "positions": codec.pack_half_positions(rows.means) if version == 1 else _pack_positions(rows, bits, path),
@@ -211,7 +240,7 @@ def _encode(splats: Splats, before: tuple[Kept, SpzFile] | None, version: int, p
         "colors": codec.pack_colors(rows.sh[:, 0]),
         "scales": codec.pack_scales(rows.scales),
         "rotations": pack_quats(rows.quats),
-        "sh": codec.pack_sh(rows.sh[:, 1:], SH_BITS),
+        "sh": codec.pack_sh(rows.sh[:, 1:], (8, 8) if turned else SH_BITS),  # a word with its sign changed needs all 8
     }
     if before:
         same = before[0]
@@ -220,7 +249,8 @@ def _encode(splats: Splats, before: tuple[Kept, SpzFile] | None, version: int, p
             if keeps.get(name, True) and mask.any():
                 streams[name][mask] = old.streams[name][same.rows[mask]]
     flags = old.flags & ~ANTIALIASED | (ANTIALIASED if splats.antialiased else 0)
-    return SpzFile(version, splats.sh_degree, bits, flags, old.reserved, streams, old.extensions, old.tail, b"")
+    extensions = old.extensions
+    return SpzFile(version, splats.sh_degree, bits, flags, old.reserved, streams, extensions, old.tail, b"", code)
 
 
 def _pack_positions(rows: Splats, bits: int, path: Path) -> np.ndarray:
@@ -267,18 +297,42 @@ def _plain_bytes(file: SpzFile) -> bytes:
     return b"".join([header, reserved[:12], file.extensions, table, *packed, file.tail])
 
 
-def _frame(file: SpzFile, problems: list[str]) -> int:
-    """Code of the frame that the rows are stored in."""
+def _frame_said(file: SpzFile, problems: list[str]) -> int | None:
+    """Code of the frame that the file names, None where it names none."""
+    for at in _frame_records(file):
+        (code,) = struct.unpack_from("<I", file.extensions, at + 8)
+        if 1 <= code <= len(NAMES):
+            return code
+        problems.append(f"extension names the unknown coordinate system {code}; read as right-up-back")
+    return None
+
+
+def _frame_records(file: SpzFile) -> Iterator[int]:
+    """Where records of COORDINATE_SYSTEM begin in the extensions."""
     at, data = 0, file.extensions if file.flags & EXTENDED else b""
     while len(data) - at >= 8:
         kind, size = struct.unpack_from("<II", data, at)
         if kind == COORDINATE_SYSTEM and size == 4 and len(data) - at >= 12:
-            (code,) = struct.unpack_from("<I", data, at + 8)
-            if 1 <= code <= 16:
-                return code
-            problems.append(f"extension names the unknown coordinate system {code}; read as right-up-back")
+            yield at
         at += 8 + size
-    return RUB
+
+
+def _saying_frame(file: SpzFile, new: bool) -> SpzFile:
+    """The file with its frame in the extension, if it is new or would be taken for another one without.
+
+    Bytes behind the rows that no flag calls extensions (some writers put a tree there) leave no room for one.
+    """
+    if not new and (_frame_said(file, []) or RUB) == file.frame:
+        return file
+    if file.extensions and not file.flags & EXTENDED:
+        return file
+    extensions = bytearray(file.extensions)
+    records = list(_frame_records(file))
+    for at in records:
+        struct.pack_into("<I", extensions, at + 8, file.frame)
+    if not records:
+        extensions[:0] = struct.pack("<III", COORDINATE_SYSTEM, 4, file.frame)
+    return replace(file, extensions=bytes(extensions), flags=file.flags | EXTENDED)
 
 
 def _flips(code: int) -> tuple[int, int, int]:

@@ -1,7 +1,7 @@
 """The original asset in and out of a project: the file's own bytes, or the rows where there is no file.
 
 Facts of a project: name, format ("rows": no file), sha256, path (absolute; empty: the bytes are in the project),
-color_space and antialiased (of rows).
+color_space and antialiased (of rows), frame (that was chosen for its numbers; absent: none was).
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatpainter.io import files, read
+from splatpainter.io import FRAMES, files, frame_of, read
 from splatpainter.session.deltas import Delta, bare, decode, encode
-from splatpainter.splats import Splats
+from splatpainter.splats import Frame, Splats
 
 if TYPE_CHECKING:
     from splatpainter.session.project import Project
@@ -49,6 +49,8 @@ def describe(splats: Splats, path: Path | None, embed: bool) -> dict[str, str]:
     facts = {"sha256": splats.sha256, "color_space": splats.color_space, "antialiased": str(int(splats.antialiased))}
     if path is None or splats.source is None:
         return {**facts, "name": "asset", "format": ROWS, "path": ""}
+    if frame_of(splats) != "auto":
+        facts["frame"] = frame_of(splats)
     name = "meta.json" if path.is_dir() else path.name
     return {**facts, "name": name, "format": splats.source.format, "path": "" if embed else str(path.absolute())}
 
@@ -72,6 +74,7 @@ def restore(project: Project, at: Path | None = None) -> Splats:
     """The original's rows, with `origin`. at: where the file is now, for projects that hold a path only.
     Raises ValueError: the file is gone, or its bytes are not those that the project was made from."""
     facts = {name: project.fact(name) or "" for name in ("name", "format", "sha256", "path", "color_space")}
+    frame: Frame = next((one for one in FRAMES if one == project.fact("frame")), "auto")
     if facts["format"] == ROWS:
         delta = decode((data for _, data in project.original()), f"{project.path}: the original")
         linear, soft = facts["color_space"] == "linear", project.fact("antialiased") == "1"
@@ -80,9 +83,9 @@ def restore(project: Project, at: Path | None = None) -> Splats:
         place = at or Path(facts["path"])
         if not place.exists():
             raise ValueError(f"{project.path}: its original {place} is gone; load with original=PATH if it moved")
-        splats = read(place)
+        splats = read(place, frame=frame, lenient=True)  # the project was made when it opened
     else:
-        splats = _unpacked(project, facts["name"])
+        splats = _unpacked(project, facts["name"], frame)
     if splats.sha256 != facts["sha256"]:
         raise ValueError(f"{project.path}: the original is not the one that the project was made from (sha256 differs)")
     return numbered(splats)
@@ -93,13 +96,13 @@ def numbered(splats: Splats) -> Splats:
     return splats if splats.origin is not None else replace(splats, origin=np.arange(len(splats)))
 
 
-def _unpacked(project: Project, name: str) -> Splats:
+def _unpacked(project: Project, name: str, frame: Frame) -> Splats:
     with tempfile.TemporaryDirectory() as folder:
         for file, data in project.original():
             place = Path(folder) / Path(file).name  # never outside the folder, whatever the project says
             with open(place, "ab") as target:
                 target.write(data)
-        splats = read(Path(folder) / Path(name).name)
+        splats = read(Path(folder) / Path(name).name, frame=frame, lenient=True)
     assert splats.source is not None
     return replace(splats, source=replace(splats.source, path=name))
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.framing import AUTO_UP, UPS
 from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, Verification
 from splatpainter.session import conflicts, export
@@ -74,6 +75,12 @@ class Reader:
     def path(self) -> Path | None:
         """The project file; None while it is temporary."""
         return None if self._scratch is not None else self._project.path
+
+    @property
+    def up(self) -> str:
+        """Which way of the asset is up on the screen: a key of framing.UPS."""
+        up = self._project.fact("up") or AUTO_UP
+        return up if up in UPS else AUTO_UP
 
     @property
     def read_only(self) -> str:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from splatpainter.cameras import Camera
+from splatpainter.framing import UPS
 from splatpainter.io import read
 from splatpainter.painter import Edit, Method, Mode, Painter
 from splatpainter.session import commands, export, original, schema
@@ -33,7 +34,7 @@ from splatpainter.session.pending import Pending
 from splatpainter.session.project import Project
 from splatpainter.session.reader import Reader, Shown
 from splatpainter.session.replay import Progress, Replay
-from splatpainter.splats import Splats
+from splatpainter.splats import Frame, Splats
 
 ODD = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
 """What reading values that are not what they should be raises."""
@@ -52,19 +53,21 @@ class Session(Reader):
         looks: Mapping[str, LookFunction] | None = None,
         embed: bool = True,
         overwrite: bool = False,
+        frame: Frame = "auto",
     ) -> None:
         """asset: a splat file, its rows as read, rows of any origin, or a project file (then as `load`).
 
         project: the project file to make; None: a temporary one, which `save_as` moves to a name and `close` deletes.
         painter: default the analytic lift. looks: functions of look layers by name, besides looks.LOOKS. embed: the
-        project holds the original's bytes; False: only its path and hash. Raises ValueError for what cannot be read,
+        project holds the original's bytes; False: only its path and hash. frame: of a splat file, as in
+        io.read. Raises ValueError for what cannot be read,
         an asset without a row that can be drawn, and a project that exists (unless overwrite)."""
         if not isinstance(asset, Splats) and Path(asset).suffix.lower() == schema.SUFFIX:
             if project is not None:
                 raise ValueError(f"{asset}: is a project already; open it alone, then save_as")
             self._start(Project.open(Path(asset)), painter, looks)
             return
-        splats = asset if isinstance(asset, Splats) else read(asset)
+        splats = asset if isinstance(asset, Splats) else read(asset, frame=frame)
         splats = original.numbered(splats.numpy())
         if not splats.finite.any():
             raise ValueError(f"asset: none of the {len(splats)} rows can be drawn (NaN, zero scale or zero quaternion)")
@@ -254,6 +257,13 @@ class Session(Reader):
 
     def delete_bookmark(self, bookmark: str) -> None:
         self._project.delete_bookmark(bookmark)
+
+    def set_up(self, up: str) -> None:
+        """Which way of the asset is up on the screen: a key of framing.UPS. Kept in the project, not part of the
+        history; no row changes. Raises ValueError for another one."""
+        if up not in UPS:
+            raise ValueError(f"up: expected one of {', '.join(UPS)}, got {str(up)[:20]!r}")
+        self._project.set_fact("up", up)
 
     # ---- files
 

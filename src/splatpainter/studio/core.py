@@ -87,6 +87,8 @@ class Studio:
     def refresh(self) -> None:
         """Describe the session anew; cheap where the rows are the same."""
         session, shown = self.session, self.session.shown
+        if self._asset.up != list(describe.up_axis(session)):
+            self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
         if self._counted != shown.version:
             self._asset = describe.counted(self._asset, session.original, shown.splats)
             self._counted = shown.version

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from splatpainter import cameras
-from splatpainter.framing import AUTO_UP, MARGIN, UPS, reach
-from splatpainter.io import FORMATS
+from splatpainter.framing import MARGIN, UPS, reach
+from splatpainter.io import FORMATS, frame_line
 from splatpainter.receipts import changed_rows
 from splatpainter.session import Layer, Session
 from splatpainter.session.project import Bookmark, Step
@@ -21,8 +21,6 @@ from splatpainter.splats import Splats
 from splatpainter.studio.messages import state
 from splatpainter.studio.messages.connection import StateEvent
 
-UP = UPS[AUTO_UP]
-"""Captures have y down, and readers turn other formats into that frame."""
 HOME = {"elevation": 15.0, "fov": 40.0}
 BACKGROUND = (0.16, 0.17, 0.18)
 
@@ -41,18 +39,24 @@ def camera_from_wire(camera: state.Camera, pixels: int) -> cameras.Camera:
     return cameras.Camera.from_json(camera.model_dump_json(), "camera")
 
 
-def home(splats: Splats) -> tuple[np.ndarray, float, cameras.Camera]:
+def up_axis(session: Session) -> tuple[int, int, int]:
+    """World axis that is up on the screen."""
+    return UPS[session.up]
+
+
+def home(splats: Splats, up: tuple[int, int, int]) -> tuple[np.ndarray, float, cameras.Camera]:
     """([3] middle, radius of nearly all opaque rows, a view of them)."""
     center, radius = reach(splats)
     distance = MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
-    view = cameras.orbit(center, distance, 1, up=UP, width=800, height=800, background=BACKGROUND, **HOME)[0]
+    view = cameras.orbit(center, distance, 1, up=up, width=800, height=800, background=BACKGROUND, **HOME)[0]
     return center, radius, view
 
 
 def asset_info(session: Session, name: str) -> state.AssetInfo:
     """What there is to say of the asset as it was opened; `counted` says how it is now."""
     original = session.original
-    center, radius, view = home(original)
+    up = up_axis(session)
+    center, radius, view = home(original, up)
     source = original.source
     return state.AssetInfo(
         name=name,
@@ -66,8 +70,10 @@ def asset_info(session: Session, name: str) -> state.AssetInfo:
         antialiased=original.antialiased,
         center=center.tolist(),
         radius=radius,
-        up=list(UP),
+        up=list(up),
         home=camera_to_wire(view),
+        frame="" if source is None else frame_line(source),
+        frame_said=source is not None and (source.frame_from != "format" or source.format != "spz"),
         problems=[] if source is None else list(source.problems),
     )
 

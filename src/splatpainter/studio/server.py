@@ -9,7 +9,7 @@ from pathlib import Path
 
 from splatpainter.io import read
 from splatpainter.session import Session
-from splatpainter.splats import Splats
+from splatpainter.splats import Frame, Splats
 from splatpainter.studio.core import Options, Studio
 from splatpainter.studio.demo import demo
 from splatpainter.studio.places import PROJECT, Projects, data_folder
@@ -20,13 +20,16 @@ TRIES = 20
 """Ports after the wanted one that are tried where none was asked for."""
 
 
-def open_session(asset: Splats | str | Path | None, projects: Path | None = None) -> tuple[Session, str]:
+def open_session(
+    asset: Splats | str | Path | None, projects: Path | None = None, frame: Frame = "auto"
+) -> tuple[Session, str]:
     """(a session, its name) of an asset, a splat file, a project, or (None) the demo asset; the project of a new one
-    lies in `projects` (None: the user's data folder). Raises ValueError for what cannot be read."""
+    lies in `projects` (None: the user's data folder). frame: of a splat file, as in io.read.
+    Raises ValueError for what cannot be read."""
     if isinstance(asset, str | Path) and Path(asset).suffix.lower() == PROJECT:
         return Session.load(asset), Path(asset).stem
     name = "demo" if asset is None else "asset" if isinstance(asset, Splats) else Path(asset).name
-    splats = demo() if asset is None else asset if isinstance(asset, Splats) else read(asset)
+    splats = demo() if asset is None else asset if isinstance(asset, Splats) else read(asset, frame=frame)
     return Session(splats, Projects(projects or data_folder()).fresh(name)), name
 
 
@@ -119,16 +122,17 @@ def studio(
     folder: str | Path | None = None,
     projects: str | Path | None = None,
     browser: bool = False,
+    frame: Frame = "auto",
 ) -> Running:
     """Start the studio on 127.0.0.1 in the background, from a notebook or a script: `s = sp.studio("vase.ply"); s.url`.
 
     asset: rows, a splat file, a project, or None: the demo asset. folder: what clients may open and save; watched for
-    pictures. Raises ValueError as `open_session` and `listen`."""
+    pictures. frame: of a splat file, as in io.read. Raises ValueError as `open_session` and `listen`."""
     access = Access.of("127.0.0.1")
     bound = listen(access.host, port)
     place = None if projects is None else Path(projects)
     try:
-        session, name = open_session(asset, place)
+        session, name = open_session(asset, place, frame)
         own = Studio(session, name, Options(None if folder is None else Path(folder), place))
     except BaseException:
         bound.close()

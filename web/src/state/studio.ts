@@ -2,10 +2,11 @@
 
 import { effect } from "@preact/signals";
 
-import type { Event, State, StateEvent } from "../messages";
+import type { AssetInfo, Event, State, StateEvent } from "../messages";
 import { CommandError, Link, type Fields, type Name, type Result } from "../net/link";
 import { fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
+import { axisName } from "./upright";
 import { camera, jobs, lastEdit, pose, pythonLog, rgb, state, status, stopped, toast, view } from "./store";
 
 /** Set by `start`, before the interface is mounted. */
@@ -138,12 +139,26 @@ function news({ state: present, history, bookmarks }: StateEvent): void {
 function adopt(next: State): void {
   const before = state.value;
   state.value = next;
-  if (before?.session === next.session) return;
   const { asset } = next;
+  if (before?.session === next.session) {
+    if (axisName(before.asset.up) !== axisName(asset.up)) stand(asset);
+    return;
+  }
   link.enter(next.session);
   viewer.extent = asset.radius;
   viewer.setAntialiased(asset.antialiased);
-  viewer.grid.place(asset.center as Vec3, asset.radius, asset.up as Vec3);
   document.title = `${asset.name} – SplatPainter`;
+  stand(asset);
+  if (!asset.frame_said)
+    toast(
+      "info",
+      `${asset.name} does not say which way is up: opened as ${asset.frame.split(",")[0]}.`,
+      "Upside down? The arrows at the top turn it over; the project remembers it.",
+    );
+}
+
+/** The grid under the asset and the eye before it, with its up direction up. */
+function stand(asset: AssetInfo): void {
+  viewer.grid.place(asset.center as Vec3, asset.radius, asset.up as Vec3);
   go(fromCamera(asset.home, asset.center as Vec3));
 }

@@ -5,6 +5,7 @@ import { signal } from "@preact/signals";
 import { pendingStrokes } from "../paint/desk";
 import { canRedo, canUndo, help, pose, readOnly, state, status, view } from "../state/store";
 import { go, run } from "../state/studio";
+import { axisName, OPPOSITE } from "../state/upright";
 import { frame, zoomLens, type Vec3 } from "../view/camera";
 import { Button, Choice, Slider } from "./parts";
 
@@ -32,6 +33,12 @@ export function frameAll(): void {
   const now = pose.value;
   const stage = document.getElementById("stage");
   if (asset && now && stage) go(frame(now, asset.center as Vec3, asset.radius, stage.clientWidth / stage.clientHeight));
+}
+
+/** What is up becomes down, for every window and for good; the rows stay as they are. */
+export function turnOver(): void {
+  const up = axisName(state.value?.asset.up);
+  if (up) void run("asset.up", { up: OPPOSITE[up] }, "Turn over");
 }
 
 export function Header() {
@@ -87,6 +94,12 @@ export function Header() {
         onChange={(value) => set({ resolution: Number(value) })}
       />
       <Button icon="frame" label="Show the whole asset" keys="F" onClick={frameAll} />
+      <Button
+        icon="turn"
+        label="Upside down? Turn the asset over on the screen (kept in the project; the asset does not change)"
+        disabled={!now || readOnly.value}
+        onClick={turnOver}
+      />
       <Button icon="grid" label="Grid" keys="G" pressed={shown.grid} onClick={() => set({ grid: !shown.grid })} />
       <Button
         icon="lens"

@@ -6,7 +6,9 @@ import type { Bookmark, Conflict } from "../messages";
 import { blobUrl, download } from "../net/blobs";
 import { camera, readOnly, state, toast, view } from "../state/store";
 import { go, run } from "../state/studio";
+import { AXES, axisName } from "../state/upright";
 import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
+import { turnOver } from "./header";
 import { covered } from "./overlays";
 import { Button, Choice } from "./parts";
 
@@ -89,6 +91,24 @@ export function Views() {
           <BookmarkRow key={one.id} one={one} />
         ))}
       </ul>
+      <h3>Which way is up</h3>
+      <p class="row">
+        <Button
+          icon="turn"
+          label="Turn the asset over on the screen"
+          text="Turn over"
+          disabled={readOnly.value}
+          onClick={turnOver}
+        />
+        <Choice
+          label="Up"
+          value={axisName(now.asset.up) ?? "-y"}
+          options={AXES.map((axis) => [axis, axis] as const)}
+          disabled={readOnly.value}
+          onChange={(up) => void run("asset.up", { up }, "Turn")}
+        />
+      </p>
+      <p class="quiet">{now.asset.frame && `The file's axes: ${now.asset.frame}.`}</p>
       <h3>Coverage</h3>
       <p class="row">
         <Button

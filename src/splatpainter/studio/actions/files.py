@@ -52,6 +52,12 @@ def open_asset(call: Call, command: say.AssetOpen) -> Answer:
     return Answer(python=python_line("session = sp.Session", name))
 
 
+@handles(say.AssetUp, writes=True)
+def turn_up(call: Call, command: say.AssetUp) -> Answer:
+    call.studio.session.set_up(command.up)
+    return Answer(python=python_line("session.set_up", command.up))
+
+
 def start(studio: Studio, asset: Splats, name: str) -> Session:
     """A new session whose project is in the studio's own folder from the beginning."""
     return Session(asset, studio.projects.fresh(name))

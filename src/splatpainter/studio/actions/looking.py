@@ -16,7 +16,7 @@ from splatpainter.studio import overlook
 from splatpainter.studio.actions import Call, handles
 from splatpainter.studio.actions.common import Word, camera_of, draw, python_line
 from splatpainter.studio.core import ExportedView
-from splatpainter.studio.describe import UP, camera_to_wire
+from splatpainter.studio.describe import camera_to_wire, up_axis
 from splatpainter.studio.messages import looking as say
 from splatpainter.studio.pictures import png_bytes, small
 
@@ -67,7 +67,9 @@ def turntable(call: Call, command: say.Turntable) -> say.PictureMade:
         )
     splats = studio.session.splats
     pictures = []
-    for k, view in enumerate(_turn(camera, np.array(studio.state.asset.center), command.frames)):
+    for k, view in enumerate(
+        _turn(camera, np.array(studio.state.asset.center), command.frames, up_axis(studio.session))
+    ):
         call.ticket.report(k / command.frames, "turntable")
         pictures.append(Image.fromarray(to_uint8(draw(splats, view))))
     file = io.BytesIO()
@@ -95,7 +97,7 @@ def coverage(call: Call, command: say.Coverage) -> say.Covered:
     shown = studio.session.shown
     splats, kinds = shown.splats, covered(shown.level.touches, len(shown.splats))
     picture = overlook.coverage_picture(splats, kinds, camera)
-    view = overlook.next_view(splats, kinds, camera, np.array(studio.state.asset.center), UP)
+    view = overlook.next_view(splats, kinds, camera, np.array(studio.state.asset.center), up_axis(studio.session))
     return say.Covered(
         seen=int((kinds == SEEN).sum()),
         predicted=int((kinds == PREDICTED).sum()),
@@ -105,9 +107,9 @@ def coverage(call: Call, command: say.Coverage) -> say.Covered:
     )
 
 
-def _turn(camera: Camera, center: np.ndarray, count: int) -> list[Camera]:
+def _turn(camera: Camera, center: np.ndarray, count: int, up: tuple[int, int, int]) -> list[Camera]:
     """Views around the centre, from `camera` on, at its height and distance and with its lens."""
-    axis = np.asarray(UP, float)
+    axis = np.asarray(up, float)
     away = camera.position - center
     height = float(away @ axis)
     flat = away - height * axis

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from splatpainter.studio.messages.base import Answer, Command, Exported, FileName, Name
 from splatpainter.studio.messages.state import Blob, Bookmark, Camera, Model
@@ -31,6 +31,14 @@ class AssetOpen(Command):
     blob: Blob | None = None
     file: FileName | None = None
     demo: bool = False
+
+
+class AssetUp(Command):
+    """Turn the asset on the screen; no row changes, and the project remembers it."""
+
+    NAME = "asset.up"
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    """World axis that is to point up."""
 
 
 class ProjectOpen(Command):

@@ -72,6 +72,10 @@ class AssetInfo(Model):
     """Unit vector, world axes, that is up on the screen."""
     home: Camera
     """A good first view; keep its field of view and change its size to that of the window."""
+    frame: str
+    """Which way the numbers in the file point, and who says so; "" for rows without a file."""
+    frame_said: bool
+    """False: files of this format differ in it and this one does not say, so it may be upside down (`asset.up`)."""
     problems: list[str]
     """What the reader found odd, one line each."""
 
