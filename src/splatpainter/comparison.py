@@ -17,7 +17,7 @@ import numpy as np
 from splatpainter.io import FORMATS, FRAMES, read, write
 from splatpainter.io.contents import Contents, contents, fields_differ, rows_differ
 from splatpainter.io.ply_rows import TextRows
-from splatpainter.splats import ATTRIBUTES, Source, Splats
+from splatpainter.splats import ATTRIBUTES, Frame, Source, Splats
 
 CHUNK = 256
 """Rows that share a row of a table that follows the rows."""
@@ -71,7 +71,9 @@ def compare(original: Splats, edited: Splats) -> Comparison:
     problems, compared = _other_parts(original.source, edited.source, old, new, rows)
     unseen = tuple(filter(None, [new.unseen if new is not None else "header, sections and padding"]))
     if not stored and new is not None and new.tables:
-        unseen += (f"the stored bytes of the rows, whose {'layout differs' if one_frame else 'axes are read otherwise'}",)
+        unseen += (
+            f"the stored bytes of the rows, whose {'layout differs' if one_frame else 'axes are read otherwise'}",
+        )
     nothing = not (problems or strange or len(rows) or missing) and len(edited) == len(original)
     if nothing and original.source.sha256 != edited.source.sha256:
         problems.append(f"the files differ in bytes that are not compared: {'; '.join(unseen) or 'unknown'}")
@@ -143,7 +145,8 @@ def _converted(before: Splats, after: Splats) -> Splats:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
         # Words are rounded in the frame of the edited file: -1 and 1 are not rounded alike.
-        frame = after.source.frame if after.source.frame in FRAMES else "auto"
+        said = after.source.frame
+        frame: Frame = next((one for one in FRAMES if one == said), "auto")
         write(path, before, frame=frame)
         return read(path, frame=frame)
 
@@ -155,13 +158,15 @@ def _stored_rows(
     that differ with their rows)."""
     rows, names, strange = by_value, [], {}
     for one, two in zip(old.tables, new.tables, strict=True):
+        if one.first != two.first:  # of another row: values tell
+            continue
         found = rows_differ(one, two, min(len(one), len(two)))
-        rows = np.union1d(rows, found)
+        rows = np.union1d(rows, one.first + found)
         for name, where in fields_differ(one, two, found).items():
             if name in one.edited:
                 names.append(name)
             else:
-                strange[name] = where
+                strange[name] = one.first + where
     return rows, names, strange
 
 

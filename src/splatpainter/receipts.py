@@ -193,10 +193,11 @@ def verify(
     after = read(edited, frame=out_frame, lenient=True)
     assert before.source is not None and after.source is not None
     if before.source.format == after.source.format and before.source.frame != after.source.frame:
-        if out_frame == "auto" and after.source.frame_from == "format" and before.source.frame in FRAMES:
-            after = read(edited, frame=before.source.frame, lenient=True)
-        elif frame == "auto" and before.source.frame_from == "format" and after.source.frame in FRAMES:
-            before = read(original, frame=after.source.frame, lenient=True)
+        was, now = (next((one for one in FRAMES if one == s.frame), None) for s in (before.source, after.source))
+        if out_frame == "auto" and after.source.frame_from == "format" and was is not None:
+            after = read(edited, frame=was, lenient=True)
+        elif frame == "auto" and before.source.frame_from == "format" and now is not None:
+            before = read(original, frame=now, lenient=True)
     return check(compare(before, after), receipt)
 
 

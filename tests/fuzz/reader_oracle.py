@@ -128,7 +128,7 @@ def _camera() -> Camera:
 
 def _few_rows() -> Splats:
     ones = np.ones((3, 3), np.float32)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (3, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1))
     return Splats(ones * 0, quats, ones / 10, ones[:, 0] / 2, np.zeros((3, 4, 3), np.float32))
 
 

@@ -38,6 +38,8 @@ class Table:
     """(name, type) of each stored property, in order."""
     edited: frozenset[str]
     """Names that hold the Gaussians' own values: no edit changes any other."""
+    first: int = 0
+    """Row of the asset that is row 0 here."""
 
     def __len__(self) -> int:
         return len(self.records)
@@ -226,16 +228,19 @@ def _glb(file: Any) -> Contents:
     """Other JSON with what its accessors and buffer views mean in their places; our primitive's attributes as rows."""
     glb = file.glb
     doc = copy.deepcopy(glb.doc)
-    primitive = doc["meshes"][file.mesh]["primitives"][file.primitive]
-    ours, tables = set(file.names.values()), []
-    for name, index in primitive.get("attributes", {}).items():
-        try:
-            values = np.array(gltf.accessor(glb, glb.binary, index, Path("accessor")))
-        except ValueError:
-            continue
-        fields = tuple((f"{name} {k}", values.dtype.str) for k in range(values.shape[1]))
-        tables.append(Table(values, fields, frozenset(n for n, _ in fields) if name in ours else frozenset()))
-    primitive["attributes"] = sorted(primitive.get("attributes", {}))
+    tables = []
+    for one in getattr(file, "primitives", (file,)):
+        index = one.index if hasattr(one, "index") else one.primitive
+        primitive, ours = doc["meshes"][one.mesh]["primitives"][index], set(one.names.values())
+        for name, number in primitive.get("attributes", {}).items():
+            try:
+                values = np.array(gltf.accessor(glb, glb.binary, number, Path("accessor")))
+            except ValueError:
+                continue
+            fields = tuple((f"{name} {k}", values.dtype.str) for k in range(values.shape[1]))
+            edited = frozenset(n for n, _ in fields) if name in ours else frozenset()
+            tables.append(Table(values, fields, edited, getattr(one, "first", 0)))
+        primitive["attributes"] = sorted(primitive.get("attributes", {}))
     for mesh in doc["meshes"]:
         for other in mesh.get("primitives", []):
             for group in (other.get("attributes"), *other.get("targets", [])):
