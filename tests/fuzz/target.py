@@ -85,7 +85,6 @@ _MODULES = {
     "project": "project_target",
     "verify": "verify_target",
     "studio": "studio_target",
-    "kernels": "kernels",
 }
 """Target -> module of this package with a class or function in its TARGETS of that name."""
 _SPECIMENS = ("raises", "warns", "dies", "hangs", "swells", "late")
