@@ -16,6 +16,7 @@ from io_assets import SH_C0, random_splats
 
 import splatpainter as sp
 from splatpainter import io
+from splatpainter.io import packing
 from splatpainter.io.order import morton_order
 
 FLOATS = ["min_x", "min_y", "min_z", "max_x", "max_y", "max_z"]
@@ -335,3 +336,10 @@ def test_refused_in_one_line(tmp_path: Path, name: str) -> None:
         io.read(save(tmp_path, data))
     message = str(error.value)
     assert reason in message and "\n" not in message
+
+
+@pytest.mark.parametrize("ends", [(-np.inf, np.inf), (0.0, np.inf), (-np.inf, 0.0), (np.nan, 1.0), (3e38, -3e38)])
+def test_ranges_that_no_value_can_lie_in_are_quantised_without_a_warning(ends: tuple[float, float]) -> None:
+    low, high = (np.full((2, 3), end) for end in ends)
+    levels = np.array([2047, 1023, 2047])
+    assert (packing.quantise(np.array([[0.0, 1.0, -1.0], [1e30, -1e30, 0.5]]), low, high, levels) == 0).all()

@@ -186,6 +186,13 @@ BROKEN = {
     "views of another kind": changed(views=[{"lpips": 1}]),
     "views that are none": changed(views=[None]),
     "seconds that are none": changed(seconds=[1, 2]),
+    "seconds in words": changed(seconds={"lift": "soon"}),
+    "seconds without end": changed(seconds={"lift": 1e999}),
+    "views of lists": changed(views=[{"psnr_before": [1], "psnr_after": None, "psnr_outside": None}]),
+    "views of pairs": changed(views=[[1, 2]]),
+    "a hash of two lines": changed(output={"sha256": "a\nb", "rows": 13}),
+    "a mode of escapes": changed(mode="\x1b[2J"),
+    "a method that is a list": changed(method=["lift"] * 500),
 }
 
 

@@ -93,23 +93,41 @@ class Receipt:
             if len(touched) != int(data["touched_rows"]):
                 raise ValueError(f"touched_rows is {data['touched_rows']}, its runs hold {len(touched)}")
             return Receipt(
-                str(data["asset"]["sha256"]),
+                _text(data["asset"]["sha256"]),
                 int(data["asset"]["rows"]),
-                str(data["output"]["sha256"]),
+                _text(data["output"]["sha256"]),
                 int(data["output"]["rows"]),
-                data["mode"],
-                data["method"],
-                data["preset"],
+                _text(data["mode"]),
+                _text(data["method"]),
+                _text(data["preset"]),
                 touched,
                 int(data["appended_rows"]),
-                data["untouched_sha256_before"],
-                data["untouched_sha256_after"],
-                tuple(ViewScore(**view) for view in data["views"]),
-                dict(data["seconds"]),
-                data.get("note", ""),
+                _text(data["untouched_sha256_before"]),
+                _text(data["untouched_sha256_after"]),
+                tuple(ViewScore(**{k: _number(v, none=True) for k, v in view.items()}) for view in data["views"]),
+                {_text(name): _number(value) for name, value in dict(data["seconds"]).items()},
+                _text(data.get("note", ""), 4000),
             )
-        except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-            raise ValueError(f"{where}: expected a receipt of splatpainter, got {error!r}") from None
+        except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+            said = " ".join(repr(error).split())
+            raise ValueError(f"{where}: expected a receipt of splatpainter, got {said[:300]}") from None
+
+
+def _text(value: Any, longest: int = 200) -> str:
+    """A value of a receipt that is printed some time: one line. Raises ValueError."""
+    text = str(value) if isinstance(value, str | int) else ""
+    if not text.isprintable() or len(text) > longest or not isinstance(value, str | int):
+        raise ValueError(f"expected a line of text, got {repr(value)[:80]}")
+    return text
+
+
+def _number(value: Any, none: bool = False) -> Any:
+    """A finite number as it is, or (none) null. Raises ValueError."""
+    if value is None and none:
+        return None
+    if type(value) not in (int, float) or not math.isfinite(value):
+        raise ValueError(f"expected a finite number, got {repr(value)[:80]}")
+    return value
 
 
 def _finite(value: float | None) -> float | None:

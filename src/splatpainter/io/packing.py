@@ -23,9 +23,12 @@ def pack_fields(fields: np.ndarray, bits: Sequence[int]) -> np.ndarray:
 
 
 def quantise(values: np.ndarray, low: np.ndarray, high: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Values -> nearest of 0..levels between low and high (clamped; an empty range gives 0), int64. All broadcast."""
-    span = high - low
-    steps = np.divide(values - low, span, out=np.zeros(np.broadcast(values, span).shape), where=span > 0)
+    """Values -> nearest of 0..levels between low and high (clamped; an empty or infinite range gives 0), int64. All
+    broadcast."""
+    with np.errstate(invalid="ignore", over="ignore"):  # of ranges that a file may hold and no value can lie in
+        span, above = high - low, values - low
+    usable = (span > 0) & np.isfinite(span)
+    steps = np.divide(above, span, out=np.zeros(np.broadcast(values, span).shape), where=usable)
     return np.floor(np.clip(steps, 0, 1) * levels + 0.5).astype(np.int64)
 
 
