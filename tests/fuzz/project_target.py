@@ -118,7 +118,7 @@ class ProjectTarget(Target):
             database.execute(f"DELETE FROM {table} WHERE rowid = (SELECT min(rowid) FROM {table})")
             return
         if kind in (2, 3):  # the facts decide most
-            names = [name for (name,) in database.execute("SELECT name FROM facts")]
+            names = [name for (name,) in database.execute("SELECT name FROM facts")] or ["path"]
             value = rng.choice((*PATHS, *TEXTS, "rows", "ply", "1", "spz", "linear", "99", None, b"\x00", 7))
             name = "path" if maybe(rng, 0.3) else rng.choice(names)
             database.execute("UPDATE OR REPLACE facts SET value = ? WHERE name = ?", (value, name))
