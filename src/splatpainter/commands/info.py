@@ -45,9 +45,10 @@ def describe(splats: Splats, path: Path) -> dict:
     """The record of `info`: bounds are [2, 3] (min, max) of finite centres; null where there are none."""
     assert splats.source is not None
     entry = FORMATS[splats.source.format]
-    drawable = splats.finite
-    placed = splats.means[np.isfinite(splats.means).all(1)]
-    center, radius = reach(splats)
+    with np.errstate(all="ignore"):  # of extreme or damaged rows, which are counted below
+        drawable = splats.finite
+        placed = splats.means[np.isfinite(splats.means).all(1)]
+        center, radius = reach(splats)
     return {
         "file": path,
         "bytes": file_size(path),

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -50,14 +50,20 @@ class Format:
 
 
 def _lazy_reader(module: str, name: str) -> Reader:
-    return lambda path, **options: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, **options)
+    return _lazy(module, name)
 
 
 def _lazy_writer(module: str, name: str) -> Writer:
-    def write(path: Path, splats: Splats, **options: object) -> None:
-        getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, splats, **options)
+    return _lazy(module, name)
 
-    return write
+
+def _lazy(module: str, name: str) -> Callable[..., Any]:
+    def call(*arguments: Any, **options: Any) -> Any:
+        # Files hold floats of any bits: what overflows or is NaN is reported as a problem of rows, not as a warning.
+        with np.errstate(all="ignore"):
+            return getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(*arguments, **options)
+
+    return call
 
 
 FORMATS: dict[str, Format] = {

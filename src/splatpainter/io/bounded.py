@@ -49,10 +49,10 @@ def allow(packed: int, unpacked: int, where: Path | str, what: str) -> None:
         )
 
 
-def allow_rows(packed: int, rows: int, coefficients: int, where: Path | str) -> None:
+def allow_rows(packed: int, rows: int, coefficients: int, where: Path | str, ratio: int = ROW_RATIO) -> None:
     """Raise ValueError where a file of `packed` bytes cannot honestly hold `rows` rows of so many SH coefficients."""
     needed = rows * 4 * (11 + 3 * coefficients)
-    if needed > ROW_ROOM + ROW_RATIO * packed:
+    if needed > ROW_ROOM + ratio * packed:
         raise ValueError(
             f"{where}: {rows} rows would take {needed} bytes of memory, the file has {packed}; it is damaged or hostile"
         )

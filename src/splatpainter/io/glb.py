@@ -35,6 +35,8 @@ from splatpainter.splats import SH_C0, Source, Splats
 
 EXTENSION = "KHR_gaussian_splatting"
 SPACES = {"srgb": "srgb_rec709_display", "linear": "lin_rec709_display"}
+SHARED_RATIO = 16
+"""Bytes of rows in memory per byte of the file: accessors may share bytes, as of SH bands that are empty."""
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 
@@ -123,9 +125,8 @@ def read_local(file: GlbFile, path: Path, problems: list[str]) -> Splats:
             count = len(values)
         if values.shape != (count, width) and not (semantic == "COLOR_0" and values.shape == (count, 3)):
             raise ValueError(f"{path}: expected {semantic} of {count} x {width} numbers, found {values.shape}")
-        allow_rows(
-            len(file.whole), len(values), sum(name.startswith("SH_") for name in file.names), path
-        )  # accessors may share their bytes
+        bands = sum(name.startswith("SH_") for name in file.names)
+        allow_rows(len(file.whole), len(values), bands, path, SHARED_RATIO)
         return gltf.decode(values, file.glb.doc["accessors"][index].get("normalized"))
 
     means, xyzw, scales = read("POSITION", 3), read("ROTATION", 4), read("SCALE", 3)
