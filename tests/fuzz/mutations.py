@@ -168,7 +168,7 @@ def bend_json(rng: random.Random, tree: Any, hints: Sequence[Any] = ()) -> Any:
         elif action in (3, 4, 5) and type(value) in (int, float):
             holder[key] = bend_integer(rng, value) if type(value) is int else rng.choice(FLOATS)
         elif action == 6 and hints:
-            holder[key] = rng.choice(hints)
+            holder[key] = json.loads(json.dumps(rng.choice(hints)))
         elif action == 7 and isinstance(value, str):
             holder[key] = _bend_text(rng, value)
         else:
