@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import FORMATS, FRAMES, frame_line, read, write
+from splatpainter.io import FORMATS, frame_line, option, read, write
 from splatpainter.splats import ATTRIBUTES, Frame, Splats, rows_sha256
 
 BLOCK = 1 << 14
@@ -218,10 +218,10 @@ def verify(
     before, after = read(original, frame=frame), read(edited, frame=out_frame)
     assert before.source is not None and after.source is not None
     if before.source.format == after.source.format and before.source.frame != after.source.frame:
-        if out_frame == "auto" and after.source.frame_from == "format" and before.source.frame in FRAMES:
-            after = read(edited, frame=before.source.frame)
-        elif frame == "auto" and before.source.frame_from == "format" and after.source.frame in FRAMES:
-            before = read(original, frame=after.source.frame)
+        if out_frame == "auto" and after.source.frame_from == "format":
+            after = read(edited, frame=option(before.source.frame))
+        elif frame == "auto" and before.source.frame_from == "format":
+            before = read(original, frame=option(after.source.frame))
     return check(compare(before, after), receipt)
 
 
@@ -290,7 +290,7 @@ def _converted(before: Splats, after: Splats) -> Splats:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
         # Words are rounded in the frame of the edited file: -1 and 1 are not rounded alike.
-        frame = after.source.frame if after.source.frame in FRAMES else "auto"
+        frame = option(after.source.frame)
         write(path, before, frame=frame)
         return read(path, frame=frame)
 

@@ -23,7 +23,7 @@ Reader = Callable[..., Splats]
 Writer = Callable[..., None]
 
 
-FRAMES = get_args(Frame)
+FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 
 @dataclass(frozen=True)
@@ -181,9 +181,12 @@ def check_frame(frame: str) -> None:
 def frame_of(splats: Splats) -> Frame:
     """What `read` and `write` need to be told for rows in the frame of this source: "auto" where there is no need."""
     source = splats.source
-    if source is None or source.frame_from != "choice":
-        return "auto"
-    return "rub" if source.frame == "rub" else "rdf"
+    return option(source.frame) if source is not None and source.frame_from == "choice" else "auto"
+
+
+def option(axes: str) -> Frame:
+    """The value of Frame that names these axes; "auto" where none does."""
+    return "rub" if axes == "rub" else "rdf" if axes == "rdf" else "auto"
 
 
 def frame_of_target(splats: Splats, key: str, frame: Frame) -> Frame:
