@@ -229,13 +229,14 @@ def compare(original: Splats, edited: Splats) -> Comparison:
     """Compare two assets as they were read from their files (both have a source)."""
     assert original.source is not None and edited.source is not None
     before, how = original, "every value of every row, bit for bit"
-    if original.source.format != edited.source.format:
-        how = f"the original converted to {edited.source.format}, then {how}"
+    one_format = original.source.format == edited.source.format
+    turned = one_format and original.source.frame != edited.source.frame
+    if not one_format or turned:
+        how = f"the original converted to {edited.source.format}{' of the same axes' if turned else ''}, then {how}"
         before = _converted(original, edited)
     if len(edited) < len(before):
         return Comparison(original.sha256, before, edited, np.arange(len(before)), how)
-    one_frame = original.source.flips == edited.source.flips
-    raw = _stored_rows_differ(before, edited) if one_frame else None
+    raw = _stored_rows_differ(before, edited)
     if raw is not None:  # equal bytes of one layout are equal values
         return Comparison(original.sha256, before, edited, raw, "every byte of every stored row")
     return Comparison(original.sha256, before, edited, changed_rows(before, edited), how)
