@@ -5,13 +5,13 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from cli_scenes import Capture, run
 from io_assets import disagreement, float_columns, random_splats
 from io_packed import alone, quats_apart, same_bits, spz_reference
-from node_oracle import SplatTransform
 
 from splatpainter import io
 from splatpainter.io.frames import AXES, flip
@@ -19,6 +19,9 @@ from splatpainter.io.spz import write_spz
 from splatpainter.receipts import verify
 from splatpainter.session import Session
 from splatpainter.splats import Frame
+
+if TYPE_CHECKING:
+    from node_oracle import SplatTransform
 
 pytest_plugins = ["node_oracle"]
 
@@ -86,14 +89,15 @@ def test_flips_restore_nan_bits() -> None:
 
 @pytest.mark.parametrize("version", [2, 3, 4])
 def test_new_spz_files_name_their_frame(version: int, tmp_path: Path, node_modules: Path) -> None:
-    """By the extension; the reference implementation reads either frame as the same asset."""
+    """By the extension, but for old versions in SPZ's own frame: there spz-js refuses bytes behind the rows. The
+    reference implementation reads either frame as the same asset."""
     splats = random_splats(200, 3)
     for frame in ("auto", *FRAMES):
         write_spz(tmp_path / f"{frame}.spz", splats, version, frame)
     plain, rub, rdf = (io.read(tmp_path / f"{frame}.spz") for frame in ("auto", *FRAMES))
     assert [s.source and (s.source.frame, s.source.frame_from) for s in (plain, rub, rdf)] == [
-        ("rub", "file"),
-        ("rub", "file"),
+        ("rub", "file" if version == 4 else "format"),
+        ("rub", "file" if version == 4 else "format"),
         ("rdf", "file"),
     ]
     assert (tmp_path / "auto.spz").read_bytes() == (tmp_path / "rub.spz").read_bytes()
@@ -150,7 +154,7 @@ def test_bytes_behind_the_rows_are_no_place_for_a_frame(tmp_path: Path) -> None:
     write_spz(tmp_path / "a.spz", random_splats(50, 0), 3)
     data = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
     data[14] = 0x80
-    data[-12:] = bytes(range(12))
+    data += bytes(range(12))
     (tmp_path / "a.spz").write_bytes(gzip.compress(bytes(data)))
     splats = io.read(tmp_path / "a.spz", frame="rdf")
     io.write(tmp_path / "b.spz", replace(splats, opacities=splats.opacities[::-1].copy()))

@@ -7,18 +7,21 @@ import struct
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import zstandard
 from io_assets import disagreement, float_columns, random_splats
 from io_packed import alone, covariances, damages, quats_apart, same_bits, spz_reference, survives
-from node_oracle import SplatTransform
 
 from splatpainter import io
 from splatpainter.io.frames import sh_basis
 from splatpainter.io.spz import SpzFile, read_spz, write_spz
 from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from node_oracle import SplatTransform
 
 pytest_plugins = ["node_oracle"]
 

@@ -153,7 +153,7 @@ def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = Fal
 
     Where `splats.source` is of that format, everything that did not change keeps its bytes (see Format.exact).
     frame: axes of the file's numbers, "rub" or "rdf"; "auto": those of `splats.source` if it is of that format, else
-    the format's own. SPZ files say which it is; other formats cannot, and need `read(path, frame=...)`.
+    the format's own. SPZ files say it where it matters; other formats cannot, and need `read(path, frame=...)`.
     Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes.
     """
     check_frame(frame)
