@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from cli_scenes import Capture, run
+from cli_scenes import BOX, Capture, ball, paint, run
 from io_assets import disagreement, float_columns, random_splats
 from io_packed import alone, quats_apart, same_bits, spz_reference
 
@@ -254,3 +254,18 @@ def test_files_of_older_projects_have_the_usual_up(tmp_path: Path) -> None:
     db.close()
     with Session.load(tmp_path / "a.splatproj") as session:
         assert session.up == "-y"
+
+
+def test_edit_in_a_chosen_frame(tmp_path: Path, capfd: Capture) -> None:
+    """A painted SPZ file that was opened as right-down-front says so, and `verify` needs no word."""
+    write_spz(tmp_path / "a.spz", ball(800), 4, "rdf")
+    silent(tmp_path / "a.spz")
+    assert run(capfd, "render", tmp_path / "a.spz", "--frame", "rdf", "--out", tmp_path / "v", "--size", 96).code == 0
+    picture = paint(tmp_path / "v" / "view_000.png", tmp_path / "p.png", BOX)
+    done = run(
+        capfd, "edit", tmp_path / "a.spz", picture, "--frame", "rdf", "--method", "lift", "--out", tmp_path / "b.spz"
+    )
+    assert done.code == 0 and "frame: right-down-front, as chosen" in done.out, done
+    assert said(tmp_path / "b.spz") == 6
+    done = run(capfd, "verify", tmp_path / "a.spz", tmp_path / "b.spz")
+    assert done.code == 0 and "frame: right-down-front, as the file says" in done.out, done
