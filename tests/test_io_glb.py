@@ -18,7 +18,7 @@ from io_packed import covariances, quats_apart, same_bits
 from splatpainter import io
 from splatpainter.io.frames import sh_basis
 from splatpainter.io.glb import read_glb, write_glb
-from splatpainter.splats import SH_C0
+from splatpainter.splats import SH_C0, Splats
 
 pytest_plugins = ["node_oracle"]
 
@@ -309,19 +309,141 @@ def test_rows_that_cannot_be_drawn(tmp_path: Path) -> None:
     assert np.isnan(read_glb(tmp_path / "c.glb").means[4]).any()
 
 
-def test_two_primitives(tmp_path: Path) -> None:
+def several(sizes: list[int], degrees: list[int], nodes: list[dict[str, Any]]) -> tuple[bytes, list[Splats]]:
+    """A file of several Gaussian primitives: one mesh each, the first two in one mesh; and their rows."""
+    doc: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": [KHR],
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": nodes,
+        "bufferViews": [],
+        "accessors": [],
+        "meshes": [],
+    }
+    pieces, binary = [], b""
+    for number, (rows, degree) in enumerate(zip(sizes, degrees, strict=True)):
+        splats = random_splats(rows, degree, seed=number)
+        unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+        pieces.append(replace(splats, quats=unit))
+        names = {}
+        for name, values in attributes_of(splats).items():
+            names[name if name == "POSITION" else f"{KHR}:{name}"] = len(doc["accessors"])
+            doc["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes})
+            item = {"bufferView": len(doc["accessors"]), "componentType": 5126, "count": rows}
+            doc["accessors"].append(item | {"type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[values.shape[1]]})
+            binary += values.tobytes()
+        khr = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display", "extras": {"number": number}}
+        primitive = {"attributes": names, "mode": 0, "extensions": {KHR: khr}}
+        if number == 1:
+            doc["meshes"][0]["primitives"].append(primitive)
+        else:
+            doc["meshes"].append({"primitives": [primitive]})
+    doc["buffers"] = [{"byteLength": len(binary)}]
+    return pack(doc, binary), pieces
+
+
+NODES = [{"mesh": 0}, {"mesh": 1, "translation": [0, 5, 0], "rotation": [0, np.sqrt(0.5), 0, np.sqrt(0.5)]}]
+
+
+def test_several_primitives_and_nodes(tmp_path: Path) -> None:
+    """All are opened, in file order, each where its node puts it; an edit changes the bytes of its values alone."""
+    data, pieces = several([30, 20, 25], [0, 0, 2], NODES)
+    (tmp_path / "a.glb").write_bytes(data)
+    splats = io.read(tmp_path / "a.glb")
+    assert len(splats) == 75 and splats.sh_degree == 2 and splats.source is not None and not splats.source.problems
+    half = np.array([-1, -1, 1], np.float32)  # glTF is y up; half a turn about z is the PLY frame
+    assert np.array_equal(splats.means[:30], pieces[0].means * half)
+    assert np.array_equal(splats.means[30:50], pieces[1].means * half)
+    turned = pieces[2].means.astype(np.float64)[:, [2, 1, 0]] * (1, 1, -1) + (0, 5, 0)  # a quarter turn about y
+    assert np.abs(splats.means[50:] - turned * half).max() < 1e-5
+    assert not splats.sh[:50, 1:].any() and splats.sh[50:, 1:].any()
+    assert np.array_equal(splats.sh[:50, 0], np.concatenate([p.sh[:, 0] for p in pieces[:2]]))
+    io.write(tmp_path / "b.glb", splats)
+    assert (tmp_path / "b.glb").read_bytes() == data
+    opacities = splats.opacities.copy()
+    opacities[[3, 40, 60]] = 0.125
+    io.write(tmp_path / "c.glb", replace(splats, opacities=opacities))
+    assert same_bits(io.read(tmp_path / "c.glb"), replace(splats, opacities=opacities))
+    before, after = (
+        np.frombuffer(parts(data)[1], "<f4"),
+        np.frombuffer(parts((tmp_path / "c.glb").read_bytes())[1], "<f4"),
+    )
+    assert len(before) == len(after) and np.count_nonzero(before != after) == 3 and (after == 0.125).sum() >= 3
+    doc = parts((tmp_path / "c.glb").read_bytes())[0]
+    extras = [p["extensions"][KHR]["extras"] for mesh in doc["meshes"] for p in mesh["primitives"]]
+    assert extras == [{"number": 0}, {"number": 1}, {"number": 2}]
+
+
+def test_rows_join_and_leave_several_primitives(tmp_path: Path) -> None:
+    """Rows keep their order: new ones go last, into the last primitive; the others keep their bits."""
+    data, _ = several([30, 20, 25], [1, 1, 1], NODES)
+    (tmp_path / "a.glb").write_bytes(data)
+    splats = io.read(tmp_path / "a.glb")
+    fewer = splats.take(np.delete(np.arange(75), [2, 33, 74]))
+    edited = fewer.append(fewer.take(np.array([0, 1])))
+    io.write(tmp_path / "b.glb", edited)
+    back = io.read(tmp_path / "b.glb")
+    assert len(back) == 74 and same_bits(back, edited, np.arange(72))
+    assert np.abs(back.means[72:] - edited.means[72:]).max() < 1e-5
+    doc = parts((tmp_path / "b.glb").read_bytes())[0]
+    counts = [
+        doc["accessors"][p["attributes"]["POSITION"]]["count"] for mesh in doc["meshes"] for p in mesh["primitives"]
+    ]
+    assert counts == [29, 19, 26]
+    mixed = splats.take(np.r_[30:75, 0:30])  # rows of the first behind those of the last: their values stay near
+    with pytest.raises(ValueError, match="cannot hold a primitive of 0 rows"):
+        io.write(tmp_path / "c.glb", mixed)
+    mixed = splats.take(np.r_[0:10, 30:75, 10:30])
+    io.write(tmp_path / "c.glb", mixed)
+    back = io.read(tmp_path / "c.glb")
+    assert same_bits(back, mixed, np.arange(55)) and np.abs(back.means - mixed.means).max() < 1e-5
+
+
+def test_bands_of_one_primitive_are_not_given_to_another(tmp_path: Path) -> None:
+    data, _ = several([10, 10], [0, 1], [{"mesh": 0}])
+    (tmp_path / "a.glb").write_bytes(data)
+    splats = io.read(tmp_path / "a.glb")
+    sh = splats.sh.copy()
+    sh[:, 0] += np.float32(0.25)
+    io.write(tmp_path / "b.glb", replace(splats, sh=sh))
+    names = [p["attributes"] for p in parts((tmp_path / "b.glb").read_bytes())[0]["meshes"][0]["primitives"]]
+    assert f"{KHR}:SH_DEGREE_1_COEF_0" not in names[0] and f"{KHR}:SH_DEGREE_1_COEF_0" in names[1]
+    sh[4, 2] = 0.5  # now it has some of its own
+    io.write(tmp_path / "c.glb", replace(splats, sh=sh))
+    assert same_bits(io.read(tmp_path / "c.glb"), replace(splats, sh=sh))
+
+
+def test_primitives_that_are_not_opened(tmp_path: Path) -> None:
+    """What no node shows, and another colour space, stay as they are; a mesh shown twice is opened once."""
+    data, _ = several([30, 20, 25], [0, 0, 0], [{"mesh": 0}, {"mesh": 0, "translation": [9, 0, 0]}])
+    doc, binary = parts(data)
+    doc["meshes"][0]["primitives"][1]["extensions"][KHR]["colorSpace"] = "lin_rec709_display"
+    (tmp_path / "a.glb").write_bytes(pack(doc, binary))
+    splats = io.read(tmp_path / "a.glb")
+    assert len(splats) == 30 and splats.source is not None
+    text = "; ".join(splats.source.problems)
+    assert "1 Gaussian primitives that no node shows" in text and "primitive 1 of mesh 0 has another colour" in text
+    assert "2 nodes show mesh 0; its rows are opened once" in text
+    io.write(tmp_path / "b.glb", replace(splats, opacities=np.full(30, 0.5, np.float32)))
+    new, packed = parts((tmp_path / "b.glb").read_bytes())
+    assert new["nodes"] == doc["nodes"] and new["meshes"] == doc["meshes"]
+    floats, old = np.frombuffer(packed, "<f4"), np.frombuffer(binary, "<f4")
+    assert (
+        np.flatnonzero(floats != old).max() < sum(v.nbytes for v in attributes_of(random_splats(30, 0)).values()) // 4
+    )
+
+
+def test_primitives_that_share_accessors(tmp_path: Path) -> None:
+    """An edit of one primitive's rows does not change the other's."""
     path = tmp_path / "a.glb"
     write_glb(path, random_splats(30, 0))
     doc, binary = parts(path.read_bytes())
     doc["meshes"].append(doc["meshes"][0])
+    doc["nodes"].append({"mesh": 1, "translation": [3, 0, 0]})
     path.write_bytes(pack(doc, binary))
     splats = read_glb(path)
-    assert splats.source is not None and "2 Gaussian primitives; only the first" in splats.source.problems[0]
-    edited = replace(splats, opacities=np.full(30, 0.5, np.float32))
-    write_glb(tmp_path / "b.glb", edited)
-    assert same_bits(read_glb(tmp_path / "b.glb"), edited)
-    # The other primitive shares the old accessors: what it shows has not changed.
-    new, packed = parts((tmp_path / "b.glb").read_bytes())
-    index = new["meshes"][1]["primitives"][0]["attributes"][f"{KHR}:OPACITY"]
-    view = new["bufferViews"][new["accessors"][index]["bufferView"]]
-    assert np.array_equal(np.frombuffer(packed, "<f4", 30, view["byteOffset"]), splats.opacities)
+    assert len(splats) == 60
+    opacities = splats.opacities.copy()
+    opacities[:30] = 0.5
+    write_glb(tmp_path / "b.glb", replace(splats, opacities=opacities))
+    assert same_bits(read_glb(tmp_path / "b.glb"), replace(splats, opacities=opacities))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,9 +20,11 @@ from splatpainter.io.frames import sh_basis
 from splatpainter.io.spz import SpzFile, read_spz, write_spz
 from splatpainter.splats import Splats
 
+if TYPE_CHECKING:
+    from node_oracle import SplatTransform
+
 pytest_plugins = ["node_oracle"]
 
-Oracle = Callable[..., str]
 FILES = {"biker.v4": (152746, 0, 4), "massa.v2": (58649, 0, 2), "playbot_lod3.v2": (31000, 2, 2)}
 FILES["playbot_lod3.v3"] = (31000, 2, 3)
 STEPS = {"quats": 0.5 * np.sqrt(0.5) / 511, "scales": 1 / 32, "opacities": 1 / 510, "base": 1 / (510 * 0.15)}
@@ -138,9 +140,9 @@ def test_every_coordinate_system(tmp_path: Path, node_modules: Path) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", FILES)
-def test_real_files(name: str, shared: Path, tmp_path: Path, splat_transform: Oracle) -> None:
+def test_real_files(name: str, shared: Path, tmp_path: Path, splat_transform: SplatTransform) -> None:
     path = shared / "data" / "splats" / f"{name}.spz"
-    splats = io.read(path)
+    splats = io.read(path, frame=splat_transform.spz_frame)
     assert splats.source is not None and not splats.source.problems
     assert (len(splats), splats.sh_degree, detail(splats).version) == FILES[name]
     splat_transform(path, tmp_path / "oracle.ply")
@@ -199,9 +201,9 @@ def test_biker(shared: Path) -> None:
 
 @pytest.mark.parametrize("version", [2, 3, 4])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_what_we_write(version: int, degree: int, tmp_path: Path, splat_transform: Oracle) -> None:
+def test_what_we_write(version: int, degree: int, tmp_path: Path, splat_transform: SplatTransform) -> None:
     path, splats = tmp_path / "a.spz", replace(random_splats(500, degree), antialiased=True)
-    write_spz(path, splats, version)
+    write_spz(path, splats, version, splat_transform.spz_frame)
     splat_transform(path, tmp_path / "oracle.ply")
     table = float_columns(tmp_path / "oracle.ply")
     back = read_spz(path)

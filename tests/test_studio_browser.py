@@ -379,3 +379,26 @@ def png(pixels: np.ndarray, camera: Camera) -> bytes:
     file = io.BytesIO()
     Image.fromarray(np.round(pixels * 255).astype(np.uint8)).save(file, "png", pnginfo=info)
     return file.getvalue()
+
+
+def test_one_click_turns_the_asset_over(place: tuple[studio_scenes.Live, Page]) -> None:
+    """What was up is down, in the picture and in the project; no row changes; a second click undoes it."""
+    live, page = place
+
+    def down() -> float:
+        """How much of the world's y the picture's downward axis is."""
+        camera = page.camera()
+        return camera["world_to_camera"][1][1] if camera else 0.0
+
+    before = live.studio.session.splats
+    page.wait("-y above", lambda: down() > 0.9)
+    button = page.tab.get_by_role("button", name="Upside down?")
+    button.click()
+    page.wait("+y above", lambda: down() < -0.9)
+    assert page.state()["asset"]["up"] == [0, 1, 0] and live.studio.session.up == "+y"
+    assert live.studio.session.splats is before and len(page.state()["history"]) == 1
+    page.open()
+    page.wait("+y above, still", lambda: down() < -0.9)
+    button.click()
+    page.wait("-y above again", lambda: down() > 0.9)
+    assert live.studio.session.up == "-y"

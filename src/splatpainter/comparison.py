@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import FORMATS, FRAMES, read, write
+from splatpainter.io import FORMATS, option, read, write
 from splatpainter.io.contents import Contents, contents, fields_differ, rows_differ
 from splatpainter.io.ply_rows import TextRows
-from splatpainter.splats import ATTRIBUTES, Frame, Source, Splats
+from splatpainter.splats import ATTRIBUTES, Source, Splats
 
 CHUNK = 256
 """Rows that share a row of a table that follows the rows."""
@@ -53,11 +53,10 @@ class Comparison:
 def compare(original: Splats, edited: Splats) -> Comparison:
     """Compare two assets as they were read from their files (both have a source)."""
     assert original.source is not None and edited.source is not None
-    if original.source.format != edited.source.format:
+    if original.source.format != edited.source.format or original.source.frame != edited.source.frame:
         return _compare_converted(original, edited)
     old, new = contents(original.source), contents(edited.source)
-    one_frame = original.source.flips == edited.source.flips
-    exact, stored = VALUES, one_frame and old is not None and new is not None and same_layout(old, new)
+    exact, stored = VALUES, old is not None and new is not None and same_layout(old, new)
     strange: dict[str, np.ndarray] = {}
     names: list[str] = []
     if old is not None and new is not None and stored:
@@ -71,9 +70,7 @@ def compare(original: Splats, edited: Splats) -> Comparison:
     problems, compared = _other_parts(original.source, edited.source, old, new, rows)
     unseen = tuple(filter(None, [new.unseen if new is not None else "header, sections and padding"]))
     if not stored and new is not None and new.tables:
-        unseen += (
-            f"the stored bytes of the rows, whose {'layout differs' if one_frame else 'axes are read otherwise'}",
-        )
+        unseen += ("the stored bytes of the rows, whose layout differs",)
     nothing = not (problems or strange or len(rows) or missing) and len(edited) == len(original)
     if nothing and original.source.sha256 != edited.source.sha256:
         problems.append(f"the files differ in bytes that are not compared: {'; '.join(unseen) or 'unknown'}")
@@ -120,11 +117,13 @@ def listed(rows: np.ndarray) -> str:
 
 
 def _compare_converted(original: Splats, edited: Splats) -> Comparison:
-    """Rows alone: another format has other headers and elements."""
+    """Rows alone: another format, or a copy turned to other axes, has other headers and elements."""
     assert original.source is not None and edited.source is not None
-    before, how = _converted(original, edited), f"the original converted to {edited.source.format}, then "
+    turned = original.source.format == edited.source.format
+    before = _converted(original, edited)
+    how = f"the original converted to {edited.source.format}{' of the same axes' if turned else ''}, then "
     assert before.source is not None
-    unseen = ("header, other elements and trailing bytes, as the formats differ",)
+    unseen = (f"header, other elements and trailing bytes, as the {'axes' if turned else 'formats'} differ",)
     if len(edited) < len(before):
         return Comparison(original.sha256, before, edited, np.arange(len(before)), how + VALUES, not_compared=unseen)
     old, new = contents(before.source), contents(edited.source)
@@ -145,8 +144,7 @@ def _converted(before: Splats, after: Splats) -> Splats:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
         # Words are rounded in the frame of the edited file: -1 and 1 are not rounded alike.
-        said = after.source.frame
-        frame: Frame = next((one for one in FRAMES if one == said), "auto")
+        frame = option(after.source.frame)
         write(path, before, frame=frame)
         return read(path, frame=frame)
 

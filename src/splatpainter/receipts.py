@@ -17,7 +17,7 @@ import numpy as np
 
 from splatpainter.comparison import Comparison, compare, listed
 from splatpainter.comparison import changed_rows as changed_rows
-from splatpainter.io import FRAMES, frame_line, read
+from splatpainter.io import frame_line, option, read
 from splatpainter.splats import Frame, Splats, rows_sha256
 
 MOST_ROWS = 1 << 27
@@ -211,11 +211,10 @@ def verify(
     after = read(edited, frame=out_frame, lenient=True)
     assert before.source is not None and after.source is not None
     if before.source.format == after.source.format and before.source.frame != after.source.frame:
-        was, now = (next((one for one in FRAMES if one == s.frame), None) for s in (before.source, after.source))
-        if out_frame == "auto" and after.source.frame_from == "format" and was is not None:
-            after = read(edited, frame=was, lenient=True)
-        elif frame == "auto" and before.source.frame_from == "format" and now is not None:
-            before = read(original, frame=now, lenient=True)
+        if out_frame == "auto" and after.source.frame_from == "format":
+            after = read(edited, frame=option(before.source.frame), lenient=True)
+        elif frame == "auto" and before.source.frame_from == "format":
+            before = read(original, frame=option(after.source.frame), lenient=True)
     return check(compare(before, after), receipt)
 
 

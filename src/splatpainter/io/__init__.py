@@ -23,7 +23,7 @@ Reader = Callable[..., Splats]
 Writer = Callable[..., None]
 
 
-FRAMES = get_args(Frame)
+FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = Fal
 
     Where `splats.source` is of that format, everything that did not change keeps its bytes (see Format.exact).
     frame: axes of the file's numbers, "rub" or "rdf"; "auto": those of `splats.source` if it is of that format, else
-    the format's own. SPZ files say which it is; other formats cannot, and need `read(path, frame=...)`.
+    the format's own. SPZ files say it where it matters; other formats cannot, and need `read(path, frame=...)`.
     Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes.
     """
     check_frame(frame)
@@ -196,9 +196,12 @@ def check_frame(frame: str) -> None:
 def frame_of(splats: Splats) -> Frame:
     """What `read` and `write` need to be told for rows in the frame of this source: "auto" where there is no need."""
     source = splats.source
-    if source is None or source.frame_from != "choice":
-        return "auto"
-    return "rub" if source.frame == "rub" else "rdf"
+    return option(source.frame) if source is not None and source.frame_from == "choice" else "auto"
+
+
+def option(axes: str) -> Frame:
+    """The value of Frame that names these axes; "auto" where none does."""
+    return "rub" if axes == "rub" else "rdf" if axes == "rdf" else "auto"
 
 
 def frame_of_target(splats: Splats, key: str, frame: Frame) -> Frame:

@@ -1,4 +1,4 @@
-"""glTF 2.0 binary (.glb) with KHR_gaussian_splatting (release candidate of July 2026): one POINTS primitive.
+"""glTF 2.0 binary (.glb) with KHR_gaussian_splatting: primitives of POINTS.
 
     POSITION                                      VEC3   float, or quantised
     KHR_gaussian_splatting:ROTATION               VEC4   x, y, z, w, unit
@@ -31,13 +31,33 @@ import numpy as np
 from splatpainter.io import files, frames, gltf, raw
 from splatpainter.io.bounded import allow_rows
 from splatpainter.io.json_text import brief
-from splatpainter.splats import SH_C0, Source, Splats
+from splatpainter.splats import ATTRIBUTES, SH_C0, Source, Splats
 
 EXTENSION = "KHR_gaussian_splatting"
 SPACES = {"srgb": "srgb_rec709_display", "linear": "lin_rec709_display"}
 SHARED_RATIO = 16
 """Bytes of rows in memory per byte of the file: accessors may share bytes, as of SH bands that are empty."""
+MAX_PRIMITIVES = 1024
+"""Gaussian primitives of one file."""
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class GaussianPrimitive:
+    """One primitive whose rows are open: where it is in the file, and where its rows are among all."""
+
+    mesh: int
+    index: int
+    """Of the mesh's primitives."""
+    names: dict[str, str]
+    """ROTATION, SCALE, ... -> the attribute name the file uses."""
+    turn: np.ndarray
+    """[3, 3] rotation from the PLY frame to the primitive's own; `scale` and `shift` [3] go with it (frames.move)."""
+    scale: float
+    shift: np.ndarray
+    first: int = 0
+    """Row of the asset that is this primitive's row 0."""
+    rows: int = 0
 
 
 @dataclass(frozen=True)
@@ -45,42 +65,59 @@ class GlbFile:
     """What a file held, enough to keep it."""
 
     glb: gltf.Glb
-    mesh: int
-    primitive: int
-    names: dict[str, str]
-    """ROTATION, SCALE, ... -> the attribute name the file uses."""
-    turn: np.ndarray
-    """[3, 3] rotation from the PLY frame to the primitive's own; `scale` and `shift` [3] go with it (frames.move)."""
-    scale: float
-    shift: np.ndarray
+    primitives: tuple[GaussianPrimitive, ...]
+    """In file order, which is the order of their rows."""
     whole: bytes
     """The file."""
 
 
 def read_glb(path: Path) -> Splats:
-    """Read the first Gaussian primitive.
+    """Read all Gaussian primitives, in the order of meshes and of primitives in them, each where its node puts it.
 
     Raises ValueError: no such primitive, compressed or external data, damaged or truncated file.
     """
     data = files.read_all(path)
     glb = gltf.parse(data, path)
     problems: list[str] = []
-    mesh, number, primitive = _find(glb.doc, path, problems)
-    attributes = primitive.get("attributes", {})
-    names = {}
-    for semantic in ("POSITION", "COLOR_0", "ROTATION", "SCALE", "OPACITY", *sh_semantics(4)):
-        for name in (f"{EXTENSION}:{semantic}", f"_{semantic}", semantic):
-            if name in attributes:
-                names[semantic] = name
-                break
-    turn, scale, shift = _placement(glb.doc, mesh, path, problems)
-    file = GlbFile(glb, mesh, number, names, turn, scale, shift, data)
-    with np.errstate(all="ignore"):  # extreme values are reported below
-        local = read_local(file, path, problems)
-    rows = frames.move_back(local, turn, scale, shift)
-    problems += raw.oddities(rows)
+    placements: dict[int, tuple[np.ndarray, float, np.ndarray]] = {}
+    primitives, pieces, first = [], [], 0
+    to_open = _find(glb.doc, path, problems)
+    if len(to_open) > MAX_PRIMITIVES:
+        raise ValueError(f"{path}: expected at most {MAX_PRIMITIVES} Gaussian primitives, found {len(to_open)}")
+    for mesh, index in to_open:
+        if mesh not in placements:
+            placements[mesh] = _placement(glb.doc, mesh, path, problems)
+        names = _names(glb.doc["meshes"][mesh]["primitives"][index].get("attributes", {}))
+        one = GaussianPrimitive(mesh, index, names, *placements[mesh], first)
+        with np.errstate(all="ignore"):  # extreme values are reported below
+            local = read_local(glb, one, path, problems, len(data))
+        if not pieces or local.color_space == pieces[0].color_space:
+            pieces.append(frames.move_back(local, one.turn, one.scale, one.shift))
+            primitives.append(replace(one, rows=len(local)))
+            first += len(local)
+        else:  # rows of one asset have one colour space, and turning one into the other is not exact
+            problems.append(f"primitive {index} of mesh {mesh} has another colour space; it is not opened, but kept")
+    rows = _joined(pieces)
+    problems = list(dict.fromkeys(problems)) + raw.oddities(rows)
+    file = GlbFile(glb, tuple(primitives), data)
     source = Source(str(path), "glb", rows, files.sha256(data), file, tuple(problems), "luf")
     return replace(rows, source=source, origin=np.arange(len(rows)))
+
+
+def _joined(pieces: list[Splats]) -> Splats:
+    """All rows, with zeros for the SH bands that a primitive does not have; flags are those of the first."""
+    if len(pieces) == 1:
+        return pieces[0]
+    bands = max(piece.sh.shape[1] for piece in pieces)
+    columns = {name: np.concatenate([getattr(p, name) for p in pieces]) for name in ATTRIBUTES if name != "sh"}
+    return replace(pieces[0], **columns, sh=np.concatenate([with_bands(piece.sh, bands) for piece in pieces]))
+
+
+def with_bands(sh: np.ndarray, bands: int) -> np.ndarray:
+    """[N, K, 3] -> [N, bands, 3]: cut, or filled up with zeros."""
+    if sh.shape[1] >= bands:
+        return sh[:, :bands]
+    return np.concatenate([sh, np.zeros((len(sh), bands - sh.shape[1], 3), np.float32)], 1)
 
 
 def write_glb(path: Path, splats: Splats) -> None:
@@ -93,7 +130,8 @@ def write_glb(path: Path, splats: Splats) -> None:
         raise ValueError(f"{path}: glTF cannot hold an asset of 0 rows; write .ply instead")
     same = kept(splats, "glb")
     old: GlbFile | None = splats.source.detail if same and splats.source else None
-    if splats.sh_degree > 3 and not (old and f"SH_DEGREE_{splats.sh_degree}_COEF_0" in old.names):
+    names = [name for one in old.primitives for name in one.names] if old else []
+    if splats.sh_degree > 3 and f"SH_DEGREE_{splats.sh_degree}_COEF_0" not in names:
         raise ValueError(f"{path}: glTF holds SH up to degree 3, got {splats.sh_degree}; write .ply or .spz instead")
     if old and same and same.identity:
         out = old.whole
@@ -110,41 +148,45 @@ def sh_semantics(degree: int) -> list[str]:
     return [f"SH_DEGREE_{l}_COEF_{n}" for l in range(degree + 1) for n in range(2 * l + 1)]
 
 
-def read_local(file: GlbFile, path: Path, problems: list[str]) -> Splats:
-    """The rows in the primitive's own frame, bit for bit what the file says (integers as float32)."""
-    attributes = file.glb.doc["meshes"][file.mesh]["primitives"][file.primitive].get("attributes", {})
+def read_local(
+    glb: gltf.Glb, one: GaussianPrimitive, path: Path, problems: list[str], file_bytes: int
+) -> Splats:
+    """The rows in the primitive's own frame, bit for bit what the file says (integers as float32). file_bytes: size of
+    the file, which bounds the rows up to this primitive's last."""
+    primitive = glb.doc["meshes"][one.mesh]["primitives"][one.index]
+    attributes = primitive.get("attributes", {})
     count: int | None = None
 
     def read(semantic: str, width: int) -> np.ndarray:
         nonlocal count
-        if semantic not in file.names:
+        if semantic not in one.names:
             raise ValueError(f"{path}: the Gaussian primitive has no attribute {EXTENSION}:{semantic}")
-        index = attributes[file.names[semantic]]
-        values = gltf.accessor(file.glb, file.glb.binary, index, path)
+        index = attributes[one.names[semantic]]
+        values = gltf.accessor(glb, glb.binary, index, path)
         if count is None:
             count = len(values)
         if values.shape != (count, width) and not (semantic == "COLOR_0" and values.shape == (count, 3)):
             raise ValueError(f"{path}: expected {semantic} of {count} x {width} numbers, found {values.shape}")
-        bands = sum(name.startswith("SH_") for name in file.names)
-        allow_rows(len(file.whole), len(values), bands, path, SHARED_RATIO)
-        return gltf.decode(values, file.glb.doc["accessors"][index].get("normalized"))
+        bands = sum(name.startswith("SH_") for name in one.names)
+        allow_rows(file_bytes, one.first + len(values), bands, path, SHARED_RATIO)
+        return gltf.decode(values, glb.doc["accessors"][index].get("normalized"))
 
     means, xyzw, scales = read("POSITION", 3), read("ROTATION", 4), read("SCALE", 3)
-    if "OPACITY" in file.names:
+    if "OPACITY" in one.names:
         opacities = read("OPACITY", 1)[:, 0]
     else:
         color = read("COLOR_0", 4)
         opacities = color[:, 3].copy() if color.shape[1] == 4 else np.ones(len(color), np.float32)
         problems.append("no opacities; taken from the alpha of COLOR_0")
-    degree = max((l for l in range(5) if set(sh_semantics(l)) <= set(file.names)), default=-1)
+    degree = max((l for l in range(5) if set(sh_semantics(l)) <= set(one.names)), default=-1)
     if degree < 0:
         sh = (read("COLOR_0", 4)[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
         problems.append("no SH degree 0; colours taken from COLOR_0")
     else:
         sh = np.stack([read(semantic, 3) for semantic in sh_semantics(degree)], 1)
-        if any(name.startswith("SH_") for name in set(file.names) - set(sh_semantics(degree))):
+        if any(name.startswith("SH_") for name in set(one.names) - set(sh_semantics(degree))):
             problems.append(f"SH above degree {degree} is incomplete and not read")
-    extension = extension_of(file)
+    extension = _extension(primitive)
     return Splats(
         means,
         np.ascontiguousarray(xyzw[:, [3, 0, 1, 2]]),
@@ -156,44 +198,60 @@ def read_local(file: GlbFile, path: Path, problems: list[str]) -> Splats:
     )
 
 
-def extension_of(file: GlbFile) -> dict[str, Any]:
-    """The primitive's extension object; {} where it has none."""
-    return _extension(file.glb.doc["meshes"][file.mesh]["primitives"][file.primitive])
-
-
 def _extension(primitive: dict[str, Any]) -> dict[str, Any]:
     found = primitive.get("extensions", {}).get(EXTENSION)
     return found if isinstance(found, dict) else {}
 
 
-def _find(doc: dict[str, Any], path: Path, problems: list[str]) -> tuple[int, int, dict[str, Any]]:
-    """(mesh, primitive, its object) of the first Gaussian primitive."""
+def _names(attributes: dict[str, Any]) -> dict[str, str]:
+    found = {}
+    for semantic in ("POSITION", "COLOR_0", "ROTATION", "SCALE", "OPACITY", *sh_semantics(4)):
+        for name in (f"{EXTENSION}:{semantic}", f"_{semantic}", semantic):
+            if name in attributes:
+                found[semantic] = name
+                break
+    return found
+
+
+def _find(doc: dict[str, Any], path: Path, problems: list[str]) -> list[tuple[int, int]]:
+    """(mesh, primitive) of the Gaussian primitives to open, in file order.
+
+    Where nodes show some of them, the others are no part of any picture: they are kept and reported."""
     found = []
     for mesh, item in enumerate(doc.get("meshes", [])):
-        for number, primitive in enumerate(item.get("primitives", [])):
+        for index, primitive in enumerate(item.get("primitives", [])):
             names = primitive.get("attributes", {})
             if EXTENSION in primitive.get("extensions", {}) or any(name.startswith(f"{EXTENSION}:") for name in names):
-                found.append((mesh, number, primitive))
+                found.append((mesh, index))
     if not found:
         raise ValueError(f"{path}: expected a primitive with {EXTENSION}; this glTF file holds no Gaussians")
-    if len(found) > 1:
-        problems.append(f"{len(found)} Gaussian primitives; only the first is opened, the others stay as they are")
-    extension = _extension(found[0][2])
+    visible = {node.get("mesh") for node in doc.get("nodes", []) if type(node.get("mesh")) is int}
+    opened = [one for one in found if one[0] in visible] or found
+    if len(opened) < len(found):
+        hidden = len(found) - len(opened)
+        problems.append(f"{hidden} Gaussian primitives that no node shows; they are not opened, but kept")
+    for mesh, index in opened:
+        _check_primitive(doc["meshes"][mesh]["primitives"][index], path, problems)
+    return opened
+
+
+def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str]) -> None:
+    extension = _extension(primitive)
     packed = extension.get("extensions")
     if isinstance(packed, dict) and packed:
         names = files.printable(", ".join(packed))
         raise ValueError(
             f"{path}: the Gaussians are stored by {names}, which is not supported; decompress the file first"
         )
-    if found[0][2].get("mode", 4) != 0:
-        problems.append(f"primitive mode {brief(found[0][2].get('mode', 4))} in place of 0 (points)")
-    if "indices" in found[0][2]:
+    if primitive.get("mode", 4) != 0:
+        problems.append(f"primitive mode {brief(primitive.get('mode', 4))} in place of 0 (points)")
+    if "indices" in primitive:
         problems.append("the primitive's indices are not used; every row is shown")
-    if extension.get("kernel", "ellipse") != "ellipse":
-        problems.append(f"kernel {brief(extension['kernel'])} is shown as 'ellipse'")
+    for key, value in (("kernel", "ellipse"), ("projection", "perspective"), ("sortingMethod", "cameraDistance")):
+        if extension.get(key, value) != value:
+            problems.append(f"{key} {brief(extension[key])} is shown as {value!r}")
     if extension.get("colorSpace", SPACES["srgb"]) not in SPACES.values():
         problems.append(f"colour space {brief(extension['colorSpace'])} is treated as sRGB")
-    return found[0]
 
 
 def _placement(doc: dict[str, Any], mesh: int, path: Path, problems: list[str]) -> tuple[np.ndarray, float, np.ndarray]:
@@ -201,7 +259,10 @@ def _placement(doc: dict[str, Any], mesh: int, path: Path, problems: list[str]) 
     showing = [number for number, node in enumerate(doc.get("nodes", [])) if node.get("mesh") == mesh]
     nothing = HALF_TURN, 1.0, np.zeros(3)
     if len(showing) > 1:
-        problems.append(f"{len(showing)} nodes show the Gaussians; the place of the first is used")
+        problems.append(
+            f"{len(showing)} nodes show mesh {mesh}; its rows are opened once, where the first puts them, and an edit "
+            "shows in all"
+        )
     if not showing:
         return nothing
     with np.errstate(all="ignore"):

@@ -9,16 +9,25 @@ attributes that are not ours go with the row they belonged to (0 in rows that co
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from splatpainter.io import frames, gltf
-from splatpainter.io.glb import EXTENSION, HALF_TURN, SPACES, GlbFile, read_local, sh_semantics
+from splatpainter.io.glb import (
+    EXTENSION,
+    HALF_TURN,
+    SPACES,
+    GaussianPrimitive,
+    GlbFile,
+    read_local,
+    sh_semantics,
+    with_bands,
+)
 from splatpainter.io.reuse import Kept, presentable
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 
 ARRAY_BUFFER = 34962
 
@@ -49,27 +58,86 @@ def fresh(splats: Splats) -> gltf.Glb:
 
 
 def edited(splats: Splats, same: Kept, old: GlbFile, path: Path) -> gltf.Glb:
-    """The source with the rows of `splats`."""
-    before = read_local(old, path, [])
-    local = _unit(frames.move(presentable(splats), old.turn, old.scale, old.shift))
-    local = _restore(local, before, same)
+    """The source with the rows of `splats`. Raises ValueError: no row of a primitive is left."""
     doc, binary = copy.deepcopy(old.glb.doc), bytearray(old.glb.binary)
-    primitive = doc["meshes"][old.mesh]["primitives"][old.primitive]
+    work = _Work(doc, binary, _shared(doc), old.glb, path, len(old.whole))
+    rows, homes = presentable(splats), homes_of(same.rows, old.primitives)
+    for number, one in enumerate(old.primitives):
+        here = homes == number
+        if not here.any():
+            raise ValueError(
+                f"{path}: glTF cannot hold a primitive of 0 rows (none of primitive {one.index} of mesh {one.mesh} "
+                "is left); write .ply instead"
+            )
+        _edit_primitive(work, one, rows.take(here), _part_of(same, here, one))
+        _say(doc["meshes"][one.mesh]["primitives"][one.index], splats)
+    used = doc.setdefault("extensionsUsed", [])
+    if EXTENSION not in used:
+        used.append(EXTENSION)
+    packed = gltf.compact(doc, binary) if len(binary) != len(old.glb.binary) else bytes(binary)
+    doc["buffers"][0]["byteLength"] = len(packed)
+    return replace(old.glb, doc=doc, binary=packed)
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A file that is being changed."""
+
+    doc: dict[str, Any]
+    binary: bytearray
+    shared: set[int]
+    """Accessors that may not be written to (`_shared`)."""
+    source: gltf.Glb
+    path: Path
+    file_bytes: int
+    """Size of the source file."""
+
+
+def homes_of(rows: np.ndarray, primitives: tuple[GaussianPrimitive, ...]) -> np.ndarray:
+    """[N] which of the primitives each row goes to. rows: [N] row of the source, -1 for none.
+
+    Each to the one it came from, and new rows to the one before them, as far as the order of all rows allows: in the
+    file rows are ordered by primitive, so a row behind rows of a later primitive goes there, too."""
+    starts = np.array([one.first for one in primitives])
+    cause = np.where(rows >= 0, np.searchsorted(starts, rows, "right") - 1, 0)
+    return np.maximum.accumulate(cause) if len(cause) else cause
+
+
+def _part_of(same: Kept, here: np.ndarray, one: GaussianPrimitive) -> Kept:
+    """What is kept of the rows of one primitive, counted from its first."""
+    rows = same.rows[here] - one.first
+    inside = (same.rows[here] >= 0) & (rows >= 0) & (rows < one.rows)
+    masks = {name: getattr(same, name)[here] & inside for name in (*ATTRIBUTES[:-1], "base", "rest")}
+    return replace(same, rows=np.where(inside, rows, -1), **masks)
+
+
+def _edit_primitive(work: _Work, one: GaussianPrimitive, rows: Splats, same: Kept) -> None:
+    """The primitive with `rows` (PLY frame) as its rows."""
+    before = read_local(work.source, one, work.path, [], work.file_bytes)
+    local = _unit(frames.move(rows, one.turn, one.scale, one.shift))
+    bands = before.sh.shape[1]
+    opened = rows.source.splats.sh.shape[1] if rows.source else 0
+    if local.sh.shape[1] != opened or local.sh[:, bands:].any():  # else the zeros behind are for other primitives
+        bands = local.sh.shape[1]
+    own = before.sh.shape[1]
+    local, before = (replace(s, sh=with_bands(s.sh, bands)) for s in (local, before))
+    restored = _restore(local, before, same)
+    restored.sh[:, own:] = local.sh[:, own:]  # not in the file yet, the sign of zero included
+    local = restored
+    primitive = work.doc["meshes"][one.mesh]["primitives"][one.index]
     attributes = primitive["attributes"]
     in_place = len(local) == len(before) and bool((same.rows == np.arange(len(local))).all())
-    shared = _shared(doc)
     masks = {"POSITION": same.means, "ROTATION": same.quats, "SCALE": same.scales, "OPACITY": same.opacities}
     columns = _columns(local)
     for semantic, array in columns.items():
         keep = masks.get(semantic, same.base if semantic == "SH_DEGREE_0_COEF_0" else same.rest)
-        name = old.names.get(semantic, _name(semantic))
-        _put(doc, binary, attributes, name, array, ~keep, in_place, shared, old, path)
-    for semantic in set(old.names) & set(sh_semantics(4)) - set(columns):
-        attributes.pop(old.names[semantic])
-    ours = {old.names.get(semantic, _name(semantic)) for semantic in columns}
+        _put(work, attributes, one.names.get(semantic, _name(semantic)), array, ~keep, in_place)
+    for semantic in set(one.names) & set(sh_semantics(4)) - set(columns):
+        attributes.pop(one.names[semantic])
+    ours = {one.names.get(semantic, _name(semantic)) for semantic in columns}
     for name in [name for name in attributes if name not in ours]:
         try:
-            values = np.array(gltf.accessor(old.glb, old.glb.binary, attributes[name], path))
+            values = np.array(gltf.accessor(work.source, work.source.binary, attributes[name], work.path))
         except ValueError:
             values = np.zeros((0, 0))
         if len(values) != len(before):  # of a kind that cannot be followed: stays if rows do, goes if they do not
@@ -82,17 +150,10 @@ def edited(splats: Splats, same: Kept, old: GlbFile, path: Path) -> gltf.Glb:
         if name == "COLOR_0" and values.shape[1] in (3, 4):
             changed = ~(same.base & same.opacities)
             moved[changed] = _fallback_like(values, before, local)[changed]
-        _put(doc, binary, attributes, name, moved, changed, in_place, shared, old, path)
+        _put(work, attributes, name, moved, changed, in_place)
     if not in_place:
         for key in ("indices", "targets"):  # they count rows that are no longer there
             primitive.pop(key, None)
-    _say(primitive, splats)
-    used = doc.setdefault("extensionsUsed", [])
-    if EXTENSION not in used:
-        used.append(EXTENSION)
-    packed = gltf.compact(doc, binary) if len(binary) != len(old.glb.binary) else bytes(binary)
-    doc["buffers"][0]["byteLength"] = len(packed)
-    return replace(old.glb, doc=doc, binary=packed)
 
 
 def _columns(local: Splats) -> dict[str, np.ndarray]:
@@ -131,23 +192,15 @@ def _restore(local: Splats, before: Splats, same: Kept) -> Splats:
 
 
 def _put(
-    doc: dict[str, Any],
-    binary: bytearray,
-    attributes: dict[str, Any],
-    name: str,
-    array: np.ndarray,
-    changed: np.ndarray,
-    in_place: bool,
-    shared: set[int],
-    old: GlbFile,
-    path: Path,
+    work: _Work, attributes: dict[str, Any], name: str, array: np.ndarray, changed: np.ndarray, in_place: bool
 ) -> None:
     """Make attribute `name` hold `array`: not at all where nothing changed, into the buffer where that is possible."""
+    doc, binary, shared = work.doc, work.binary, work.shared
     index = attributes.get(name)
     if index is not None and in_place:
         if not changed.any():
             return
-        target = gltf.accessor(replace(old.glb, doc=doc), binary, index, path)
+        target = gltf.accessor(replace(work.source, doc=doc), binary, index, work.path)
         # Integers take only values that are integers already; everything else would be rounded.
         if index not in shared and target.dtype == array.dtype and target.shape == array.shape:
             target[changed] = array[changed]
@@ -203,7 +256,8 @@ def _shared(doc: dict[str, Any]) -> set[int]:
 
 
 def _say(primitive: dict[str, Any], splats: Splats) -> None:
-    """Colour space and antialiasing into the extension object, which is made where it is missing."""
+    """Colour space and antialiasing into the extension object, which is made where it is missing; an antialiasing that
+    was not changed stays what the primitive says."""
     extensions = primitive.setdefault("extensions", {})
     extension = extensions.get(EXTENSION)
     if not isinstance(extension, dict):
@@ -214,7 +268,9 @@ def _say(primitive: dict[str, Any], splats: Splats) -> None:
         extension["colorSpace"] = SPACES[splats.color_space]
     extras = extension.get("extras")
     said = isinstance(extras, dict) and extras.get("antialiased") is True
-    if said != splats.antialiased:
+    source = splats.source if splats.source is not None and splats.source.format == "glb" else None
+    changed = source is None or source.splats.antialiased != splats.antialiased
+    if changed and said != splats.antialiased:
         extension["extras"] = {**(extras if isinstance(extras, dict) else {}), "antialiased": splats.antialiased}
 
 

@@ -14,7 +14,7 @@
 Flags: 1 trained with antialiasing, 2 extensions present: records of u32 type, u32 size, payload.
 
 Frame: SPZ is x right, y up, z back, unless extension 0xADBE0003 names another one or the caller does; here rows are in
-the PLY frame (y and z reversed). New files say their frame by that extension. Words are in spz_codec.
+the PLY frame (y and z reversed). New files of version 4, and of another frame, say it. Words are in spz_codec.
 
 Writing over a source of this format keeps its version, fractional bits, frame, extensions and trailing bytes, and the
 packed words of every value that did not change; only changed values are quantised. An untouched asset is written back
@@ -103,7 +103,7 @@ def read_spz(path: Path, frame: Frame = "auto") -> Splats:
 def write_spz(path: Path, splats: Splats, version: int | None = None, frame: Frame = "auto") -> None:
     """Write `splats`. version: 2, 3 or 4; None keeps the source's, and is 3 for other formats (4 for SH degree 4).
     frame: of the words in the file; "auto" keeps the source's, and is right-up-back for other formats. A file that
-    would be taken for another frame says which it is, by the extension; so does every new file.
+    would be taken for another frame says which it is, by the extension; so does every new file of version 4.
 
     Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, or a version not writable.
     """
@@ -318,11 +318,13 @@ def _frame_records(file: SpzFile) -> Iterator[int]:
 
 
 def _saying_frame(file: SpzFile, new: bool) -> SpzFile:
-    """The file with its frame in the extension, if it is new or would be taken for another one without.
+    """The file with its frame in the extension, if it would be taken for another one without, or is new and of version
+    4, where extensions have a place of their own: before that they stand behind the rows, and some readers (spz-js)
+    refuse a file with bytes there.
 
     Bytes behind the rows that no flag calls extensions (some writers put a tree there) leave no room for one.
     """
-    if not new and (_frame_said(file, []) or RUB) == file.frame:
+    if (_frame_said(file, []) or RUB) == file.frame and not (new and file.version >= 4):
         return file
     if file.extensions and not file.flags & EXTENDED:
         return file

@@ -48,7 +48,10 @@ def home(splats: Splats, up: tuple[int, int, int]) -> tuple[np.ndarray, float, c
     """([3] middle, radius of nearly all opaque rows, a view of them)."""
     center, radius = reach(splats)
     distance = MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
-    view = cameras.orbit(center, distance, 1, up=up, width=800, height=800, background=BACKGROUND, **HOME)[0]
+    # An asset that is upside down is mostly half a turn about x away: then this is its front again.
+    start = 180.0 if up == UPS["+y"] else 0.0
+    size = {"width": 800, "height": 800, "background": BACKGROUND}
+    view = cameras.orbit(center, distance, 1, up=up, start=start, **size, **HOME)[0]
     return center, radius, view
 
 
