@@ -63,7 +63,7 @@ def edited_json(change: Callable[[dict[str, Any]], Any]) -> bytes:
         ),
         (edited_json(lambda d: d["nodes"][0].update(children=[0])), "glTF node 0 is its own ancestor"),
         (edited_json(lambda d: d["nodes"][0].update(translation=[1, 2])), "expected 3 numbers as a node's translation"),
-        (edited_json(lambda d: d.update(meshes=[[]])), "expected a list of objects as glTF meshes"),
+        (edited_json(lambda d: d.update(meshes=[[]])), "expected a list of objects as 'meshes'"),
     ],
 )
 def test_refusals(data: bytes, message: str, tmp_path: Path) -> None:

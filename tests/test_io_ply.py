@@ -232,7 +232,7 @@ REFUSED = {
         ply(BASE, [ROW], head="element camera 99999999999\nproperty list uint8 int32 ids"),
         "truncated: 99999999999 rows of element 'camera'",
     ),
-    "words": (text("1", b"1 2\n"), "row 0 of element 'vertex': expected 14 values, found 2"),
+    "words": (text("1", b"1 2" + b" " * 40 + b"\n"), "row 0 of element 'vertex': expected 14 values, found 2"),
     "no number": (text("1", b"1 " * 13 + b"no\n"), "row 0: expected a number, got 'no'"),
     "text truncated": (text("9999999999", b""), "truncated: 9999999999 lines of data expected"),
 }

@@ -58,7 +58,7 @@ def test_untouched_bytes_stay(tmp_path_factory: pytest.TempPathFactory, data: by
     """Any bytes at all are a .splat file: NaNs, zero quaternions, a last row cut short."""
     rng = np.random.default_rng(seed)
     folder = tmp_path_factory.mktemp("edits")
-    source = io.read(save(folder, data))
+    source = io.read(save(folder, data), lenient=True)
     io.write(folder / "same.splat", source)
     assert (folder / "same.splat").read_bytes() == data
     rows = rng.integers(0, len(source), 5)
@@ -85,8 +85,11 @@ def test_untouched_bytes_stay(tmp_path_factory: pytest.TempPathFactory, data: by
     assert result[160:] == data[len(source) * 32 :]
 
 
-def test_trailing_bytes_are_reported(tmp_path: Path) -> None:
-    splats = io.read(save(tmp_path, ROW + b"abc"))
+def test_trailing_bytes_are_refused_or_reported(tmp_path: Path) -> None:
+    path = save(tmp_path, ROW + b"abc")
+    with pytest.raises(ValueError, match="32 bytes a row, got 1 rows and 3 bytes of one more.*lenient"):
+        io.read(path)
+    splats = io.read(path, lenient=True)
     assert splats.source is not None and len(splats) == 1
     assert splats.source.problems == ("the last row is cut short: 3 trailing bytes (kept as they are)",)
 

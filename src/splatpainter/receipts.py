@@ -215,13 +215,14 @@ def verify(
     frame, out_frame: axes of the numbers in the original and in the edited file, as in io.read. Where only one of two
     files of one format says them (or is told), they are those of the other too.
     Raises ValueError when a file cannot be read."""
-    before, after = read(original, frame=frame), read(edited, frame=out_frame)
+    before = read(original, frame=frame, lenient=True)
+    after = read(edited, frame=out_frame, lenient=True)
     assert before.source is not None and after.source is not None
     if before.source.format == after.source.format and before.source.frame != after.source.frame:
         if out_frame == "auto" and after.source.frame_from == "format":
-            after = read(edited, frame=option(before.source.frame))
+            after = read(edited, frame=option(before.source.frame), lenient=True)
         elif frame == "auto" and before.source.frame_from == "format":
-            before = read(original, frame=option(after.source.frame))
+            before = read(original, frame=option(after.source.frame), lenient=True)
     return check(compare(before, after), receipt)
 
 

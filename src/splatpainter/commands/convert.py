@@ -36,6 +36,8 @@ class Config:
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     out_frame: FrameOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     overwrite: bool = False
     """Replace OUT if it exists."""
     json: bool = False
@@ -48,13 +50,13 @@ def run(config: Config) -> Outcome:
     check_target(config.out, config.overwrite, [config.asset])
     with stages(3) as bar:
         bar.enter("reading")
-        before = read(config.asset, frame=config.frame)
+        before = read(config.asset, frame=config.frame, lenient=config.lenient)
         before_size = file_size(config.asset)
         with placed(config.out) as partial:
             bar.enter("writing")
             write(partial, before, frame=config.out_frame)
             bar.enter("checking")
-            after = read(partial, frame=frame_of_target(before, entry.key, config.out_frame))
+            after = read(partial, frame=frame_of_target(before, entry.key, config.out_frame), lenient=True)
     assert before.source is not None and after.source is not None
     record = {
         "input": {

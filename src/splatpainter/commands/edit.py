@@ -46,6 +46,8 @@ class Config:
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     out_frame: FrameOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     camera: CameraFiles = ()
     """Cameras of the pictures, in their order, where the pictures lost theirs (CAM.json)."""
     mask: Annotated[tuple[Path, ...], arg(metavar="M.png ...", help_behavior_hint="")] = ()
@@ -76,7 +78,7 @@ def run(config: Config) -> Outcome:
     with stages(4) as bar:
         painter = _painter(config)
         bar.enter("reading")
-        splats = read(config.asset, frame=config.frame)
+        splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         laps = {"read": time.perf_counter() - clock}
         _warn_of_other_assets(sources, splats)
         _compile()

@@ -27,6 +27,8 @@ class Config:
     """A splat file, or a SOG folder."""
     frame: FrameOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     json: bool = False
     """Print one JSON object instead of text."""
 
@@ -35,7 +37,7 @@ def run(config: Config) -> Outcome:
     """Read the file and describe it."""
     with stages(1) as bar:
         bar.enter("reading")
-        record = describe(read(config.asset, frame=config.frame), config.asset)
+        record = describe(read(config.asset, frame=config.frame, lenient=config.lenient), config.asset)
     return Outcome(record, _lines(record))
 
 
@@ -43,9 +45,10 @@ def describe(splats: Splats, path: Path) -> dict:
     """The record of `info`: bounds are [2, 3] (min, max) of finite centres; null where there are none."""
     assert splats.source is not None
     entry = FORMATS[splats.source.format]
-    drawable = splats.finite
-    placed = splats.means[np.isfinite(splats.means).all(1)]
-    center, radius = reach(splats)
+    with np.errstate(all="ignore"):  # of extreme or damaged rows, which are counted below
+        drawable = splats.finite
+        placed = splats.means[np.isfinite(splats.means).all(1)]
+        center, radius = reach(splats)
     return {
         "file": path,
         "bytes": file_size(path),

@@ -50,6 +50,8 @@ class Config:
     """Colour behind the asset, 0..1 or #rrggbb; default: 0.25,0.25,0.25, or what the camera says."""
     frame: FrameOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
     """Direction that is up in the pictures; auto: -y, the habit of captures (GLB and SPZ are turned when read)."""
     elevation: float = 15.0
@@ -74,7 +76,7 @@ def run(config: Config) -> Outcome:
         for name in names:
             check_target(name, config.overwrite)
             check_target(name.with_suffix(".json"), config.overwrite)
-    splats = read(config.asset, frame=config.frame)
+    splats = read(config.asset, frame=config.frame, lenient=config.lenient)
     cameras = given or around(
         splats,
         config.views,

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -35,6 +35,7 @@ class Format:
     suffixes: tuple[str, ...]
     """Lower-case name endings, the one to suggest first; () for a folder."""
     read: Reader
+    """read(path), and by keyword what `options` names."""
     write: Writer | None
     """None: this format can only be read."""
     description: str
@@ -42,19 +43,27 @@ class Format:
     """What stays byte for byte when a file of this format is edited and written back, in one sentence."""
     lossy: str = ""
     """What is lost when rows of another format, or edited rows, are written; "" where nothing is."""
+    options: tuple[str, ...] = ()
+    """Keywords of `io.read` that `read` takes, too."""
     frame: str = "rdf"
     """Axes of a file's numbers unless it says otherwise (key of frames.AXES)."""
 
 
 def _lazy_reader(module: str, name: str) -> Reader:
-    return lambda path, **options: getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, **options)
+    return _lazy(module, name)
 
 
 def _lazy_writer(module: str, name: str) -> Writer:
-    def write(path: Path, splats: Splats, **options: object) -> None:
-        getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(path, splats, **options)
+    return _lazy(module, name)
 
-    return write
+
+def _lazy(module: str, name: str) -> Callable[..., Any]:
+    def call(*arguments: Any, **options: Any) -> Any:
+        # Files hold floats of any bits: what overflows or is NaN is reported as a problem of rows, not as a warning.
+        with np.errstate(all="ignore"):
+            return getattr(importlib.import_module(f"splatpainter.io.{module}"), name)(*arguments, **options)
+
+    return call
 
 
 FORMATS: dict[str, Format] = {
@@ -79,6 +88,7 @@ FORMATS: dict[str, Format] = {
             "INRIA PLY: little or big endian or text, any property order, SH degree 0-4",
             "Every byte outside the values that changed: header, property order, extra properties and elements, "
             "trailing bytes.",
+            options=("lenient",),
         ),
         Format(
             "splat",
@@ -88,6 +98,7 @@ FORMATS: dict[str, Format] = {
             "antimatter15 .splat: 32 bytes a row",
             "Every byte outside the values that changed.",
             "SH above degree 0 is dropped; colours, opacities and rotations are rounded to 8 bits.",
+            options=("lenient",),
         ),
         Format(
             "ksplat",
@@ -131,21 +142,25 @@ FORMATS: dict[str, Format] = {
 _MAGIC = {b"glTF": "glb", b"PK\x03\x04": "sog", b"NGSP": "spz"}
 
 
-def read(path: str | os.PathLike[str], *, frame: Frame = "auto") -> Splats:
+def read(path: str | os.PathLike[str], *, frame: Frame = "auto", lenient: bool = False) -> Splats:
     """Read a splat file (or a SOG folder) in any of FORMATS; `source` and `origin` are filled in.
 
     The content decides where it is unmistakable (PLY, compressed PLY, GLB, SOG bundle, SPZ), the name otherwise.
     frame: axes of the file's numbers, "rub" (right-up-back) or "rdf" (right-down-front), whatever the file or its
     format says; "auto" believes them. Rows always come out right-down-front, so that an asset is upright; `source`
     says how the file was taken, and writing the same format turns them back (signs only, so every bit survives).
+    lenient: also open files that were cut off behind their last whole row (a .splat of 33 bytes, a PLY without the end
+    of a later element); what is left of the cut part is kept and reported in `source.problems`.
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
     check_frame(frame)
     place = Path(path)
     key = detect(place)
+    entry = FORMATS[key]
+    options = {"lenient": lenient} if "lenient" in entry.options else {}
     if key == "spz":  # may name its frame itself
-        return FORMATS[key].read(place, frame=frame)
-    return chosen(FORMATS[key].read(place), frame)
+        return entry.read(place, frame=frame)
+    return chosen(entry.read(place, **options), frame)
 
 
 def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = False, frame: Frame = "auto") -> None:
@@ -208,8 +223,8 @@ def frame_line(source: Source) -> str:
 
 def detect(path: Path) -> str:
     """Key of FORMATS that the file at `path` holds. Raises ValueError when it is missing, unreadable or unknown."""
-    if path.is_dir():
-        if (path / "meta.json").is_file():
+    if os.path.isdir(path):  # Path.is_dir raises where a folder above may not be searched
+        if os.path.isfile(path / "meta.json"):
             return "sog"
         raise ValueError(f"{path}: is a folder without meta.json; expected a splat file or a SOG folder")
     head = files.read_head(path, files.HEADER_LIMIT if path.suffix.lower() == ".ply" else 65536)

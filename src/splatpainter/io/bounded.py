@@ -1,16 +1,44 @@
-"""Decompression that a hostile file cannot turn into a memory hole: every size is judged before it is allocated."""
+"""The one rule of all readers for files that lie: what is unpacked is counted while it is unpacked.
+
+1. Only regular files are opened (files.reading), and of text (headers, JSON) only so much is parsed as a limit allows.
+2. A size that a file declares is compared with the file's real size before anything is allocated for it. Data that are
+   not packed have to be there (files.take). Packed data may unpack to ROOM bytes and RATIO bytes more per byte of the
+   file (`allow`), and rows may take ROW_ROOM bytes of memory and ROW_RATIO bytes more per byte of the file
+   (`allow_rows`), however little they pack to.
+3. Nothing is unpacked beyond what was declared, and what is more or less than declared is refused. What unpacks to more
+   than PROOF bytes is unpacked twice, first without being kept, so that a damaged end costs time but no memory.
+4. Work is linear in the bytes that are really there: no loop in Python over a count that only a header vouches for.
+
+A refusal is a ValueError with one line that names the file. Table of limits and what was measured: docs/formats.md.
+"""
 
 from __future__ import annotations
 
+import struct
+import zipfile
 import zlib
 from pathlib import Path
+from typing import BinaryIO
+
+from splatpainter.io.files import printable
 
 ROOM = 16 << 20
 """Bytes that any file may unpack to, however small it is (a synthetic asset of equal rows packs very well)."""
-RATIO = 64
-"""Beyond ROOM, unpacked bytes per packed byte. Real splat files pack 1.2 to 5 times; gzip's own limit is 1032."""
+RATIO = 32
+"""Beyond ROOM, unpacked bytes per byte of the file. Real splat files pack 1.2 to 5 times; gzip's own limit is 1032."""
+ROW_ROOM = 64 << 20
+"""Bytes that the rows of any packed file may take in memory: 1.2 million of SH degree 0, 0.28 million of degree 3."""
+ROW_RATIO = 96
+"""Beyond ROW_ROOM, bytes of rows in memory per byte of the file. Scans take 10 to 20; rows on a regular grid, all of
+one size and rotation, with colours of their own and empty SH bands up to degree 3, take 58."""
 TAIL = 16 << 20
 """Bytes that may follow the rows (extensions, notes of other programs)."""
+MAX_ENTRIES = 4096
+"""Files in a zip, of which SOG needs 8; a directory of them takes ten times its bytes in memory."""
+PROOF = 256 << 20
+"""Bytes: what unpacks to more is unpacked once for nothing but its length before memory is taken for it."""
+PIECE = 1 << 20
+"""Bytes that are unpacked at a time where they are only counted."""
 
 
 def allow(packed: int, unpacked: int, where: Path | str, what: str) -> None:
@@ -18,6 +46,15 @@ def allow(packed: int, unpacked: int, where: Path | str, what: str) -> None:
     if unpacked > ROOM + RATIO * packed:
         raise ValueError(
             f"{where}: {what} claims {unpacked} bytes from {packed} packed ones; the file is damaged or hostile"
+        )
+
+
+def allow_rows(packed: int, rows: int, coefficients: int, where: Path | str, ratio: int = ROW_RATIO) -> None:
+    """Raise ValueError where a file of `packed` bytes cannot honestly hold `rows` rows of so many SH coefficients."""
+    needed = rows * 4 * (11 + 3 * coefficients)
+    if needed > ROW_ROOM + ratio * packed:
+        raise ValueError(
+            f"{where}: {rows} rows would take {needed} bytes of memory, the file has {packed}; it is damaged or hostile"
         )
 
 
@@ -30,13 +67,12 @@ class Gunzip:
         self._stream = zlib.decompressobj(31)
 
     def take(self, count: int, what: str) -> bytes:
-        """The next `count` bytes. Raises ValueError: damaged, truncated, or more than the file can honestly hold."""
-        allow(len(self._data), count, self._where, what)
+        """The next `count` bytes, which the caller has judged. Raises ValueError: damaged or truncated."""
+        if count > PROOF:
+            self._prove(count, what)
         piece = self._upto(count)
         if len(piece) < count:
-            raise ValueError(
-                f"{self._where}: truncated: {what} needs {count} bytes, the gzip stream holds {len(piece)}"
-            )
+            raise self._short(count, len(piece), what)
         return piece
 
     def rest(self) -> tuple[bytes, bytes]:
@@ -47,6 +83,25 @@ class Gunzip:
         if not self._stream.eof:
             raise ValueError(f"{self._where}: truncated: the gzip stream does not end")
         return piece, self._stream.unused_data
+
+    def _short(self, count: int, have: int, what: str) -> ValueError:
+        return ValueError(f"{self._where}: truncated: {what} needs {count} bytes, the gzip stream holds {have}")
+
+    def _prove(self, count: int, what: str) -> None:
+        stream, left, have = self._stream.copy(), memoryview(self._left), 0
+        try:
+            while have < count and not stream.eof:
+                # Little input at a time: zlib copies what it did not consume.
+                piece = stream.decompress(stream.unconsumed_tail or left[:PIECE], PIECE)
+                if not stream.unconsumed_tail:
+                    if not left and not piece:
+                        break
+                    left = left[PIECE:]
+                have += len(piece)
+        except zlib.error as error:
+            raise ValueError(f"{self._where}: damaged gzip stream ({error})") from None
+        if have < count:
+            raise self._short(count, have, what)
 
     def _upto(self, count: int) -> bytes:
         pieces, have = [], 0
@@ -63,20 +118,62 @@ class Gunzip:
         return b"".join(pieces)
 
 
+def inflate(data: bytes | memoryview, size: int, where: Path | str, what: str) -> bytes:
+    """One raw deflate stream of exactly `size` unpacked bytes. Raises ValueError: damaged, other size, more input."""
+    stream = zlib.decompressobj(-15)
+    try:
+        out = stream.decompress(data, size + 1)  # 0 would mean: without limit
+        # The last block's end mark may still be unread when the last byte is out.
+        if len(out) == size and not stream.eof:
+            out += stream.decompress(stream.unconsumed_tail, 1)
+    except zlib.error as error:
+        raise ValueError(f"{where}: damaged: {what} ({error})") from None
+    if len(out) != size or not stream.eof or stream.unused_data:
+        raise ValueError(f"{where}: damaged: {what} should unpack to {size} bytes, its deflate stream does not")
+    return out
+
+
+def zip_directory(file: BinaryIO, where: Path | str) -> list[zipfile.ZipInfo]:
+    """What the directory of a zip lists. Raises ValueError: not a zip, damaged, more than MAX_ENTRIES files."""
+    marks = 0
+    while piece := file.read(PIECE):
+        marks += piece.count(b"PK\x01\x02")  # ahead of every entry of a directory
+        if marks > MAX_ENTRIES:  # before zipfile makes an object of each
+            raise ValueError(f"{where}: a zip of more than {MAX_ENTRIES} files; it is damaged or hostile")
+    try:
+        return zipfile.ZipFile(file).infolist()
+    except (zipfile.BadZipFile, struct.error, OSError, NotImplementedError, ValueError, OverflowError) as error:
+        # OSError: it seeks where a lying directory sends it; struct.error: cut extra fields.
+        raise ValueError(f"{where}: damaged zip ({printable(' '.join(str(error).split()), 120)})") from None
+
+
 def unzstd(data: bytes | memoryview, size: int, where: Path | str, what: str) -> bytes:
-    """One zstd frame of exactly `size` unpacked bytes. Raises ValueError: damaged, other size, dishonest size."""
+    """One zstd frame of exactly `size` unpacked bytes, which the caller has judged. Raises ValueError: damaged, other
+    size."""
     import zstandard
 
-    allow(len(data), size, where, what)
     try:
         declared = zstandard.frame_content_size(bytes(data[:18]))
         if declared not in (-1, size):
             raise ValueError(f"{where}: {what} should unpack to {size} bytes, its zstd frame says {declared}")
         if size == 0:
             return b""
+        if size > PROOF:
+            _prove_zstd(data, size, where, what)
         out = zstandard.ZstdDecompressor().decompress(bytes(data), max_output_size=size, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise ValueError(f"{where}: damaged zstd stream: {what} ({error})") from None
     if len(out) != size:
         raise ValueError(f"{where}: {what} should unpack to {size} bytes, got {len(out)}")
     return out
+
+
+def _prove_zstd(data: bytes | memoryview, size: int, where: Path | str, what: str) -> None:
+    import zstandard
+
+    have = 0
+    with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+        while have <= size and (piece := stream.read(PIECE)):
+            have += len(piece)
+    if have != size:
+        raise ValueError(f"{where}: {what} should unpack to {size} bytes, got {have}")

@@ -12,6 +12,7 @@ from and the chunk's range of that value stays; the range stays while all values
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ import numpy as np
 from splatpainter.io import files, packing, raw
 from splatpainter.io.ply import DEGREES, comment_settings, settled_comments
 from splatpainter.io.ply_header import Element, Header, element_size, make_header, read_header
-from splatpainter.io.reuse import presentable
+from splatpainter.io.reuse import kept, presentable
 from splatpainter.splats import Source, Splats
 
 CHUNK = 256
@@ -49,23 +50,27 @@ def read_compressed_ply(path: Path) -> Splats:
         header = read_header(file, path)
         _check(header, path)
         left = os.fstat(file.fileno()).st_size - file.tell()
-        tables, parts = {}, [header.raw]
+        tables, digest = {}, hashlib.sha256(header.raw)
         for element in header.elements:
             size = element_size(file, header, element, left, path)
-            parts.append(file.read(size))
+            data = file.read(size)
+            digest.update(data)
             left -= size
-            tables[element.name] = np.frombuffer(parts[-1], element.dtype(header.order), element.count)
+            rows = element.count if element.properties else 0  # rows without properties have no bytes
+            tables[element.name] = np.frombuffer(data, element.dtype(header.order), rows)
         after = file.read()
+        digest.update(after)
     splats = _decode(header, tables)
     problems = [f"{len(after)} trailing bytes (kept as they are)"] if after else []
     extra = [e.name for e in header.elements if e.name not in ("chunk", "vertex", "sh")]
     if extra:
-        problems.append(f"extra elements (kept as they are): {', '.join(extra[:8])}")
+        problems.append(f"extra elements (kept as they are): {', '.join(files.printable(n, 40) for n in extra[:8])}")
     if "min_r" not in (tables["chunk"].dtype.names or ()):
         problems.append("an older file without colour ranges: base colours are limited to 0..1")
     problems += raw.oddities(splats)
-    digest = files.sha256(b"".join([*parts, after]))
-    source = Source(str(path), "compressed.ply", splats, digest, Record(header, tables, after), tuple(problems))
+    source = Source(
+        str(path), "compressed.ply", splats, digest.hexdigest(), Record(header, tables, after), tuple(problems)
+    )
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
 
 
@@ -88,8 +93,11 @@ def write_compressed_ply(path: Path, splats: Splats) -> None:
     header = header.with_counts({"chunk": -(-count // CHUNK), "vertex": count, "sh": count})
     header = settled_comments(header, splats, old)
     tables = dict(record.tables)
-    tables["chunk"], tables["vertex"] = _pack(splats, old, origin, record)
-    if rest:
+    same = kept(splats, "compressed.ply")
+    untouched = same is not None and same.identity  # then nothing is packed again: NaN ranges would not come back
+    if not untouched:
+        tables["chunk"], tables["vertex"] = _pack(splats, old, origin, record)
+    if rest and not untouched:
         element = header.element("sh")
         assert element is not None
         tables["sh"] = _pack_sh(splats, old, origin, record, element.dtype(header.order))
@@ -125,7 +133,7 @@ def _check(header: Header, path: Path) -> None:
             raise ValueError(f"{path}: expected {vertex.count} rows in element 'sh', found {sh.count}")
     lists = next((e.name for e in header.elements if e.has_lists), None)
     if lists is not None:
-        raise ValueError(f"{path}: element '{lists}' has a list property; expected single values only")
+        raise ValueError(f"{path}: element '{files.printable(lists)}' has a list property; expected single values only")
 
 
 def _need(header: Header, name: str, properties: list[str], code: str, path: Path) -> Element:

@@ -7,6 +7,7 @@ import hashlib
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -17,16 +18,29 @@ HEADER_LIMIT = 1 << 20
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[BinaryIO]:
-    """The file at `path`, open for reading. Missing, a folder, no permission: a one-line ValueError."""
+    """The file at `path`, open for reading. Missing, not a regular file, no permission: a one-line ValueError.
+
+    A pipe or a device is never opened: that alone may block for ever.
+    """
     try:
-        if path.is_dir():
-            raise ValueError(f"{path}: is a folder; expected a file")
+        _check_regular(path)
         with open(path, "rb") as file:
             yield file
     except FileNotFoundError:
         raise ValueError(f"{path}: no such file") from None
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def _check_regular(path: Path) -> None:
+    try:
+        mode = path.stat().st_mode
+    except ValueError:  # a NUL in the name
+        raise ValueError(f"{str(path)!r}: expected the name of a file") from None
+    if stat.S_ISDIR(mode):
+        raise ValueError(f"{path}: is a folder; expected a file")
+    if not stat.S_ISREG(mode):
+        raise ValueError(f"{path}: is a pipe or device; expected a file")
 
 
 def read_head(path: Path, count: int) -> bytes:
@@ -90,3 +104,8 @@ def sync_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
+
+
+def printable(text: str, limit: int = 80) -> str:
+    """Text of a file for an error or a report: at most `limit` characters, in one line, without control characters."""
+    return "".join(c if c.isprintable() else "?" for c in text[:limit])

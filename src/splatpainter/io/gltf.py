@@ -14,12 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import files
+from splatpainter.io import files, json_text
+from splatpainter.io.json_text import brief, objects_at
 
 MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 FLOAT = 5126
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
+MAX_CHUNKS = 1024
+"""Chunks of a file; the standard has two."""
+MAX_NODE_DEPTH = 1024
+"""Nodes above each other."""
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
@@ -46,6 +51,8 @@ def parse(data: bytes, path: Path) -> Glb:
     chunks, at = [], 12
     while at + 8 <= length:
         size, kind = struct.unpack_from("<II", data, at)
+        if len(chunks) == MAX_CHUNKS:
+            raise ValueError(f"{path}: a GLB file of more than {MAX_CHUNKS} chunks; it is damaged or hostile")
         content = files.take(data, at + 8, size, path, "a GLB chunk")
         if at + 8 + size > length:
             raise ValueError(
@@ -55,16 +62,26 @@ def parse(data: bytes, path: Path) -> Glb:
         at += 8 + size
     if not chunks or chunks[0][0] != JSON_CHUNK:
         raise ValueError(f"{path}: expected JSON as the first GLB chunk")
-    try:
-        doc = json.loads(chunks[0][1], parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: the JSON chunk is damaged ({' '.join(str(error).split())[:80]})") from None
-    if not isinstance(doc, dict):
-        raise ValueError(f"{path}: expected an object as glTF JSON, found {type(doc).__name__}")
+    doc = json_text.load_object(chunks[0][1], path, "the JSON chunk")
     _check(doc, path)
     binary = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == BIN_CHUNK else b""
     others = chunks[2:] if binary else chunks[1:]
     return Glb(doc, binary, tuple(others), data[length:])
+
+
+def declared_rows(path: Path) -> int:
+    """The largest count of any accessor of the GLB file at `path`; nothing but its JSON is read. Raises ValueError."""
+    head = files.read_head(path, 20)
+    if len(head) < 20:
+        raise ValueError(
+            f"{path}: truncated: the GLB header and the head of its JSON need 20 bytes, it has {len(head)}"
+        )
+    (size,) = struct.unpack_from("<I", head, 12)
+    text = files.read_head(path, 20 + min(size, json_text.MAX_JSON_BYTES + 1))[20:]
+    if len(text) < min(size, json_text.MAX_JSON_BYTES + 1):
+        raise ValueError(f"{path}: truncated: its JSON chunk is cut off")
+    doc = json_text.load_object(text, path, "the JSON chunk")
+    return max((whole(item, "count", path, 0) for item in objects_at(doc, "accessors", path)), default=0)
 
 
 def serialise(glb: Glb) -> bytes:
@@ -80,13 +97,13 @@ def serialise(glb: Glb) -> bytes:
 def _check(doc: dict[str, Any], path: Path) -> None:
     """The forms on which this module and its callers rely; what they do not name may be anything."""
     for key in ("accessors", "buffers", "bufferViews", "meshes", "nodes"):
-        _objects(doc, key, path)
+        objects_at(doc, key, path)
     for view in doc.get("bufferViews", []):
         for key in ("buffer", "byteOffset", "byteLength"):
             whole(view, key, path, 0 if key == "byteOffset" else None)
     for mesh in doc.get("meshes", []):
-        for primitive in _objects(mesh, "primitives", path):
-            groups = [primitive.get("attributes", {}), *_objects(primitive, "targets", path)]
+        for primitive in objects_at(mesh, "primitives", path):
+            groups = [primitive.get("attributes", {}), *objects_at(primitive, "targets", path)]
             if not all(isinstance(g, dict) and all(type(v) is int for v in g.values()) for g in groups):
                 raise ValueError(f"{path}: expected accessor numbers as the attributes of a glTF primitive")
             if not isinstance(primitive.get("extensions", {}), dict):
@@ -95,31 +112,17 @@ def _check(doc: dict[str, Any], path: Path) -> None:
         raise ValueError(f"{path}: expected a list as glTF extensionsUsed")
 
 
-def _objects(item: dict[str, Any], key: str, path: Path) -> list[dict[str, Any]]:
-    value = item.get(key, [])
-    if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
-        raise ValueError(f"{path}: expected a list of objects as glTF {key}")
-    return value
-
-
-def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is not a JSON number")
-
-
 def entry(doc: dict[str, Any], kind: str, index: Any, path: Path) -> dict[str, Any]:
     """doc[kind][index], checked. Raises ValueError where there is none."""
     items = doc.get(kind)
     if items is None or type(index) is not int or not 0 <= index < len(items):
-        raise ValueError(f"{path}: glTF names {kind}[{str(index)[:20]}], which does not exist")
+        raise ValueError(f"{path}: glTF names {kind}[{brief(index)}], which does not exist")
     return items[index]
 
 
 def whole(item: dict[str, Any], key: str, path: Path, default: int | None = None) -> int:
     """A non-negative integer property."""
-    value = item.get(key, default)
-    if type(value) is not int or value < 0:
-        raise ValueError(f"{path}: expected a non-negative integer for glTF {key!r}, found {str(value)[:20]}")
-    return value
+    return json_text.integer(item.get(key, default), path, f"glTF {key!r}")
 
 
 def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.ndarray:
@@ -131,11 +134,12 @@ def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.
     kind, width = COMPONENTS.get(whole(item, "componentType", path)), WIDTHS.get(str(item.get("type")))
     if kind is None or width is None or "sparse" in item or "bufferView" not in item:
         raise ValueError(
-            f"{path}: accessor {index} is of a kind that splats do not use (sparse, empty or {item.get('type')})"
+            f"{path}: accessor {index} is of a kind that splats do not use (sparse, empty or {brief(item.get('type'))})"
         )
     view = entry(glb.doc, "bufferViews", item["bufferView"], path)
     if view.get("extensions"):
-        names = str(view["extensions"])[:60]
+        extensions = view["extensions"]
+        names = files.printable(", ".join(extensions)) if isinstance(extensions, dict) else brief(extensions)
         raise ValueError(
             f"{path}: buffer view {item['bufferView']} is compressed ({names}); decompress it with gltf-transform"
         )
@@ -149,7 +153,8 @@ def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.
     )
     stride, offset = whole(view, "byteStride", path, width * size), whole(item, "byteOffset", path, 0)
     files.take(memoryview(binary), start, length, path, f"buffer view {item['bufferView']}")
-    if stride < width * size or (count and offset + (count - 1) * stride + width * size > length):
+    stride = stride if count > 1 else width * size  # of one element it means nothing
+    if stride < width * size or offset + (max(count, 1) - 1) * stride + (width * size if count else 0) > length:
         raise ValueError(
             f"{path}: accessor {index} with {count} elements does not fit its buffer view of {length} bytes"
         )
@@ -166,16 +171,37 @@ def decode(values: np.ndarray, normalized: Any) -> np.ndarray:
     return wide.astype(np.float32)
 
 
-def global_matrix(doc: dict[str, Any], node: int, path: Path) -> np.ndarray:
-    """[4, 4] float64 transform of a node, its ancestors' included."""
-    parents: dict[int, int] = {}
-    for index, item in enumerate(doc["nodes"]):
+@dataclass(frozen=True)
+class Parents:
+    """The tree of nodes, from below."""
+
+    above: dict[int, int]
+    """Node -> its parent."""
+    showing: dict[int, list[int]]
+    """Mesh -> the nodes that show it."""
+
+
+def parents_of(doc: dict[str, Any]) -> Parents:
+    """One look at all nodes."""
+    above: dict[int, int] = {}
+    showing: dict[int, list[int]] = {}
+    for index, item in enumerate(doc.get("nodes", [])):
+        if type(item.get("mesh")) is int:
+            showing.setdefault(item["mesh"], []).append(index)
         children = item.get("children")
         for child in children if isinstance(children, list) else []:
             if type(child) is int:
-                parents.setdefault(child, index)
+                above.setdefault(child, index)
+    return Parents(above, showing)
+
+
+def global_matrix(doc: dict[str, Any], node: int, path: Path, tree: Parents) -> np.ndarray:
+    """[4, 4] float64 transform of a node, its ancestors' included."""
+    parents = tree.above
     matrix, seen = np.eye(4), set()
     while node not in seen:
+        if len(seen) == MAX_NODE_DEPTH:
+            raise ValueError(f"{path}: glTF nodes lie more than {MAX_NODE_DEPTH} deep in each other")
         seen.add(node)
         matrix = _local_matrix(entry(doc, "nodes", node, path), path) @ matrix
         if node not in parents:
@@ -190,7 +216,7 @@ def _local_matrix(node: dict[str, Any], path: Path) -> np.ndarray:
     for key, default in (*defaults.items(), ("matrix", np.eye(4).T.ravel().tolist())):
         value = node.get(key, default)
         if not isinstance(value, list) or len(value) != len(default) or not all(type(v) in (int, float) for v in value):
-            raise ValueError(f"{path}: expected {len(default)} numbers as a node's {key}, found {str(value)[:40]}")
+            raise ValueError(f"{path}: expected {len(default)} numbers as a node's {key}, found {brief(value)}")
         try:
             found[key] = np.array(value, np.float64)
         except OverflowError:

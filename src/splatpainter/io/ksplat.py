@@ -24,6 +24,8 @@ from splatpainter.splats import Source, Splats
 HEADER, SECTION = 4096, 1024
 SH_RANGE = 1.5
 """Half range of 8-bit SH where the header says 0."""
+MAX_SECTIONS = 4096
+"""Sections of a file; converters write one, or one for each joined scene."""
 POSITION_RANGE = 32767
 """Half range of a 16-bit position where a section header says 0."""
 
@@ -81,6 +83,8 @@ def read_ksplat(path: Path) -> Splats:
 
 def _sections(data: bytes, count: int, level: int, path: Path) -> list[_Section]:
     files.take(data, HEADER, count * SECTION, path, f"{count} section headers")
+    if count > MAX_SECTIONS:
+        raise ValueError(f"{path}: expected at most {MAX_SECTIONS} sections in a .ksplat file, found {count}")
     start = HEADER + count * SECTION
     found = []
     for k in range(count):

@@ -5,9 +5,12 @@ from __future__ import annotations
 import io
 import struct
 import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
+
+from splatpainter.io.files import printable
 
 
 def size(data: bytes, where: Path | str) -> tuple[int, int]:
@@ -54,10 +57,15 @@ def decode(data: bytes, where: Path | str) -> np.ndarray:
         SyntaxError,
         EOFError,
         RuntimeError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        TypeError,
         struct.error,
+        zlib.error,
         Image.DecompressionBombError,
-    ) as error:
-        raise ValueError(f"{where}: damaged image ({' '.join(str(error).split())})") from None
+    ) as error:  # Pillow's parsers of damaged chunks raise all of these
+        raise ValueError(f"{where}: damaged image ({printable(' '.join(str(error).split()), 120)})") from None
 
 
 def encode(pixels: np.ndarray) -> bytes:

@@ -50,8 +50,9 @@ class Record:
     """A text file whose last line has no line ending (`rows` have one)."""
 
 
-def read_ply(path: Path) -> Splats:
-    """Read an INRIA PLY file (not a compressed one, see compressed_ply.py).
+def read_ply(path: Path, lenient: bool = False) -> Splats:
+    """Read an INRIA PLY file (not a compressed one, see compressed_ply.py). lenient: also one whose elements behind the
+    vertices are cut short; what is left of them is kept.
 
     Raises ValueError with one line: broken header, truncated data, a mesh or point cloud, a wrong number of f_rest_*.
     """
@@ -63,7 +64,7 @@ def read_ply(path: Path) -> Splats:
         plan = columns_of(vertex.names, path, header)
         if vertex.has_lists:
             raise ValueError(f"{path}: element 'vertex' has a list property; expected single values only")
-        record, problems = _read_body(file, header, vertex, path)
+        record, problems = _read_body(file, header, vertex, path, lenient)
     with ThreadPoolExecutor(1) as pool:
         # Hashing lets go of the GIL, so it runs beside the decoding.
         digest = pool.submit(_sha256, record)
@@ -71,11 +72,11 @@ def read_ply(path: Path) -> Splats:
         own = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
         extra = [name for name in vertex.names if name not in own]
         if extra:
-            shown = ", ".join(extra[:8]) + (", ..." if len(extra) > 8 else "")
+            shown = _named(extra) + (", ..." if len(extra) > 8 else "")
             problems.append(f"extra vertex properties (kept as they are): {shown}")
         others = [e.name for e in header.elements if e.name != "vertex"]
         if others:
-            problems.append(f"extra elements (kept as they are): {', '.join(others[:8])}")
+            problems.append(f"extra elements (kept as they are): {_named(others)}")
         problems += raw.oddities(splats)
         source = Source(str(path), "ply", splats, digest.result(), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
@@ -173,7 +174,7 @@ def _rest_count(names: set[str], path: Path) -> int:
     return len(rest)
 
 
-def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path) -> tuple[Record, list[str]]:
+def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, lenient: bool) -> tuple[Record, list[str]]:
     ahead = header.elements[: header.elements.index(vertex)]
     behind = header.elements[len(ahead) + 1 :]
     start = file.tell()
@@ -185,8 +186,11 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path) -> t
         pairs = [(p.name, p.type) for p in vertex.properties]
         rows = text_rows(whole, sum(e.count for e in ahead), vertex.count, pairs, header.newline, path)
         after = body[rows.starts[-1] :]
-        extra_lines = after.count(b"\n") - sum(e.count for e in behind)
-        if extra_lines > 0 and after.strip():
+        lines = after.count(b"\n") + (after != b"" and not after.endswith(b"\n"))
+        extra_lines = lines - sum(e.count for e in behind)
+        if lines < sum(e.count for e in behind if e.properties):
+            _cut_short("what follows element 'vertex' is", lenient, path, problems)
+        elif extra_lines > 0 and after.strip():
             problems.append(f"{extra_lines} lines behind the last element (kept as they are)")
         return Record(header, body[: rows.starts[0]], rows, after, len(whole) > len(body) and not after), problems
     skipped = 0
@@ -204,13 +208,25 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path) -> t
             file.seek(start + available - rest)
             rest -= element_size(file, header, element, rest, path)
         except ValueError:
-            problems.append(f"element '{element.name}' is cut short (kept as it is)")
+            _cut_short(f"element '{files.printable(element.name)}' is", lenient, path, problems)
             rest = 0
             break
     if rest:
         problems.append(f"{rest} trailing bytes (kept as they are)")
     file.seek(start + skipped + size)
     return Record(header, before, BinaryRows(records, header.order), file.read()), problems
+
+
+def _cut_short(what: str, lenient: bool, path: Path, problems: list[str]) -> None:
+    if not lenient:
+        raise ValueError(
+            f"{path}: truncated: {what} cut short; all rows are there (--lenient, or lenient=True, opens it anyway)"
+        )
+    problems.append(f"{what} cut short (kept as it is)")
+
+
+def _named(names: Sequence[str]) -> str:
+    return ", ".join(files.printable(name, 40) for name in names[:8])
 
 
 def _sha256(record: Record) -> str:

@@ -7,6 +7,7 @@ their properties in any order, then "end_header"; lines end in LF or CRLF.
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from splatpainter.io.files import HEADER_LIMIT
+from splatpainter.io.files import HEADER_LIMIT, printable
 
 TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -29,6 +30,12 @@ TYPES = {
     "uint64": "u8",
 }
 """PLY scalar type -> numpy type code without byte order."""
+WINDOW = 1 << 20
+"""Bytes of an element with lists that are looked at together."""
+LEAST_RUN = 16
+"""Rows of equal list lengths from which on numpy is faster than a loop."""
+MAX_UNEVEN_LISTS = 1 << 24
+"""Lists that are stepped over one by one, because the rows around them are of other lengths: about 5 s of work."""
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -183,33 +190,82 @@ def element_size(file: BinaryIO, header: Header, element: Element, available: in
     if not element.has_lists:
         size = element.count * (element.dtype(header.order).itemsize if element.properties else 0)
     else:
-        size = _walk_lists(file, header.order, element, available)
+        size = _walk_lists(file, header, element, available, path)
     if size > available:
         raise ValueError(
-            f"{path}: truncated: {element.count} rows of element '{element.name}' need {size} bytes, "
-            f"{available} are left in the file"
+            f"{path}: truncated: {element.count} rows of element '{printable(element.name)}' need "
+            f"{'more' if element.has_lists else size} bytes, {available} are left in the file"
         )
     return size
 
 
-def _walk_lists(file: BinaryIO, order: str, element: Element, available: int) -> int:
-    # Every row has at least one list length, so a lying count runs out of bytes before it runs long.
-    place, size = file.tell(), 0
-    for _ in range(element.count):
-        for prop in element.properties:
-            width = np.dtype(prop.type).itemsize
-            if prop.counter is not None:
-                file.seek(place + size)
-                counter = np.dtype(order + prop.counter)
-                word = file.read(counter.itemsize)
-                if len(word) < counter.itemsize:
+def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int, path: Path) -> int:
+    """Bytes of an element with lists, or more than `available`.
+
+    Every row has at least one list length, so a lying count runs out of bytes before it runs long. Runs of rows whose
+    lists are as long as those of the row before (a mesh of triangles) are compared at once.
+    """
+    lists, tail = _lists_of(element, header.order)
+    file_start = file.tell()
+    window, base = b"", 0
+    """A piece of the element, and its place in it."""
+    at, row, stepped, patience, next_try = 0, 0, 0, LEAST_RUN, 0
+    while row < element.count:
+        first, counts, offsets = at, [], []
+        for ahead, counter, width in lists:
+            at += ahead
+            if at + counter.itemsize > base + len(window):
+                if at + counter.itemsize > available:
                     return available + 1
-                size += counter.itemsize
-                width *= max(0, int(np.frombuffer(word, counter)[0]))
-            size += width
-        if size > available:
-            break
-    return size
+                file.seek(file_start + at)
+                window, base = file.read(min(WINDOW, available - at)), at
+            (length,) = _COUNTERS[counter.str].unpack_from(window, at - base)
+            counts.append(length)
+            offsets.append(at - first)
+            at += counter.itemsize + (width * length if length > 0 else 0)
+        at += tail
+        row += 1
+        stepped += len(lists)
+        if at > available:
+            return available + 1
+        if stepped > MAX_UNEVEN_LISTS:
+            name = printable(element.name)
+            raise ValueError(
+                f"{path}: element '{name}' has more than {MAX_UNEVEN_LISTS} lists of uneven length; expected fewer"
+            )
+        size = at - first
+        fitting = min((base + len(window) - at) // size, element.count - row)
+        if row >= next_try and first >= base and fitting >= LEAST_RUN:
+            equal = np.ones(fitting, bool)
+            for (_, counter, _), length, offset in zip(lists, counts, offsets, strict=True):
+                equal &= np.ndarray(fitting, counter, window, at - base + offset, size) == length
+            run = fitting if equal.all() else int(np.argmin(equal))
+            at, row = at + run * size, row + run
+            # Uneven rows are not tried again soon: a failed try costs as much as many steps.
+            patience = LEAST_RUN if run >= LEAST_RUN else min(2 * patience, 4096)
+            next_try = row if run >= LEAST_RUN else row + patience
+    return at
+
+
+_COUNTERS = {
+    np.dtype(order + code).str: struct.Struct(order + letter)
+    for order in "<>"
+    for code, letter in (("i1", "b"), ("u1", "B"), ("i2", "h"), ("u2", "H"), ("i4", "i"), ("u4", "I"), ("i8", "q"))
+} | {np.dtype(order + "u8").str: struct.Struct(order + "Q") for order in "<>"}
+"""numpy type string -> how struct reads it, which is faster for single values."""
+
+
+def _lists_of(element: Element, order: str) -> tuple[list[tuple[int, np.dtype, int]], int]:
+    """(bytes ahead of a list's length, type of the length, bytes of an entry) of every list, and the bytes behind."""
+    lists, ahead = [], 0
+    for prop in element.properties:
+        width = np.dtype(prop.type).itemsize
+        if prop.counter is None:
+            ahead += width
+        else:
+            lists.append((ahead, np.dtype(order + prop.counter), width))
+            ahead = 0
+    return lists, ahead
 
 
 def _parse(lines: Sequence[bytes], path: Path) -> Header:
@@ -225,23 +281,27 @@ def _parse(lines: Sequence[bytes], path: Path) -> Header:
         if kind == "format":
             fmt = words[1] if len(words) > 1 else ""
             if fmt not in ORDERS:
-                raise ValueError(f"{where}: expected format {', '.join(ORDERS)}, got {text[:80]!r}")
+                raise ValueError(f"{where}: expected format {', '.join(ORDERS)}, got {printable(text)!r}")
         elif kind == "comment":
             comments.append(text[len("comment") :].strip())
         elif kind == "element":
             last, count = _element(words, text, where)
             if last in tables:
-                raise ValueError(f"{where}: element {last[:80]!r} occurs twice")
+                raise ValueError(f"{where}: element {printable(last)!r} occurs twice")
             tables[last] = (count, {})
         elif kind == "property":
             prop = _property(words, text, where)
             if not tables:
-                raise ValueError(f"{where}: a property before any element: {text[:80]!r}")
+                raise ValueError(f"{where}: a property before any element: {printable(text)!r}")
             if prop.name in tables[last][1]:
-                raise ValueError(f"{where}: property {prop.name[:80]!r} occurs twice in element {last[:80]!r}")
+                raise ValueError(
+                    f"{where}: property {printable(prop.name)!r} occurs twice in element {printable(last)!r}"
+                )
             tables[last][1][prop.name] = prop
         elif kind not in ("", "obj_info"):
-            raise ValueError(f"{where}: expected format, comment, obj_info, element or property, got {text[:80]!r}")
+            raise ValueError(
+                f"{where}: expected format, comment, obj_info, element or property, got {printable(text)!r}"
+            )
     if not fmt:
         raise ValueError(f"{path}: the PLY header has no format line")
     elements = tuple(Element(name, count, tuple(props.values())) for name, (count, props) in tables.items())
@@ -256,19 +316,25 @@ def _words(line: bytes) -> list[str]:
 def _element(words: list[str], text: str, where: str) -> tuple[str, int]:
     # 15 digits hold every real count; int() refuses thousands of digits with a message of its own.
     if len(words) != 3 or not re.fullmatch(r"[0-9]{1,15}", words[2]):
-        raise ValueError(f"{where}: expected 'element NAME COUNT' with a count of 1 to 15 digits, got {text[:80]!r}")
+        raise ValueError(
+            f"{where}: expected 'element NAME COUNT' with a count of 1 to 15 digits, got {printable(text)!r}"
+        )
     return words[1], int(words[2])
 
 
 def _property(words: list[str], text: str, where: str) -> Property:
     listed = len(words) == 5 and words[1] == "list"
     if not listed and (len(words) != 3 or words[1] == "list"):
-        raise ValueError(f"{where}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME', got {text[:80]!r}")
+        raise ValueError(
+            f"{where}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME', got {printable(text)!r}"
+        )
     for kind in words[2:4] if listed else words[1:2]:
         if kind not in TYPES:
-            raise ValueError(f"{where}: unknown property type {kind[:40]!r}; expected one of {', '.join(TYPES)}")
+            raise ValueError(
+                f"{where}: unknown property type {printable(kind, 40)!r}; expected one of {', '.join(TYPES)}"
+            )
     if not listed:
         return Property(words[2], TYPES[words[1]])
     if TYPES[words[2]][0] == "f":
-        raise ValueError(f"{where}: a list length must be an integer, got {text[:80]!r}")
+        raise ValueError(f"{where}: a list length must be an integer, got {printable(text)!r}")
     return Property(words[4], TYPES[words[3]], TYPES[words[2]])

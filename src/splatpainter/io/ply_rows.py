@@ -14,6 +14,15 @@ from typing import Protocol
 
 import numpy as np
 
+from splatpainter.io.files import printable
+
+TEXT_PIECE = 1 << 20
+"""Bytes of text that are searched for line ends at a time."""
+MAX_BLOCK_WORDS = 1 << 18
+"""Words of text that are objects at a time; each takes fifty bytes."""
+MAX_NUMBER_CHARACTERS = 512
+"""Of a number in text; the longest that C prints of a double has 330."""
+_IS_BLANK = np.isin(np.arange(256), np.frombuffer(b" \t\n\r\v\f", np.uint8))
 BLOCK = 4096
 """Rows handled at a time: a block of wide rows (248 bytes at SH degree 3) stays in the cache while it is split."""
 
@@ -136,29 +145,38 @@ class TextRows:
         picks = {key: [place[name] for name in names] for key, names in plan.items()}
         out = {key: np.empty((len(self), len(names)), np.float32) for key, names in plan.items()}
         with np.errstate(over="ignore", invalid="ignore"):
-            for start in range(0, len(self), BLOCK):
-                stop = min(start + BLOCK, len(self))
+            step = max(1, min(BLOCK, MAX_BLOCK_WORDS // max(1, len(self.properties))))
+            for start in range(0, len(self), step):
+                stop = min(start + step, len(self))
                 numbers = self._numbers(start, stop)
                 for key, values in out.items():
                     values[start:stop] = numbers[:, picks[key]]
         return out
 
     def _numbers(self, start: int, stop: int) -> np.ndarray:
-        tokens = [self.line(row).split() for row in range(start, stop)]
-        for row, words in enumerate(tokens, start):
-            if len(words) != len(self.properties):
-                raise ValueError(
-                    f"{self.where}: row {row} of element 'vertex': expected {len(self.properties)} values, "
-                    f"found {len(words)}"
-                )
+        """[stop - start, P] float64. Words are counted and measured before they become objects."""
+        text = self.data[self.starts[start] : self.starts[stop]]
+        # Whether a byte separates words; one more ahead, so that a word may begin at once.
+        blank = np.concatenate([[True], _IS_BLANK[np.frombuffer(text, np.uint8)]])
+        begins = ~blank[1:] & blank[:-1]
+        counts = np.add.reduceat(begins, self.starts[start:stop] - self.starts[start], dtype=np.int64)
+        wrong = np.flatnonzero(counts != len(self.properties))
+        if len(wrong):
+            raise ValueError(
+                f"{self.where}: row {start + wrong[0]} of element 'vertex': expected {len(self.properties)} values, "
+                f"found {counts[wrong[0]]}"
+            )
+        longest = int(np.diff(np.flatnonzero(blank), append=len(blank)).max(initial=0)) - 1
+        words = text.split()
         try:
-            return np.array(tokens, np.float64)
+            if longest > MAX_NUMBER_CHARACTERS:
+                raise ValueError
+            return np.array(words, np.float64).reshape(stop - start, len(self.properties))
         except ValueError:
-            for row, words in enumerate(tokens, start):
-                for word in words:
-                    if not _is_number(word):
-                        text = word[:40].decode("latin-1")
-                        raise ValueError(f"{self.where}: row {row}: expected a number, got {text!r}") from None
+            for k, word in enumerate(words):
+                if len(word) > MAX_NUMBER_CHARACTERS or not _is_number(word):
+                    row, said = start + k // len(self.properties), printable(word[:40].decode("latin-1"))
+                    raise ValueError(f"{self.where}: row {row}: expected a number, got {said!r}") from None
             raise
 
     def stored(self) -> memoryview:
@@ -204,16 +222,44 @@ def text_rows(
 ) -> TextRows:
     """Rows of a text body: `skip` lines of earlier elements, then `count` lines, every one with a line ending.
 
-    Raises ValueError when lines are missing.
+    Raises ValueError when lines are missing, before anything is allocated for them.
     """
-    ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord("\n")) + 1
-    starts = np.concatenate([[0], ends]).astype(np.int64)
-    if skip + count > len(starts) - 1:
-        raise ValueError(
-            f"{path}: truncated: {skip + count} lines of data expected for element 'vertex' and those before it, "
-            f"the file has {len(starts) - 1}"
-        )
-    return TextRows(data, starts[skip : skip + count + 1], tuple(properties), newline, str(path))
+    columns = tuple(properties)
+    short = ValueError(
+        f"{path}: truncated: {skip + count} lines of data expected for element 'vertex' and those before it, of "
+        f"{len(columns)} values each for 'vertex'; the file has fewer"
+    )
+    # A line of the shortest numbers has as many separators as digits, its end among them.
+    if skip > len(data) or count * 2 * max(len(columns), 1) > len(data):
+        raise short
+    start = _behind_lines(data, skip)
+    if start is None:
+        raise short
+    starts = np.empty(count + 1, np.int64)
+    starts[0], have = start, 1
+    for place in range(start, len(data), TEXT_PIECE):
+        if have > count:
+            break
+        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE, len(data) - place), place)
+        ends = np.flatnonzero(piece == ord("\n"))[: count + 1 - have] + (place + 1)
+        starts[have : have + len(ends)] = ends
+        have += len(ends)
+    if have <= count:
+        raise short
+    return TextRows(data, starts, columns, newline, str(path))
+
+
+def _behind_lines(data: bytes, count: int) -> int | None:
+    """Offset behind the first `count` lines, None where there are fewer."""
+    for place in range(0, len(data), TEXT_PIECE):
+        if not count:
+            return place
+        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE, len(data) - place), place) == ord("\n")
+        lines = int(np.count_nonzero(piece))
+        if lines >= count:
+            return place + int(np.flatnonzero(piece)[count - 1]) + 1
+        count -= lines
+    return None if count else len(data)
 
 
 def as_type(values: np.ndarray, dtype: np.dtype) -> np.ndarray:

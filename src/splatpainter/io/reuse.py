@@ -40,7 +40,7 @@ def kept(splats: Splats, format: str) -> Kept | None:
     old, rows = source.splats, np.asarray(splats.origin, np.int64)
     known, at = rows >= 0, np.maximum(rows, 0)
     if not len(old):
-        known, at = np.zeros(len(splats), bool), np.zeros(0, np.int64)
+        known, at = np.zeros(len(splats), bool), np.zeros(len(splats), np.int64)
 
     in_order = len(splats) == len(old) and bool((rows == np.arange(len(rows))).all())
 

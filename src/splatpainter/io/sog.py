@@ -25,14 +25,27 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import planes, raw, sog_files
-from splatpainter.io.bounded import allow
+from splatpainter.io import json_text, planes, raw, sog_files
+from splatpainter.io.bounded import allow, allow_rows
+from splatpainter.io.json_text import brief, integer, object_at
 from splatpainter.splats import Source, Splats
 
 BANDS = {1: 3, 2: 8, 3: 15}
 """meta.shN.bands -> coefficients above degree 0."""
 PALETTE_LINE = 64
+MAX_PALETTE = 65536
+"""Entries that a label of two bytes can name."""
+BLOCK = 1 << 16
+"""Rows decoded at a time, to bound the float64 intermediates."""
 EXTRAS = "splatpainter"
+PLANES = {
+    "means": ("means_l", "means_u"),
+    "quats": ("quats",),
+    "scales": ("scales",),
+    "sh0": ("sh0",),
+    "shN": ("palette", "labels"),
+}
+"""Part of meta.json -> what its files are, in its order."""
 
 
 @dataclass(frozen=True)
@@ -89,62 +102,58 @@ def write_sog(path: Path, splats: Splats) -> None:
 
 def _parse(container: sog_files.Container, meta: dict[str, Any], path: Path, problems: list[str]) -> SogFile:
     if meta.get("version") != 2:
-        found = meta.get("version", "none")
+        found = brief(meta["version"]) if "version" in meta else "none"
         raise ValueError(f"{path}: expected SOG version 2, found {found}; convert older files with splat-transform")
-    count = meta.get("count")
-    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-        raise ValueError(f"{path}: expected a positive row count in meta.json, found {str(count)[:40]}")
-    total = sum(map(len, container.files.values()))
-    allow(total, count * 24, path, f"{count} rows of SOG")
-    pixels, shape = {}, (0, 0)
-    wanted = {"means": ("means_l", "means_u"), "quats": ("quats",), "scales": ("scales",), "sh0": ("sh0",)}
+    count = integer(meta.get("count"), path, "the row count in meta.json", 1)
+    named = {part: _listed_files(meta, part, len(keys), path) for part, keys in PLANES.items() if part != "shN"}
     if meta.get("shN") is not None:
-        wanted["shN"] = ("palette", "labels")
-    for part, keys in wanted.items():
-        for key, name in zip(keys, _listed_files(meta, part, len(keys), path), strict=True):
-            data, where = container.files[name], f"{path}: {name}"
-            width, height = planes.size(data, where)
-            needed = 1 if key == "palette" else count
-            if width * height < needed:
-                raise ValueError(f"{where}: expected at least {needed} pixels, found {width} x {height}")
-            # Planes are padded to a rectangle, not to a multiple of their size; a palette has at most 65536 entries.
-            if width * height > (65536 * 15 if key == "palette" else 4 * count + 65536):
-                raise ValueError(f"{where}: {width} x {height} pixels are too many for {count} rows")
-            allow(total, 4 * width * height, where, "the image")
-            image = planes.decode(data, where)
-            if key == "palette":
-                pixels[key] = image
-                continue
-            if key == "means_l":
-                shape = image.shape[:2]
-            pixels[key] = image.reshape(-1, 4)[:count]
-    codebooks = {part: _codebook(meta, part, path, problems) for part in ("scales", "sh0", "shN") if part in wanted}
-    palette = _palette(meta, pixels, path) if "shN" in wanted else None
-    _check_entries(codebooks, pixels, palette, path)
-    return SogFile(container, meta, pixels, shape, codebooks, palette)
+        named["shN"] = _listed_files(meta, "shN", len(PLANES["shN"]), path)
+    # Everything that can be known without decoding an image comes first: refusing then costs nothing.
+    mean_range(meta, path)
+    codebooks = {part: _codebook(meta, part, path, problems) for part in ("scales", "sh0", "shN") if part in named}
+    listed = {key: name for part, names in named.items() for key, name in zip(PLANES[part], names, strict=True)}
+    sizes = {key: _plane_size(container, key, name, count, path) for key, name in listed.items()}
+    total = sum(map(len, container.files.values()))
+    coefficients = 1 + sizes["palette"][0] // PALETTE_LINE if "palette" in sizes else 1
+    allow_rows(total, count, coefficients, path)
+    allow(total, sum(4 * width * height for width, height in sizes.values()), path, f"{len(sizes)} images")
+    bands = _palette_bands(meta, sizes["palette"], path) if "palette" in sizes else (0, 0)
+    pixels = {key: planes.decode(container.files[name], f"{path}: {listed[key]}") for key, name in listed.items()}
+    shape = pixels["means_l"].shape[:2]
+    palette = None
+    if "palette" in pixels:
+        palette = pixels.pop("palette").reshape(-1, BANDS[bands[0]], 4)[: bands[1], :, :3]
+    rows = {key: image.reshape(-1, 4)[:count] for key, image in pixels.items()}
+    _check_entries(codebooks, rows, palette, path)
+    return SogFile(container, meta, rows, shape, codebooks, palette)
 
 
 def _listed_files(meta: dict[str, Any], part: str, count: int, path: Path) -> list[str]:
-    entry = meta.get(part)
-    listed = entry.get("files") if isinstance(entry, dict) else None
+    listed = object_at(meta, part, path).get("files")
     if not isinstance(listed, list) or len(listed) < count:
-        raise ValueError(f"{path}: expected {count} files for {part} in meta.json, found {str(listed)[:80]}")
-    return listed[:count]
+        raise ValueError(f"{path}: expected {count} files for {part} in meta.json, found {brief(listed)}")
+    return listed[:count]  # every one a name that is there: sog_files has checked
+
+
+def _plane_size(container: sog_files.Container, key: str, name: str, count: int, path: Path) -> tuple[int, int]:
+    """Width and height that an image declares, judged by the row count."""
+    where = f"{path}: {name}"
+    width, height = planes.size(container.files[name], where)
+    least = 1 if key == "palette" else count
+    if width * height < least:
+        raise ValueError(f"{where}: expected at least {least} pixels, found {width} x {height}")
+    # Planes are padded to a rectangle, not to a multiple of their size.
+    if width * height > (MAX_PALETTE * BANDS[3] if key == "palette" else 4 * count + 65536):
+        raise ValueError(f"{where}: {width} x {height} pixels are too many for {count} rows")
+    return width, height
 
 
 def _numbers(values: Any, what: str, path: Path) -> np.ndarray:
-    good = isinstance(values, list) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-    try:
-        array = np.array(values if good else None, np.float64)
-    except OverflowError:
-        good, array = False, np.zeros(0)
-    if not good or not np.isfinite(array).all():
-        raise ValueError(f"{path}: expected finite numbers for {what} in meta.json, found {str(values)[:60]}")
-    return array
+    return json_text.numbers(values, path, f"{what} in meta.json")
 
 
 def _codebook(meta: dict[str, Any], part: str, path: Path, problems: list[str]) -> np.ndarray:
-    values = meta[part].get("codebook")
+    values = object_at(meta, part, path).get("codebook")
     if isinstance(values, list) and len(values) == 256 and values[0] is None:
         # An early encoder wrote null there; the PlayCanvas engine extrapolates the entry in this way.
         rest = _numbers(values[1:], f"{part}.codebook", path)
@@ -156,18 +165,17 @@ def _codebook(meta: dict[str, Any], part: str, path: Path, problems: list[str]) 
     return codebook
 
 
-def _palette(meta: dict[str, Any], pixels: dict[str, np.ndarray], path: Path) -> np.ndarray:
-    """[P, K - 1, 3] from the palette image, checked against meta.shN."""
-    image = pixels.pop("palette")
-    height, width = image.shape[:2]
+def _palette_bands(meta: dict[str, Any], size: tuple[int, int], path: Path) -> tuple[int, int]:
+    """(SH bands, entries) of a palette image of width, height, by meta.shN."""
+    width, height = size
     by_width = {PALETTE_LINE * count: bands for bands, count in BANDS.items()}
     bands = meta["shN"].get("bands", by_width.get(width))
-    if not isinstance(bands, int) or bands not in BANDS or width != PALETTE_LINE * BANDS[bands]:
-        raise ValueError(f"{path}: a palette of {width} pixels a line does not fit {str(bands)[:20]} SH bands")
+    if type(bands) is not int or bands not in BANDS or width != PALETTE_LINE * BANDS[bands]:
+        raise ValueError(f"{path}: a palette of {width} pixels a line does not fit {brief(bands)} SH bands")
     count = meta["shN"].get("count", height * PALETTE_LINE)
-    if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= min(height * PALETTE_LINE, 65536):
-        raise ValueError(f"{path}: a palette of {height} lines does not hold {str(count)[:20]} entries")
-    return image.reshape(height * PALETTE_LINE, BANDS[bands], 4)[:count, :, :3]
+    if type(count) is not int or not 1 <= count <= min(height * PALETTE_LINE, MAX_PALETTE):
+        raise ValueError(f"{path}: a palette of {height} lines does not hold {brief(count)} entries")
+    return bands, count
 
 
 def _check_entries(books: dict[str, np.ndarray], pixels: dict[str, np.ndarray], palette: Any, path: Path) -> None:
@@ -178,40 +186,53 @@ def _check_entries(books: dict[str, np.ndarray], pixels: dict[str, np.ndarray], 
 
 
 def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
-    pixels = file.pixels
-    words = pixels["means_l"][:, :3].astype(np.float64) + 256.0 * pixels["means_u"][:, :3]
     low, high = mean_range(file.meta, path)
-    logs = low + (high - low) * (words / 65535)
-    means = (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
-    tags = pixels["quats"][:, 3]
-    if (tags < 252).any():
-        problems.append(f"rows without a valid rotation, not turned: {int((tags < 252).sum())}")
-    base = file.codebooks["sh0"][pixels["sh0"][:, :3]].astype(np.float32)[:, None]
-    rest = base[:, :0]
+    scales, base = raw.exp(file.codebooks["scales"]), file.codebooks["sh0"].astype(np.float32)
+    table = np.zeros((1, 0, 3), np.float32)
     if file.palette is not None:
-        labels = pixels["labels"][:, 0].astype(np.int64) + 256 * pixels["labels"][:, 1].astype(np.int64)
-        table = file.codebooks["shN"][file.palette].astype(np.float32)
-        wrong = labels >= len(table)
-        if wrong.any():
-            problems.append(f"rows that name a missing SH palette entry, bands set to 0: {int(wrong.sum())}")
-        rest = np.where(wrong[:, None, None], np.float32(0), table[np.where(wrong, 0, labels)])
+        table = file.codebooks["shN"].astype(np.float32)[file.palette]
     antialiased, linear = flags(file.meta)
-    if file.meta.get("model") not in (None, "default", "antialiased"):
-        problems.append(f"made for the splat model {str(file.meta['model'])[:40]!r}; shown as ordinary Gaussians")
-    return Splats(
-        means,
-        unpack_quats(pixels["quats"]),
-        raw.exp(file.codebooks["scales"])[pixels["scales"][:, :3]],
-        (pixels["sh0"][:, 3].astype(np.float64) / 255).astype(np.float32),
-        np.concatenate([base, rest], 1),
+    count = len(file.pixels["means_l"])
+    out = Splats(
+        np.empty((count, 3), np.float32),
+        np.empty((count, 4), np.float32),
+        np.empty((count, 3), np.float32),
+        np.empty(count, np.float32),
+        np.empty((count, 1 + table.shape[1], 3), np.float32),
         antialiased=antialiased,
         color_space="linear" if linear else "srgb",
     )
+    unturned, missing = 0, 0
+    for start in range(0, count, BLOCK):
+        block = slice(start, start + BLOCK)
+        pixels = {key: values[block] for key, values in file.pixels.items()}
+        words = pixels["means_l"][:, :3].astype(np.float64) + 256.0 * pixels["means_u"][:, :3]
+        logs = low + (high - low) * (words / 65535)
+        out.means[block] = np.sign(logs) * np.expm1(np.abs(logs))
+        out.quats[block] = unpack_quats(pixels["quats"])
+        unturned += int((pixels["quats"][:, 3] < 252).sum())
+        out.scales[block] = scales[pixels["scales"][:, :3]]
+        out.opacities[block] = pixels["sh0"][:, 3].astype(np.float64) / 255
+        out.sh[block, 0] = base[pixels["sh0"][:, :3]]
+        if file.palette is not None:
+            labels = pixels["labels"][:, 0].astype(np.int64) + 256 * pixels["labels"][:, 1].astype(np.int64)
+            wrong = labels >= len(table)
+            out.sh[block, 1:] = table[np.where(wrong, 0, labels)]
+            out.sh[block, 1:][wrong] = 0
+            missing += int(wrong.sum())
+    if unturned:
+        problems.append(f"rows without a valid rotation, not turned: {unturned}")
+    if missing:
+        problems.append(f"rows that name a missing SH palette entry, bands set to 0: {missing}")
+    if file.meta.get("model") not in (None, "default", "antialiased"):
+        problems.append(f"made for the splat model {brief(file.meta['model'])}; shown as ordinary Gaussians")
+    return out
 
 
 def mean_range(meta: dict[str, Any], path: Path | str = "meta.json") -> tuple[np.ndarray, np.ndarray]:
     """[3] lowest and highest log-space position; equal ones mean a range of 1, as in other readers."""
-    low, high = (_numbers(meta["means"].get(key), f"means.{key}", Path(path)) for key in ("mins", "maxs"))
+    means = object_at(meta, "means", path)
+    low, high = (_numbers(means.get(key), f"means.{key}", Path(path)) for key in ("mins", "maxs"))
     if low.shape != (3,) or high.shape != (3,):
         raise ValueError(f"{path}: expected 3 numbers in means.mins and means.maxs")
     return low, np.where(high == low, low + 1, high)

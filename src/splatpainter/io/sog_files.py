@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
+import os
 import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splatpainter.io import files
-from splatpainter.io.bounded import TAIL, allow
+from splatpainter.io import files, json_text
+from splatpainter.io.bounded import allow, inflate, zip_directory
+from splatpainter.io.json_text import brief
 
 META = "meta.json"
+_LOCAL = struct.Struct("<4s5H3I2H")
+"""Local file header: signature, version, flags, method, time, date, CRC, sizes (2), lengths of name and extra field."""
 _PLAIN_NAME = re.compile(r"[^/\\:\x00-\x1f]+")
 
 
@@ -35,7 +37,7 @@ class Container:
 
 def is_folder(path: Path) -> bool:
     """Whether `path` means a folder of planes: the folder, or its meta.json."""
-    return path.name.lower() == META or path.is_dir()
+    return path.name.lower() == META or os.path.isdir(path)
 
 
 def load(path: Path) -> tuple[Container, dict[str, Any]]:
@@ -83,27 +85,31 @@ def named_files(meta: dict[str, Any], where: Path | str) -> list[str]:
         entry = meta.get(part)
         listed = entry.get("files") if isinstance(entry, dict) else None
         for name in listed if isinstance(listed, list) else []:
-            if not isinstance(name, str) or name in (".", "..", META) or not _PLAIN_NAME.fullmatch(name):
-                raise ValueError(f"{where}: {META} names {name!r} for {part}; expected a plain file name")
+            plain = isinstance(name, str) and name.isprintable() and _PLAIN_NAME.fullmatch(name)
+            if not plain or name in (".", "..", META):
+                raise ValueError(f"{where}: {META} names {brief(name)} for {part}; expected a plain file name")
             names.append(name)
     return names
 
 
 def parse(data: bytes, where: Path | str) -> dict[str, Any]:
     """meta.json as a dict. Raises ValueError where it is not one."""
-    if len(data) > TAIL:
-        raise ValueError(f"{where}: {META} has {len(data)} bytes; the file is damaged or hostile")
-    try:
-        meta = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{where}: {META} is not JSON ({' '.join(str(error).split())[:80]})") from None
-    if not isinstance(meta, dict):
-        raise ValueError(f"{where}: expected an object in {META}, found {type(meta).__name__}")
-    return meta
+    return json_text.load_object(data, where, META)
+
+
+def declared_rows(path: Path) -> int:
+    """The row count that the meta.json of a bundle speaks of; nothing else is unpacked. Raises ValueError."""
+    data = files.read_all(path)
+    entry = next((entry for entry in _entries(data, path) if entry.filename == META), None)
+    if entry is None:
+        raise ValueError(f"{path}: expected {META} in the bundle")
+    if entry.file_size > json_text.MAX_JSON_BYTES:
+        raise ValueError(f"{path}: {META} claims {entry.file_size} bytes; expected {json_text.MAX_JSON_BYTES} at most")
+    return json_text.integer(parse(_unpacked(data, entry, path), path).get("count"), path, "count")
 
 
 def _load_folder(path: Path) -> tuple[Container, dict[str, Any]]:
-    folder = path if path.is_dir() else path.parent
+    folder = path if os.path.isdir(path) else path.parent
     found = {META: files.read_all(folder / META)}
     meta = parse(found[META], folder)
     for name in named_files(meta, folder):
@@ -114,49 +120,60 @@ def _load_folder(path: Path) -> tuple[Container, dict[str, Any]]:
 
 def _load_bundle(path: Path) -> tuple[Container, dict[str, Any]]:
     data = files.read_all(path)
-    found: dict[str, bytes] = {}
-    with _zip_errors(path):
-        archive = zipfile.ZipFile(io.BytesIO(data))
-        entries = [entry for entry in archive.infolist() if not entry.is_dir()]
+    entries = _entries(data, path)
+    # All claims together, before the first is unpacked; entries that lie over each other cannot all be there.
     allow(len(data), sum(entry.file_size for entry in entries), path, "the bundle")
-    for entry in entries:
-        _check_entry(entry, found, path)
-        with _zip_errors(path):
-            found[entry.filename] = archive.read(entry)
+    if sum(entry.compress_size for entry in entries) > len(data):
+        raise ValueError(f"{path}: damaged bundle (its files need more bytes than it has)")
+    found = {entry.filename: _unpacked(data, entry, path) for entry in entries}
     if META not in found:
-        raise ValueError(f"{path}: expected {META} in the bundle, found {', '.join(sorted(found)[:5]) or 'nothing'}")
+        names = files.printable(", ".join(sorted(found)[:5]))
+        raise ValueError(f"{path}: expected {META} in the bundle, found {names or 'nothing'}")
     meta = parse(found[META], path)
     for name in named_files(meta, path):
         if name not in found:
-            raise ValueError(f"{path}: {META} names {name}, which is not in the bundle")
+            raise ValueError(f"{path}: {META} names {files.printable(name)}, which is not in the bundle")
     return Container(found, False, files.sha256(data), data), meta
 
 
-@contextlib.contextmanager
-def _zip_errors(path: Path) -> Iterator[None]:
-    """zipfile answers damage with a dozen kinds of exception."""
-    try:
-        yield
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        struct.error,
-        EOFError,
-        OSError,
-        RuntimeError,
-        ValueError,
-        OverflowError,
-    ) as e:
-        raise ValueError(f"{path}: damaged bundle ({' '.join(str(e).split())[:120]})") from None
+def _entries(data: bytes, path: Path) -> list[zipfile.ZipInfo]:
+    """The files that the zip directory lists, folders left out, each of a kind that can be unpacked."""
+    entries: dict[str, zipfile.ZipInfo] = {}
+    for entry in zip_directory(io.BytesIO(data), path):
+        name = entry.filename
+        if name.endswith("/"):  # is_dir() of Python 3.11 fails where the name is empty
+            continue
+        parts = name.split("/")
+        if any(not _PLAIN_NAME.fullmatch(part) or part in (".", "..") for part in parts) or not name.isprintable():
+            raise ValueError(f"{path}: the bundle holds the name {brief(name)}, which leaves its folder")
+        if name in entries:
+            raise ValueError(f"{path}: the bundle holds {files.printable(name)} twice")
+        if entry.flag_bits & 1 or entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(
+                f"{path}: {files.printable(name)} is encrypted or packed by method {entry.compress_type}; expected "
+                "stored or deflated"
+            )
+        entries[name] = entry
+    return list(entries.values())
 
 
-def _check_entry(entry: zipfile.ZipInfo, found: dict[str, bytes], path: Path) -> None:
-    name = entry.filename
-    if any(not _PLAIN_NAME.fullmatch(part) or part in (".", "..") for part in name.split("/")):
-        raise ValueError(f"{path}: the bundle holds the name {name!r}, which leaves its folder")
-    if name in found:
-        raise ValueError(f"{path}: the bundle holds {name} twice")
-    if entry.flag_bits & 1 or entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(
-            f"{path}: {name} is encrypted or packed by method {entry.compress_type}; expected stored or deflated"
-        )
+def _unpacked(data: bytes, entry: zipfile.ZipInfo, path: Path) -> bytes:
+    """One file of a bundle: exactly the bytes that the directory declares, or ValueError.
+
+    ZipFile.read would unpack the whole stream and then cut it to the declared size without a word.
+    """
+    what = f"{files.printable(entry.filename)} in the bundle"
+    head = files.take(data, entry.header_offset, _LOCAL.size, path, what)
+    mark, *_, name, extra = _LOCAL.unpack(head)
+    if mark != b"PK\x03\x04":
+        raise ValueError(f"{path}: damaged: {what} does not begin where the directory says")
+    packed = files.take(data, entry.header_offset + _LOCAL.size + name + extra, entry.compress_size, path, what)
+    if entry.compress_type == zipfile.ZIP_DEFLATED:
+        out = inflate(packed, entry.file_size, path, what)
+    elif entry.file_size != entry.compress_size:
+        raise ValueError(f"{path}: damaged: {what} is stored, but its two sizes differ")
+    else:
+        out = bytes(packed)
+    if zlib.crc32(out) != entry.CRC:
+        raise ValueError(f"{path}: damaged: {what} does not fit its checksum")
+    return out

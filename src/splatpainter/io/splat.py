@@ -32,12 +32,20 @@ class Record:
     """What is left of a last row that was cut short."""
 
 
-def read_splat(path: Path) -> Splats:
-    """Read a .splat file. Raises ValueError when it cannot be read or is shorter than one row."""
+def read_splat(path: Path, lenient: bool = False) -> Splats:
+    """Read a .splat file. lenient: keep a last row that is cut short as trailing bytes.
+
+    Raises ValueError when it cannot be read, is shorter than one row, or is not of whole rows (unless lenient).
+    """
     data = files.read_all(path)
     count, rest = divmod(len(data), ROW.itemsize)
     if not count:
         raise ValueError(f"{path}: expected a .splat file of 32 bytes a row, got {rest} bytes")
+    if rest and not lenient:
+        raise ValueError(
+            f"{path}: expected a .splat file of 32 bytes a row, got {count} rows and {rest} bytes of one more: cut "
+            "off, or no .splat file (--lenient, or lenient=True, opens it anyway)"
+        )
     record = Record(np.frombuffer(data, ROW, count), data[len(data) - rest :])
     rows = record.rows
     splats = Splats(

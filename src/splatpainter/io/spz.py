@@ -34,13 +34,15 @@ import numpy as np
 
 from splatpainter.io import files, frames, raw
 from splatpainter.io import spz_codec as codec
-from splatpainter.io.bounded import TAIL, Gunzip, allow, unzstd
+from splatpainter.io.bounded import TAIL, Gunzip, allow_rows, unzstd
 from splatpainter.io.frames import axes_words
 from splatpainter.io.reuse import Kept, kept, presentable
 from splatpainter.splats import Frame, Source, Splats
 
 MAGIC = b"NGSP"
 STREAMS = ("positions", "alphas", "colors", "scales", "rotations", "sh")
+BLOCK = 1 << 16
+"""Rows decoded at a time, to bound the float64 intermediates."""
 ANTIALIASED, EXTENDED = 1, 2
 COORDINATE_SYSTEM = 0xADBE0003
 NAMES = ("ldb", "rdb", "lub", "rub", "ldf", "rdf", "luf", "ruf", "lfd", "rfd", "lfu", "rfu", "lbd", "rbd", "lbu", "rbu")
@@ -109,19 +111,20 @@ def write_spz(path: Path, splats: Splats, version: int | None = None, frame: Fra
     same = kept(splats, "spz")
     old: SpzFile | None = splats.source.detail if same and splats.source else None
     before = (same, old) if same and old else None
+    code = CODES[frame] if frame != "auto" else old.frame if old else RUB
+    untouched = same is not None and same.identity and old is not None and code == old.frame
     if version is None:
         version = old.version if old else 3
-        if splats.sh_degree > 3:
+        if splats.sh_degree > 3 and not untouched:
             version = 4
     if version not in (2, 3, 4) and not (old and version == old.version):
         raise ValueError(f"{path}: expected SPZ version 2, 3 or 4, got {version}")
-    if splats.sh_degree > 3 and version < 4:
+    if splats.sh_degree > 3 and version < 4 and not (untouched and old and version == old.version):
         raise ValueError(
             f"{path}: SPZ version {version} holds SH up to degree 3, got {splats.sh_degree}; use version 4"
         )
-    code = CODES[frame] if frame != "auto" else old.frame if old else RUB
-    if before and before[0].identity and version == before[1].version and code == before[1].frame:
-        out = before[1].whole
+    if old and untouched and version == old.version:
+        out = old.whole
     else:
         file = _saying_frame(_encode(splats, before, version, code, path), new=not before)
         out = _plain_bytes(file) if version >= 4 else _gzip_bytes(file)
@@ -150,6 +153,7 @@ def _parse_gzip(data: bytes, path: Path) -> SpzFile:
         raise ValueError(f"{path}: expected SPZ version 1-3 in a gzip stream, found {version}")
     _check_header(version, degree, bits, path)
     widths = _widths(version, degree)
+    allow_rows(len(data), count, (degree + 1) ** 2, path)
     rows = stream.take(count * sum(widths.values()), f"{count} rows of SPZ version {version}")
     streams, at = {}, 0
     for name, width in widths.items():
@@ -180,12 +184,11 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
     for name, size in zip(listed, entries[1::2], strict=True):
         if size != sizes[name]:
             raise ValueError(f"{path}: expected {sizes[name]} bytes of {name} for {count} rows, the table says {size}")
-    # All claims together, before the first is unpacked.
-    allow(len(data), sum(sizes.values()), path, f"{count} rows of SPZ version 4")
+    allow_rows(len(data), count, (degree + 1) ** 2, path)
     streams = {}
     for name, packed in zip(listed, entries[::2], strict=True):
         piece = unzstd(files.take(data, at, packed, path, name), sizes[name], path, f"the stream of {name}")
-        streams[name] = np.frombuffer(piece, np.uint8).reshape(count, -1)
+        streams[name] = np.frombuffer(piece, np.uint8).reshape(count, sizes[name] // max(count, 1))
         at += packed
     for name in STREAMS:
         streams.setdefault(name, np.zeros((count, 0 if count else _widths(version, degree)[name]), np.uint8))
@@ -195,22 +198,30 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
 
 def _decode(file: SpzFile) -> Splats:
     """Rows in the file's own frame."""
-    streams = file.streams
-    if file.version == 1:
-        means = codec.unpack_half_positions(streams["positions"])
-    else:
-        means = codec.unpack_positions(streams["positions"], file.fractional_bits)
+    streams, count = file.streams, len(file.streams["alphas"])
     unpack_quats = codec.unpack_quats_first_three if file.version < 3 else codec.unpack_quats_smallest_three
-    base = codec.unpack_colors(streams["colors"])[:, None]
-    rest = codec.unpack_sh(streams["sh"]) if streams["sh"].shape[1] else base[:, :0]
-    return Splats(
-        means,
-        unpack_quats(streams["rotations"]),
-        codec.unpack_scales(streams["scales"]),
-        codec.unpack_opacities(streams["alphas"]),
-        np.concatenate([base, rest], 1),
+    out = Splats(
+        np.empty((count, 3), np.float32),
+        np.empty((count, 4), np.float32),
+        np.empty((count, 3), np.float32),
+        np.empty(count, np.float32),
+        np.empty((count, (file.degree + 1) ** 2, 3), np.float32),
         antialiased=bool(file.flags & ANTIALIASED),
     )
+    for start in range(0, count, BLOCK):
+        block = slice(start, start + BLOCK)
+        positions = streams["positions"][block]
+        if file.version == 1:
+            out.means[block] = codec.unpack_half_positions(positions)
+        else:
+            out.means[block] = codec.unpack_positions(positions, file.fractional_bits)
+        out.quats[block] = unpack_quats(streams["rotations"][block])
+        out.scales[block] = codec.unpack_scales(streams["scales"][block])
+        out.opacities[block] = codec.unpack_opacities(streams["alphas"][block])
+        out.sh[block, 0] = codec.unpack_colors(streams["colors"][block])
+        if file.degree:
+            out.sh[block, 1:] = codec.unpack_sh(streams["sh"][block])
+    return out
 
 
 def _encode(splats: Splats, before: tuple[Kept, SpzFile] | None, version: int, code: int, path: Path) -> SpzFile:

@@ -83,7 +83,7 @@ def restore(project: Project, at: Path | None = None) -> Splats:
         place = at or Path(facts["path"])
         if not place.exists():
             raise ValueError(f"{project.path}: its original {place} is gone; load with original=PATH if it moved")
-        splats = read(place, frame=frame)
+        splats = read(place, frame=frame, lenient=True)  # the project was made when it opened
     else:
         splats = _unpacked(project, facts["name"], frame)
     if splats.sha256 != facts["sha256"]:
@@ -102,7 +102,7 @@ def _unpacked(project: Project, name: str, frame: Frame) -> Splats:
             place = Path(folder) / Path(file).name  # never outside the folder, whatever the project says
             with open(place, "ab") as target:
                 target.write(data)
-        splats = read(Path(folder) / Path(name).name, frame=frame)
+        splats = read(Path(folder) / Path(name).name, frame=frame, lenient=True)
     assert splats.source is not None
     return replace(splats, source=replace(splats.source, path=name))
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import warnings
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from splatpainter.io import detect
-from splatpainter.io.bounded import Gunzip
+from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
 from splatpainter.sources.pictures import KINDS, LIMIT
 
@@ -20,8 +17,6 @@ Kind = Literal["picture", "asset", "project", "layer"]
 SQLITE, ZIP = b"SQLite format 3\0", b"PK\x03\x04"
 MEDIA = {"PNG": "image/png", "JPEG": "image/jpeg", "WEBP": "image/webp", "TIFF": "image/tiff"}
 ENDINGS = {"PNG": ".png", "JPEG": ".jpg", "WEBP": ".webp", "TIFF": ".tif"}
-META_LIMIT = 1 << 20
-"""Bytes of a SOG bundle's meta.json."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +52,7 @@ def claim_of(path: Path, name: str, most_rows: int) -> Claim:
 
     try:
         rows = _rows(path, key)
-    except (ValueError, KeyError, TypeError, struct.error, zipfile.BadZipFile, zlib.error, OSError) as error:
+    except (ValueError, struct.error, OSError) as error:
         said = str(error).replace(str(path), shown)
         raise ValueError(f"{shown}: damaged ({said})") from None
     if rows > most_rows:
@@ -67,9 +62,9 @@ def claim_of(path: Path, name: str, most_rows: int) -> Claim:
 
 def _is_layer(path: Path) -> bool:
     try:
-        with zipfile.ZipFile(path) as archive:
-            return "layer.json" in archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError):
+        with reading(path) as file:
+            return any(entry.filename == "layer.json" for entry in zip_directory(file, path))
+    except ValueError:
         return False
 
 
@@ -119,15 +114,9 @@ def _rows(path: Path, key: str) -> int:
             head = Gunzip(head, path).take(16, "the header")
         return struct.unpack_from("<I", head, 8)[0]
     if key == "sog":
-        with zipfile.ZipFile(path) as archive:
-            entry = archive.getinfo("meta.json")
-            if entry.file_size > META_LIMIT:
-                raise ValueError("its meta.json is too long")
-            return int(json.loads(archive.read(entry))["count"])
-    head = read_head(path, 20)
-    length = struct.unpack_from("<I", head, 12)[0]
-    if length > size:
-        raise ValueError("its JSON chunk is cut off")
-    text = read_head(path, 20 + length)[20:]
-    counts = [int(entry.get("count", 0)) for entry in json.loads(text).get("accessors", [])]
-    return max(counts, default=0)
+        from splatpainter.io import sog_files
+
+        return sog_files.declared_rows(path)
+    from splatpainter.io import gltf
+
+    return gltf.declared_rows(path)
