@@ -447,3 +447,17 @@ def test_primitives_that_share_accessors(tmp_path: Path) -> None:
     opacities[:30] = 0.5
     write_glb(tmp_path / "b.glb", replace(splats, opacities=opacities))
     assert same_bits(read_glb(tmp_path / "b.glb"), replace(splats, opacities=opacities))
+
+
+def test_many_primitives_that_share_accessors_are_counted_together(tmp_path: Path) -> None:
+    """Each is honest alone; a file of a few bytes for each, and all rows again, is not."""
+    write_glb(tmp_path / "a.glb", random_splats(20_000, 3))
+    doc, binary = parts((tmp_path / "a.glb").read_bytes())
+    doc["meshes"][0]["primitives"] *= 200
+    (tmp_path / "b.glb").write_bytes(pack(doc, binary))
+    with pytest.raises(ValueError, match="rows would take .* damaged or hostile"):
+        io.read(tmp_path / "b.glb")
+    doc["meshes"][0]["primitives"] = doc["meshes"][0]["primitives"][:1] * 600
+    (tmp_path / "b.glb").write_bytes(pack(doc, binary))
+    with pytest.raises(ValueError, match="at most 512 Gaussian primitives, found 600"):
+        io.read(tmp_path / "b.glb")

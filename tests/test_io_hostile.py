@@ -184,7 +184,7 @@ def test_compressed_ply_of_any_ranges(width: int, tmp_path: Path) -> None:
     """NaN and infinite ranges, too: such a file is saved byte for byte when nothing was touched."""
     for value in FLOATS:
         for column in (0, 3, 6, 11, width - 1):
-            chunk = list(CHUNK[:width])
+            chunk: list[float] = list(CHUNK[:width])
             chunk[column] = float(value)
             data = bytearray(compressed([chunk], [PACKED_ROW] * 3, [[0] * 9] * 3))
             at = data.index(b"end_header\n") + 11 + 4 * column

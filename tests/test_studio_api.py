@@ -232,6 +232,26 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     assert [own["name"] for own in studio.post("project.recent")["recent"]] == ["back"]
 
 
+def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
+    """The screen's up and the first view follow, the rows do not; a project in which only this was done is kept."""
+    rows = rows_sha256(studio.studio.session.splats)
+    asset = studio.http.get("/api/state").json()["asset"]
+    assert asset["up"] == [0, -1, 0] and asset["frame_said"] and asset["frame"] == ""
+    write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
+    studio.post("asset.open", file="other.ply")
+    assert studio.post("asset.up", up="+y")["python"] == "session.set_up('+y')"
+    turned = studio.http.get("/api/state").json()["asset"]
+    assert turned["up"] == [0, 1, 0] and turned["frame"].startswith("right-down-front")
+    down, eye = np.array(turned["home"]["world_to_camera"])[1, :3], turned["home"]["world_to_camera"][2][3]
+    assert down[1] < -0.9 and eye > 0
+    assert studio.http.post("/api/do/asset.up", json={"up": "up"}).status_code == 400
+    studio.post("asset.open", demo=True)
+    (mine,) = (own for own in studio.post("project.recent")["recent"] if own["name"] == "other")
+    studio.post("project.open", recent=mine["id"])
+    assert studio.http.get("/api/state").json()["asset"]["up"] == [0, 1, 0]
+    assert rows != rows_sha256(studio.studio.session.splats)
+
+
 def test_everything_is_on_disk_when_the_studio_ends(tmp_path: Path) -> None:
     with live(make_studio(tmp_path)) as studio:
         image, _ = edited(studio)

@@ -37,8 +37,8 @@ EXTENSION = "KHR_gaussian_splatting"
 SPACES = {"srgb": "srgb_rec709_display", "linear": "lin_rec709_display"}
 SHARED_RATIO = 16
 """Bytes of rows in memory per byte of the file: accessors may share bytes, as of SH bands that are empty."""
-MAX_PRIMITIVES = 1024
-"""Gaussian primitives of one file."""
+MAX_PRIMITIVES = 512
+"""Gaussian primitives of a file: honest ones have a handful, and each may stand at the end of a deep tree of nodes."""
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 
@@ -81,16 +81,16 @@ def read_glb(path: Path) -> Splats:
     problems: list[str] = []
     placements: dict[int, tuple[np.ndarray, float, np.ndarray]] = {}
     primitives, pieces, first = [], [], 0
-    to_open = _find(glb.doc, path, problems)
-    if len(to_open) > MAX_PRIMITIVES:
-        raise ValueError(f"{path}: expected at most {MAX_PRIMITIVES} Gaussian primitives, found {len(to_open)}")
-    for mesh, index in to_open:
+    found = _find(glb.doc, path, problems)
+    every = [_names(glb.doc["meshes"][mesh]["primitives"][index].get("attributes", {})) for mesh, index in found]
+    bands = max(sum(name.startswith("SH_") for name in names) for names in every)
+    parents = gltf.parents_of(glb.doc)
+    for (mesh, index), names in zip(found, every, strict=True):
         if mesh not in placements:
-            placements[mesh] = _placement(glb.doc, mesh, path, problems)
-        names = _names(glb.doc["meshes"][mesh]["primitives"][index].get("attributes", {}))
+            placements[mesh] = _placement(glb.doc, mesh, parents, path, problems)
         one = GaussianPrimitive(mesh, index, names, *placements[mesh], first)
         with np.errstate(all="ignore"):  # extreme values are reported below
-            local = read_local(glb, one, path, problems, len(data))
+            local = read_local(glb, one, path, problems, Bound(len(data), bands))
         if not pieces or local.color_space == pieces[0].color_space:
             pieces.append(frames.move_back(local, one.turn, one.scale, one.shift))
             primitives.append(replace(one, rows=len(local)))
@@ -148,11 +148,21 @@ def sh_semantics(degree: int) -> list[str]:
     return [f"SH_DEGREE_{l}_COEF_{n}" for l in range(degree + 1) for n in range(2 * l + 1)]
 
 
+@dataclass(frozen=True)
+class Bound:
+    """What all rows together are counted against."""
+
+    size: int
+    """Bytes of the file."""
+    bands: int
+    """SH coefficients a row at most."""
+
+
 def read_local(
-    glb: gltf.Glb, one: GaussianPrimitive, path: Path, problems: list[str], file_bytes: int
+    glb: gltf.Glb, one: GaussianPrimitive, path: Path, problems: list[str], bound: Bound | None = None
 ) -> Splats:
-    """The rows in the primitive's own frame, bit for bit what the file says (integers as float32). file_bytes: size of
-    the file, which bounds the rows up to this primitive's last."""
+    """The rows in the primitive's own frame, bit for bit what the file says (integers as float32). bound: of rows that
+    were not read before."""
     primitive = glb.doc["meshes"][one.mesh]["primitives"][one.index]
     attributes = primitive.get("attributes", {})
     count: int | None = None
@@ -167,8 +177,8 @@ def read_local(
             count = len(values)
         if values.shape != (count, width) and not (semantic == "COLOR_0" and values.shape == (count, 3)):
             raise ValueError(f"{path}: expected {semantic} of {count} x {width} numbers, found {values.shape}")
-        bands = sum(name.startswith("SH_") for name in one.names)
-        allow_rows(file_bytes, one.first + len(values), bands, path, SHARED_RATIO)
+        if bound is not None:  # all primitives together, and as many SH bands for each as any has
+            allow_rows(bound.size, one.first + len(values), bound.bands, path, SHARED_RATIO)
         return gltf.decode(values, glb.doc["accessors"][index].get("normalized"))
 
     means, xyzw, scales = read("POSITION", 3), read("ROTATION", 4), read("SCALE", 3)
@@ -230,6 +240,8 @@ def _find(doc: dict[str, Any], path: Path, problems: list[str]) -> list[tuple[in
     if len(opened) < len(found):
         hidden = len(found) - len(opened)
         problems.append(f"{hidden} Gaussian primitives that no node shows; they are not opened, but kept")
+    if len(opened) > MAX_PRIMITIVES:
+        raise ValueError(f"{path}: expected at most {MAX_PRIMITIVES} Gaussian primitives, found {len(opened)}")
     for mesh, index in opened:
         _check_primitive(doc["meshes"][mesh]["primitives"][index], path, problems)
     return opened
@@ -254,9 +266,11 @@ def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str])
         problems.append(f"colour space {brief(extension['colorSpace'])} is treated as sRGB")
 
 
-def _placement(doc: dict[str, Any], mesh: int, path: Path, problems: list[str]) -> tuple[np.ndarray, float, np.ndarray]:
+def _placement(
+    doc: dict[str, Any], mesh: int, parents: gltf.Parents, path: Path, problems: list[str]
+) -> tuple[np.ndarray, float, np.ndarray]:
     """Rotation, scale and shift from the PLY frame to the mesh's own, by the node that shows it."""
-    showing = [number for number, node in enumerate(doc.get("nodes", [])) if node.get("mesh") == mesh]
+    showing = parents.showing.get(mesh, [])
     nothing = HALF_TURN, 1.0, np.zeros(3)
     if len(showing) > 1:
         problems.append(
@@ -266,7 +280,7 @@ def _placement(doc: dict[str, Any], mesh: int, path: Path, problems: list[str]) 
     if not showing:
         return nothing
     with np.errstate(all="ignore"):
-        matrix = gltf.global_matrix(doc, showing[0], path)
+        matrix = gltf.global_matrix(doc, showing[0], path, parents)
         determinant = float(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else 0.0
         scale = float(np.cbrt(determinant))
         turn = matrix[:3, :3] / scale if scale > 0 else np.zeros((3, 3))

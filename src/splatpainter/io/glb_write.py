@@ -60,7 +60,7 @@ def fresh(splats: Splats) -> gltf.Glb:
 def edited(splats: Splats, same: Kept, old: GlbFile, path: Path) -> gltf.Glb:
     """The source with the rows of `splats`. Raises ValueError: no row of a primitive is left."""
     doc, binary = copy.deepcopy(old.glb.doc), bytearray(old.glb.binary)
-    work = _Work(doc, binary, _shared(doc), old.glb, path, len(old.whole))
+    work = _Work(doc, binary, _shared(doc), old.glb, path)
     rows, homes = presentable(splats), homes_of(same.rows, old.primitives)
     for number, one in enumerate(old.primitives):
         here = homes == number
@@ -89,8 +89,6 @@ class _Work:
     """Accessors that may not be written to (`_shared`)."""
     source: gltf.Glb
     path: Path
-    file_bytes: int
-    """Size of the source file."""
 
 
 def homes_of(rows: np.ndarray, primitives: tuple[GaussianPrimitive, ...]) -> np.ndarray:
@@ -113,7 +111,7 @@ def _part_of(same: Kept, here: np.ndarray, one: GaussianPrimitive) -> Kept:
 
 def _edit_primitive(work: _Work, one: GaussianPrimitive, rows: Splats, same: Kept) -> None:
     """The primitive with `rows` (PLY frame) as its rows."""
-    before = read_local(work.source, one, work.path, [], work.file_bytes)
+    before = read_local(work.source, one, work.path, [])
     local = _unit(frames.move(rows, one.turn, one.scale, one.shift))
     bands = before.sh.shape[1]
     opened = rows.source.splats.sh.shape[1] if rows.source else 0

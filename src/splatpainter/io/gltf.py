@@ -171,14 +171,33 @@ def decode(values: np.ndarray, normalized: Any) -> np.ndarray:
     return wide.astype(np.float32)
 
 
-def global_matrix(doc: dict[str, Any], node: int, path: Path) -> np.ndarray:
-    """[4, 4] float64 transform of a node, its ancestors' included."""
-    parents: dict[int, int] = {}
-    for index, item in enumerate(doc["nodes"]):
+@dataclass(frozen=True)
+class Parents:
+    """The tree of nodes, from below."""
+
+    above: dict[int, int]
+    """Node -> its parent."""
+    showing: dict[int, list[int]]
+    """Mesh -> the nodes that show it."""
+
+
+def parents_of(doc: dict[str, Any]) -> Parents:
+    """One look at all nodes."""
+    above: dict[int, int] = {}
+    showing: dict[int, list[int]] = {}
+    for index, item in enumerate(doc.get("nodes", [])):
+        if type(item.get("mesh")) is int:
+            showing.setdefault(item["mesh"], []).append(index)
         children = item.get("children")
         for child in children if isinstance(children, list) else []:
             if type(child) is int:
-                parents.setdefault(child, index)
+                above.setdefault(child, index)
+    return Parents(above, showing)
+
+
+def global_matrix(doc: dict[str, Any], node: int, path: Path, tree: Parents) -> np.ndarray:
+    """[4, 4] float64 transform of a node, its ancestors' included."""
+    parents = tree.above
     matrix, seen = np.eye(4), set()
     while node not in seen:
         if len(seen) == MAX_NODE_DEPTH:

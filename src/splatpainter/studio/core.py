@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.framing import AUTO_UP
 from splatpainter.session import Session
 from splatpainter.splats import Splats
 from splatpainter.studio import describe
@@ -135,7 +136,7 @@ def _leave(session: Session, projects: Projects) -> None:
     """Close a session; a project of the studio's own folder in which nothing was done is not kept."""
     path = session.path
     unused = path is not None and path.parent == projects.root and not session.read_only
-    unused = unused and len(session.history) == 1 and not session.bookmarks()
+    unused = unused and len(session.history) == 1 and not session.bookmarks() and session.up == AUTO_UP
     session.close()
     if unused and path is not None:
         path.unlink(missing_ok=True)

@@ -76,7 +76,7 @@ def asset_info(session: Session, name: str) -> state.AssetInfo:
         up=list(up),
         home=camera_to_wire(view),
         frame="" if source is None else frame_line(source),
-        frame_said=source is not None and (source.frame_from != "format" or source.format != "spz"),
+        frame_said=source is None or source.frame_from != "format" or source.format != "spz",
         problems=[] if source is None else list(source.problems),
     )
 
