@@ -85,11 +85,14 @@ class Camera:
 
     def rays(self) -> tuple[np.ndarray, np.ndarray]:
         """(origin [3], directions [H, W, 3]) through the pixel centres, world space, unit length, float32."""
-        u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-        v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
-        local = np.stack([*np.meshgrid(u, v), np.ones((self.height, self.width))], -1)
-        world = local @ self.world_to_camera[:3, :3]
-        world /= np.linalg.norm(world, axis=-1, keepdims=True)
+        with np.errstate(
+            over="ignore", invalid="ignore", divide="ignore"
+        ):  # rays of absurd lenses are NaN and hit nothing
+            u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+            v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+            local = np.stack([*np.meshgrid(u, v), np.ones((self.height, self.width))], -1)
+            world = local @ self.world_to_camera[:3, :3]
+            world /= np.linalg.norm(world, axis=-1, keepdims=True)
         return self.position.astype(np.float32), world.astype(np.float32)
 
     def to_json(self) -> str:

@@ -45,6 +45,8 @@ export const view = signal({
   background: "#1b1d21",
   grid: false,
   trueColor: false,
+  /** Whose formula for alpha the true-colour pictures are drawn with. */
+  profile: "inria" as "inria" | "playcanvas",
   compare: false,
   coverage: false,
   resolution: 1,

@@ -10,7 +10,14 @@ import type { CameraJson } from "../view/camera";
 import { moving } from "./stage";
 
 type Kind = "true" | "before" | "coverage";
-const shown: Record<Kind, ReturnType<typeof signal<{ url: string; camera: CameraJson; version: number } | null>>> = {
+type Profile = "inria" | "playcanvas";
+interface Still {
+  url: string;
+  camera: CameraJson;
+  version: number;
+  profile: Profile;
+}
+const shown: Record<Kind, ReturnType<typeof signal<Still | null>>> = {
   true: signal(null),
   before: signal(null),
   coverage: signal(null),
@@ -18,14 +25,15 @@ const shown: Record<Kind, ReturnType<typeof signal<{ url: string; camera: Camera
 /** What the last coverage said, and where to look next. */
 export const covered = signal<{ seen: number; predicted: number; next: CameraJson | null } | null>(null);
 
-async function ask(kind: Kind, at: CameraJson): Promise<string | null> {
+async function ask(kind: Kind, at: CameraJson, profile: Profile): Promise<string | null> {
   if (kind === "coverage") {
     const answer = await run("coverage", { camera: at }, "Coverage");
     if (answer)
       covered.value = { seen: answer.seen, predicted: answer.predicted, next: answer.next_view as CameraJson | null };
     return answer && blobUrl(answer.picture);
   }
-  const answer = await run("view.render", { camera: at, which: kind === "before" ? "original" : "now" }, "Rendering");
+  const which = kind === "before" ? "original" : "now";
+  const answer = await run("view.render", { camera: at, which, profile }, "Rendering");
   return answer && blobUrl(answer.picture);
 }
 
@@ -34,16 +42,22 @@ function usePicture(kind: Kind, wanted: boolean): string | null {
   const now = camera.value;
   const version = state.value?.version ?? 0;
   const still = !moving.value;
+  // Beside the live view, which draws as 3DGS does, the original is drawn so too.
+  const profile = view.value.trueColor ? view.value.profile : "inria";
   const have = shown[kind].value;
   const fresh =
-    have !== null && have !== undefined && have.camera === now && (kind === "before" || have.version === version);
+    have !== null &&
+    have !== undefined &&
+    have.camera === now &&
+    have.profile === profile &&
+    (kind === "before" || have.version === version);
   useEffect(() => {
     if (!wanted || !still || fresh || !now) return;
-    void ask(kind, now).then((url) => {
-      if (url) shown[kind].value = { url, camera: now, version };
+    void ask(kind, now, profile).then((url) => {
+      if (url) shown[kind].value = { url, camera: now, version, profile };
     });
-  }, [wanted, still, now, version]);
-  return wanted && have && have.camera === now ? have.url : null;
+  }, [wanted, still, now, version, profile]);
+  return wanted && have && have.camera === now && have.profile === profile ? have.url : null;
 }
 
 export function Overlays() {

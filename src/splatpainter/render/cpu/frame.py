@@ -15,9 +15,12 @@ from splatpainter.cameras import Camera
 from splatpainter.parallel import run, threads
 from splatpainter.render.cpu import bins, gather, geometry, lanes, raster
 from splatpainter.render.cpu import project as projection
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.render.profiles import Profile
+from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
 TILE = lanes.TILE
+MAX_PAIRS = 1 << 30
+"""Row and tile pairs of one view, 12 GiB of lists; beyond 2^31 their places would not fit into int32."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +124,12 @@ class Frame:
         return image, alpha, depth
 
     def draw_into(
-        self, image: np.ndarray, alpha: np.ndarray, depth: np.ndarray, colors: np.ndarray | None = None
+        self,
+        image: np.ndarray,
+        alpha: np.ndarray,
+        depth: np.ndarray,
+        colors: np.ndarray | None = None,
+        profile: Profile = "inria",
     ) -> np.ndarray:
         """`draw` into given C-contiguous arrays. Returns [T] int64 where in `members` each drawn tile stopped, which
         the backward pass wants."""
@@ -130,17 +138,17 @@ class Frame:
             image[:], alpha[:], depth[:] = background, 0, 0
         ends = np.empty(len(self.tile_ids), np.int64)
         lists = (self._painted(colors), self.members, self.tile_ids, self.starts)
-        run(raster.draw_tiles, *lists, background, image, alpha, depth, ends)
+        run(raster.draw_tiles, *lists, background, image, alpha, depth, ends, _selector(profile))
         return ends
 
-    def accumulate(self, values: np.ndarray, mask: np.ndarray) -> Sums:
+    def accumulate(self, values: np.ndarray, mask: np.ndarray, profile: Profile = "inria") -> Sums:
         """The adjoint of compositing over the drawn tiles, with w_ip = alpha_ip T_ip (0 below 1/255 and behind the
         stop). values: [H, W, 3]; mask: [H, W] weights m_p >= 0."""
         dtype = self.records.dtype
         sums = lanes.aligned((len(self.members), gather.SUMS), dtype)
         values, mask = lanes.readonly(values, dtype), lanes.readonly(mask, dtype)
         self._check(values, mask)
-        run(gather.accumulate_tiles, *self.lists(self.records), values, mask, sums)
+        run(gather.accumulate_tiles, *self.lists(self.records), values, mask, sums, _selector(profile))
         out = self._reduce(sums)
         return Sums(out[:, :3], out[:, 3], out[:, 4], out[:, 5])
 
@@ -216,7 +224,7 @@ def project(
     size = blocks * projection.BLOCK
     records, keys = lanes.aligned((size, lanes.RECORD), dtype), np.empty(size, dtype)
     (row, room), counts = np.empty((2, size), np.int32), np.empty(blocks, np.int32)
-    if len(tile_ids) and n:
+    if len(tile_ids) and n and np.abs(camera.position).max() <= MAX_MAGNITUDE:
         arguments = (*attributes, splats.sh_degree, keep, cam, bool(splats.antialiased), grid, slots)
         run(projection.project_rows, *arguments, records, keys, row, room, counts)
     else:
@@ -229,7 +237,12 @@ def project(
     del records
     begins = np.cumsum(sorted_room, dtype=np.int64) - sorted_room
 
-    ends, spots = np.empty(m, np.int64), np.empty(int(sorted_room.sum(dtype=np.int64)), np.int32)
+    room_in_all = int(sorted_room.sum(dtype=np.int64))
+    if room_in_all > MAX_PAIRS:
+        size = f"{camera.width} x {camera.height}"
+        limit = f"rows that touch at most {MAX_PAIRS:,} tiles of {TILE} x {TILE} pixels in all"
+        raise ValueError(f"render: expected {limit}, got {room_in_all:,} at {size}; render a smaller picture")
+    ends, spots = np.empty(m, np.int64), np.empty(room_in_all, np.int32)
     histogram = np.zeros((threads(), len(tile_ids)), np.int64)
     run(bins.list_pairs, sorted_records, begins, sorted_room, grid, slots, ends, spots, histogram)
     offsets, starts = np.zeros(m + 1, np.int64), np.zeros(len(tile_ids) + 1, np.int64)
@@ -240,6 +253,11 @@ def project(
     run(bins.place_pairs, begins, ends, spots, offsets, first, members, homes)
     sealed = lanes.readonly(sorted_records, dtype)
     return Frame(camera, n, tiles, sorted_rows.astype(np.int64), sealed, offsets, members, homes, tile_ids, starts)
+
+
+def _selector(profile: Profile) -> bool | None:
+    """What kernels take for a profile; see raster.draw_tiles."""
+    return None if profile == "inria" else True
 
 
 def _layout(tiles: np.ndarray, tile_ids: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.painter import Edit, Mode
+from splatpainter.render.profiles import Profile
 from splatpainter.sources.color import to_display
 from splatpainter.sources.files import FileEdit
 from splatpainter.sources.pictures import read_mask, read_picture, resample
@@ -41,11 +42,11 @@ def camera_of(camera: WireCamera) -> Camera:
     return camera_from_wire(camera, PIXELS)
 
 
-def draw(splats: Splats, camera: Camera) -> np.ndarray:
+def draw(splats: Splats, camera: Camera, profile: Profile = "inria") -> np.ndarray:
     """[H, W, 3] display colours."""
     from splatpainter.render import render
 
-    return to_display(render(splats, camera).colors[0], splats.color_space)
+    return to_display(render(splats, camera, profile=profile).colors[0], splats.color_space)
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from splatpainter.render.profiles import Profile
 from splatpainter.studio.messages.base import Answer, Command, FileName
 from splatpainter.studio.messages.state import Blob, Camera, Model, Point, Rgb, Unit
 
@@ -24,6 +25,8 @@ class ViewRender(Command):
     ANSWER = PictureMade
     camera: Camera
     which: Literal["now", "original"] = "now"
+    profile: Profile = "inria"
+    """Whose formula for alpha; pictures to be painted on have the default."""
 
 
 class ViewExport(Command):
