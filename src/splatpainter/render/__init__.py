@@ -15,10 +15,15 @@ from typing import Any, Literal
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.render.profiles import PROFILES, Profile
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Array, Splats
 
 Backend = Literal["auto", "cpu", "cuda", "reference"]
 BACKENDS = ("auto", "cpu", "cuda", "reference")
+MAX_SIDE_PX = 8192
+"""Pixels of a view's longer side."""
+MAX_PIXELS = 4 * MAX_SIDE_PX**2
+"""Width x height x views of one call: 5 GiB of float32 pictures."""
 
 
 @dataclass(frozen=True)
@@ -42,46 +47,56 @@ def render(
     background: Any = None,
     backend: Backend = "auto",
     contributions: bool = False,
+    profile: Profile = "inria",
 ) -> Render:
     """Draw splats as 3D Gaussian Splatting does (Kerbl et al. 2023, in gsplat's conventions; exactly: reference.py).
 
-    cameras: one, or several of one size. background: [3] or [C, 3] colours behind the splats, by default each camera's
-    own. backend: "auto" is "cuda" for CUDA tensors, else "cpu". contributions: also return each row's weight per view.
+    cameras: one, or several of one size, of at most MAX_SIDE_PX a side and MAX_PIXELS in all. background: [3] or [C, 3]
+    colours behind the splats, by default each camera's own. backend: "auto" is "cuda" for CUDA tensors, else "cpu".
+    contributions: also return each row's weight per view. profile: whose formula for alpha is used, see profiles.py;
+    "playcanvas" shows an asset as that family of tools does.
 
     With torch tensors the result is differentiable in means, quats, scales, opacities, sh, and background if that is a
     tensor. Rows with NaN or infinite values, a zero quaternion or scales that are not positive are not drawn and get
-    zero gradients. Equal inputs give equal bits, whatever the number of threads (CPU).
+    zero gradients. Equal inputs give equal bits, whatever the number of threads (CPU). Profiles other than "inria" are
+    differentiable in the backend "reference" only, and there is none of them on CUDA.
 
-    Raises ValueError for shapes or kinds that do not fit, and for a backend that is not there.
+    Raises ValueError for shapes, kinds or sizes that do not fit, and for a backend or profile that is not there.
     """
     views = [cameras] if isinstance(cameras, Camera) else list(cameras)
     _check_views(views)
     _check_splats(splats)
     if backend not in BACKENDS:
         raise ValueError(f"render: expected a backend of {', '.join(BACKENDS)}, got {backend!r}")
+    if profile not in PROFILES:
+        raise ValueError(f"render: expected a profile of {', '.join(PROFILES)}, got {profile!r}")
     is_numpy = isinstance(splats.means, np.ndarray)
     if backend == "auto":
         backend = "cpu" if is_numpy or splats.means.device.type != "cuda" else "cuda"
     if is_numpy and backend == "cpu":
-        return _render_numpy(splats, views, background, contributions)
-    result = _render_torch(splats, views, background, backend, contributions)
+        return _render_numpy(splats, views, background, contributions, profile)
+    result = _render_torch(splats, views, background, backend, contributions, profile)
     if not is_numpy:
         return result
     weights = None if result.contributions is None else result.contributions.numpy()
     return Render(result.colors.numpy(), result.alphas.numpy(), result.depths.numpy(), weights)
 
 
-def _render_numpy(splats: Splats, views: list[Camera], background: Any, contributions: bool) -> Render:
+def _render_numpy(
+    splats: Splats, views: list[Camera], background: Any, contributions: bool, profile: Profile
+) -> Render:
     from splatpainter.render.cpu.views import draw_views
 
     if background is not None:
         behind = _background_shape(np.asarray(background, np.float64), len(views))
         views = [replace(view, background=tuple(color)) for view, color in zip(views, behind.tolist(), strict=True)]
-    drawn = draw_views(splats, views, contributions, keep_frames=False)
+    drawn = draw_views(splats, views, contributions, keep_frames=False, profile=profile)
     return Render(drawn.colors, drawn.alphas, drawn.depths, drawn.contributions)
 
 
-def _render_torch(splats: Splats, views: list[Camera], background: Any, backend: str, contributions: bool) -> Render:
+def _render_torch(
+    splats: Splats, views: list[Camera], background: Any, backend: str, contributions: bool, profile: Profile
+) -> Render:
     import torch
 
     if backend == "reference":
@@ -101,7 +116,7 @@ def _render_torch(splats: Splats, views: list[Camera], background: Any, backend:
     own = replace(splats, **moved, source=None, origin=None)
     behind = [view.background for view in views] if background is None else background
     behind = _background_shape(torch.as_tensor(behind, dtype=own.means.dtype, device=device), len(views))
-    outputs = chosen.draw(own, views, behind, contributions)
+    outputs = chosen.draw(own, views, behind, contributions, profile)
     return Render(*(None if output is None else output.to(home) for output in outputs))
 
 
@@ -120,6 +135,10 @@ def _check_views(views: list[Camera]) -> None:
     if len(sizes) > 1:
         listed = ", ".join(f"{w}x{h}" for w, h in sizes)
         raise ValueError(f"render: expected cameras of one size, got {listed}; render each size in a call of its own")
+    width, height = sizes[0]
+    if not 1 <= min(width, height) <= max(width, height) <= MAX_SIDE_PX or width * height * len(views) > MAX_PIXELS:
+        limit = f"views of 1 to {MAX_SIDE_PX} pixels a side and {MAX_PIXELS:,} pixels in all"
+        raise ValueError(f"render: expected {limit}, got {len(views)} of {width} x {height}")
 
 
 def _check_splats(splats: Splats) -> None:

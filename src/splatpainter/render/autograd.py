@@ -11,6 +11,7 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.render.cpu.views import draw_views, views_back
+from splatpainter.render.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
@@ -19,12 +20,12 @@ class DrawViews(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
-        *tensors, background, antialiased, cameras, contributions, differentiable = inputs
+        *tensors, background, antialiased, cameras, contributions, differentiable, profile = inputs
         arrays = {name: t.detach().contiguous().numpy() for name, t in zip(ATTRIBUTES, tensors, strict=True)}
         splats = Splats(**arrays, antialiased=antialiased)
         behind = background.detach().tolist()
         cameras = [replace(camera, background=tuple(b)) for camera, b in zip(cameras, behind, strict=True)]
-        drawn = draw_views(splats, cameras, contributions, keep_frames=differentiable)
+        drawn = draw_views(splats, cameras, contributions, keep_frames=differentiable, profile=profile)
         outputs = [torch.from_numpy(a) for a in (drawn.colors, drawn.alphas, drawn.depths)]
         weights = torch.empty(0) if drawn.contributions is None else torch.from_numpy(drawn.contributions)
         ctx.mark_non_differentiable(weights)
@@ -39,7 +40,7 @@ class DrawViews(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Any) -> tuple[Any, ...]:
         _ = ctx.saved_tensors  # raises if they were changed
         v_colors, v_alphas, v_depths = (g.contiguous().numpy() for g in gradients[:3])
-        grads: list[Any] = [None] * 10
+        grads: list[Any] = [None] * 11
         if any(ctx.needs_input_grad[:5]):
             grads[:5] = map(torch.from_numpy, views_back(ctx.splats, ctx.drawn, v_colors, v_alphas, v_depths))
         if ctx.needs_input_grad[5]:  # colour = drawn + (1 - alpha) background
@@ -48,11 +49,13 @@ class DrawViews(torch.autograd.Function):
 
 
 def draw(
-    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool
+    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool, profile: Profile = "inria"
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """splats: CPU tensors of one dtype. background: [C, 3], same dtype. Shapes as in `render.Render`."""
     tensors = [*(getattr(splats, name) for name in ATTRIBUTES), background]
     differentiable = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-    settings = (splats.antialiased, list(cameras), contributions, differentiable)
+    if differentiable and profile != "inria":
+        raise ValueError(f"render: expected profile 'inria' or backend 'reference' for gradients, got {profile!r}")
+    settings = (splats.antialiased, list(cameras), contributions, differentiable, profile)
     colors, alphas, depths, weights = DrawViews.apply(*tensors, *settings)
     return colors, alphas, depths, weights if contributions else None

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.render import reference
+from splatpainter.render.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
@@ -36,9 +37,11 @@ def require() -> Any:
 
 
 def draw(
-    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool
+    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool, profile: Profile = "inria"
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """splats: CUDA tensors. background: [C, 3]. Shapes as in `render.Render`; computed in float32."""
+    if profile != "inria":
+        raise ValueError(f"render: expected profile 'inria' for backend 'cuda', got {profile!r}")
     rasterization = require()
     dtype, device = splats.means.dtype, splats.means.device
     rows = torch.nonzero(reference.drawable(splats))[:, 0]  # [V]: gsplat does not skip NaN rows

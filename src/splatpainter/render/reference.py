@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
+from splatpainter.render.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR, Profile
 from splatpainter.splats import Splats
 
 NEAR = 0.01  # world units
@@ -23,18 +24,20 @@ STOP = 1e-4  # a pixel takes no row that would bring its transmittance to this o
 
 
 def draw(
-    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool
+    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool, profile: Profile = "inria"
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """background: [C, 3]. Shapes as in `render.Render`."""
-    views = [draw_view(splats, camera, behind) for camera, behind in zip(cameras, background, strict=True)]
+    views = [draw_view(splats, camera, behind, profile) for camera, behind in zip(cameras, background, strict=True)]
     colors, alphas, depths, weights = (torch.stack(parts) for parts in zip(*views, strict=True))
     return colors, alphas, depths, weights.detach() if contributions else None
 
 
-def draw_view(splats: Splats, camera: Camera, background: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def draw_view(
+    splats: Splats, camera: Camera, background: Tensor, profile: Profile = "inria"
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """(colour [H, W, 3], alpha [H, W, 1], depth [H, W, 1], contributions [N])."""
-    alpha, depth, color, rows = project(splats, camera)  # [V, P], [V], [V, 3], [V]
-    weight, left = composite(alpha)  # [V, P], [P]
+    alpha, depth, color, rows = project(splats, camera, profile)  # [V, P], [V], [V, 3], [V]
+    weight, left = composite(alpha, profile)  # [V, P], [P]
     seen = (1 - left)[:, None]  # [P, 1]
     picture = weight.T @ color + left[:, None] * background  # [P, 3]
     distance = weight.T @ depth[:, None]  # [P, 1]
@@ -44,7 +47,7 @@ def draw_view(splats: Splats, camera: Camera, background: Tensor) -> tuple[Tenso
     return picture.reshape(shape), seen.reshape(shape), distance.reshape(shape), total
 
 
-def project(splats: Splats, camera: Camera) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Rows that can be drawn, front to back: alpha at each pixel before occlusion [V, P] (0 where not drawn), z [V],
     colour [V, 3], and which rows they are [V]."""
     like = {"dtype": splats.means.dtype, "device": splats.means.device}
@@ -84,7 +87,8 @@ def project(splats: Splats, camera: Camera) -> tuple[Tensor, Tensor, Tensor, Ten
     pixels = pixel_centers(camera, **like)  # [P, 2]
     offset = center[:, None, :] - pixels  # [V, P, 2]
     sigma = ((offset @ torch.linalg.inv(covariance)) * offset).sum(2) / 2  # [V, P]
-    alpha = (opacity[:, None] * torch.exp(-sigma)).clamp_max(CAP)  # [V, P]
+    floor, cap = (0, CAP) if profile == "inria" else (PLAYCANVAS_FLOOR, PLAYCANVAS_CAP)
+    alpha = (opacity[:, None] * (torch.exp(-sigma) - floor)).clamp_max(cap)  # [V, P]
     alpha = torch.where(alpha >= THRESHOLD, alpha, 0)  # [V, P]
 
     position = torch.as_tensor(camera.position, **like)  # [3]
@@ -101,12 +105,13 @@ def drawable(splats: Splats) -> Tensor:
     return ok
 
 
-def composite(alpha: Tensor) -> tuple[Tensor, Tensor]:
+def composite(alpha: Tensor, profile: Profile = "inria") -> tuple[Tensor, Tensor]:
     """Front to back: weights w_i = alpha_i prod_{j < i} (1 - alpha_j) of rows that are taken [V, P], and the
-    transmittance that is left [P]. A pixel takes rows until one would bring its transmittance to STOP or below."""
+    transmittance that is left [P]. A pixel takes rows until one would bring its transmittance to STOP or below;
+    playcanvas: until its transmittance is below STOP."""
     after = torch.cumprod(1 - alpha, 0)  # [V, P]
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])[: len(alpha)]  # [V, P]
-    taken = after > STOP  # [V, P]: once false, false for all behind
+    taken = after > STOP if profile == "inria" else before >= STOP  # [V, P]: once false, false for all behind
     weight = torch.where(taken, alpha * before, 0)  # [V, P]
     left = torch.where(taken, 1 - alpha, 1).prod(0)  # [P]
     return weight, left

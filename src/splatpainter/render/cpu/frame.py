@@ -15,6 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.parallel import run, threads
 from splatpainter.render.cpu import bins, gather, geometry, lanes, raster
 from splatpainter.render.cpu import project as projection
+from splatpainter.render.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, Splats
 
 TILE = lanes.TILE
@@ -121,7 +122,12 @@ class Frame:
         return image, alpha, depth
 
     def draw_into(
-        self, image: np.ndarray, alpha: np.ndarray, depth: np.ndarray, colors: np.ndarray | None = None
+        self,
+        image: np.ndarray,
+        alpha: np.ndarray,
+        depth: np.ndarray,
+        colors: np.ndarray | None = None,
+        profile: Profile = "inria",
     ) -> np.ndarray:
         """`draw` into given C-contiguous arrays. Returns [T] int64 where in `members` each drawn tile stopped, which
         the backward pass wants."""
@@ -130,17 +136,17 @@ class Frame:
             image[:], alpha[:], depth[:] = background, 0, 0
         ends = np.empty(len(self.tile_ids), np.int64)
         lists = (self._painted(colors), self.members, self.tile_ids, self.starts)
-        run(raster.draw_tiles, *lists, background, image, alpha, depth, ends)
+        run(raster.draw_tiles, *lists, background, image, alpha, depth, ends, _selector(profile))
         return ends
 
-    def accumulate(self, values: np.ndarray, mask: np.ndarray) -> Sums:
+    def accumulate(self, values: np.ndarray, mask: np.ndarray, profile: Profile = "inria") -> Sums:
         """The adjoint of compositing over the drawn tiles, with w_ip = alpha_ip T_ip (0 below 1/255 and behind the
         stop). values: [H, W, 3]; mask: [H, W] weights m_p >= 0."""
         dtype = self.records.dtype
         sums = lanes.aligned((len(self.members), gather.SUMS), dtype)
         values, mask = lanes.readonly(values, dtype), lanes.readonly(mask, dtype)
         self._check(values, mask)
-        run(gather.accumulate_tiles, *self.lists(self.records), values, mask, sums)
+        run(gather.accumulate_tiles, *self.lists(self.records), values, mask, sums, _selector(profile))
         out = self._reduce(sums)
         return Sums(out[:, :3], out[:, 3], out[:, 4], out[:, 5])
 
@@ -240,6 +246,11 @@ def project(
     run(bins.place_pairs, begins, ends, spots, offsets, first, members, homes)
     sealed = lanes.readonly(sorted_records, dtype)
     return Frame(camera, n, tiles, sorted_rows.astype(np.int64), sealed, offsets, members, homes, tile_ids, starts)
+
+
+def _selector(profile: Profile) -> bool | None:
+    """What kernels take for a profile; see raster.draw_tiles."""
+    return None if profile == "inria" else True
 
 
 def _layout(tiles: np.ndarray, tile_ids: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -24,6 +24,7 @@ from splatpainter.render.cpu.lanes import (
     sum_lanes,
 )
 from splatpainter.render.cpu.raster import AHEAD, STATE, blocks_hit, close_blocks, composite, open_tile
+from splatpainter.render.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR
 
 LANE_SUMS = 6 * LANES
 SUMS = 8
@@ -31,14 +32,15 @@ SUMS = 8
 
 
 @device
-def give_back(records, members, homes, begin, end, x0, y0, state, closed, hidden, lanes, sums):
+def give_back(records, members, homes, begin, end, x0, y0, state, closed, hidden, lanes, sums, profile):
     """sums[homes[p]] for list entries [begin, end), from fields T, m v (3), m of the tile. hidden: also count the alpha
     of rows behind the point where a pixel stops; otherwise stop there too."""
     F = records.dtype.type
     zero = F(0)
     half = F(0.5)
     threshold = F(THRESHOLD)
-    cap = F(CAP)
+    cap = F(CAP) if profile is None else F(PLAYCANVAS_CAP)
+    floor = F(PLAYCANVAS_FLOOR)
     stop = F(STOP)
     cx = F(x0) + half
     cy = F(y0) + half
@@ -68,12 +70,15 @@ def give_back(records, members, homes, begin, end, x0, y0, state, closed, hidden
                     dx = mxb - F(l & 3)
                     dy = myb - F(l >> 2)
                     sigma = max((a2 * dx + b1 * dy) * dx + c2 * dy * dy, zero)
-                    alpha = min(cap, opacity * exp(-sigma))
+                    if profile is None:
+                        alpha = min(cap, opacity * exp(-sigma))
+                    else:
+                        alpha = min(cap, opacity * (exp(-sigma) - floor))
                     alpha = alpha if alpha >= threshold else zero
                     t = state[0, b, l]
                     w = alpha * t
                     left = t - w
-                    takes = left > stop
+                    takes = left > stop if profile is None else t >= stop
                     w = w if takes else zero
                     m = state[4, b, l]
                     state[0, b, l] = left if takes else -abs(t)
@@ -131,6 +136,7 @@ def accumulate_tiles(
     values,  # [H, W, 3]
     mask,  # [H, W] >= 0
     sums,  # out [P, 8]
+    profile,  # None or True, as in raster.draw_tiles
     thread,
     threads,
 ):
@@ -150,7 +156,8 @@ def accumulate_tiles(
                 m = state[4, b, l]
                 for c in range(3):
                     state[1 + c, b, l] = m * values[y, x, c] if m > 0 else m
-        give_back(records, members, homes, starts[k], starts[k + 1], x0, y0, state, closed, True, lanes, sums)
+        begin, end = starts[k], starts[k + 1]
+        give_back(records, members, homes, begin, end, x0, y0, state, closed, True, lanes, sums, profile)
 
 
 @kernel
@@ -182,7 +189,7 @@ def residual_tiles(
         if not load_mask(mask, x0, y0, state, closed):
             clear(homes, starts[k], starts[k + 1], sums)
             continue
-        end = composite(records, members, starts[k], starts[k + 1], x0, y0, drawn, closed)
+        end = composite(records, members, starts[k], starts[k + 1], x0, y0, drawn, closed, None)
         load_mask(mask, x0, y0, state, closed)
         error = F(0)
         for b in range(BLOCKS):
@@ -197,7 +204,7 @@ def residual_tiles(
                         error += m * difference * difference
                         state[1 + c, b, l] = m * difference
         errors[k] = error
-        end = give_back(records, members, homes, starts[k], end, x0, y0, state, closed, False, lanes, sums)
+        end = give_back(records, members, homes, starts[k], end, x0, y0, state, closed, False, lanes, sums, None)
         clear(homes, end, starts[k + 1], sums)
 
 

@@ -25,6 +25,7 @@ from splatpainter.render.cpu.lanes import (
     prefetch,
     scratch,
 )
+from splatpainter.render.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR
 
 STATE = 5 * PIXELS
 AHEAD = 6
@@ -76,13 +77,14 @@ def close_blocks(state, closed):
 
 
 @device
-def composite(records, members, begin, end, x0, y0, state, closed):
+def composite(records, members, begin, end, x0, y0, state, closed, profile):
     """Add list entries [begin, end) to fields T, r, g, b, depth of the tile; returns one past the last entry used."""
     F = records.dtype.type
     zero = F(0)
     half = F(0.5)
     threshold = F(THRESHOLD)
-    cap = F(CAP)
+    cap = F(CAP) if profile is None else F(PLAYCANVAS_CAP)
+    floor = F(PLAYCANVAS_FLOOR)
     stop = F(STOP)
     cx = F(x0) + half
     cy = F(y0) + half
@@ -112,12 +114,15 @@ def composite(records, members, begin, end, x0, y0, state, closed):
                     dx = mxb - F(l & 3)
                     dy = myb - F(l >> 2)
                     sigma = max((a2 * dx + b1 * dy) * dx + c2 * dy * dy, zero)
-                    alpha = min(cap, opacity * exp(-sigma))
+                    if profile is None:
+                        alpha = min(cap, opacity * exp(-sigma))
+                    else:
+                        alpha = min(cap, opacity * (exp(-sigma) - floor))
                     alpha = alpha if alpha >= threshold else zero
                     t = state[0, b, l]
                     w = alpha * t
                     left = t - w
-                    takes = left > stop
+                    takes = left > stop if profile is None else t >= stop
                     w = w if takes else zero
                     state[0, b, l] = left if takes else -abs(t)
                     state[1, b, l] += w * red
@@ -140,6 +145,7 @@ def draw_tiles(
     alpha,  # out [H, W]
     depth,  # out [H, W] expected depth, 0 where alpha is 0
     ends,  # out [T] one past the last member used
+    profile,  # None: inria, True: playcanvas; compiled for each, so that neither costs the other a test per pixel
     thread,
     threads,
 ):
@@ -151,7 +157,7 @@ def draw_tiles(
     for k in range(thread, tiles.shape[0], threads):
         x0, y0 = open_tile(tiles[k], width, height, state)
         closed[:] = False
-        ends[k] = composite(records, members, starts[k], starts[k + 1], x0, y0, state, closed)
+        ends[k] = composite(records, members, starts[k], starts[k + 1], x0, y0, state, closed, profile)
         for b in range(BLOCKS):
             for l in range(LANES):
                 y = y0 + (b // SIDE) * 4 + (l >> 2)

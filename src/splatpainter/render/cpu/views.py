@@ -13,6 +13,7 @@ from splatpainter.parallel import each, run, threads
 from splatpainter.render.cpu import backward, geometry, lanes
 from splatpainter.render.cpu.frame import Frame, project
 from splatpainter.render.cpu.project_back import project_back
+from splatpainter.render.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, Splats
 
 Result = TypeVar("Result")
@@ -34,7 +35,9 @@ class Drawn:
     """Each view's frame and where its tiles stopped; empty unless asked for."""
 
 
-def draw_views(splats: Splats, cameras: Sequence[Camera], contributions: bool, keep_frames: bool) -> Drawn:
+def draw_views(
+    splats: Splats, cameras: Sequence[Camera], contributions: bool, keep_frames: bool, profile: Profile = "inria"
+) -> Drawn:
     """splats: numpy attributes. cameras: of one size, at least one."""
     dtype = splats.means.dtype
     shape = (len(cameras), cameras[0].height, cameras[0].width)
@@ -43,9 +46,10 @@ def draw_views(splats: Splats, cameras: Sequence[Camera], contributions: bool, k
 
     def draw(c: int) -> tuple[Frame, np.ndarray] | None:
         frame = project(splats, cameras[c])
-        ends = frame.draw_into(colors[c], alphas[c, ..., 0], depths[c, ..., 0])
+        ends = frame.draw_into(colors[c], alphas[c, ..., 0], depths[c, ..., 0], profile=profile)
         if weights is not None:
-            weights[c, frame.rows] = frame.accumulate(np.zeros_like(colors[c]), np.ones(shape[1:], dtype)).weight
+            nothing, everywhere = np.zeros_like(colors[c]), np.ones(shape[1:], dtype)
+            weights[c, frame.rows] = frame.accumulate(nothing, everywhere, profile).weight
         return (frame, ends) if keep_frames else None
 
     frames = _over_views(draw, range(len(cameras)))
