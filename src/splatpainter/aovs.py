@@ -14,6 +14,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.whole import outward_normals
+from splatpainter.render.profiles import Profile
 from splatpainter.splats import Splats
 
 Aov = Literal["alpha", "depth", "normal", "gaussian-ids", "coverage"]
@@ -37,38 +38,51 @@ class Passes:
     """[H, W, 3] float32 parts of alpha: rows predicted and not seen, rows seen by edited views, rows as they were."""
 
 
+def normals_of(splats: Splats) -> np.ndarray:
+    """[N, 3] float32 outward unit normals; zeros for rows that cannot be drawn."""
+    return outward_normals(splats) if splats.finite.any() else np.zeros((len(splats), 3), np.float32)
+
+
 def draw_passes(
     splats: Splats,
     camera: Camera,
     aovs: Collection[Aov] = (),
     *,
+    profile: Profile = "inria",
     normals: np.ndarray | None = None,
     coverage: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Passes:
     """Draw colours, alpha, depth, and what `aovs` names besides.
 
-    splats: numpy attributes. normals: [N, 3] of `outward_normals`, computed where they are wanted and not given (the
-    same for all views of an asset). coverage: [N] bool rows predicted and [N] bool rows seen, both False for rows as
-    they were. Raises ValueError: "coverage" without one."""
+    splats: numpy attributes. profile: as in `render`. normals: [N, 3] of `normals_of`, computed where they are
+    wanted and not given (the same for all views of an asset). coverage: [N] bool rows predicted and [N] bool rows seen,
+    both False for rows as they were. Raises ValueError as `render`, and for "coverage" without one."""
+    from splatpainter.render import render
     from splatpainter.render.cpu.frame import project
     from splatpainter.render.cpu.heaviest import heaviest_rows
 
     if "coverage" in aovs and coverage is None:
         raise ValueError("coverage: only a session knows which rows its edits saw; export the view from a session")
-    frame = project(splats, camera)
-    colors, alpha, depth = frame.draw()
-    frame = replace(frame, camera=replace(camera, background=(0.0, 0.0, 0.0)))
+    drawn = render(splats, camera, profile=profile)
+    colors, alpha, depth = drawn.colors[0], drawn.alphas[0, ..., 0], drawn.depths[0, ..., 0]
+    if not {"normal", "gaussian-ids", "coverage"} & {*aovs}:
+        return Passes(colors, alpha, depth)
     normal = gaussian_ids = parts = None
+    frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+
+    def blend(values: np.ndarray) -> np.ndarray:
+        """[H, W, 3] sum_i w_i v_i of values [N, 3]."""
+        image, weight, distance = np.empty_like(colors), np.empty_like(alpha), np.empty_like(depth)
+        frame.draw_into(image, weight, distance, values[frame.rows].astype(colors.dtype), profile)
+        return image
+
     if "normal" in aovs:
-        if normals is None:
-            normals = outward_normals(splats) if splats.finite.any() else np.zeros_like(splats.means)
-        summed, *_ = frame.draw(np.ascontiguousarray(normals[frame.rows], colors.dtype))
+        summed = blend(normals_of(splats) if normals is None else normals)
         length = np.linalg.norm(summed, axis=-1, keepdims=True)
         normal = np.where(length > 1e-6, summed / np.maximum(length, 1e-6), 0).astype(np.float32)
     if "gaussian-ids" in aovs:
-        gaussian_ids = heaviest_rows(frame)
+        gaussian_ids = heaviest_rows(frame, profile)
     if "coverage" in aovs and coverage is not None:
-        predicted, seen = (rows[frame.rows] for rows in coverage)
-        kinds = np.stack([predicted, seen, ~(predicted | seen)], -1)
-        parts, *_ = frame.draw(kinds.astype(colors.dtype))
+        predicted, seen = coverage
+        parts = blend(np.stack([predicted, seen, ~(predicted | seen)], -1))
     return Passes(colors, alpha, depth, normal, gaussian_ids, parts)

@@ -168,7 +168,7 @@ def read_deep(path: Path, most_pixels: int) -> PixelSamples:
             raise ValueError(f"{path}: damaged picture ({_short(source.geterror())})")
         pixels = pixels.reshape(spec.height, spec.width, last - first)[..., [place - first for place in places]]
         associated = spec.getattribute("oiio:UnassociatedAlpha") in (None, 0) and source.format_name() != "png"
-        values = _windowed(np.nan_to_num(pixels, posinf=np.finfo(np.float32).max, neginf=0), spec)
+        values = _windowed(np.nan_to_num(pixels), spec)
     return PixelSamples(values, len(wanted), bool(associated))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from splatpainter.aovs import Aov, Passes, draw_passes
 from splatpainter.cameras import ALPHA, CHUNK, Alpha, Camera
 from splatpainter.image_files import HALF_MAX, encode_exr, encode_png, quantized, require_deep
+from splatpainter.render.profiles import Profile
 from splatpainter.sources.color import to_display, to_light
 from splatpainter.sources.pictures import straight
 from splatpainter.splats import ColorSpace, Splats
@@ -37,6 +38,8 @@ class PictureOptions:
     """No background, an alpha channel instead: PNG with colours as they are ("straight", as the PNG specification
     wants) or multiplied by alpha; OpenEXR only the latter."""
     aovs: tuple[Aov, ...] = ()
+    profile: Profile = "inria"
+    """Whose picture, as in `render`."""
     level: int = 6
     """Of PNG compression; 1 is fast."""
 
@@ -92,7 +95,7 @@ def view_files(
     options.check_installed()
     if options.format == "png" and "gaussian-ids" in options.aovs and len(splats) > MAX_PNG_IDS:
         raise ValueError(f"gaussian-ids: a PNG numbers {MAX_PNG_IDS:,} rows, got {len(splats):,}; use --format exr")
-    passes = draw_passes(splats, camera, options.aovs, normals=normals, coverage=coverage)
+    passes = draw_passes(splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage)
     record: dict[str, Any] = json.loads(camera.to_json())
     if options.transparent:
         record[ALPHA] = options.transparent

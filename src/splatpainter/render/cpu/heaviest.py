@@ -25,18 +25,20 @@ from splatpainter.render.cpu.lanes import (
     scratch,
 )
 from splatpainter.render.cpu.raster import AHEAD, blocks_hit, close_blocks, open_tile
+from splatpainter.render.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR, Profile
 
 STATE = 2 * PIXELS
 
 
 @device
-def weigh(records, members, begin, end, x0, y0, state, best, closed):
+def weigh(records, members, begin, end, x0, y0, state, best, closed, profile):
     """Fields T and largest weight of the tile, and in `best` [16, 16 lanes] the entry that has it."""
     F = records.dtype.type
     zero = F(0)
     half = F(0.5)
     threshold = F(THRESHOLD)
-    cap = F(CAP)
+    cap = F(CAP) if profile is None else F(PLAYCANVAS_CAP)
+    floor = F(PLAYCANVAS_FLOOR)
     stop = F(STOP)
     cx = F(x0) + half
     cy = F(y0) + half
@@ -62,12 +64,15 @@ def weigh(records, members, begin, end, x0, y0, state, best, closed):
                     dx = mxb - F(l & 3)
                     dy = myb - F(l >> 2)
                     sigma = max((a2 * dx + b1 * dy) * dx + c2 * dy * dy, zero)
-                    alpha = min(cap, opacity * exp(-sigma))
+                    if profile is None:
+                        alpha = min(cap, opacity * exp(-sigma))
+                    else:
+                        alpha = min(cap, opacity * (exp(-sigma) - floor))
                     alpha = alpha if alpha >= threshold else zero
                     t = state[0, b, l]
                     w = alpha * t
                     left = t - w
-                    takes = left > stop
+                    takes = left > stop if profile is None else t >= stop
                     w = w if takes else zero
                     state[0, b, l] = left if takes else -abs(t)
                     top = state[1, b, l]
@@ -84,6 +89,7 @@ def weigh_tiles(
     tiles,  # [T] tile numbers
     starts,  # [T + 1] of each tile in members
     entries,  # out [H, W] int32 which record, -1 for none
+    profile,  # as in raster.draw_tiles
     thread,
     threads,
 ):
@@ -95,7 +101,7 @@ def weigh_tiles(
         x0, y0 = open_tile(tiles[k], width, height, state)
         closed[:] = False
         best[:] = -1
-        weigh(records, members, starts[k], starts[k + 1], x0, y0, state, best, closed)
+        weigh(records, members, starts[k], starts[k + 1], x0, y0, state, best, closed, profile)
         for b in range(BLOCKS):
             for l in range(LANES):
                 y = y0 + (b // SIDE) * 4 + (l >> 2)
@@ -104,8 +110,10 @@ def weigh_tiles(
                     entries[y, x] = best[b, l]
 
 
-def heaviest_rows(frame: Frame) -> np.ndarray:
-    """[H, W] int64: the row of the splats that gives each pixel most of its colour; -1 where nothing is drawn."""
+def heaviest_rows(frame: Frame, profile: Profile = "inria") -> np.ndarray:
+    """[H, W] int64: the row of the splats that gives each pixel most of its colour; -1 where nothing is drawn. The
+    frame has all tiles."""
     entries = np.full((frame.camera.height, frame.camera.width), -1, np.int32)
-    run(weigh_tiles, frame.records, frame.members, frame.tile_ids, frame.starts, entries)
+    selector = None if profile == "inria" else True
+    run(weigh_tiles, frame.records, frame.members, frame.tile_ids, frame.starts, entries, selector)
     return np.append(frame.rows, -1)[entries]
