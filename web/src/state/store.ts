@@ -48,7 +48,10 @@ export const view = signal({
   compare: false,
   coverage: false,
   resolution: 1,
+  /** Whose picture the server renders: "inria" or "playcanvas". */
+  profile: "inria" as Profile,
 });
+export type Profile = "inria" | "playcanvas";
 /** Where the before/after line is, 0..1 of the width. */
 export const compareAt = signal(0.5);
 

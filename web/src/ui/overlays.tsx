@@ -4,13 +4,19 @@ import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
 import { blobUrl } from "../net/blobs";
-import { camera, compareAt, state, view } from "../state/store";
+import { camera, compareAt, state, view, type Profile } from "../state/store";
 import { run } from "../state/studio";
 import type { CameraJson } from "../view/camera";
 import { moving } from "./stage";
 
 type Kind = "true" | "before" | "coverage";
-const shown: Record<Kind, ReturnType<typeof signal<{ url: string; camera: CameraJson; version: number } | null>>> = {
+interface Still {
+  url: string;
+  camera: CameraJson;
+  version: number;
+  profile: Profile;
+}
+const shown: Record<Kind, ReturnType<typeof signal<Still | null>>> = {
   true: signal(null),
   before: signal(null),
   coverage: signal(null),
@@ -25,7 +31,8 @@ async function ask(kind: Kind, at: CameraJson): Promise<string | null> {
       covered.value = { seen: answer.seen, predicted: answer.predicted, next: answer.next_view as CameraJson | null };
     return answer && blobUrl(answer.picture);
   }
-  const answer = await run("view.render", { camera: at, which: kind === "before" ? "original" : "now" }, "Rendering");
+  const which = kind === "before" ? "original" : "now";
+  const answer = await run("view.render", { camera: at, which, profile: view.value.profile }, "Rendering");
   return answer && blobUrl(answer.picture);
 }
 
@@ -33,16 +40,21 @@ async function ask(kind: Kind, at: CameraJson): Promise<string | null> {
 function usePicture(kind: Kind, wanted: boolean): string | null {
   const now = camera.value;
   const version = state.value?.version ?? 0;
+  const profile = view.value.profile;
   const still = !moving.value;
   const have = shown[kind].value;
   const fresh =
-    have !== null && have !== undefined && have.camera === now && (kind === "before" || have.version === version);
+    have !== null &&
+    have !== undefined &&
+    have.camera === now &&
+    have.profile === profile &&
+    (kind === "before" || have.version === version);
   useEffect(() => {
     if (!wanted || !still || fresh || !now) return;
     void ask(kind, now).then((url) => {
-      if (url) shown[kind].value = { url, camera: now, version };
+      if (url) shown[kind].value = { url, camera: now, version, profile };
     });
-  }, [wanted, still, now, version]);
+  }, [wanted, still, now, version, profile]);
   return wanted && have && have.camera === now ? have.url : null;
 }
 
