@@ -124,6 +124,8 @@ class PixelSamples:
     """C: 1 grey, 2 grey and alpha, 3 RGB, 4 RGBA."""
     multiplied: bool
     """Whether colours are multiplied by alpha."""
+    orientation: int = 1
+    """How it is turned, as EXIF says it: 1 to 8."""
 
 
 def is_exr(path: Path) -> bool:
@@ -169,7 +171,9 @@ def read_deep(path: Path, most_pixels: int) -> PixelSamples:
         pixels = pixels.reshape(spec.height, spec.width, last - first)[..., [place - first for place in places]]
         associated = spec.getattribute("oiio:UnassociatedAlpha") in (None, 0) and source.format_name() != "png"
         values = _windowed(np.nan_to_num(pixels), spec)
-    return PixelSamples(values, len(wanted), bool(associated))
+        turned = spec.getattribute("Orientation")
+        orientation = turned if isinstance(turned, int) and 1 <= turned <= 8 else 1
+    return PixelSamples(values, len(wanted), bool(associated), orientation)
 
 
 def _windowed(pixels: np.ndarray, spec: Any) -> np.ndarray:

@@ -27,10 +27,8 @@ KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY = ("JPEG", "WEBP")
 MASK_NOISE = 16
 """8-bit levels that lossy compression leaves on black."""
-ORIENTATION = 0x0112
-"""EXIF tag: how a picture is turned."""
 FLIPS = {2: (-1, 1), 3: (-1, -1), 4: (1, -1), 6: (-1, 1), 7: (-1, -1), 8: (1, -1)}
-"""Its values -> steps (across, down) through the pixels, after rows and columns changed places for 5 and above."""
+"""EXIF orientation -> steps (across, down) through the pixels, after rows and columns changed places for 5 and above."""
 SAME_PROFILE = 2
 """8-bit levels by which an embedded profile may differ from sRGB and still be taken for it (there are a dozen)."""
 
@@ -81,7 +79,7 @@ def read_picture(path: Path) -> Picture:
         notes += [note] if note else []
         if is_deep(path, image) and not note:
             if can_do_deep():
-                return _deep(read_deep(path, LIMIT), image.getexif().get(ORIENTATION, 1))
+                return _deep(read_deep(path, LIMIT))
             notes.append(f"read with 8 of its 16 bits; pip install 'splatpainter[{EXTRA}]' to read all")
         pixels = np.asarray(colors, np.float32) / 255
         return Picture(pixels, alpha, tuple(notes))
@@ -156,12 +154,12 @@ def _deep_grey(image: Image) -> tuple[np.ndarray, None]:
     return np.repeat(grey[..., None], 3, -1), None
 
 
-def _deep(samples: PixelSamples, orientation: int) -> Picture:
+def _deep(samples: PixelSamples) -> Picture:
     """16-bit samples in display colours, turned as EXIF says."""
     values = samples.values
-    if orientation >= 5:
+    if samples.orientation >= 5:
         values = values.swapaxes(0, 1)
-    across, down = FLIPS.get(orientation, (1, 1))
+    across, down = FLIPS.get(samples.orientation, (1, 1))
     values = values[::down, ::across]
     alpha = values[..., -1] if samples.channels in (2, 4) else None
     colors = values[..., :3] if samples.channels >= 3 else np.repeat(values[..., :1], 3, -1)
