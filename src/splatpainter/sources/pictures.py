@@ -28,7 +28,7 @@ LOSSY = ("JPEG", "WEBP")
 MASK_NOISE = 16
 """8-bit levels that lossy compression leaves on black."""
 FLIPS = {2: (-1, 1), 3: (-1, -1), 4: (1, -1), 6: (-1, 1), 7: (-1, -1), 8: (1, -1)}
-"""EXIF orientation -> steps (across, down) through the pixels, after rows and columns changed places for 5 and above."""
+"""EXIF orientation -> steps (across, down) through the pixels, once rows and columns changed places from 5 on."""
 SAME_PROFILE = 2
 """8-bit levels by which an embedded profile may differ from sRGB and still be taken for it (there are a dozen)."""
 
