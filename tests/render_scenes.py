@@ -49,7 +49,7 @@ def with_odd_rows(splats: Splats) -> Splats:
     m[16], s[16], o[16] = [4.9, 0.5, 0.5], [3.0, 0.01, 0.01], 0.9  # a long needle that begins far outside the picture
     q[16] = [1, 0, 0.1, 0]
     m[17], s[17] = [0, 0, -1], 3.0  # larger than the picture
-    q[18] *= 1e-20  # any norm will do
+    q[18] *= 1e-12  # any norm will do, within its range
     s[19] = 1e-6  # much smaller than a pixel
     return odd.append(splats).append(odd)
 

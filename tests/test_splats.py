@@ -97,6 +97,14 @@ ODD = {
     "negative scale": ("scales", (0,), -0.1),
     "NaN opacity": ("opacities", (), np.nan),
     "infinite colour": ("sh", (3, 2), np.inf),
+    "opacity above 1": ("opacities", (), 1.001),
+    "opacity of float32's end": ("opacities", (), 3.4e38),
+    "negative opacity": ("opacities", (), -0.01),
+    "centre too far": ("means", (2,), -1e30),
+    "scale too large": ("scales", (1,), 1e16),
+    "rotation whose square overflows": ("quats", (0,), 1e30),
+    "rotation whose square vanishes": ("quats", (), 1e-20),
+    "colour too large": ("sh", (3, 1), -1e38),
 }
 
 
@@ -112,9 +120,10 @@ def test_rows_that_cannot_be_drawn(case, kind):
 
 def test_tiny_rows_and_unnormalised_rotations_can_be_drawn():
     own = splats()
-    own.quats[0] *= 1e-20
+    own.quats[0] *= 1e-12
     own.scales[1] = 1e-30
-    own.opacities[2] = 0
+    own.opacities[2:4] = 0, 1
+    own.means[4], own.scales[4], own.sh[4] = 1e15, 1e15, -1e15
     assert own.finite.all()
 
 

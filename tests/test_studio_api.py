@@ -171,6 +171,12 @@ def test_views_and_picking(studio: Live) -> None:
     direct = studio.http.get("/api/view.png", params={"camera": camera.to_json()})
     assert direct.content == studio.http.get(f"/api/blobs/{made['picture']}").content
     assert studio.http.get("/api/view.png", params={"camera": "{}"}).status_code == 400
+    other = studio.post("view.render", camera=wire(camera), profile="playcanvas")
+    assert "profile='playcanvas'" in other["python"]
+    dark = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{other['picture']}").content))) / 255
+    expected = render(studio.studio.session.splats, camera, profile="playcanvas").colors[0]
+    assert np.abs(dark - np.clip(expected, 0, 1)).max() <= 0.51 / 255 and np.abs(dark - truth).max() > 2 / 255
+    assert studio.http.post("/api/do/view.render", json={"camera": wire(camera), "profile": "x"}).status_code == 400
     seen = studio.post("pick", camera=wire(camera), x=48.5, y=48.5)
     assert np.allclose(seen["color"], truth[48, 48], atol=1e-4) and seen["hit"]
     point = np.array(seen["point"])

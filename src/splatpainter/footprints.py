@@ -153,7 +153,8 @@ def _deposit(means, quats, scales, opacities, rows, lo, voxel, resolution, total
     for m in range(thread, rows.shape[0], threads):
         count = _footprint(means, quats, scales, opacities, rows[m], lo, voxel, resolution, keys, thickness)
         for s in range(count):
-            total[keys[s]] += int(min(thickness[s], MOST) * UNIT + 0.5)
+            # In this order NaN becomes 0: casts of NaN are undefined.
+            total[keys[s]] += int(min(max(0.0, thickness[s]), MOST) * UNIT + 0.5)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -173,6 +173,8 @@ def _enter(origin, ray, box):
     near, far = 0.0, math.inf
     for axis in range(3):
         d, o = float(ray[axis]), origin[axis]
+        if not (abs(d) < math.inf and abs(o) < math.inf):
+            return 0.0, -1.0
         if d == 0.0:
             if o < box[axis, 0] or o >= box[axis, 1]:
                 return 0.0, -1.0
@@ -185,7 +187,10 @@ def _enter(origin, ray, box):
 @njit(nogil=True, cache=True, error_model="numpy")
 def _axis(origin, d, near, first, end):
     """Along one axis: (first cell, step, cells left before the ray is out, distance of the next wall, of one cell)."""
-    cell = min(max(int(math.floor(origin + near * d)), first), end - 1)
+    # Clamped as a float: casts of what an integer cannot hold are undefined.
+    place = math.floor(origin + near * d)
+    place = place if place > first else float(first)
+    cell = int(place if place < end - 1 else float(end - 1))
     if d > 0.0:
         return cell, 1, end - cell, (cell + 1 - origin) / d, 1.0 / d
     if d < 0.0:

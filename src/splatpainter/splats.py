@@ -19,6 +19,11 @@ Array: TypeAlias = Any
 ColorSpace = Literal["srgb", "linear"]
 SH_COUNTS = {1: 0, 4: 1, 9: 2, 16: 3, 25: 4}
 """Number of SH coefficients -> degree."""
+MAX_MAGNITUDE = 1e15
+"""Means, scales, quaternions and SH coefficients beyond this are not drawn: their squares, summed over a hundred
+million rows or pixels, would not fit into float32."""
+MIN_QUAT = 1e-15
+"""A quaternion whose largest component is below this counts as zero: its squares vanish in float32."""
 SH_C0 = 0.28209479177387814
 """Y_00, the constant spherical harmonic: base colour = 0.5 + SH_C0 * sh[:, 0]."""
 
@@ -28,15 +33,17 @@ class Splats:
     """N Gaussians (rows). Immutable: edits return new objects that share the arrays they did not change."""
 
     means: Array
-    """[N, 3] centres, world units."""
+    """[N, 3] centres, world units, each coordinate within MAX_MAGNITUDE."""
     quats: Array
-    """[N, 4] rotations w, x, y, z; any non-zero norm, normalised where used."""
+    """[N, 4] rotations w, x, y, z; any non-zero norm, normalised where used. Largest component MIN_QUAT to
+    MAX_MAGNITUDE."""
     scales: Array
-    """[N, 3] standard deviations along the rotated axes, world units, > 0 (linear, not log)."""
+    """[N, 3] standard deviations along the rotated axes, world units, above 0 to MAX_MAGNITUDE (linear, not log)."""
     opacities: Array
     """[N] peak alpha, 0..1 (not logit)."""
     sh: Array
-    """[N, K, 3] spherical harmonics, K = (degree + 1)^2, 1 to 25; colour(d) = max(0.5 + sum_k Y_k(d) sh_k, 0)."""
+    """[N, K, 3] spherical harmonics, K = (degree + 1)^2, 1 to 25; colour(d) = max(0.5 + sum_k Y_k(d) sh_k, 0).
+    Each within MAX_MAGNITUDE."""
     antialiased: bool = False
     """True: trained with Mip-Splatting's 2D filter; the renderer compensates opacity for the 0.3 px blur."""
     color_space: ColorSpace = "srgb"
@@ -93,13 +100,23 @@ class Splats:
 
     @cached_property
     def finite(self) -> np.ndarray:
-        """[N] bool: rows that can be drawn (every attribute finite, scales > 0, quaternion non-zero)."""
+        """[N] bool: rows that can be drawn (every attribute finite and in its range, as said at each above). The others
+        are counted by `info` and `render`, keep their bytes, and are drawn by no renderer of this package."""
         own = self.numpy()
-        ok = np.isfinite(own.opacities)
-        for name in ("means", "quats", "scales", "sh"):
-            values = getattr(own, name)
-            ok &= np.isfinite(values).all(tuple(range(1, values.ndim)))
-        return ok & (own.scales > 0).all(1) & (own.quats != 0).any(1)
+        ok = np.ones(len(own), bool)
+        with np.errstate(invalid="ignore"):
+            for name, least, most in (
+                ("means", -MAX_MAGNITUDE, MAX_MAGNITUDE),
+                ("quats", -MAX_MAGNITUDE, MAX_MAGNITUDE),
+                ("scales", 0, MAX_MAGNITUDE),
+                ("opacities", 0, 1),
+                ("sh", -MAX_MAGNITUDE, MAX_MAGNITUDE),
+            ):
+                values = getattr(own, name)
+                # The extremes of all rows first: one pass without a temporary, which is all that most assets need.
+                if values.size and not (values.min() >= least and values.max() <= most):
+                    ok &= ((values >= least) & (values <= most)).all(tuple(range(1, values.ndim)))
+            return ok & (own.scales > 0).all(1) & (np.abs(own.quats) >= MIN_QUAT).any(1)
 
     @cached_property
     def sha256(self) -> str:

@@ -108,6 +108,8 @@ def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directio
     side = (side / np.linalg.norm(side, axis=1, keepdims=True)).astype(np.float32)
     other = np.cross(towards, side).astype(np.float32)
     span = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if not np.isfinite(span):
+        raise ValueError("visibility: expected finite points within float32's squares, got others")
     pixel = np.float32(max(1.25 * spacing, span / 900))  # a map of at most 900 pixels a side
     center = ((points.min(0) + points.max(0)) / 2).astype(np.float32)
     size = int(np.ceil(span / pixel)) + 8
@@ -129,6 +131,13 @@ def warm() -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def _inside(x, last):
+    """int(x) within [0, last], 0 for NaN. Clamped as a float: casts of what an integer cannot hold are undefined."""
+    x = x if x > 0 else np.float32(0)
+    return int(x if x < last else np.float32(last))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def _march(points, normals, towards, side, other, pixel, size, folded, weights, lost_front, lost_back, shade):
     """Adds to lost_front, lost_back [N, 9] and shade [N, 2] (cosine-weighted) what is blocked."""
     depth = np.empty((size, size), np.float32)
@@ -143,7 +152,7 @@ def _march(points, normals, towards, side, other, pixel, size, folded, weights, 
             u = (p[0] * a[0] + p[1] * a[1] + p[2] * a[2]) / pixel + half - np.float32(0.5)
             v = (p[0] * b[0] + p[1] * b[1] + p[2] * b[2]) / pixel + half - np.float32(0.5)
             t = p[0] * d[0] + p[1] * d[1] + p[2] * d[2]
-            x, y = int(u), int(v)
+            x, y = _inside(u, size - 2), _inside(v, size - 2)
             for ix in range(x, x + 2):  # two by two pixels: no light through the gaps between points
                 for iy in range(y, y + 2):
                     if t > depth[ix, iy]:
@@ -157,9 +166,9 @@ def _march(points, normals, towards, side, other, pixel, size, folded, weights, 
             u = (px * a[0] + py * a[1] + pz * a[2]) / pixel + half - np.float32(0.5)
             v = (px * b[0] + py * b[1] + pz * b[2]) / pixel + half - np.float32(0.5)
             t = px * d[0] + py * d[1] + pz * d[2] + bias
-            x, y = int(u), int(v)
-            if x < 0 or y < 0 or x + 1 >= size or y + 1 >= size:
+            if not (-1 < u < size - 1 and -1 < v < size - 1):  # NaN too
                 continue
+            x, y = int(u), int(v)
             fu, fv = u - x, v - y
             hidden = np.float32(0)
             if depth[x, y] > t:

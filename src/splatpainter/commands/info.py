@@ -76,7 +76,7 @@ def _lines(record: dict) -> list[str]:
     bounds, around = record["bounds"], record["reach"]
     rows = count(record["rows"], "row")
     if record["rows_not_drawn"]:
-        rows += f", of which {record['rows_not_drawn']:,} cannot be drawn (NaN, infinite, or zero scale)"
+        rows += f", of which {record['rows_not_drawn']:,} cannot be drawn (NaN, infinite, or out of range)"
     fields = {
         "file": f"{record['file']} ({size(record['bytes'])})",
         "format": record["description"],

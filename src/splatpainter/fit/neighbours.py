@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from splatpainter.parallel import run
+from splatpainter.splats import MAX_MAGNITUDE
 
 BLOCK = 256
 """Points that a thread takes at a time."""
@@ -13,13 +14,20 @@ MOST_CELLS = 1 << 22
 
 
 def mean_squares(points: np.ndarray, count: int = 3) -> np.ndarray:
-    """[M] float32 mean squared distance of each point ([M, 3], finite) to its `count` nearest others (fewer where there
-    are fewer; infinite for a single point)."""
+    """[M] float32 mean squared distance of each point ([M, 3]) to its `count` nearest others (fewer where there are
+    fewer; infinite for a single point, and for points beyond float32's squares or not finite)."""
     points = np.ascontiguousarray(points, np.float32)
+    near = (np.abs(points) <= MAX_MAGNITUDE).all(1)
+    if not near.all():
+        out = np.full(len(points), np.inf, np.float32)
+        out[near] = mean_squares(points[near], count)
+        return out
     if len(points) < 2:
         return np.full(len(points), np.inf, np.float32)
     count = min(count, len(points) - 1)
-    low, high = np.quantile(points, [0.01, 0.99], axis=0)  # outliers share the border's cells: slower, not wrong
+    low, high = np.quantile(points, [0.01, 0.99], axis=0).astype(
+        np.float64
+    )  # outliers share the border's cells: slower, not wrong
     size = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-12))
     cell = float((np.prod(size) / len(points)) ** (1 / 3))
     cell = max(cell, float((np.prod(np.sort(size)[1:]) / len(points)) ** (1 / 2)) / 4, float(size.max()) / 1024)

@@ -72,7 +72,7 @@ def read_compressed_ply(path: Path) -> Splats:
 def write_compressed_ply(path: Path, splats: Splats) -> None:
     """Write a compressed PLY file, rows in their order (a new file has tighter ranges when near rows stand together).
 
-    Rows that cannot be drawn (NaN, zero scale) become transparent, unless they are unchanged rows of such a source.
+    Rows that cannot be drawn (NaN, values out of range) become transparent, unless they are unchanged rows of such a source.
     Raises ValueError when the file cannot be written.
     """
     source = splats.source

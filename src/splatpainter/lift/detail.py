@@ -148,7 +148,7 @@ def _medians(depth, out, thread, threads):
     near = np.empty((2 * _SMOOTH + 1) ** 2, np.float32)
     for y in range(thread, height, threads):
         for x in range(width):
-            if depth[y, x] == 0:
+            if not depth[y, x] > 0:  # NaN too
                 continue
             n = 0
             for v in range(max(y - _SMOOTH, 0), min(y + _SMOOTH + 1, height)):
@@ -167,7 +167,7 @@ def _means(depth, out, thread, threads):
     for y in range(thread, height, threads):
         for x in range(width):
             z = depth[y, x]
-            if z == 0:
+            if not z > 0:
                 continue
             total, n = np.float32(0), 0
             for v in range(max(y - _SMOOTH, 0), min(y + _SMOOTH + 1, height)):

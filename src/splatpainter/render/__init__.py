@@ -56,10 +56,13 @@ def render(
     contributions: also return each row's weight per view. profile: whose formula for alpha is used, see profiles.py;
     "playcanvas" shows an asset as that family of tools does.
 
+    Rows with values out of their range (`Splats.finite`: NaN, opacities beyond 0..1, ...) are not drawn, nor is anything
+    by a camera beyond MAX_MAGNITUDE. In one view, rows are left out whose centre is projected farther than 1e9 pixels
+    away or whose footprint's squared area exceeds the dtype.
+
     With torch tensors the result is differentiable in means, quats, scales, opacities, sh, and background if that is a
-    tensor. Rows with NaN or infinite values, a zero quaternion or scales that are not positive are not drawn and get
-    zero gradients. Equal inputs give equal bits, whatever the number of threads (CPU). Profiles other than "inria" are
-    differentiable in the backend "reference" only, and there is none of them on CUDA.
+    tensor; rows that are not drawn get zero gradients. Equal inputs give equal bits, whatever the number of threads
+    (CPU). Profiles other than "inria" are differentiable in the backend "reference" only; CUDA has none of them.
 
     Raises ValueError for shapes, kinds or sizes that do not fit, and for a backend or profile that is not there.
     """

@@ -13,11 +13,12 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.render.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR, Profile
-from splatpainter.splats import Splats
+from splatpainter.splats import MAX_MAGNITUDE, MIN_QUAT, Splats
 
 NEAR = 0.01  # world units
 EPS2D = 0.3  # px^2, the width of a pixel's own filter
 MARGIN = 0.15  # of the picture, beyond which Jacobians are not taken
+FAR_PX = 1e9  # rows whose centre lies farther from the picture's corner are not drawn
 THRESHOLD = 1 / 255  # least alpha that is drawn
 CAP = 0.999  # largest alpha
 STOP = 1e-4  # a pixel takes no row that would bring its transmittance to this or below
@@ -55,9 +56,11 @@ def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple
     turn, shift = world_to_camera[:3, :3], world_to_camera[:3, 3]  # [3, 3], [3]
 
     with torch.no_grad():
-        ok = drawable(splats)  # [N]
+        ok = drawable(splats) & bool(abs(camera.position).max() <= MAX_MAGNITUDE)  # [N]
         z = splats.means @ turn[2] + shift[2]  # [N]
-        rows = torch.nonzero(ok & (z >= NEAR))[:, 0]  # [V]
+        x, y = splats.means @ turn[0] + shift[0], splats.means @ turn[1] + shift[1]  # [N] each
+        near = torch.stack([camera.fx * (x / z) + camera.cx, camera.fy * (y / z) + camera.cy], 1).abs() <= FAR_PX
+        rows = torch.nonzero(ok & (z >= NEAR) & near.all(1))[:, 0]  # [V]
         rows = rows[torch.argsort(z[rows], stable=True)]  # equal depths: by row
     means, scales, sh = splats.means[rows], splats.scales[rows], splats.sh[rows]  # [V, 3], [V, 3], [V, K, 3]
     quats, opacity = splats.quats[rows], splats.opacities[rows]  # [V, 4], [V]
@@ -98,10 +101,11 @@ def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple
 
 
 def drawable(splats: Splats) -> Tensor:
-    """[N] bool: every attribute finite, scales > 0, quaternion non-zero. Other rows are not drawn."""
-    ok = splats.opacities.isfinite() & (splats.scales > 0).all(1) & (splats.quats != 0).any(1)  # [N]
+    """[N] bool: every attribute finite and in its range, see `Splats`. Other rows are not drawn."""
+    ok = (splats.opacities >= 0) & (splats.opacities <= 1) & (splats.scales > 0).all(1)  # [N]
+    ok = ok & (splats.quats.abs() >= MIN_QUAT).any(1)
     for values in (splats.means, splats.quats, splats.scales, splats.sh):
-        ok = ok & values.isfinite().flatten(1).all(1)
+        ok = ok & (values.abs() <= MAX_MAGNITUDE).flatten(1).all(1)
     return ok
 
 

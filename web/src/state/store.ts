@@ -45,13 +45,12 @@ export const view = signal({
   background: "#1b1d21",
   grid: false,
   trueColor: false,
+  /** Whose formula for alpha the true-colour pictures are drawn with. */
+  profile: "inria" as "inria" | "playcanvas",
   compare: false,
   coverage: false,
   resolution: 1,
-  /** Whose picture the server renders: "inria" or "playcanvas". */
-  profile: "inria" as Profile,
 });
-export type Profile = "inria" | "playcanvas";
 /** Where the before/after line is, 0..1 of the width. */
 export const compareAt = signal(0.5);
 

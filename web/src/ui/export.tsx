@@ -4,12 +4,13 @@ import { signal } from "@preact/signals";
 
 import type { ViewExport } from "../messages";
 import { download } from "../net/blobs";
-import { camera, state, toast, view, type Profile } from "../state/store";
+import { camera, state, toast } from "../state/store";
 import { run } from "../state/studio";
 import { Button, Check, Choice, Dialog } from "./parts";
 
 type Aov = NonNullable<ViewExport["aovs"]>[number];
-type Options = Omit<ViewExport, "camera" | "to" | "name" | "profile">;
+type Options = Omit<ViewExport, "camera" | "to" | "name">;
+type Profile = NonNullable<ViewExport["profile"]>;
 
 const SIZES = [
   ["view", "as on the screen"],
@@ -35,8 +36,8 @@ const AOVS: readonly (readonly [Aov, string])[] = [
   ["gaussian-ids", "Gaussian ids"],
   ["coverage", "Coverage"],
 ];
-export const PROFILES: readonly (readonly [Profile, string])[] = [
-  ["inria", "INRIA (as trained)"],
+const PROFILES: readonly (readonly [Profile, string])[] = [
+  ["inria", "3DGS"],
   ["playcanvas", "PlayCanvas"],
 ];
 
@@ -45,17 +46,13 @@ const custom = signal("3000");
 const kind = signal<(typeof KINDS)[number][0]>("png 8");
 const background = signal<(typeof BACKGROUNDS)[number][0]>("kept");
 const aovs = signal<readonly Aov[]>([]);
+const profile = signal<Profile>("inria");
 
 /** Render the present view and give it out. */
 export async function exportView(to: "download" | "folder", options: Options = {}): Promise<boolean> {
   if (!camera.value) return false;
   const name = `view-${new Date().toISOString().slice(0, 19).replace(/[-:T]/g, "")}`;
-  const { profile } = view.value;
-  const answer = await run(
-    "view.export",
-    { camera: camera.value, to, name, profile, ...options },
-    "Rendering the view",
-  );
+  const answer = await run("view.export", { camera: camera.value, to, name, ...options }, "Rendering the view");
   if (!answer) return false;
   if (answer.url) download(answer.url, answer.name);
   else
@@ -77,6 +74,7 @@ function chosen(): Options {
     bits: Number(bits) as 8 | 16 | 32,
     transparent: clear,
     aovs: [...aovs.value],
+    profile: profile.value,
     size: size.value === "view" ? null : pixels,
   };
 }
@@ -124,18 +122,17 @@ export function ViewExportDialog({ onClose }: { onClose: () => void }) {
           />
         ))}
       </p>
-      <h3>Look</h3>
       <p class="row">
         <Choice
-          label="Rendered as by"
-          value={view.value.profile}
+          label="Drawn as by"
+          value={profile.value}
           options={PROFILES}
-          onChange={(profile) => (view.value = { ...view.value, profile })}
+          onChange={(value) => (profile.value = value)}
         />
       </p>
       <p class="quiet">
-        The same look is used by the true-colour view. EXR holds linear light, multiplied by alpha; passes come with the
-        picture in one zip.
+        To be painted on, pictures are drawn as by 3DGS. EXR holds linear light, multiplied by alpha. Passes come with
+        the picture in one zip.
       </p>
       <p class="row">
         <Button

@@ -23,6 +23,11 @@ const RESOLUTIONS: readonly (readonly [string, string])[] = [
   ["2", "Double"],
 ];
 
+const PROFILES: readonly (readonly [string, string])[] = [
+  ["inria", "3DGS"],
+  ["playcanvas", "PlayCanvas"],
+];
+
 export const undo = () => void run("undo", {}, "Undo");
 export const redo = () => void run("redo", {}, "Redo");
 
@@ -95,6 +100,14 @@ export function Header() {
         pressed={shown.trueColor}
         onClick={() => set({ trueColor: !shown.trueColor })}
       />
+      {shown.trueColor && (
+        <Choice
+          label="Drawn as by"
+          value={shown.profile}
+          options={PROFILES}
+          onChange={(profile) => set({ profile: profile as typeof shown.profile })}
+        />
+      )}
       <Button
         icon="compare"
         label="Before and after"

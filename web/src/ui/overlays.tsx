@@ -4,12 +4,13 @@ import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
 import { blobUrl } from "../net/blobs";
-import { camera, compareAt, state, view, type Profile } from "../state/store";
+import { camera, compareAt, state, view } from "../state/store";
 import { run } from "../state/studio";
 import type { CameraJson } from "../view/camera";
 import { moving } from "./stage";
 
 type Kind = "true" | "before" | "coverage";
+type Profile = "inria" | "playcanvas";
 interface Still {
   url: string;
   camera: CameraJson;
@@ -24,7 +25,7 @@ const shown: Record<Kind, ReturnType<typeof signal<Still | null>>> = {
 /** What the last coverage said, and where to look next. */
 export const covered = signal<{ seen: number; predicted: number; next: CameraJson | null } | null>(null);
 
-async function ask(kind: Kind, at: CameraJson): Promise<string | null> {
+async function ask(kind: Kind, at: CameraJson, profile: Profile): Promise<string | null> {
   if (kind === "coverage") {
     const answer = await run("coverage", { camera: at }, "Coverage");
     if (answer)
@@ -32,7 +33,7 @@ async function ask(kind: Kind, at: CameraJson): Promise<string | null> {
     return answer && blobUrl(answer.picture);
   }
   const which = kind === "before" ? "original" : "now";
-  const answer = await run("view.render", { camera: at, which, profile: view.value.profile }, "Rendering");
+  const answer = await run("view.render", { camera: at, which, profile }, "Rendering");
   return answer && blobUrl(answer.picture);
 }
 
@@ -40,8 +41,9 @@ async function ask(kind: Kind, at: CameraJson): Promise<string | null> {
 function usePicture(kind: Kind, wanted: boolean): string | null {
   const now = camera.value;
   const version = state.value?.version ?? 0;
-  const profile = view.value.profile;
   const still = !moving.value;
+  // Beside the live view, which draws as 3DGS does, the original is drawn so too.
+  const profile = view.value.trueColor ? view.value.profile : "inria";
   const have = shown[kind].value;
   const fresh =
     have !== null &&
@@ -51,11 +53,11 @@ function usePicture(kind: Kind, wanted: boolean): string | null {
     (kind === "before" || have.version === version);
   useEffect(() => {
     if (!wanted || !still || fresh || !now) return;
-    void ask(kind, now).then((url) => {
+    void ask(kind, now, profile).then((url) => {
       if (url) shown[kind].value = { url, camera: now, version, profile };
     });
   }, [wanted, still, now, version, profile]);
-  return wanted && have && have.camera === now ? have.url : null;
+  return wanted && have && have.camera === now && have.profile === profile ? have.url : null;
 }
 
 export function Overlays() {

@@ -16,9 +16,11 @@ from splatpainter.parallel import run, threads
 from splatpainter.render.cpu import bins, gather, geometry, lanes, raster
 from splatpainter.render.cpu import project as projection
 from splatpainter.render.profiles import Profile
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
 TILE = lanes.TILE
+MAX_PAIRS = 1 << 30
+"""Row and tile pairs of one view, 12 GiB of lists; beyond 2^31 their places would not fit into int32."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +224,7 @@ def project(
     size = blocks * projection.BLOCK
     records, keys = lanes.aligned((size, lanes.RECORD), dtype), np.empty(size, dtype)
     (row, room), counts = np.empty((2, size), np.int32), np.empty(blocks, np.int32)
-    if len(tile_ids) and n:
+    if len(tile_ids) and n and np.abs(camera.position).max() <= MAX_MAGNITUDE:
         arguments = (*attributes, splats.sh_degree, keep, cam, bool(splats.antialiased), grid, slots)
         run(projection.project_rows, *arguments, records, keys, row, room, counts)
     else:
@@ -235,7 +237,12 @@ def project(
     del records
     begins = np.cumsum(sorted_room, dtype=np.int64) - sorted_room
 
-    ends, spots = np.empty(m, np.int64), np.empty(int(sorted_room.sum(dtype=np.int64)), np.int32)
+    room_in_all = int(sorted_room.sum(dtype=np.int64))
+    if room_in_all > MAX_PAIRS:
+        size = f"{camera.width} x {camera.height}"
+        limit = f"rows that touch at most {MAX_PAIRS:,} tiles of {TILE} x {TILE} pixels in all"
+        raise ValueError(f"render: expected {limit}, got {room_in_all:,} at {size}; render a smaller picture")
+    ends, spots = np.empty(m, np.int64), np.empty(room_in_all, np.int32)
     histogram = np.zeros((threads(), len(tile_ids)), np.int64)
     run(bins.list_pairs, sorted_records, begins, sorted_room, grid, slots, ends, spots, histogram)
     offsets, starts = np.zeros(m + 1, np.int64), np.zeros(len(tile_ids) + 1, np.int64)

@@ -11,6 +11,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.render.cpu.lanes import MARGIN, TILE, device, strict
+from splatpainter.splats import MAX_MAGNITUDE, MIN_QUAT
 
 # Columns of the camera vector.
 ROTATION, SHIFT, FOCAL, CENTER, LIMITS, WINDOW, POSITION, LENGTH = 0, 9, 12, 14, 16, 20, 24, 27
@@ -32,7 +33,8 @@ def camera_vector(camera: Camera, window: np.ndarray, dtype: np.dtype) -> np.nda
     )
     out[WINDOW:POSITION] = window
     out[POSITION:] = c.position
-    out = out.astype(dtype)
+    with np.errstate(over="ignore"):  # a camera beyond float32 sees nothing
+        out = out.astype(dtype)
     out.flags.writeable = False
     return out
 
@@ -115,6 +117,31 @@ def project_axes(p00, p01, p02, p10, p11, p12, q):
 
 
 @strict
+def within_range(means, quats, sh, n):
+    """Whether a row's centre, quaternion and colours are in the ranges of Splats.finite; NaN is not."""
+    F = means.dtype.type
+    largest = F(MAX_MAGNITUDE)
+    within = abs(means[n, 0]) <= largest and abs(means[n, 1]) <= largest and abs(means[n, 2]) <= largest
+    norm = F(0)
+    for c in range(4):
+        within &= abs(quats[n, c]) <= largest
+        norm = max(norm, abs(quats[n, c]))
+    within &= norm >= F(MIN_QUAT)
+    for c in range(sh.shape[1]):
+        for channel in range(3):
+            within &= abs(sh[n, c, channel]) <= largest
+    return within
+
+
+@strict
+def clamped(x, last):
+    """int(x) within [0, last], 0 for NaN. Clamped as a float: casts of what an integer cannot hold are undefined."""
+    F = type(x)
+    x = x if x > F(0) else F(0)
+    return int(x if x < F(last) else F(last))
+
+
+@strict
 def tile_columns(mx, my, a, b, q, xe, ye, y0, first, last):
     """Tiles [begin, end) of the tile row that starts at pixel y0 which the ellipse touches, within [first, last), its
     tile_span: rounding must not find a tile outside the bounding box, for which no room was made.
@@ -137,15 +164,13 @@ def tile_columns(mx, my, a, b, q, xe, ye, y0, first, last):
     down = left * shrink
     x1 = mx + slope * right + width * math.sqrt(max(one - up * up, zero))
     x0 = mx + slope * left - width * math.sqrt(max(one - down * down, zero))
-    begin = max(int(min(max(x0 * F(1 / TILE), zero), F(last))), first)
-    end = min(int(min(max(x1 * F(1 / TILE) + one, zero), F(last))), last)
-    return begin, end
+    begin = max(clamped(x0 * F(1 / TILE), last), first)
+    return begin, clamped(x1 * F(1 / TILE) + one, last)
 
 
 @strict
 def tile_span(m, e, first, last):
-    """Tiles [begin, end) which the interval [m - e, m + e] touches, within [first, last)."""
+    """Tiles [begin, end) which the interval [m - e, m + e] touches, within [first, last); never end < begin."""
     F = type(m)
-    begin = max(int(min(max((m - e) * F(1 / TILE), F(0)), F(last))), first)
-    end = min(int(min(max((m + e) * F(1 / TILE) + F(1), F(0)), F(last))), last)
-    return begin, end
+    begin = max(clamped((m - e) * F(1 / TILE), last), first)
+    return begin, max(clamped((m + e) * F(1 / TILE) + F(1), last), begin)

@@ -31,6 +31,9 @@ MX, MY, CA, CB, CC, OP, RED, GREEN, BLUE, DEPTH, YE, XE, Q, RAW = range(14)
 """Columns: centre (px); conic A, B, C (sigma = A dx^2 / 2 + B dx dy + C dy^2 / 2); opacity; colour >= 0; z; half
 extents of the drawn ellipse (px); its squared radius in standard deviations; then three columns of unclamped colour."""
 
+FAR_PX = 1e9
+"""Rows whose centre lies farther than this from the picture's corner, in pixels, are not drawn: beyond about 1e19 the
+squares of distances to pixels would not fit into float32."""
 THRESHOLD = 1 / 255
 """Alphas below this are not drawn."""
 CAP = 0.999
@@ -90,7 +93,7 @@ def _exp(x):
     bits = np.int32(23)
 
     def exp32(x):
-        y = max(x * log2e, low)
+        y = max(low, x * log2e)  # in this order NaN becomes `low`: casts of NaN are undefined
         n = np.int32(y - half)  # y <= 0, so truncation rounds to the nearest
         r = y - np.float32(n)
         p = (((((c6 * r + c5) * r + c4) * r + c3) * r + c2) * r + c1) * r + c0

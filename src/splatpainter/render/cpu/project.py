@@ -8,8 +8,9 @@ import numpy as np
 from numba import carray
 
 from splatpainter.render.cpu import geometry as geo
-from splatpainter.render.cpu.lanes import EPS2D, NEAR, THRESHOLD, TILE, kernel, scratch
+from splatpainter.render.cpu.lanes import EPS2D, FAR_PX, NEAR, THRESHOLD, TILE, kernel, scratch
 from splatpainter.render.cpu.sh import sh_basis
+from splatpainter.splats import MAX_MAGNITUDE
 
 BLOCK = 1024
 """Rows per unit of work; each block's records are written side by side from the block's start."""
@@ -46,6 +47,8 @@ def project_rows(
     inf = F(np.inf)
     threshold = F(THRESHOLD)
     eps = F(EPS2D)
+    far = F(FAR_PX)
+    largest = F(MAX_MAGNITUDE)
     coefficients = (degree + 1) * (degree + 1)
     basis = carray(scratch(means, 25), (25,))
     for block in range(thread, counts.shape[0], threads):
@@ -53,10 +56,11 @@ def project_rows(
         for n in range(block * BLOCK, min(means.shape[0], (block + 1) * BLOCK)):
             if keep.shape[0] > 0 and not keep[n]:
                 continue
-            # Every test is written so that NaN fails it.
+            # Every test is written so that NaN fails it. Ranges are those of Splats.finite, and are tested where they
+            # cost least: what is not drawn anyway needs none.
             x, y, z = geo.to_camera(cam, means[n, 0], means[n, 1], means[n, 2])
             opacity = opacities[n]
-            if not (z >= F(NEAR) and z < inf and opacity >= threshold and opacity < inf):
+            if not (z >= F(NEAR) and z < inf and opacity >= threshold and opacity <= one):
                 continue
             s0 = scales[n, 0]
             s1 = scales[n, 1]
@@ -71,9 +75,11 @@ def project_rows(
             j00, j02, j11, j12, _, _ = geo.jacobian(cam, u, v, rz)
             # Cheap test before the exact one: cov2d is at most |J|^2 max(s)^2, the radius at most sqrt(2 ln 255) sigma.
             s = max(s0, max(s1, s2))
-            bound = F(11.1) * max(opacity, one) * (s * s * (j00 * j00 + j02 * j02 + j11 * j11 + j12 * j12) + eps)
+            bound = F(11.1) * (s * s * (j00 * j00 + j02 * j02 + j11 * j11 + j12 * j12) + eps)
             reach = math.sqrt(bound)
             if not (mx + reach > cam[20] and mx - reach < cam[21] and my + reach > cam[22] and my - reach < cam[23]):
+                continue
+            if not (abs(mx) <= far and abs(my) <= far and s <= largest):
                 continue
             p00, p01, p02, p10, p11, p12 = geo.to_world(cam, j00, j02, j11, j12)
             w, i, j, k, _ = geo.unit_quat(quats[n, 0], quats[n, 1], quats[n, 2], quats[n, 3])
@@ -133,7 +139,7 @@ def project_rows(
                 red += basis[c] * sh[n, c, 0]
                 green += basis[c] * sh[n, c, 1]
                 blue += basis[c] * sh[n, c, 2]
-            if not (abs(red) < inf and abs(green) < inf and abs(blue) < inf):
+            if not geo.within_range(means, quats, sh, n):
                 continue
             records[at, 0] = mx
             records[at, 1] = my

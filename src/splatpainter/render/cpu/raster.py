@@ -37,9 +37,12 @@ def blocks_hit(m, e):
     """Blocks [begin, end) of a tile that [m - e, m + e] hits, m relative to the centre of the tile's first pixel."""
     zero = type(m)(0)
     limit = type(m)(TILE - 1)
-    if m + e < zero:
+    low = m - e
+    high = m + e
+    if not high >= zero:  # NaN too
         return 0, 0
-    return int(min(max(m - e, zero), limit)) >> 2, (int(min(m + e, limit)) >> 2) + 1
+    low = low if low > zero else zero
+    return int(low if low < limit else limit) >> 2, (int(high if high < limit else limit) >> 2) + 1
 
 
 @device

@@ -37,8 +37,8 @@ def render_view(call: Call, command: say.ViewRender) -> say.PictureMade:
     studio, camera = call.studio, camera_of(command.camera)
     splats = studio.session.splats if command.which == "now" else studio.original
     blob = studio.blobs.put(png_bytes(draw(splats, camera, command.profile), camera), "render.png")
-    profile = "" if command.profile == "inria" else f", profile={command.profile!r}"
-    return say.PictureMade(picture=blob.sha256, python=f"sp.render(session.splats, camera{profile})")
+    named = "" if command.profile == "inria" else f", profile={command.profile!r}"
+    return say.PictureMade(picture=blob.sha256, python=f"sp.render(session.splats, camera{named})")
 
 
 @handles(say.ViewExport, aside=True)

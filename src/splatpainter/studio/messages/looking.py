@@ -27,7 +27,7 @@ class ViewRender(Command):
     camera: Camera
     which: Literal["now", "original"] = "now"
     profile: Profile = "inria"
-    """Whose picture: "playcanvas" as PlayCanvas's tools render the file, about 1 % darker."""
+    """Whose formula for alpha; pictures to be painted on have the default."""
 
 
 class ViewExported(PictureMade):

@@ -1,0 +1,276 @@
+"""Extreme values for every kernel, with bounds checked: in a process and a kernel cache of its own, because kernels
+that were compiled before ignore the switch.
+
+    python tests/fuzz/kernels.py --seconds 600 --seed 0            all kernels, float32 and float64
+    python tests/fuzz/kernels.py --count 1 --seed 1234             one input again
+
+An input is a pure function of its seed. It fails where a kernel computes an index that is out of bounds, where a
+RuntimeWarning or anything but a ValueError of one line comes out, and where a row out of its range changes a picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+EXTREMES = (0.0, -0.0, 1e-45, 1e-38, 1e-20, 1e-15, 1e-3, 1.0, 1.0000001, 2.0, 255.0, 1e5, 1e9, 1e12, 1e15, 1.1e15, 1e18)
+EXTREMES += (1e19, 1e30, 3.4e38, np.inf, np.nan)
+EXTREMES += tuple(-value for value in EXTREMES)
+STARTED = "inside"
+
+
+def extreme(rng: np.random.Generator, values: np.ndarray, share: float) -> np.ndarray:
+    """The same with about `share` of the values replaced by extremes, and sometimes whole rows of them."""
+    out = np.array(values)
+    hit = rng.random(out.shape) < share
+    if rng.random() < 0.3:
+        hit |= (rng.random(len(out)) < share).reshape(-1, *[1] * (out.ndim - 1))
+    with np.errstate(over="ignore"):
+        out[hit] = rng.choice(EXTREMES, int(hit.sum())).astype(out.dtype)
+    return out
+
+
+def rows(rng: np.random.Generator, dtype: type, share: float):
+    """Rows around the origin, some of their values extreme."""
+    from splatpainter.splats import Splats
+
+    n, bands = int(rng.integers(1, 40)), int(rng.choice([1, 4, 9, 16, 25]))
+    values = {
+        "means": rng.normal(0, 0.6, (n, 3)) * rng.choice([1, 1, 1e3, 1e9, 1e15]),
+        "quats": rng.normal(0, 1, (n, 4)),
+        "scales": np.exp(rng.normal(-2, 2, (n, 3))) * rng.choice([1, 1, 1e-6, 1e4, 1e12]),
+        "opacities": rng.uniform(0, 1, n),
+        "sh": rng.normal(0, 0.4, (n, bands, 3)),
+    }
+    return Splats(
+        **{name: extreme(rng, value.astype(dtype), share) for name, value in values.items()},
+        antialiased=bool(rng.random() < 0.3),
+    )
+
+
+def view(rng: np.random.Generator):
+    """A camera near the origin or far from it, of any lens."""
+    from splatpainter.cameras import look_at
+
+    width, height = (int(size) for size in rng.integers(1, 70, 2))
+    eye = rng.normal(0, 1, 3) * rng.choice([1e-6, 1, 3, 3, 3, 1e3, 1e15, 1e30])
+    if not np.linalg.norm(eye) > 0:
+        eye = np.array([0.0, 0, 3])
+    camera = look_at(eye, [0, 0, 0], width=width, height=height, fov=float(rng.choice([1, 50, 50, 170])))
+    if rng.random() < 0.3:
+        from dataclasses import replace
+
+        lens = rng.choice([1e-30, 1e-3, 1, 100, 1e6, 1e30, 1e300], 2)
+        middle = rng.choice([-1e30, -1e6, 0, 10, 1e9, 1e300], 2)
+        camera = replace(camera, fx=float(lens[0]), fy=float(lens[1]), cx=float(middle[0]), cy=float(middle[1]))
+    return camera
+
+
+def drawing(rng: np.random.Generator, dtype: type) -> None:
+    """render, forward and backward, in both profiles."""
+    from splatpainter.render.cpu.views import draw_views, views_back
+
+    splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
+    profile = "playcanvas" if rng.random() < 0.3 else "inria"
+    drawn = draw_views(splats, [camera], True, keep_frames=profile == "inria", profile=profile)
+    sound = splats.take(splats.finite)
+    again = draw_views(sound, [camera], True, keep_frames=False, profile=profile)
+    for name in ("colors", "alphas", "depths"):
+        assert np.isfinite(getattr(drawn, name)).all(), f"{name}: a value that is not finite"
+        assert getattr(drawn, name).tobytes() == getattr(again, name).tobytes(), f"{name}: rows out of range were drawn"
+    assert drawn.contributions is not None and not drawn.contributions[:, ~splats.finite].any()
+    if profile == "inria":
+        slopes = [extreme(rng, np.ones_like(a), 0.05) for a in (drawn.colors, drawn.alphas, drawn.depths)]
+        views_back(splats, drawn, *slopes)
+
+
+def forward(rng: np.random.Generator, dtype: type) -> None:
+    """Projection, binning and drawing alone: what compiles in little time."""
+    from splatpainter.render.cpu.frame import project
+
+    splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
+    frame = project(splats, camera)
+    assert splats.finite[frame.rows].all(), "rows out of range were drawn"
+    assert all(np.isfinite(picture).all() for picture in frame.draw()), "a value that is not finite"
+
+
+def frames(rng: np.random.Generator, dtype: type) -> None:
+    """What the lifts call on a frame."""
+    from splatpainter.lift.detail import surface
+    from splatpainter.render.cpu.frame import project, tile_shape
+    from splatpainter.render.cpu.rounds import Kept
+
+    splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
+    shape = (camera.height, camera.width)
+    tiles = rng.random(tile_shape(camera)) < 0.7 if rng.random() < 0.5 else None
+    keep = rng.random(len(splats)) < 0.8 if rng.random() < 0.5 else None
+    frame = project(splats, camera, rows=keep, tiles=tiles)
+    m, p = len(frame), len(frame.members)
+    # Some operations index past numba's checks: what they are given must be sound.
+    assert frame.starts[-1] == frame.offsets[-1] == p and (np.diff(frame.starts) >= 0).all()
+    assert np.array_equal(np.sort(frame.homes), np.arange(p))
+    assert p == 0 or (0 <= frame.members.min() and frame.members.max() < m)
+    target = extreme(rng, rng.random((*shape, 3)).astype(dtype), rng.choice([0, 0.1]))
+    mask = extreme(rng, rng.random(shape).astype(dtype), rng.choice([0, 0.1]))
+    frame.draw(extreme(rng, frame.colors, 0.1))
+    frame.accumulate(target, mask)
+    frame.residual_round(target, mask)
+    chosen = rng.random(m) < 0.5
+    rounds = Kept.of(frame, target, mask, chosen)
+    if rounds is not None:
+        rounds.gain(extreme(rng, frame.colors[chosen], 0.1))
+    surface(frame, rng.random(shape) < 0.7)
+
+
+def cubes(rng: np.random.Generator, dtype: type) -> None:
+    """Voxels, footprints and rays."""
+    from splatpainter import raycast, voxels
+
+    splats, camera = rows(rng, np.float32, rng.choice([0, 0.01, 0.1])), view(rng)
+    if not splats.finite.any():
+        return
+    grid = voxels.voxelize(splats, int(rng.integers(1, 17)))
+    origin = extreme(rng, camera.position, 0.1)
+    rays = extreme(rng, rng.normal(0, 1, (50, 3)).astype(np.float32), 0.1)
+    keys, _ = raycast.first_hits(grid.occupancy, grid, origin, rays)
+    assert keys.min() >= -1 and keys.max() < grid.occupancy.size
+    raycast.seen_voxels(grid, origin, rays)
+    raycast.inside(grid, grid.occupancy, camera.position)
+    mask = rng.random((camera.height, camera.width)) < 0.3
+    raycast.editable_rows(grid, splats, camera, mask, reach=int(rng.integers(0, 3)))
+
+
+def shadows(rng: np.random.Generator, dtype: type) -> None:
+    """Shadow maps."""
+    from splatpainter import visibility
+
+    count = int(rng.integers(1, 60))
+    points = rng.normal(0, 1, (count, 3)) * rng.choice([1e-30, 1e-6, 1, 1e9, 1e15])
+    points += rng.normal(0, 1, 3) * rng.choice([0, 1, 1e6, 1e15])
+    normals = rng.normal(0, 1, (count, 3)).astype(np.float32)
+    normals = extreme(rng, normals / np.linalg.norm(normals, axis=1, keepdims=True), rng.choice([0, 0, 0.1]))
+    visibility.visibility(points.astype(np.float32), normals, float(rng.choice([1e-30, 1e-3, 1, 1e9])), directions=8)
+
+
+def fitting(rng: np.random.Generator, dtype: type) -> None:
+    """What a fit calls beside the renderer."""
+    import torch
+
+    from splatpainter.fit.adam import Adam
+    from splatpainter.fit.loss import picture_loss
+    from splatpainter.fit.neighbours import mean_squares
+
+    points = rng.normal(0, 1, (int(rng.integers(0, 80)), 3)) * rng.choice([1e-30, 1, 1, 1e9, 1e15])
+    mean_squares(extreme(rng, points.astype(np.float32), rng.choice([0, 0.05])), int(rng.integers(1, 6)))
+    shape = tuple(int(size) for size in rng.integers(11, 30, 2))
+    image, target = (extreme(rng, rng.random((*shape, 3)).astype(np.float32), rng.choice([0, 0.1])) for _ in range(2))
+    picture_loss(image, target, extreme(rng, rng.random(shape).astype(np.float32), 0.1), float(rng.choice([0, 0.2])))
+    value = torch.from_numpy(extreme(rng, rng.random((7, 3)).astype(np.float32), 0.1))
+    slope = torch.from_numpy(extreme(rng, rng.random((7, 3)).astype(np.float32), 0.1))
+    Adam({"means": value}).step({"means": value}, {"means": slope}, {"means": torch.ones(1)})
+
+
+def lifting(rng: np.random.Generator, dtype: type) -> None:
+    """A local lift: untouched rows stay, whatever they hold."""
+    from splatpainter.lift.local import lift_local
+    from splatpainter.render.cpu.frame import project
+
+    splats, camera = rows(rng, np.float32, rng.choice([0, 0.01, 0.05])), view(rng)
+    shape = (camera.height, camera.width)
+    target = np.clip(project(splats, camera).draw()[0] + rng.random(3).astype(np.float32), 0, 1)
+    lift_local(splats, camera, target, rng.random(shape) < 0.3)
+
+
+CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
+    "forward": forward,
+    "drawing": drawing,
+    "frames": frames,
+    "cubes": cubes,
+    "shadows": shadows,
+    "fitting": fitting,
+    "lifting": lifting,
+}
+
+
+def inside(names: list[str], seconds: float, count: int, seed: int, doubles: bool) -> int:
+    """In the process whose bounds are checked. Returns how many inputs failed."""
+    import numba
+
+    @numba.njit(boundscheck=False)
+    def beyond(values, index):
+        return values[index]
+
+    try:
+        beyond(np.zeros(3), 5)
+        raise SystemExit("bounds are not checked here: set NUMBA_BOUNDSCHECK=1")
+    except IndexError:
+        pass
+    warnings.simplefilter("ignore", UserWarning)  # numba: kernels whose bounds are checked cannot be cached
+    warnings.simplefilter("error", RuntimeWarning)
+    start, done, failures, refused = time.monotonic(), Counter(), 0, Counter()
+    for number in range(seed, seed + count):
+        if time.monotonic() - start > seconds:
+            break
+        for name in names:
+            rng = np.random.default_rng([number, sorted(CASES).index(name)])
+            try:
+                CASES[name](rng, np.float64 if doubles and number % 4 == 0 else np.float32)
+            except ValueError as error:
+                refused[name] += 1
+                if "\n" in str(error) or "broadcast" in str(error):
+                    failures += report(name, number)
+            except Exception:
+                failures += report(name, number)
+            done[name] += 1
+            if failures >= 20:
+                return failures
+    told = ", ".join(f"{name} {done[name]:,} ({refused[name]:,} refused)" for name in names)
+    print(f"{sum(done.values()):,} inputs in {time.monotonic() - start:.0f} s: {told}; {failures} failed", flush=True)
+    return failures
+
+
+def report(name: str, number: int) -> int:
+    print(f"--- {name}, seed {number}", file=sys.stderr)
+    traceback.print_exc(limit=-6)
+    return 1
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Extreme values for every kernel, bounds checked.")
+    parser.add_argument("--seconds", type=float, default=600)
+    parser.add_argument("--count", type=int, default=10**9, help="seeds, at most")
+    parser.add_argument("--seed", type=int, default=0, help="the first")
+    parser.add_argument("--cases", default="drawing,frames,cubes,shadows,fitting,lifting", help=", ".join(CASES))
+    parser.add_argument("--single", action="store_true", help="float32 only")
+    parser.add_argument(f"--{STARTED}", action="store_true", help=argparse.SUPPRESS)
+    config = parser.parse_args()
+    if config.inside:
+        names = config.cases.split(",")
+        return min(inside(names, config.seconds, config.count, config.seed, not config.single), 100)
+    with tempfile.TemporaryDirectory() as folder:
+        checked = {
+            "NUMBA_BOUNDSCHECK": "1",
+            "NUMBA_CACHE_DIR": folder,
+            "NUMBA_OPT": os.environ.get("NUMBA_OPT", "1"),
+            "PYTHONPATH": str(ROOT / "src"),
+            "SPLATPAINTER_THREADS": "1",
+            "PYTHONFAULTHANDLER": "1",
+        }
+        command = [sys.executable, *sys.argv, f"--{STARTED}"]
+        return subprocess.run(command, env={**os.environ, **checked}, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
