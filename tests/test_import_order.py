@@ -12,6 +12,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "splatpainter"
 ORDER = (
     ("splats",),
+    ("image_files",),
     ("cameras",),
     ("framing",),
     ("parallel",),
@@ -29,7 +30,9 @@ ORDER = (
     ("nn",),
     ("models",),
     ("painter", "comparison", "receipts", "proof"),
+    ("aovs",),
     ("sources",),
+    ("view_files",),
     ("session",),
     ("studio",),
     ("data",),

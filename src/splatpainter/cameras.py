@@ -11,13 +11,21 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
+from splatpainter.image_files import encode_png, exr_text, is_exr, quantized
+
 CHUNK = "splatpainter"
-"""Keyword of the PNG tEXt chunk that carries a camera."""
+"""Keyword of the PNG tEXt chunk, or name of the OpenEXR header attribute, that carries a camera."""
 VERSION = 1
+MAX_PICTURE_PIXELS = 1 << 26
+"""Of a picture that is opened: a few hundred bytes can claim any number. 8192 x 8192."""
+Alpha = Literal["straight", "premultiplied"]
+"""How a picture that was rendered without a background keeps its colours: as they are, or multiplied by alpha."""
+ALPHA = "alpha"
+"""Key beside the camera's own that says it."""
 
 
 @dataclass(frozen=True)
@@ -210,16 +218,12 @@ def orbit(
 
 def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None) -> None:
     """Write [H, W, 3] colours (float 0..1, or uint8) as an 8-bit PNG, with its camera in the tEXt chunk if given."""
-    from PIL import Image, PngImagePlugin
-
-    chunk = PngImagePlugin.PngInfo()
-    if camera is not None:
-        chunk.add_text(CHUNK, camera.to_json())
+    data = encode_png(to_uint8(image), None if camera is None else {CHUNK: camera.to_json()})
     target = Path(path)
     partial = target.with_name(target.name + ".part")
     try:
         with open(partial, "wb") as file:
-            Image.fromarray(to_uint8(image)).save(file, "PNG", pnginfo=chunk)
+            file.write(data)
             file.flush()
             os.fsync(file.fileno())
         partial.replace(target)
@@ -229,32 +233,54 @@ def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None)
 
 def to_uint8(image: np.ndarray) -> np.ndarray:
     """Float 0..1 -> 0..255, rounded to nearest; uint8 passes through."""
-    if image.dtype == np.uint8:
-        return image
-    return (np.clip(np.nan_to_num(image), 0, 1) * 255 + 0.5).astype(np.uint8)
+    return image if image.dtype == np.uint8 else quantized(image)
 
 
 def find_camera(png: str | Path, explicit: str | Path | None = None) -> Camera:
     """The camera of a picture: the explicit JSON file, else the PNG's chunk, else the sidecar NAME.json beside it.
     Raises ValueError when none is there or the one found is broken."""
+    text, where = _camera_text(Path(png), None if explicit is None else Path(explicit))
+    if text is None:
+        sidecar = Path(png).with_suffix(".json")
+        raise ValueError(
+            f"{png}: no camera; expected one in the PNG ({CHUNK} chunk), in {sidecar.name}, or given with --camera"
+        )
+    return Camera.from_json(text, where)
+
+
+def find_alpha(png: str | Path, explicit: str | Path | None = None) -> Alpha | None:
+    """How a picture that was rendered without a background keeps its colours, as it says beside its camera, looked for
+    as by `find_camera`; None for other pictures. OpenEXR is "straight": its readers take the alpha out again."""
+    try:
+        text, _ = _camera_text(Path(png), None if explicit is None else Path(explicit))
+        data = json.loads(text or "{}")
+    except (ValueError, RecursionError):
+        return None
+    said = data.get(ALPHA) if isinstance(data, dict) else None
+    if said not in get_args(Alpha):
+        return None
+    return "straight" if is_exr(Path(png)) else said
+
+
+def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]:
+    """(the JSON of a camera or None, where it was found)."""
     from PIL import Image
 
     if explicit is not None:
-        return Camera.from_json(_read_text(Path(explicit)), str(explicit))
-    picture = Path(png)
-    try:
-        with Image.open(picture) as image:
-            text = getattr(image, "text", {}).get(CHUNK) or image.info.get(CHUNK)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
+        return _read_text(explicit), str(explicit)
+    if is_exr(picture):
+        text, kind = exr_text(picture, CHUNK, MAX_PICTURE_PIXELS), "EXR header"
+    else:
+        kind = "PNG chunk"
+        try:
+            with Image.open(picture) as image:
+                text = getattr(image, "text", {}).get(CHUNK) or image.info.get(CHUNK)
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
     if text:
-        return Camera.from_json(text, f"{picture} (PNG chunk)")
+        return text, f"{picture} ({kind})"
     sidecar = picture.with_suffix(".json")
-    if sidecar.exists():
-        return Camera.from_json(_read_text(sidecar), str(sidecar))
-    raise ValueError(
-        f"{picture}: no camera; expected one in the PNG ({CHUNK} chunk), in {sidecar.name}, or given with --camera"
-    )
+    return (_read_text(sidecar), str(sidecar)) if sidecar.exists() else (None, "")
 
 
 def _read_text(path: Path) -> str:

@@ -110,6 +110,7 @@ def frames(rng: np.random.Generator, dtype: type) -> None:
     """What the lifts call on a frame."""
     from splatpainter.lift.detail import surface
     from splatpainter.render.cpu.frame import project, tile_shape
+    from splatpainter.render.cpu.heaviest import heaviest_rows
     from splatpainter.render.cpu.rounds import Kept
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
@@ -126,6 +127,8 @@ def frames(rng: np.random.Generator, dtype: type) -> None:
     mask = extreme(rng, rng.random(shape).astype(dtype), rng.choice([0, 0.1]))
     frame.draw(extreme(rng, frame.colors, 0.1))
     frame.accumulate(target, mask)
+    ids = heaviest_rows(frame, rng.choice(["inria", "playcanvas"]))
+    assert ids.min() >= -1 and ids.max() < len(splats)
     frame.residual_round(target, mask)
     chosen = rng.random(m) < 0.5
     rounds = Kept.of(frame, target, mask, chosen)

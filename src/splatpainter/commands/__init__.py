@@ -15,6 +15,7 @@ SUMMARIES = {
     "info": "what a splat file holds, and what is odd about it",
     "convert": "from one splat format to another",
     "render": "pictures of an asset that carry their camera",
+    "compare": "pictures of two assets side by side, their difference, dB per view",
     "edit": "write edited pictures of an asset onto the asset",
     "verify": "prove which rows of an edited asset are the same; exit 1 if a wrong one differs",
     "fit": "optimise an asset from a mesh, from pictures with cameras, or from another asset",

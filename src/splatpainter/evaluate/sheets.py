@@ -27,8 +27,8 @@ class Strip:
 
 
 def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
-    """[H, W, 3] uint8: one strip below the other, every picture fitted into cell x cell pixels. A strip without a
-    caption stands close below the one before."""
+    """[H, W, 3] uint8: one strip below the other, every picture fitted into cell x cell pixels, a strip as high as the
+    highest of its pictures. A strip without a caption stands close below the one before."""
     from PIL import Image, ImageDraw, ImageFont
 
     small, large = max(cell // 18, 9), max(cell // 14, 11)
@@ -38,12 +38,13 @@ def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
     head = _title_size(title, width - 2 * GAP, small, round(large * 1.4))
     heights = [round(large * 1.7) if strip.caption else 0 for strip in strips]
     label, top = round(small * 1.5), round(head * 1.8) if title else 0
-    page = Image.new("RGB", (width, top + sum(heights) + len(strips) * (label + cell + GAP) + GAP), PAPER)
+    tall = [max(_fitted(np.asarray(picture), cell) for _, picture in strip.cells) for strip in strips]
+    page = Image.new("RGB", (width, top + sum(heights) + sum(tall) + len(strips) * (label + GAP) + GAP), PAPER)
     pen = ImageDraw.Draw(page)
     if title:
         pen.text((GAP, head // 3), title, INK, ImageFont.load_default(head))
     y = top
-    for strip, line in zip(strips, heights, strict=True):
+    for strip, line, high in zip(strips, heights, tall, strict=True):
         pen.text((GAP, y + line // 5), strip.caption, INK, body)
         for column, (name, picture) in enumerate(strip.cells):
             x = GAP + column * (cell + GAP)
@@ -51,10 +52,18 @@ def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
             image = Image.fromarray(to_uint8(np.asarray(picture)))
             image.thumbnail((cell, cell), Image.Resampling.LANCZOS)
             if image.width < cell and image.height < cell:
-                image = image.resize((cell, round(cell * image.height / image.width)), Image.Resampling.NEAREST)
+                scale = cell / max(image.size)
+                size = (max(1, round(scale * image.width)), max(1, round(scale * image.height)))
+                image = image.resize(size, Image.Resampling.NEAREST)
             page.paste(image, (x, y + line + label))
-        y += line + label + cell + GAP
+        y += line + label + high + GAP
     return np.asarray(page)
+
+
+def _fitted(picture: np.ndarray, cell: int) -> int:
+    """Pixels of height of a picture that was fitted into cell x cell."""
+    height, width = picture.shape[:2]
+    return min(cell, -(-cell * height // width))
 
 
 def _title_size(title: str, width: int, least: int, most: int) -> int:

@@ -7,14 +7,19 @@ import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from splatpainter.aovs import Aov
+from splatpainter.cameras import Alpha, Camera
 from splatpainter.io import FORMATS, files, format_of_name, write
 from splatpainter.proof import prove
 from splatpainter.receipts import Receipt, Verification, changed_rows, untouched_hashes
+from splatpainter.render.profiles import Profile
+from splatpainter.session import conflicts
 from splatpainter.session.layers import Layer
 from splatpainter.splats import Splats
+from splatpainter.view_files import PictureOptions, view_files
 
 LAYER_SUFFIX = ".splatlayer"
 LARGEST = 1 << 28
@@ -69,6 +74,39 @@ def _check_target(path: Path, overwrite: bool) -> None:
         raise ValueError(f"{path}: already exists; choose another name or allow overwriting")
     if not path.parent.is_dir():
         raise ValueError(f"{path}: no such folder: {path.parent}; make it first")
+
+
+def view_options(
+    path: Path, bits: int | None, transparent: Alpha | None, aovs: tuple[Aov, ...], profile: Profile
+) -> PictureOptions:
+    """What the ending of a picture's name and the rest ask for. Raises ValueError."""
+    ending = path.suffix.lower()
+    if ending not in (".png", ".exr"):
+        raise ValueError(f"{path}: expected a name ending in .png or .exr")
+    return PictureOptions("png" if ending == ".png" else "exr", bits, transparent, aovs, profile)
+
+
+def view_files_of(
+    splats: Splats, touches: Sequence[conflicts.Touch], camera: Camera, stem: str, options: PictureOptions
+) -> dict[str, bytes]:
+    """A view of a session's rows as files (name -> bytes); its coverage comes from what its layers touched."""
+    coverage = None
+    if "coverage" in options.aovs:
+        kinds = conflicts.coverage(touches, len(splats))
+        coverage = (kinds == conflicts.PREDICTED, kinds == conflicts.SEEN)
+    return view_files(splats, camera, stem, options, coverage=coverage)
+
+
+def write_files(folder: Path, made: Mapping[str, bytes], overwrite: bool) -> list[Path]:
+    """Write files into a folder, each whole or not at all; returns their paths. Raises ValueError: one exists, ..."""
+    paths = [folder / name for name in made]
+    for path in paths:
+        if path.is_dir() or (path.exists() and not overwrite):
+            raise ValueError(f"{path}: already exists; choose another name or allow overwriting")
+    for path, data in zip(paths, made.values(), strict=True):
+        with files.writing(path) as file:
+            file.write(data)
+    return paths
 
 
 def write_layer(path: Path, layer: Layer, blob: Callable[[str], bytes], overwrite: bool) -> None:

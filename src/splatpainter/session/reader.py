@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from splatpainter.aovs import Aov
+from splatpainter.cameras import Alpha, Camera
 from splatpainter.framing import AUTO_UP, UPS
 from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, Verification
+from splatpainter.render.profiles import Profile
 from splatpainter.session import conflicts, export
 from splatpainter.session.changes import AssetDelta, Changes
 from splatpainter.session.layers import Document, Layer
@@ -151,6 +155,26 @@ class Reader:
         format. Raises ValueError: the name, an existing file; RuntimeError: the file does not prove the receipt."""
         shown = self._shown
         return export.export_asset(self.original, shown.splats, self._receipt(shown), Path(path), overwrite)
+
+    def export_view(
+        self,
+        path: str | Path,
+        camera: Camera,
+        *,
+        bits: int | None = None,
+        transparent: Alpha | None = None,
+        aovs: Sequence[Aov] = (),
+        profile: Profile = "inria",
+        overwrite: bool = False,
+    ) -> list[Path]:
+        """Render the shown asset into NAME.png or NAME.exr, its AOVs (NAME.depth.png, ...; "coverage" is the
+        session's) and the sidecar NAME.json; returns their paths. bits, transparent, aovs, profile: as
+        view_files.PictureOptions. Raises ValueError: these, the name, an existing file, a missing library."""
+        shown = self._shown
+        splats, target = shown.splats, Path(path)
+        options = export.view_options(target, bits, transparent, tuple(aovs), profile)
+        made = export.view_files_of(splats, shown.level.touches, camera, target.stem, options)
+        return export.write_files(target.parent, made, overwrite)
 
     def verify(self, *, repaint: bool = False) -> list[str]:
         """Check everything; what is wrong, one line each. The file's structure and hashes, the original, and that

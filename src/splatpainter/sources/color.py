@@ -23,3 +23,12 @@ def from_display(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
     coded = np.clip(colors, 0, 1)
     light = np.where(coded <= 0.04045, coded / 12.92, ((np.maximum(coded, 0.04045) + 0.055) / 1.055) ** 2.4)
     return light.astype(colors.dtype)
+
+
+def to_light(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
+    """Colours of an asset as linear light, 1 = white; not clipped above: the sRGB curve goes on beyond white."""
+    if space == "linear":
+        return colors
+    coded = np.maximum(colors, 0)
+    light = np.where(coded <= 0.04045, coded / 12.92, ((np.maximum(coded, 0.04045) + 0.055) / 1.055) ** 2.4)
+    return light.astype(colors.dtype)

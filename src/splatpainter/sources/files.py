@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from splatpainter.cameras import Camera, find_camera
+from splatpainter.cameras import Alpha, Camera, find_alpha, find_camera
 from splatpainter.painter import Edit, Mode
 from splatpainter.sources.color import from_display, to_display
-from splatpainter.sources.pictures import LIMIT, Picture, read_mask, read_picture, resample
+from splatpainter.sources.pictures import LIMIT, Picture, read_mask, read_picture, resample, straight
 from splatpainter.splats import Splats
 
 ASPECT = 0.01
@@ -32,6 +32,8 @@ class FileEdit:
     mask: np.ndarray | None
     """[H, W] bool at the camera's size, where one was given."""
     notes: tuple[str, ...]
+    cut_out: bool = False
+    """Whether the picture was rendered without a background, so that behind it lies the background, not the asset."""
 
     def edit(self, splats: Splats, mode: Mode = "local") -> Edit:
         """The edit of this asset. Transparent pixels show the asset's own render, so they change nothing; a mode
@@ -40,9 +42,10 @@ class FileEdit:
         blurred = self.original_size != (self.camera.width, self.camera.height)
         colors = from_display(self.picture.colors, splats.color_space)
         if alpha is not None or (blurred and mask is None and mode == "local"):
-            render = _draw(splats, self.camera)
+            render, cover = _draw(splats, self.camera)
             if alpha is not None:
-                colors = alpha[..., None] * colors + (1 - alpha[..., None]) * np.clip(render, 0, 1)
+                behind = self.camera.background if self.cut_out else None
+                colors = over_render(colors, alpha, np.clip(render, 0, 1), cover, behind)
             if blurred and mask is None and mode == "local":
                 mask = self._changed(colors, render, splats)
             if alpha is not None and (mask is not None or mode == "global"):
@@ -82,14 +85,23 @@ def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None
             raise ValueError(f"{mask}: empty mask; expected some pixels that are not black (or not transparent)")
         if marked.shape[::-1] != wanted:
             marked = resample(marked.astype(np.float32), *wanted) > 0.25  # a thin stroke survives being shrunk
-    return FileEdit(picture, shown.resized(*wanted), shown.size, found, marked, tuple(notes))
+    cut_out = find_alpha(picture) or (camera and find_alpha(picture, camera))
+    shown, size = unmultiplied(shown, cut_out), shown.size
+    return FileEdit(picture, shown.resized(*wanted), size, found, marked, tuple(notes), bool(cut_out))
+
+
+def unmultiplied(picture: Picture, kind: Alpha | None) -> Picture:
+    """The picture with straight colours; kind: what `find_alpha` says of its file."""
+    if kind != "premultiplied" or picture.alpha is None:
+        return picture
+    return replace(picture, colors=np.clip(straight(picture.colors, picture.alpha), 0, 1))
 
 
 def camera_from(path: Path) -> Camera:
     """The camera in a JSON file, or in a PNG that carries one. Raises ValueError naming the file."""
     if not path.exists():
         raise ValueError(f"{path}: no such file; expected a camera (CAM.json, or a PNG rendered by splatpainter)")
-    if path.suffix.lower() in (".png", ".webp", ".tif", ".tiff", ".jpg", ".jpeg"):
+    if path.suffix.lower() in (".png", ".webp", ".tif", ".tiff", ".jpg", ".jpeg", ".exr"):
         camera = find_camera(path)
     else:
         camera = find_camera(path, path)
@@ -116,7 +128,30 @@ def _check_aspect(path: Path, what: str, size: tuple[int, int], wanted: tuple[in
         )
 
 
-def _draw(splats: Splats, camera: Camera) -> np.ndarray:
+def over_render(
+    colors: np.ndarray,
+    alpha: np.ndarray,
+    render: np.ndarray,
+    cover: np.ndarray,
+    behind: tuple[float, float, float] | None = None,
+) -> np.ndarray:
+    """[H, W, 3] a picture (colours [H, W, 3] straight, alpha [H, W]) over the asset's render [H, W, 3] of alpha `cover`
+    [H, W], all in one space. behind: the render's background, where the picture was rendered without one: then `alpha`
+    replaces the asset's own alpha up to there, and an edge that nobody touched stays what it was; what was erased
+    shows the asset again."""
+    share = alpha[..., None]
+    if behind is None:
+        return share * colors + (1 - share) * render
+    background = np.asarray(behind, np.float32)
+    cover = cover[..., None]
+    drawn = render - (1 - cover) * background  # multiplied by its alpha
+    erased = np.maximum(cover - share, 0) / np.maximum(cover, 1e-6)
+    return share * colors + erased * drawn + (1 - np.maximum(share, cover)) * background
+
+
+def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """([H, W, 3] colours, [H, W] alpha)."""
     from splatpainter.render import render
 
-    return render(splats, camera).colors[0]
+    drawn = render(splats, camera)
+    return drawn.colors[0], drawn.alphas[0, ..., 0]

@@ -1,7 +1,7 @@
 """Picture files in: any depth, palette, alpha, orientation and colour profile become plain sRGB. Knows no asset.
 
-Nothing is decoded before its size is known to be bearable. 8 and 16 bits are read; of 16-bit colour Pillow keeps the
-upper 8, of 16-bit grey all.
+Nothing is decoded before its size is known to be bearable. 16-bit PNG and TIFF keep their bits, OpenEXR its floats;
+where OpenImageIO is not installed 16-bit colour is read with its upper 8 bits, and a note says so.
 """
 
 from __future__ import annotations
@@ -16,15 +16,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatpainter.cameras import MAX_PICTURE_PIXELS as LIMIT
+from splatpainter.image_files import EXTRA, PixelSamples, can_do_deep, is_deep, is_exr, read_deep
+from splatpainter.sources.color import to_display
+
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
-LIMIT = 64_000_000
-"""Pixels; a picture of an asset has no use for more, and a few hundred bytes can claim any number."""
 LOSSY = ("JPEG", "WEBP")
 MASK_NOISE = 16
 """8-bit levels that lossy compression leaves on black."""
+FLIPS = {2: (-1, 1), 3: (-1, -1), 4: (1, -1), 6: (-1, 1), 7: (-1, -1), 8: (1, -1)}
+"""EXIF orientation -> steps (across, down) through the pixels, once rows and columns changed places from 5 on."""
 SAME_PROFILE = 2
 """8-bit levels by which an embedded profile may differ from sRGB and still be taken for it (there are a dozen)."""
 
@@ -58,7 +62,10 @@ class Picture:
 
 def read_picture(path: Path) -> Picture:
     """Decode a PNG, JPEG, WebP or TIFF file as its owner sees it: turned as EXIF says, converted from its embedded
-    profile to sRGB. Raises ValueError: missing, unreadable, damaged, another kind of file, more than LIMIT pixels."""
+    profile to sRGB; or an OpenEXR file of linear light (sRGB primaries). Raises ValueError: missing, unreadable,
+    damaged, another kind of file, more than LIMIT pixels, OpenEXR without OpenImageIO."""
+    if is_exr(path):
+        return _light(read_deep(path, LIMIT))
     with _opened(path) as image:
         from PIL import ImageOps
 
@@ -70,6 +77,10 @@ def read_picture(path: Path) -> Picture:
         alpha = _alpha(turned)
         colors, note = _srgb(turned, profile)
         notes += [note] if note else []
+        if is_deep(path, image) and not note:
+            if can_do_deep():
+                return _deep(read_deep(path, LIMIT))
+            notes.append(f"read with 8 of its 16 bits; pip install 'splatpainter[{EXTRA}]' to read all")
         pixels = np.asarray(colors, np.float32) / 255
         return Picture(pixels, alpha, tuple(notes))
 
@@ -77,8 +88,10 @@ def read_picture(path: Path) -> Picture:
 def read_mask(path: Path) -> np.ndarray:
     """[H, W] bool: where a mask picture is not black or, if any of it is transparent, where it is not transparent.
     Raises ValueError as `read_picture`."""
-    with _opened(path) as image:
-        lossy = image.format in LOSSY
+    lossy = False
+    if not is_exr(path):
+        with _opened(path) as image:
+            lossy = image.format in LOSSY
     picture = read_picture(path)
     if picture.alpha is not None:
         return picture.alpha > 0
@@ -139,6 +152,36 @@ def _deep_grey(image: Image) -> tuple[np.ndarray, None]:
     values = np.asarray(image).astype(np.float32)
     grey = np.clip(np.nan_to_num(values if image.mode == "F" else values / 65535), 0, 1)
     return np.repeat(grey[..., None], 3, -1), None
+
+
+def _deep(samples: PixelSamples) -> Picture:
+    """16-bit samples in display colours, turned as EXIF says."""
+    values = samples.values
+    if samples.orientation >= 5:
+        values = values.swapaxes(0, 1)
+    across, down = FLIPS.get(samples.orientation, (1, 1))
+    values = values[::down, ::across]
+    alpha = values[..., -1] if samples.channels in (2, 4) else None
+    colors = values[..., :3] if samples.channels >= 3 else np.repeat(values[..., :1], 3, -1)
+    colors = np.clip(straight(colors, alpha) if alpha is not None and samples.multiplied else colors, 0, 1)
+    if alpha is not None and alpha.min() == 1:
+        alpha = None
+    return Picture(np.ascontiguousarray(colors), None if alpha is None else np.ascontiguousarray(alpha))
+
+
+def _light(samples: PixelSamples) -> Picture:
+    """Linear light, multiplied by alpha, as display colours."""
+    values = samples.values
+    alpha = np.clip(values[..., -1], 0, 1) if samples.channels in (2, 4) else None
+    light = values[..., :3] if samples.channels >= 3 else np.repeat(values[..., :1], 3, -1)
+    colors = to_display(light if alpha is None else straight(light, alpha), "linear")
+    opaque = alpha is None or alpha.min() == 1
+    return Picture(colors.astype(np.float32), None if opaque else alpha)
+
+
+def straight(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """[H, W, 3] colours that were multiplied by alpha [H, W], without it; 0 where alpha is 0."""
+    return np.where(alpha[..., None] > 0, colors / np.maximum(alpha, 1e-6)[..., None], 0).astype(colors.dtype)
 
 
 def _alpha(image: Image) -> np.ndarray | None:

@@ -5,12 +5,12 @@ H, W: pixels of the camera. Colours are display sRGB 0..1.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 
 import numpy as np
 
 from splatpainter.cameras import CHUNK, Camera, to_uint8
+from splatpainter.image_files import encode_png
 from splatpainter.lift.masks import change_mask
 from splatpainter.sources.files import ASPECT
 from splatpainter.sources.pictures import resample
@@ -38,15 +38,8 @@ def same_shape(size: tuple[int, int], wanted: tuple[int, int]) -> bool:
 
 def png_bytes(image: np.ndarray, camera: Camera | None = None) -> bytes:
     """PNG of [H, W, 3 or 4] or [H, W] values (float 0..1, uint8 or bool), with its camera inside. Fast, not small."""
-    from PIL import Image, PngImagePlugin
-
     pixels = image.astype(np.uint8) * 255 if image.dtype == bool else to_uint8(image)
-    chunk = PngImagePlugin.PngInfo()
-    if camera is not None:
-        chunk.add_text(CHUNK, camera.to_json())
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "PNG", pnginfo=chunk, compress_level=1)
-    return file.getvalue()
+    return encode_png(pixels, None if camera is None else {CHUNK: camera.to_json()}, level=1)
 
 
 def small(image: np.ndarray) -> np.ndarray:

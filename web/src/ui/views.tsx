@@ -8,6 +8,7 @@ import { camera, readOnly, state, toast, view } from "../state/store";
 import { go, run } from "../state/studio";
 import { AXES, axisName } from "../state/upright";
 import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
+import { exportView, ViewExportDialog } from "./export";
 import { turnOver } from "./header";
 import { covered } from "./overlays";
 import { Button, Choice } from "./parts";
@@ -18,25 +19,12 @@ const POLICIES = [
   ["blend", "a blend"],
 ] as const;
 const naming = signal("");
+const exporting = signal(false);
 
 export const goTo = (to: unknown): void => {
   const center = (state.value?.asset.center ?? [0, 0, 0]) as Vec3;
   go(fromCamera(to as CameraJson, center));
 };
-
-async function exportView(to: "download" | "folder"): Promise<void> {
-  if (!camera.value) return;
-  const name = `view-${new Date().toISOString().slice(0, 19).replace(/[-:T]/g, "")}`;
-  const answer = await run("view.export", { camera: camera.value, to, name }, "Rendering the view");
-  if (!answer) return;
-  if (to === "download") download(blobUrl(answer.picture), `${name}.png`);
-  else
-    toast(
-      "info",
-      `${answer.file ?? name} is in the folder ${state.value?.folder ?? ""}.`,
-      "Edit it and save over it: it comes back by itself.",
-    );
-}
 
 async function turntable(): Promise<void> {
   if (!camera.value) return;
@@ -82,8 +70,14 @@ export function Views() {
             onClick={() => void exportView("folder")}
           />
         )}
+        <Button
+          label="Export the view with its size, background and passes chosen"
+          text="More ..."
+          onClick={() => (exporting.value = true)}
+        />
       </p>
       <p class="quiet">Change it in any program, then drop it onto this window.</p>
+      {exporting.value && <ViewExportDialog onClose={() => (exporting.value = false)} />}
       <h3>Bookmarks</h3>
       <AddBookmark />
       <ul class="list">

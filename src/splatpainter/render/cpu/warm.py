@@ -10,6 +10,7 @@ import numpy as np
 from splatpainter.cameras import look_at
 from splatpainter.render.cpu import lanes
 from splatpainter.render.cpu.frame import Frame, project
+from splatpainter.render.cpu.heaviest import heaviest_rows
 from splatpainter.render.cpu.rounds import Kept
 from splatpainter.render.cpu.views import pixels_back, rows_back
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -40,5 +41,6 @@ def warm_tiles() -> None:
     ends = frame.draw_into(image, alpha, depth)
     frame.accumulate(image, alpha)
     frame.residual_round(image, alpha)
+    heaviest_rows(frame)
     Kept.of(frame, image, alpha, np.zeros(0, bool))
     pixels_back(frame, ends, image, alpha, depth, image, alpha, depth)

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, find_alpha
 from splatpainter.painter import Edit, Mode
 from splatpainter.render.profiles import Profile
 from splatpainter.sources.color import to_display
-from splatpainter.sources.files import FileEdit
+from splatpainter.sources.files import FileEdit, unmultiplied
 from splatpainter.sources.pictures import read_mask, read_picture, resample
 from splatpainter.splats import Splats
 from splatpainter.studio.actions import Call
@@ -49,6 +49,13 @@ def draw(splats: Splats, camera: Camera, profile: Profile = "inria") -> np.ndarr
     return to_display(render(splats, camera, profile=profile).colors[0], splats.color_space)
 
 
+def draw_alpha(splats: Splats, camera: Camera) -> np.ndarray:
+    """[H, W] how much of each pixel the asset covers, 0..1."""
+    from splatpainter.render import render
+
+    return render(splats, camera).alphas[0, ..., 0]
+
+
 @contextlib.contextmanager
 def progress(call: Call, stage: str) -> Iterator[None]:
     """Let the session report what it computes, and stop it where the command was cancelled."""
@@ -76,7 +83,9 @@ def edit_of(call: Call, view: EditView, mode: Mode) -> Edit:
     picture = read_picture(blob.path)
     _check_shape(str(name), picture.size, wanted)
     mask = None if view.mask is None else mask_of(call, view.mask, camera)
-    source = FileEdit(name, picture.resized(*wanted), picture.size, camera, mask, picture.notes)
+    kind = find_alpha(blob.path)
+    fitted = unmultiplied(picture, kind).resized(*wanted)
+    source = FileEdit(name, fitted, picture.size, camera, mask, picture.notes, cut_out=kind is not None)
     return source.edit(call.studio.session.splats, mode)
 
 

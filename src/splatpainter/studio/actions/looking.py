@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import io
+import zipfile
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from splatpainter.cameras import Camera, orbit, to_uint8
-from splatpainter.io.files import writing
+from splatpainter.io.files import sha256, writing
 from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.session.conflicts import coverage as covered
+from splatpainter.session.export import view_files_of
 from splatpainter.sources.color import to_display
 from splatpainter.studio import overlook
 from splatpainter.studio.actions import Call, handles
@@ -19,7 +22,12 @@ from splatpainter.studio.core import ExportedView
 from splatpainter.studio.describe import camera_to_wire, up_axis
 from splatpainter.studio.messages import looking as say
 from splatpainter.studio.pictures import png_bytes, small
+from splatpainter.view_files import PictureOptions
 
+MAX_EXPORT_PIXELS = 1 << 24
+"""Of an exported view: 4096 x 4096."""
+FAST = 1
+"""Level of PNG compression: nobody waits for the last few per cent."""
 TURN_PIXELS = 40_000_000
 """Pixels of all frames of a turntable together: they are held in memory."""
 
@@ -33,27 +41,59 @@ def render_view(call: Call, command: say.ViewRender) -> say.PictureMade:
     return say.PictureMade(picture=blob.sha256, python=f"sp.render(session.splats, camera{named})")
 
 
-@handles(say.ViewExport)
-def export_view(call: Call, command: say.ViewExport) -> say.PictureMade:
+@handles(say.ViewExport, aside=True)
+def export_view(call: Call, command: say.ViewExport) -> say.ViewExported:
     studio, camera = call.studio, camera_of(command.camera)
-    image = draw(studio.session.splats, camera)
-    data = png_bytes(image, camera)
-    blob = studio.blobs.put(data, f"{command.name}.png")
-    name = None
+    shown = studio.session.shown
+    bits, aovs = command.bits, tuple(command.aovs)
+    options = PictureOptions(command.format, bits, command.transparent, aovs, command.profile, FAST)
+    sized = camera if command.size is None else _sized(camera, command.size)
+    image = draw(shown.splats, camera, command.profile)
+    call.ticket.report(0, "rendering the view")
+    made = view_files_of(shown.splats, shown.level.touches, sized, command.name, options)
+    first, file, url, given = next(iter(made)), None, None, ""
     if command.to == "folder":
-        if studio.folder is None:
-            raise ValueError("view: the studio was started without a folder; download the picture instead")
-        place = studio.folder.file(f"{command.name}.png", new=True)
-        studio.written[place.name] = blob.sha256
-        with writing(place) as file, writing(place.with_suffix(".json")) as sidecar:
+        file = _into_folder(call, made)
+    else:
+        path = studio.downloads.folder() / (first if len(made) == 2 else f"{command.name}.zip")
+        with writing(path) as out:
+            if len(made) == 2:  # it carries what the sidecar says
+                out.write(made[first])
+            else:
+                with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as bundle:
+                    for name, data in made.items():
+                        bundle.writestr(name, data)
+        url, given = studio.downloads.add(path), path.name
+    plain = (options.format, options.depth, options.transparent, sized) == ("png", 8, None, camera)
+    preview = made[first] if plain else png_bytes(image, camera)
+    blob = studio.blobs.put(preview, f"{command.name}.png")
+    studio.exports.append(ExportedView(first, sized, small(image)))
+    look = {"bits": bits, "transparent": command.transparent, "aovs": list(aovs) or None}
+    look["profile"] = None if command.profile == "inria" else command.profile
+    line = python_line("session.export_view", first, Word("camera"), **look)
+    return say.ViewExported(picture=blob.sha256, file=file, url=url, name=given, python=line)
+
+
+def _sized(camera: Camera, size: int) -> Camera:
+    """The same view with `size` pixels on its longer side. Raises ValueError: too many in all."""
+    scale = size / max(camera.width, camera.height)
+    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    if width * height > MAX_EXPORT_PIXELS:
+        raise ValueError(f"view: expected at most {MAX_EXPORT_PIXELS / 1e6:.1f} megapixels, got {width}x{height}")
+    return camera.resized(width, height)
+
+
+def _into_folder(call: Call, made: Mapping[str, bytes]) -> str:
+    """Write files into the watched folder; returns the name of the first."""
+    studio = call.studio
+    if studio.folder is None:
+        raise ValueError("view: the studio was started without a folder; download the picture instead")
+    places = [studio.folder.file(name, new=True) for name in made]
+    for place, data in zip(places, made.values(), strict=True):
+        studio.written[place.name] = sha256(data)  # before the watcher sees it
+        with writing(place) as file:
             file.write(data)
-            sidecar.write(camera.to_json().encode() + b"\n")
-        name = place.name
-    studio.exports.append(ExportedView(f"{command.name}.png", camera, small(image)))
-    line = python_line(
-        "write_png", f"{command.name}.png", Word("sp.render(session.splats, camera).colors[0]"), Word("camera")
-    )
-    return say.PictureMade(picture=blob.sha256, file=name, python=line)
+    return places[0].name
 
 
 @handles(say.Turntable, aside=True)

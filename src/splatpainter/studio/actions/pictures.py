@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.cameras import Camera, find_camera
+from splatpainter.cameras import Alpha, Camera, find_alpha, find_camera
+from splatpainter.sources.color import to_display
+from splatpainter.sources.files import over_render, unmultiplied
 from splatpainter.sources.pictures import Picture, read_picture
 from splatpainter.studio import pictures
 from splatpainter.studio.actions import Call, handles
-from splatpainter.studio.actions.common import camera_of, draw
+from splatpainter.studio.actions.common import camera_of, draw, draw_alpha
 from splatpainter.studio.blobs import Blob
 from splatpainter.studio.crops import Crop, error_at, find_crop
 from splatpainter.studio.describe import camera_to_wire
@@ -31,6 +33,8 @@ def check(call: Call, command: say.PictureCheck) -> say.Checked:
     name = command.name or blob.name or "picture"
     picture = read_picture(blob.path)
     camera, found = _camera(call, command, blob, name, picture)
+    kind = _alpha_kind(call, blob, name)
+    picture = unmultiplied(picture, kind)
     notes, warnings = list(picture.notes), []
     wanted = (camera.width, camera.height)
     render = _drawn(call, camera)
@@ -49,7 +53,7 @@ def check(call: Call, command: say.PictureCheck) -> say.Checked:
     else:
         if picture.size != wanted:
             notes.append(f"resampled from {picture.size[0]}x{picture.size[1]} to its camera's {wanted[0]}x{wanted[1]}")
-        colors = _flat(picture, render, wanted)
+        colors = _flat(picture, render, wanted) if kind is None else _cut_out(call, picture, render, camera)
         shift = pictures.shift_of(colors, render)
     if shift != (0, 0):
         colors = pictures.moved_back(colors, render, *shift)
@@ -87,9 +91,31 @@ def check(call: Call, command: say.PictureCheck) -> say.Checked:
 def _camera(call: Call, command: say.PictureCheck, blob: Blob, name: str, picture: Picture) -> tuple[Camera, say.Found]:
     """The camera of a picture and where it was found. Raises ValueError where there is none."""
     camera, found = _search(call, command, blob, name, picture)
-    if camera.width * camera.height > PIXELS:
-        raise ValueError(f"{name}: expected a view of at most {PIXELS // 10**6} megapixels; export a smaller one")
+    pixels = camera.width * camera.height
+    if pixels > PIXELS:  # a view that was exported larger than one is painted: the picture is shrunk with it
+        scale = (PIXELS / pixels) ** 0.5
+        camera = camera.resized(max(1, int(scale * camera.width)), max(1, int(scale * camera.height)))
     return camera, found
+
+
+def _alpha_kind(call: Call, blob: Blob, name: str) -> Alpha | None:
+    """How a picture that was exported without a background keeps its colours, as it or its sidecar says."""
+    kind = find_alpha(blob.path)
+    if kind is None and call.studio.folder is not None:
+        with contextlib.suppress(ValueError):
+            kind = find_alpha(blob.path, call.studio.folder.file(f"{Path(Path(name).name).stem}.json"))
+    return kind
+
+
+def _cut_out(call: Call, picture: Picture, render: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W, 3] a picture that was exported without a background, with the view's background."""
+    fitted = picture.resized(camera.width, camera.height)
+    if fitted.alpha is None:
+        return fitted.colors
+    splats = call.studio.session.splats
+    cover = draw_alpha(splats, camera)
+    red, green, blue = to_display(np.array(camera.background), splats.color_space).tolist()
+    return over_render(fitted.colors, fitted.alpha, render, cover, (red, green, blue))
 
 
 def _search(call: Call, command: say.PictureCheck, blob: Blob, name: str, picture: Picture) -> tuple[Camera, say.Found]:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from splatpainter.aovs import Aov
 from splatpainter.render.profiles import Profile
 from splatpainter.studio.messages.base import Answer, Command, FileName
 from splatpainter.studio.messages.state import Blob, Camera, Model, Point, Rgb, Unit
@@ -29,15 +30,34 @@ class ViewRender(Command):
     """Whose formula for alpha; pictures to be painted on have the default."""
 
 
+class ViewExported(PictureMade):
+    picture: Blob
+    """The exported picture where it is an 8-bit PNG with a background at the view's size, else such a preview."""
+    url: str | None = None
+    """To download from: the picture, or a zip of it, its AOVs and its sidecar; None for "folder"."""
+    name: str = ""
+    """Of what is downloaded."""
+
+
 class ViewExport(Command):
     """A render to edit elsewhere. to "folder": written into the watched folder as NAME.png with its sidecar; when it is
     saved over, a `picture` event follows."""
 
     NAME = "view.export"
-    ANSWER = PictureMade
+    ANSWER = ViewExported
     camera: Camera
     to: Literal["download", "folder"] = "download"
     name: FileName = "view"
+    size: int | None = Field(default=None, ge=16, le=8192)
+    """Pixels of the longer side; None: as the camera says."""
+    format: Literal["png", "exr"] = "png"
+    bits: Literal[8, 16, 32] | None = None
+    """Of a colour sample: PNG 8 or 16, OpenEXR 16 or 32; None: the smaller."""
+    transparent: Literal["straight", "premultiplied"] | None = None
+    """An alpha channel in place of the background; OpenEXR is always premultiplied."""
+    aovs: list[Aov] = Field(default_factory=list, max_length=5)
+    """Files beside the picture, NAME.AOV.png or .exr."""
+    profile: Profile = "inria"
 
 
 class Turntable(Command):

@@ -1,0 +1,231 @@
+"""Picture files as bytes, with text inside: PNG of 8 and 16 bits, OpenEXR; and samples that Pillow would cut to 8 bits.
+
+8-bit PNG and 16-bit grey are Pillow's; 16-bit colour, 16-bit TIFF and OpenEXR are OpenImageIO's (extra `pictures`: one
+library of 8 to 10 MB for all of them). Knows no cameras and no splats.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+EXTRA = "pictures"
+"""The extra of the package that brings OpenImageIO."""
+EXR_MAGIC = b"\x76\x2f\x31\x01"
+READS = ("png", "tiff", "openexr")
+"""What OpenImageIO is given to read, of all that it could."""
+TIFF_BITS = 258
+"""Tag: bits of each channel."""
+HALF_MAX = 65504.0
+"""Largest 16-bit float."""
+MAX_CHANNELS = 1024
+"""Channels that a header may claim; four of them are read."""
+
+
+def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
+    """Floats 0..1 -> uint8 or uint16 levels, rounded to nearest; NaN becomes 0. Bools become the two ends."""
+    top = (1 << bits) - 1
+    values = image if image.dtype.kind == "f" else image.astype(np.float32)
+    return (np.clip(np.nan_to_num(values), 0, 1) * top + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def can_do_deep() -> bool:
+    """Whether OpenImageIO is installed; it is not imported to find out."""
+    return importlib.util.find_spec("OpenImageIO") is not None
+
+
+def require_deep(what: str) -> Any:
+    """The OpenImageIO module. Raises ValueError: `what` needs it and it is not installed."""
+    try:
+        import OpenImageIO
+    except ImportError:
+        raise ValueError(f"{what} needs OpenImageIO; pip install 'splatpainter[{EXTRA}]'") from None
+    return OpenImageIO
+
+
+def encode_png(pixels: np.ndarray, text: Mapping[str, str] | None = None, level: int = 6) -> bytes:
+    """PNG of uint8 or uint16 levels [H, W] or [H, W, 2, 3 or 4] (grey, grey and alpha, RGB, RGBA; alpha straight).
+    text: keyword -> ASCII, as tEXt chunks. level: of zlib, 1 is fast. Raises ValueError: 16-bit colour without
+    OpenImageIO."""
+    if pixels.dtype == np.uint16 and pixels.ndim == 3:
+        return _encode("png", pixels, text or {}, {"png:compressionLevel": level})
+    from PIL import Image, PngImagePlugin
+
+    chunks = PngImagePlugin.PngInfo()
+    for keyword, words in (text or {}).items():
+        chunks.add_text(keyword, words)
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "PNG", pnginfo=chunks, compress_level=level)
+    return file.getvalue()
+
+
+def encode_exr(
+    pixels: np.ndarray, channels: tuple[str, ...], text: Mapping[str, str] | None = None, linear: bool = True
+) -> bytes:
+    """OpenEXR of [H, W, C] float16, float32 or uint32 samples, lossless. channels: the C names ("R", "G", "B", "A");
+    "A" has been multiplied into the colours, as the format wants. text: header attributes. linear: whether the samples
+    are light, not data. Raises ValueError: no OpenImageIO, NaN."""
+    if pixels.shape[2:] != (len(channels),):
+        raise ValueError(f"EXR: expected [H, W, {len(channels)}] samples, got {list(pixels.shape)}")
+    if pixels.dtype.kind == "f" and np.isnan(pixels).any():
+        raise ValueError(f"EXR: {int(np.isnan(pixels).sum())} samples are NaN")
+    attributes = {"compression": "zip", "oiio:ColorSpace": "lin_rec709" if linear else "data"}
+    return _encode("exr", pixels, text or {}, attributes, channels)
+
+
+def _encode(
+    ending: str,
+    pixels: np.ndarray,
+    text: Mapping[str, str],
+    attributes: Mapping[str, str | int],
+    channels: tuple[str, ...] = (),
+) -> bytes:
+    oiio = require_deep("16-bit colour PNG" if ending == "png" else "OpenEXR")
+    height, width, count = pixels.shape
+    kinds = {"uint16": "uint16", "float16": "half", "float32": "float", "uint32": "uint"}
+    spec = oiio.ImageSpec(width, height, count, kinds[pixels.dtype.name])
+    if channels:
+        spec.channelnames = channels
+    if ending == "png":
+        spec.attribute("oiio:UnassociatedAlpha", 1)
+    for name, value in {**attributes, **text}.items():
+        spec.attribute(name, value)
+    # By a file: its Python face writes no memory.
+    with tempfile.TemporaryDirectory(prefix="splatpainter-picture-") as folder:
+        path = Path(folder) / f"picture.{ending}"
+        out = oiio.ImageOutput.create(str(path))
+        done = out is not None and out.open(str(path), spec) and out.write_image(np.ascontiguousarray(pixels))
+        problem = "" if done else (out.geterror() if out is not None else oiio.geterror())
+        if out is not None:
+            done = out.close() and done
+        if not done:
+            raise ValueError(f"{ending.upper()}: {width}x{height} samples cannot be encoded ({_short(problem)})")
+        return path.read_bytes()
+
+
+@dataclass(frozen=True)
+class PixelSamples:
+    """A picture with all its bits."""
+
+    values: np.ndarray
+    """[H, W, C] float32: integers as 0..1, floats as they are; NaN is 0."""
+    channels: int
+    """C: 1 grey, 2 grey and alpha, 3 RGB, 4 RGBA."""
+    multiplied: bool
+    """Whether colours are multiplied by alpha."""
+    orientation: int = 1
+    """How it is turned, as EXIF says it: 1 to 8."""
+
+
+def is_exr(path: Path) -> bool:
+    """Whether a file begins as OpenEXR does; False for what cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(4) == EXR_MAGIC
+    except OSError:
+        return False
+
+
+def is_deep(path: Path, image: Image) -> bool:
+    """Whether Pillow, which opened it, cuts this PNG or TIFF to 8 bits: 16-bit samples of several channels."""
+    if image.format == "PNG":
+        with open(path, "rb") as file:
+            head = file.read(26)  # ends with the header's bit depth and colour type; 0 is grey, which Pillow can read
+        return head[24:25] == b"\x10" and head[25:26] in (b"\x02", b"\x04", b"\x06")
+    if image.format == "TIFF":
+        bits = getattr(image, "tag_v2", {}).get(TIFF_BITS, ())
+        return len(bits) > 1 and min(bits) == 16
+    return False
+
+
+def read_deep(path: Path, most_pixels: int) -> PixelSamples:
+    """All bits of a PNG, TIFF or OpenEXR file (of the latter R, G, B, A or Y; its whole display window, with nothing
+    outside its data window). Raises ValueError naming the file: no OpenImageIO, damaged, more than `most_pixels`,
+    channels that are no colour."""
+    with _opened(path, most_pixels) as (source, spec):
+        names = [str(name).upper() for name in spec.channelnames]
+        if spec.deep:
+            raise ValueError(f"{path}: expected a flat picture, got deep samples; flatten it first")
+        wanted = next((k for k in (["R", "G", "B", "A"], ["R", "G", "B"], ["Y", "A"], ["Y"]) if {*k} <= {*names}), None)
+        if wanted is None:
+            shown = ", ".join(map(str, spec.channelnames[:8]))
+            raise ValueError(f"{path}: expected channels R, G, B or Y, got {shown}")
+        places = [names.index(name) for name in wanted]
+        first, last = min(places), max(places) + 1
+        if last - first > 16:
+            raise ValueError(f"{path}: expected the colour channels side by side, got {last - first - 1} between them")
+        pixels = source.read_image(0, 0, first, last, "float")
+        if pixels is None or not isinstance(pixels, np.ndarray):
+            raise ValueError(f"{path}: damaged picture ({_short(source.geterror())})")
+        pixels = pixels.reshape(spec.height, spec.width, last - first)[..., [place - first for place in places]]
+        associated = spec.getattribute("oiio:UnassociatedAlpha") in (None, 0) and source.format_name() != "png"
+        values = _windowed(np.nan_to_num(pixels), spec)
+        turned = spec.getattribute("Orientation")
+        orientation = turned if isinstance(turned, int) and 1 <= turned <= 8 else 1
+    return PixelSamples(values, len(wanted), bool(associated), orientation)
+
+
+def _windowed(pixels: np.ndarray, spec: Any) -> np.ndarray:
+    """The display window of a picture that may hold more or less of it."""
+    whole = (spec.x, spec.y, spec.width, spec.height) == (
+        spec.full_x,
+        spec.full_y,
+        spec.full_width,
+        spec.full_height,
+    )
+    if whole:
+        return np.ascontiguousarray(pixels, np.float32)
+    out = np.zeros((spec.full_height, spec.full_width, pixels.shape[2]), np.float32)
+    left, top = spec.x - spec.full_x, spec.y - spec.full_y
+    x0, y0 = max(left, 0), max(top, 0)
+    x1, y1 = min(left + spec.width, spec.full_width), min(top + spec.height, spec.full_height)
+    if x0 < x1 and y0 < y1:
+        out[y0:y1, x0:x1] = pixels[y0 - top : y1 - top, x0 - left : x1 - left]
+    return out
+
+
+def exr_text(path: Path, keyword: str, most_pixels: int) -> str | None:
+    """A text attribute of an OpenEXR header; None where it has none. Raises ValueError as `read_deep`."""
+    with _opened(path, most_pixels) as (_, spec):
+        found = spec.getattribute(keyword)
+        return found if isinstance(found, str) else None
+
+
+@contextlib.contextmanager
+def _opened(path: Path, most_pixels: int) -> Iterator[tuple[Any, Any]]:
+    """(input, spec) of a file whose claims were judged: nothing was decoded yet."""
+    exr = is_exr(path)
+    oiio = require_deep(f"{path}: {'OpenEXR' if exr else '16-bit colour'}")
+    oiio.attribute("limits:channels", MAX_CHANNELS)
+    hints = oiio.ImageSpec()
+    hints.attribute("oiio:UnassociatedAlpha", 1)  # leave colours and alpha as they are stored
+    source = oiio.ImageInput.open(str(path), hints)
+    if source is None:
+        raise ValueError(f"{path}: cannot be read as a picture ({_short(oiio.geterror())})")
+    try:
+        if source.format_name() not in READS:
+            raise ValueError(f"{path}: expected PNG, TIFF or OpenEXR, got {source.format_name()}")
+        spec = source.spec()
+        for width, height in ((spec.width, spec.height), (spec.full_width, spec.full_height)):
+            if not 0 < width * height <= most_pixels:
+                raise ValueError(
+                    f"{path}: expected at most {most_pixels // 10**6} megapixels, got {width}x{height}; scale it down"
+                )
+        yield source, spec
+    finally:
+        source.close()
+
+
+def _short(problem: str) -> str:
+    return " ".join(problem.split())[:120] or "no reason given"

@@ -1,0 +1,168 @@
+"""One rendered view as files: the picture with its camera inside, its AOVs, and the sidecar that says how to read them.
+
+PNG holds display colours (sRGB, IEC 61966-2-1), clipped to 0..1. OpenEXR holds linear light of sRGB primaries, not
+clipped, multiplied by alpha as the format wants.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from splatpainter.aovs import Aov, Passes, draw_passes
+from splatpainter.cameras import ALPHA, CHUNK, Alpha, Camera
+from splatpainter.image_files import HALF_MAX, encode_exr, encode_png, quantized, require_deep
+from splatpainter.render.profiles import Profile
+from splatpainter.sources.color import to_display, to_light
+from splatpainter.sources.pictures import straight
+from splatpainter.splats import ColorSpace, Splats
+
+PictureFormat = Literal["png", "exr"]
+BITS: dict[PictureFormat, tuple[int, ...]] = {"png": (8, 16), "exr": (16, 32)}
+"""Bits of a sample that each format can have, the default first."""
+MAX_PNG_IDS = (1 << 24) - 1
+"""Rows that three 8-bit channels can name."""
+
+
+@dataclass(frozen=True)
+class PictureOptions:
+    """What files a view becomes. Raises ValueError for what does not go together."""
+
+    format: PictureFormat = "png"
+    bits: int | None = None
+    """Of a colour sample: PNG 8 or 16, OpenEXR 16 or 32 (floats); None: the first of these."""
+    transparent: Alpha | None = None
+    """No background, an alpha channel instead: PNG with colours as they are ("straight", as the PNG specification
+    wants) or multiplied by alpha; OpenEXR only the latter."""
+    aovs: tuple[Aov, ...] = ()
+    profile: Profile = "inria"
+    """Whose picture, as in `render`."""
+    level: int = 6
+    """Of PNG compression; 1 is fast."""
+
+    def __post_init__(self) -> None:
+        if self.format not in BITS:
+            raise ValueError(f"picture: expected the format png or exr, got {self.format!r}")
+        if self.bits is not None and self.bits not in BITS[self.format]:
+            low, high = BITS[self.format]
+            raise ValueError(f"picture: expected {low} or {high} bits of {self.format.upper()}, got {self.bits}")
+        if self.transparent not in (None, *get_args(Alpha)):
+            raise ValueError(f"picture: expected transparent straight or premultiplied, got {self.transparent!r}")
+        if self.format == "exr" and self.transparent == "straight":
+            raise ValueError("picture: OpenEXR colours are multiplied by alpha; expected transparent premultiplied")
+        for name in self.aovs:
+            if name not in get_args(Aov):
+                raise ValueError(f"picture: expected AOVs of {', '.join(get_args(Aov))}, got {name!r}")
+        if len(set(self.aovs)) < len(self.aovs):
+            raise ValueError(f"picture: expected every AOV once, got {', '.join(self.aovs)}")
+
+    @property
+    def depth(self) -> int:
+        """Bits of a colour sample."""
+        return self.bits or BITS[self.format][0]
+
+    def file_names(self, stem: str) -> list[str]:
+        """The picture, its AOVs, the sidecar."""
+        pictures = [f"{stem}.{self.format}", *(f"{stem}.{name}.{self.format}" for name in self.aovs)]
+        return [*pictures, f"{stem}.json"]
+
+    def check_installed(self) -> None:
+        """Raises ValueError where these files need a library that is not installed."""
+        if self.format == "exr":
+            require_deep("OpenEXR")
+        elif self.depth == 16:
+            require_deep("16-bit colour PNG")
+
+
+def view_files(
+    splats: Splats,
+    camera: Camera,
+    stem: str,
+    options: PictureOptions = PictureOptions(),
+    *,
+    normals: np.ndarray | None = None,
+    coverage: tuple[np.ndarray, np.ndarray] | None = None,
+) -> dict[str, bytes]:
+    """Render a view: file name -> its bytes, in the order of `options.file_names(stem)`. Arguments and errors besides
+    as `aovs.draw_passes`; ValueError also where a library is missing or a PNG cannot number so many rows.
+
+    AOVs. alpha: 0..1. depth: z in world units, in PNG as 16-bit grey, 0 nothing and 1..65535 from `near` to `far`.
+    normal: world axes, in PNG 0.5 + 0.5 n. gaussian-ids: row + 1, 0 nothing; in PNG R + 256 G + 65536 B, in OpenEXR an
+    unsigned channel "id". coverage: R predicted, G seen by an edited view, B as it was; their sum is alpha."""
+    options.check_installed()
+    if options.format == "png" and "gaussian-ids" in options.aovs and len(splats) > MAX_PNG_IDS:
+        raise ValueError(f"gaussian-ids: a PNG numbers {MAX_PNG_IDS:,} rows, got {len(splats):,}; use --format exr")
+    passes = draw_passes(splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage)
+    record: dict[str, Any] = json.loads(camera.to_json())
+    if options.transparent:
+        record[ALPHA] = options.transparent
+    text = {CHUNK: json.dumps(record)}
+    files = {f"{stem}.{options.format}": _picture(passes, camera, options, splats.color_space, text)}
+    notes: dict[str, Any] = {}
+    for name in options.aovs:
+        file = f"{stem}.{name}.{options.format}"
+        samples, notes[name] = _aov(name, passes, options)
+        notes[name] = {"file": file, **notes[name]}
+        if options.format == "png":
+            files[file] = encode_png(samples, level=options.level)
+        else:
+            channels = {1: ("id" if name == "gaussian-ids" else "Y",), 3: ("R", "G", "B")}[samples.shape[2]]
+            files[file] = encode_exr(samples, channels, linear=False)
+    if notes:
+        record["aov"] = notes
+    files[f"{stem}.json"] = json.dumps(record).encode() + b"\n"
+    return files
+
+
+def _picture(passes: Passes, camera: Camera, options: PictureOptions, space: ColorSpace, text: dict[str, str]) -> bytes:
+    colors, alpha = passes.colors, passes.alpha[..., None]
+    if options.transparent:
+        colors = straight(colors - (1 - alpha) * np.asarray(camera.background, colors.dtype), passes.alpha)
+    if options.format == "exr":
+        light = np.nan_to_num(to_light(colors, space))
+        if options.transparent:
+            light = np.concatenate([light * alpha, alpha], -1)
+        samples = np.clip(light, 0, HALF_MAX).astype(np.float16 if options.depth == 16 else np.float32)
+        return encode_exr(samples, ("R", "G", "B", "A")[: samples.shape[2]], text)
+    shown = np.clip(to_display(colors, space), 0, 1)
+    if options.transparent:
+        shown = np.concatenate([shown * alpha if options.transparent == "premultiplied" else shown, alpha], -1)
+    return encode_png(quantized(shown, options.depth), text, options.level)
+
+
+def _aov(name: Aov, passes: Passes, options: PictureOptions) -> tuple[np.ndarray, dict[str, Any]]:
+    """(samples as they are stored, what the sidecar says of them)."""
+    png = options.format == "png"
+    if name == "gaussian-ids":
+        assert passes.gaussian_ids is not None
+        numbers = (passes.gaussian_ids + 1)[..., None].astype(np.uint32)
+        if not png:
+            return numbers, {"channel": "id", "meaning": "row + 1, 0 where nothing is drawn"}
+        packed = np.concatenate([numbers, numbers >> 8, numbers >> 16], -1) & 255
+        return packed.astype(np.uint8), {"meaning": "R + 256 G + 65536 B = row + 1, 0 where nothing is drawn"}
+    if name == "depth":
+        drawn = passes.alpha > 0
+        span = passes.depth[drawn] if drawn.any() else np.zeros(1, np.float32)
+        near, far = float(span.min()), float(span.max())
+        ends = {"near": near, "far": far, "unit": "world units along the viewing direction"}
+        if not png:
+            return passes.depth[..., None].astype(np.float32), {**ends, "meaning": "z, 0 where nothing is drawn"}
+        level = 1 + np.rint((passes.depth.astype(np.float64) - near) / max(far - near, 1e-30) * 65534)
+        meaning = "0: nothing; else near + (value - 1) / 65534 (far - near)"
+        return np.where(drawn, np.clip(level, 1, 65535), 0).astype(np.uint16), {**ends, "meaning": meaning}
+    if name == "normal":
+        assert passes.normal is not None
+        values, meaning = passes.normal, "outward normal in world axes, 0 where nothing is drawn"
+        if png:
+            values, meaning = 0.5 + 0.5 * values, "0.5 + 0.5 n, n: " + meaning
+    elif name == "coverage":
+        assert passes.coverage is not None
+        values, meaning = passes.coverage, "parts of alpha: R predicted, G seen by an edited view, B as it was"
+    else:
+        values, meaning = passes.alpha, "alpha, 0..1"
+    if png:
+        return quantized(values, options.depth), {"meaning": meaning}
+    return values.reshape(*values.shape[:2], -1).astype(np.float32), {"meaning": meaning}
