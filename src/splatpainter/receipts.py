@@ -60,6 +60,8 @@ class Receipt:
     seconds: dict[str, float] = field(default_factory=dict)
     note: str = ""
     """One line about how the method was chosen, or what the format cannot hold."""
+    precision: str = ""
+    """Arithmetic of the networks, "float32" or "bfloat16" (nn.precision); "" where none ran, and not in the JSON."""
 
     @property
     def untouched_rows(self) -> int:
@@ -82,6 +84,8 @@ class Receipt:
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
             "note": self.note,
         }
+        if self.precision:
+            record["precision"] = self.precision
         text = json.dumps(record, indent=2)
         runs = json.dumps(to_runs(self.touched).tolist(), separators=(",", ":"))
         return text.removesuffix("\n}") + f',\n  "touched_runs": {runs}\n}}\n'
@@ -109,6 +113,7 @@ class Receipt:
                 tuple(ViewScore(**view) for view in data["views"]),
                 dict(data["seconds"]),
                 data.get("note", ""),
+                str(data.get("precision", "")),
             )
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise ValueError(f"{where}: expected a receipt of splatpainter, got {error!r}") from None
