@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from lift_scenes import same_bits
-from model_scenes import TINY, asset_views, grid_of, links, pictures, shell, with_refine
+from model_scenes import TINY, asset_views, cameras, grid_of, links, pictures, shell, with_refine
 from painter_scenes import LIFT, RED, built, dab, thing
 from train_scenes import RECIPE, model
 
@@ -19,6 +19,7 @@ from splatpainter.models.refine import SEEN
 from splatpainter.nn import precision as rule
 from splatpainter.nn.precision import VARIABLE, autocast, exact, resolve, setting
 from splatpainter.painter import Painter
+from splatpainter.render import render
 from splatpainter.splats import ATTRIBUTES
 from splatpainter.train.build import make_task
 
@@ -148,6 +149,14 @@ def test_what_blocks_add_to_stays_float32() -> None:
         net.lrm.encode(asset_views(TINY))
         net.refiner.adapt(net.initial_state(), tokens)
     assert seen == [torch.float32] * 3
+
+
+def test_pictures_and_where_gaussians_lie_in_them_are_never_rounded() -> None:
+    splats, camera = shell().torch(), cameras(1)[0]
+    plain = render(splats, camera, backend="reference")
+    with autocast("cpu", "bfloat16"):
+        rounded = render(splats, camera, backend="reference")
+    assert torch.equal(rounded.colors, plain.colors) and torch.equal(rounded.depths, plain.depths)
 
 
 def test_painters_of_both_keep_their_encodings_apart_and_the_receipt_says_which(

@@ -113,12 +113,13 @@ def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method, p
 def _painter(config: Config) -> Painter:
     """Before anything is read that takes time: weights that are missing or wrong are the likeliest complaint."""
     painter = Painter.load(config.preset, modes=[config.mode], polish=config.polish, precision=config.precision)
-    if painter.model is not None and painter.model.config.representation == "copy" and config.method in ("auto", "ttt"):
+    method = painter.choose(config.method, config.mode)[0]
+    if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
         raise ValueError(
             f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no row could be "
             "verified; use it from Python, or a preset of representation native"
         )
-    if config.polish and painter.choose(config.method, config.mode)[0] != "ttt":
+    if config.polish and method != "ttt":
         raise ValueError("splatpainter edit: --polish is for the networks (method ttt); the lift is what it would add")
     return painter
 
