@@ -18,6 +18,19 @@ def shared() -> Path:
     return SHARED
 
 
+@pytest.fixture(params=["float32", "bfloat16"])
+def precision(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The test runs twice, with networks in float32 and in bf16: any machine can do both, some slowly."""
+    monkeypatch.setenv("SPLATPAINTER_PRECISION", request.param)
+    return request.param
+
+
+@pytest.fixture
+def float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Networks in float32, for tests of its rounding, whatever this machine or the environment prefers."""
+    monkeypatch.setenv("SPLATPAINTER_PRECISION", "float32")
+
+
 def pytest_make_parametrize_id(val: object) -> str | None:
     """File contents are called "bytes" in test names: gzip and zip write the time, and workers must agree on names."""
     return "bytes" if isinstance(val, bytes | bytearray) else None

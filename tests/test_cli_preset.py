@@ -9,6 +9,7 @@ import pytest
 from cli_scenes import Capture, ball_and_painted_view, listing, paint, refused, rows_of, run
 from painter_scenes import COPY, LIFT, OWN, built
 
+from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
 
 
@@ -46,6 +47,27 @@ def test_auto_takes_compact_once_its_weights_are_there(view: Path, tmp_path: Pat
     assert "method lift, mode local" in again and "note: preset 'lift'" in again
 
 
+@pytest.mark.parametrize("gain", [None, {"local": -0.33, "global": -0.2}], ids=["unjudged", "worse"])
+def test_method_ttt_alone_takes_the_packaged_weights(
+    view: Path, tmp_path: Path, capfd: Capture, gain: dict | None, precision: str
+) -> None:
+    folder = save(tmp_path / "packaged" / "compact", replace(LIFT, preset="compact"), awake=0.05)
+    checkpoint.add_notes(folder, {"gain": gain} if gain else {})
+    words = ["edit", view.parent / "ball.ply", view, "--method", "ttt"]
+    done = run(capfd, *words, "--out", view.parent / "ttt.ply", "--json").json
+    receipt = done["receipt"]
+    assert (receipt["method"], receipt["preset"], receipt["precision"]) == ("ttt", "compact", precision)
+    assert done["verified"] and "encode" in receipt["seconds"]
+    said = run(capfd, *words, "--out", view.parent / "said.ply", "--precision", "float32", "--polish").out
+    assert "method ttt with preset compact, mode local, in float32" in said and "note: polished" in said
+
+
+def test_a_precision_that_there_is_not_is_refused(view: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPLATPAINTER_PRECISION", "fp8")
+    line = "SPLATPAINTER_PRECISION: expected auto, float32 or bfloat16, got 'fp8'"
+    assert line in refused(capfd, view.parent, view)
+
+
 @pytest.mark.parametrize("mode", ["local", "global"])
 def test_a_folder_of_weights_paints_and_the_file_proves_it(
     view: Path, tmp_path: Path, capfd: Capture, mode: str
@@ -78,6 +100,7 @@ def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, cap
         (["--preset", here], "no weights there"),
         (["--preset", copy], "representation copy"),
         (["--preset", "lift", "--method", "ttt"], "trained weights"),
+        (["--method", "ttt"], "trained weights"),
         (["--polish"], "--polish is for the networks"),
     ]
     for words, pattern in cases:

@@ -20,6 +20,7 @@ from splatpainter.evaluate.paper.cases import Pictures, Step
 from splatpainter.evaluate.paper.methods import Budget, Done, Method, Work, ablations, changed, learned, lift, stage_one
 from splatpainter.models.lrm import DEPTH_REACH, AssetViews, patchify
 from splatpainter.models.model import SplatPainterModel
+from splatpainter.nn.precision import autocast
 from splatpainter.painter import Edit, Mode
 from splatpainter.render import render
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -227,14 +228,16 @@ def test_large_pictures_are_averaged_down_with_their_cameras() -> None:
     assert learned.sized(odd, SMALL.lrm).colors.shape == (1, 24, 48, 3)  # whole patches
 
 
-def test_stage_one_keeps_a_quarter_of_every_voxel_and_later_steps_see_earlier_views(tmp_path: Path) -> None:
+def test_stage_one_keeps_a_quarter_of_every_voxel_and_later_steps_see_earlier_views(
+    tmp_path: Path, precision: str
+) -> None:
     config = replace(with_refine(SMALL, lift_features=False), representation="copy")
     model = built(config)
     budget = Budget(weights={"copy": saved(model, tmp_path)})
     method, asked = row_of("stage-1"), lrm_work()
     done = method.edit(asked, budget)
     views = learned.all_views(model, asked, asked.step.edited)
-    with torch.no_grad():
+    with torch.no_grad(), autocast("cpu", precision):
         rows = learned.dense(model, views).rows.numpy()
     lo, size = bounding_cube(rows)
     cells = np.clip(np.floor((rows.means - lo) / size * config.compress.resolution), 0, config.compress.resolution - 1)

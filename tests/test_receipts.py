@@ -116,6 +116,9 @@ def test_the_keys_are_the_designs():
     assert data["views"][0] == {"psnr_before": 9.5, "psnr_after": 27.123, "psnr_outside": 999.0}
     assert data["views"][1] == {"psnr_before": None, "psnr_after": None, "psnr_outside": 40.0}
     assert data["seconds"] == {"lift": 0.1235} and data["note"] == "why"
+    # Where networks ran there is one more; receipts without it are as they were.
+    further = json.loads(receipt(precision="float32").to_json())
+    assert list(further) == [*design, "note", "precision", "touched_runs"] and further["precision"] == "float32"
 
 
 def strict(text: str) -> dict:
@@ -127,7 +130,10 @@ def strict(text: str) -> dict:
     return json.loads(text, parse_constant=refuse)
 
 
-@pytest.mark.parametrize("fields", [{}, {"touched": np.zeros(0, np.int64)}, {"views": (), "seconds": {}, "note": ""}])
+@pytest.mark.parametrize(
+    "fields",
+    [{}, {"touched": np.zeros(0, np.int64)}, {"views": (), "seconds": {}, "note": ""}, {"precision": "bfloat16"}],
+)
 def test_json_and_back_is_the_same(fields):
     text = receipt(**fields).to_json()
     strict(text)

@@ -92,6 +92,24 @@ def test_other_weights_are_said(tmp_path: Path):
         assert "computed by another painter than it was made with" in session.facts("2")["note"]
 
 
+def test_the_precision_of_layers_is_in_the_receipt_and_another_one_is_said(tmp_path: Path):
+    path, net = tmp_path / "a.splatproj", built(awake=0.02)
+    with Session(SPLATS, path, painter=Painter(model=net, precision="bfloat16")) as session:
+        session.add("paint", [EDITS[0]], method="lift")
+        assert session.receipt().precision == ""
+        session.add("paint", [EDITS[1]], method="ttt")
+        assert session.facts("2")["precision"] == "bfloat16" and "precision" not in session.facts("1")
+        assert session.receipt().precision == "bfloat16"
+        shown = session.splats
+    with Session.load(path, painter=Painter(model=net, precision="float32")) as session:
+        assert same_bits(session.splats, shown) and session.receipt().precision == "bfloat16"
+        session.set("1", visible=False)
+        assert session.facts("2")["precision"] == session.receipt().precision == "float32"
+        assert "computed by another painter than it was made with" in session.facts("2")["note"]
+        session.set("2", visible=False)
+        assert session.receipt().precision == ""
+
+
 def test_painters_that_replace_all_rows_are_refused():
     with Session(SPLATS, painter=Painter(model=built(COPY, awake=0.02))) as session:
         with pytest.raises(ValueError, match="representation 'copy'"):

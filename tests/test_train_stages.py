@@ -16,6 +16,7 @@ from splatpainter.data.samples import Sample, SampleRecipe, SampleStream
 from splatpainter.data.scenes import ProceduralSource
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.encode import encode_asset
+from splatpainter.nn.precision import autocast
 from splatpainter.train.build import make_task
 from splatpainter.train.recipes import Recipe
 from splatpainter.train.stages.refine import RefineTask, holding
@@ -49,7 +50,7 @@ def gradients(task: Task, sample: Sample, seed: int = 0) -> dict[str, torch.Tens
 
 
 @pytest.mark.parametrize("kind", ["stroke", "regrade"])
-def test_untrained_refinement_is_the_lift(kind: str) -> None:
+def test_untrained_refinement_is_the_lift(kind: str, precision: str) -> None:
     verdict = task_of(RECIPE).eval().judge(samples_of(kind)[0])
     assert verdict.numbers["gain"] == 0 and verdict.numbers["ours"] == verdict.numbers["lift"]
     assert verdict.numbers["lift"] != verdict.numbers["nothing"]
@@ -62,7 +63,7 @@ def test_untrained_refinement_on_own_rows_is_nothing(kind: str) -> None:
     assert verdict.numbers["ours"] == verdict.numbers["nothing"] != verdict.numbers["lift"]
 
 
-def test_refinement_trains_stage_two_and_the_head_alone() -> None:
+def test_refinement_trains_stage_two_and_the_head_alone(precision: str) -> None:
     task = task_of(RECIPE)
     assert trained(task) == {"refiner", "head"}
     for kind in ("stroke", "regrade"):
@@ -114,13 +115,15 @@ def test_all_rows_or_some_have_the_same_picture_and_on_average_the_same_gradient
     assert 0.85 < share < 1.15 and cosine > 0.95
 
 
-def test_a_part_of_the_voxels_has_the_latents_of_the_whole() -> None:
+def test_a_part_of_the_voxels_has_the_latents_of_the_whole(precision: str) -> None:
     asset, net = samples_of("stroke")[0].asset, model()
     grid = voxelize(asset, net.config.compress.resolution)
-    whole = encode_asset(net, asset, grid)
+    with autocast("cpu", precision):
+        whole = encode_asset(net, asset, grid)
     task = task_of(replace(RECIPE, train_encoder="compress"))
     rows = np.array([3, 50, 51, 120])
-    part = task._encoded(task._know(asset), rows)
+    with task.arithmetic():
+        part = task._encoded(task._know(asset), rows)
     with torch.no_grad():
         same = whole.latents.values[whole.places[rows]]
     assert len(part.latents.groups) < len(whole.latents.groups)
@@ -221,7 +224,7 @@ def test_compress_of_copy_sees_the_lrm_frozen() -> None:
 
 
 @pytest.mark.parametrize("kind", ["stroke", "regrade"])
-def test_refinement_of_the_papers_copy_leaves_the_decoder_alone(kind: str) -> None:
+def test_refinement_of_the_papers_copy_leaves_the_decoder_alone(kind: str, precision: str) -> None:
     task = task_of(RECIPE, COPY)
     assert trained(task) == {"refiner"}
     torch.nn.init.normal_(task.model.head.linear.weight, std=0.02)  # as after Stage I

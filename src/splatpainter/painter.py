@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.nn.precision import Arithmetic, Precision, autocast, resolve, setting
 from splatpainter.receipts import Receipt, changed_rows, scores, untouched_hashes
 from splatpainter.splats import Splats
 
@@ -136,37 +137,48 @@ class Painter:
     cache: bool = False
     """Keep encoded assets on disk (models/cache.py); for models whose weights stay as they are."""
     why: str = ""
-    """Said in receipts where method "auto" chooses the lift."""
+    """If not empty, method "auto" is the lift, and receipts say this line."""
+    precision: Precision = "auto"
+    """Arithmetic of the networks (nn.precision); as made, "auto" means that SPLATPAINTER_PRECISION does not say either
+    and the model's device decides."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "precision", setting(self.precision))
         if not self.preset:
             object.__setattr__(self, "preset", "lift" if self.model is None else self.model.config.preset)
 
     @staticmethod
     def load(
-        preset: str = "auto", *, modes: Sequence[Mode] = ("local", "global"), polish: bool = False, cache: bool = True
+        preset: str = "auto",
+        *,
+        modes: Sequence[Mode] = ("local", "global"),
+        polish: bool = False,
+        cache: bool = True,
+        precision: Precision = "auto",
     ) -> Painter:
         """The painter of a preset: "lift", "compact", "paper", or a folder of weights; "auto" is "compact" where its
-        weights are there and beat the lift (`choose`) in one of the modes that will be asked for, else "lift"; its
-        weights are read when an edit first needs them. polish, cache: as the fields.
+        weights are there, else "lift". Its weights are read when an edit first needs them: with method "ttt", or
+        "auto" where they beat the lift (`choose`) in one of the modes that will be asked for. polish, cache, precision:
+        as the fields.
 
-        Raises ValueError for a preset that is not known, or has no weights or wrong ones."""
+        Raises ValueError for a preset that is not known, or has no weights or wrong ones, and for a precision that is
+        not known, here or in SPLATPAINTER_PRECISION."""
         from splatpainter.models import weights
 
         why = "preset 'lift': the analytic lift"
         if preset == "auto":
             model = weights.deferred("compact")
             if model is None:
-                return Painter(why="no trained weights: the analytic lift")
-            gain = model.notes.get("gain", {})
+                return Painter(why="no trained weights: the analytic lift", precision=precision)
+            gain, why = model.notes.get("gain", {}), ""
             if gain and max((gain[mode] for mode in modes if mode in gain), default=1.0) <= 0:
-                # Reading and running them would be for nothing.
-                told = "" if set(modes) >= set(gain) else f" in {' and '.join(modes)} edits"
-                return Painter(why=f"the weights of preset 'compact' do not beat the lift{told} yet: the analytic lift")
-            return Painter(model=model, polish=polish, cache=cache)
+                # Reading and running them would be for nothing, unless method "ttt" asks for it.
+                where = "" if set(modes) >= set(gain) else f" in {' and '.join(modes)} edits"
+                why = f"the weights of preset 'compact' do not beat the lift{where} yet: the analytic lift"
+            return Painter(model=model, polish=polish, cache=cache, why=why, precision=precision)
         if preset == "lift":
-            return Painter(why=why)
-        return Painter(model=weights.load(preset), polish=polish, cache=cache)
+            return Painter(why=why, precision=precision)
+        return Painter(model=weights.load(preset), polish=polish, cache=cache, precision=precision)
 
     def encode(self, splats: Splats, method: Method = "auto", modes: Sequence[Mode] = ("local", "global")) -> Asset:
         """Prepare an asset for edits by `method` in these modes: for "ttt", run the LRM and Stage I where they are
@@ -236,8 +248,18 @@ class Painter:
             views=judged,
             seconds=clock.laps,
             note="; ".join(filter(None, notes)),
+            precision=self._arithmetic(chosen, mode),
         )
         return replace(result, receipt=receipt)
+
+    def _arithmetic(self, chosen: Method, mode: Mode) -> Arithmetic | Literal[""]:
+        """Of the networks in an edit; "" where none runs."""
+        if chosen != "ttt" or self.model is None:
+            return ""
+        if self.encodes(chosen, mode):
+            return resolve(self.precision, next(self.model.parameters()).device)
+        predictor = self.model.predictor
+        return "" if predictor is None or predictor.silent else "float32"  # it solves for its weights: never rounded
 
     def _edited(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: Method, clock: _Clock) -> Asset:
         """The asset after the views, still with the old receipt."""
@@ -271,7 +293,7 @@ class Painter:
                 "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
             )
         if method == "auto":
-            if self.model is not None:
+            if self.model is not None and not self.why:
                 gain = self.model.notes.get("gain", {}).get(mode)
                 if gain is None:
                     return "ttt", f"weights of preset '{self.preset}': test-time training"
@@ -291,7 +313,7 @@ class Painter:
             return asset
         from splatpainter.models.cache import encode_cached, encode_half
 
-        with _inference(model):
+        with _inference(model, self.precision):
             if self.cache:
                 encoded = encode_cached(model, asset.splats, asset.grid, weights=self._digest)
             else:
@@ -332,7 +354,7 @@ class Painter:
         assert self.model is not None and asset.learnt is not None
         learnt = asset.learnt
         known = replace(draft, parents=learnt.parents[draft.parents])
-        with _inference(self.model):
+        with _inference(self.model, self.precision):
             state = learnt.state or self.model.initial_state()
             state, rows, further = refine_draft(self.model, state, learnt.encoded, known, views)
             splats = assemble(draft, rows, further)
@@ -344,16 +366,14 @@ class Painter:
 
 
 @contextmanager
-def _inference(model: SplatPainterModel) -> Iterator[None]:
-    """No gradients, the fastest arithmetic of the model's device, and eval mode; the model's own mode comes back."""
+def _inference(model: SplatPainterModel, precision: Precision) -> Iterator[None]:
+    """No gradients, arithmetic of this precision, and eval mode; the model's own mode comes back."""
     import torch
-
-    from splatpainter.models.model import fast_math
 
     training = model.training
     model.eval()
     try:
-        with torch.inference_mode(), fast_math(next(model.parameters()).device):
+        with torch.inference_mode(), autocast(next(model.parameters()).device, precision):
             yield
     finally:
         model.train(training)

@@ -58,6 +58,8 @@ class Receipt:
     seconds: dict[str, float] = field(default_factory=dict)
     note: str = ""
     """One line about how the method was chosen, or what the format cannot hold."""
+    precision: str = ""
+    """Arithmetic of the networks, "float32" or "bfloat16" (nn.precision); "" where none ran, and not in the JSON."""
 
     @property
     def untouched_rows(self) -> int:
@@ -80,6 +82,8 @@ class Receipt:
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
             "note": self.note,
         }
+        if self.precision:
+            record["precision"] = self.precision
         text = json.dumps(record, indent=2)
         runs = json.dumps(to_runs(self.touched).tolist(), separators=(",", ":"))
         return text.removesuffix("\n}") + f',\n  "touched_runs": {runs}\n}}\n'
@@ -107,6 +111,7 @@ class Receipt:
                 tuple(ViewScore(**{k: _number(v, none=True) for k, v in view.items()}) for view in data["views"]),
                 {_text(name): _number(value) for name, value in dict(data["seconds"]).items()},
                 _text(data.get("note", ""), 4000),
+                _text(data.get("precision", "")),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             said = " ".join(repr(error).split())

@@ -16,6 +16,7 @@ from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.io import files, read, write
+from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.proof import prove
 from splatpainter.receipts import Receipt, Verification
@@ -56,9 +57,11 @@ class Config:
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
     method: Method = "auto"
     """How: lift (analytic, under a second), fit (the lift, then some seconds of optimisation: nearer to the picture,
-    local edits only), ttt (the networks); auto: ttt where trained weights are better, else lift."""
+    local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else lift."""
     preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
     """Weights: compact, paper, a folder of weights, or lift (none); auto: compact where its weights are, else lift."""
+    precision: Precision = "auto"
+    """Arithmetic of the networks; auto: what SPLATPAINTER_PRECISION says, else bfloat16 where the machine has it."""
     polish: bool = False
     """After the networks, two colour rounds of the lift: nearer to the picture, further from what was learnt."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
@@ -115,13 +118,14 @@ def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method, p
 
 def _painter(config: Config) -> Painter:
     """Before anything is read that takes time: weights that are missing or wrong are the likeliest complaint."""
-    painter = Painter.load(config.preset, modes=[config.mode], polish=config.polish)
-    if painter.model is not None and painter.model.config.representation == "copy" and config.method in ("auto", "ttt"):
+    painter = Painter.load(config.preset, modes=[config.mode], polish=config.polish, precision=config.precision)
+    method = painter.choose(config.method, config.mode)[0]
+    if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
         raise ValueError(
             f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no row could be "
             "verified; use it from Python, or a preset of representation native"
         )
-    if config.polish and (painter.model is None or config.method in ("lift", "fit")):
+    if config.polish and method != "ttt":
         raise ValueError("splatpainter edit: --polish is for the networks (method ttt); the lift is what it would add")
     return painter
 
@@ -182,7 +186,8 @@ def _lines(config: Config, receipt: Receipt, found: Verification, sources: list[
     lines += [f"{source.path}: {note}" for source in sources for note in source.notes]
     lines.append(f"frame: {found.frame}")
     weights = f" with preset {receipt.preset}" if receipt.method == "ttt" else ""
-    lines.append(f"method {receipt.method}{weights}, mode {receipt.mode}")
+    rounding = f", in {receipt.precision}" if receipt.precision else ""
+    lines.append(f"method {receipt.method}{weights}, mode {receipt.mode}{rounding}")
     lines += [f"note: {note}" for note in receipt.note.split("; ") if note]
     for source, view in zip(sources, receipt.views, strict=True):
         inside = f"{decibels(view.psnr_before)} -> {decibels(view.psnr_after)} against the picture, where it was edited"

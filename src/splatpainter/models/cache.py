@@ -101,7 +101,8 @@ def _key(model: SplatPainterModel, splats: Splats, weights: str) -> str:
     import torch
 
     device = next(model.parameters()).device.type
-    arithmetic = f"{device} {torch.is_autocast_enabled(device)}"
+    rounded = torch.is_autocast_enabled(device)
+    arithmetic = f"{device} {torch.get_autocast_dtype(device) if rounded else torch.float32}"
     parts = (VERSION, weights, splats.sha256, f"{splats.antialiased} {splats.color_space}", arithmetic)
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 

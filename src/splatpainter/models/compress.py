@@ -18,6 +18,7 @@ from splatpainter.models.config import CompressConfig
 from splatpainter.models.rows import RowGroups, TokenLinks, attribute_features, feature_count
 from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.layers import CrossAttention, PackedBlock, layer_norm, linear
+from splatpainter.nn.precision import exact
 from splatpainter.splats import Splats
 
 CHUNK = 1 << 13
@@ -73,7 +74,8 @@ class Compressor(nn.Module):
         chunk: int | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> Latents:
-        """Latents of the kept rows. tokens: [P, token_dim] of the LRM; rows: the asset, N rows, torch attributes on the
+        """Latents of the kept rows. tokens: [P, token_dim] of the LRM, of any float
+        type; rows: the asset, N rows, torch attributes on the
         same device; links: of the N rows; groups: of the rows; chunk: rows at once (CHUNK without gradients, else all);
         dtype: of the result (a million latents of width 256 are 1 GB in float32).
 
@@ -81,12 +83,12 @@ class Compressor(nn.Module):
         """
         if len(links.patches) != len(rows):
             raise ValueError(f"encode: expected links of {len(rows)} rows, got {len(links.patches)}")
-        table = self.token(self.token_norm(tokens))
+        table = self.token(self.token_norm(tokens.float())).float()
         kept, _ = groups.kept(self.share)
         size = max(chunk or (len(groups) if torch.is_grad_enabled() else CHUNK), 1)
         parts = (self._part(table, rows, links, part) for part in groups.chunks(size))
         if torch.is_grad_enabled():
-            return Latents(torch.cat([*parts, table.new_zeros(0, self.config.dim).float()]).to(dtype), kept)
+            return Latents(torch.cat([*parts, table.new_zeros(0, self.config.dim)]).to(dtype), kept)
         # In place: torch.cat would need the memory twice (and refuses float16 under bf16 autocast).
         values = torch.empty(len(kept), self.config.dim, dtype=dtype, device=table.device)
         done = 0
@@ -119,7 +121,8 @@ class Compressor(nn.Module):
         weights = torch.from_numpy(links.weights[groups.order]).to(table.device, table.dtype)
         told = F.embedding_bag(patches, table, per_sample_weights=weights, mode="sum")
         # Float32 also under autocast: what the layers add up stays exact, only what they multiply is rounded.
-        return told.float() + self.attribute(attribute_features(rows, groups, self.degree)).float()
+        with exact(table.device):
+            return told + self.attribute(attribute_features(rows, groups, self.degree))
 
     def _voxel_mean(self, x: Tensor, groups: RowGroups, kept: RowGroups) -> Tensor:
         """VoxelAtt: the mean token of each voxel, through layers of the same depth, handed to each of its kept rows."""

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from splatpainter.models.config import Decoder
+from splatpainter.nn.precision import exact
 from splatpainter.splats import Splats
 
 CHILD_SCALE = 0.5
@@ -50,7 +51,7 @@ class AttributeHead(nn.Module):
             nn.init.normal_(self.linear.weight, std=0.02)
 
     def forward(self, latents: Tensor) -> Tensor:
-        with torch.autocast(latents.device.type, enabled=False):
+        with exact(latents.device):
             return self.linear(self.norm(latents.float()))
 
     @property

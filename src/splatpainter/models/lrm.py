@@ -22,6 +22,7 @@ from splatpainter.cameras import Camera
 from splatpainter.models.config import LrmConfig
 from splatpainter.nn.attention import Groups
 from splatpainter.nn.layers import PackedBlock, layer_norm, linear
+from splatpainter.nn.precision import exact
 from splatpainter.splats import SH_C0, Splats
 
 MOST_VIEWS = 16
@@ -108,9 +109,10 @@ class GaussianLrm(nn.Module):
         return LrmOutput(tokens, self.decode(tokens, views))
 
     def encode(self, views: AssetViews) -> Tensor:
-        """[V * L, D] tokens alone: all that a model of the user's own rows needs. Raises ValueError as forward."""
+        """[V * L, D] float32 tokens: all that a model of the user's own rows needs. Raises ValueError as forward."""
         x = patchify(self._channels(views), self.config.patch)
-        x = self.norm_in(self.patches(x))
+        with exact(x.device):  # rays and depths; and what the blocks add to stays float32
+            x = self.norm_in(self.patches(x))
         groups = Groups.of([len(x)], x.device)  # every token sees all views
         again = self.config.checkpoint_activations and torch.is_grad_enabled()
         for block in self.blocks:
@@ -121,7 +123,8 @@ class GaussianLrm(nn.Module):
         """One Gaussian per pixel from tokens [V * L, D] of these views. In training mode centres are clipped to the
         cube."""
         patch, count = self.config.patch, (self.config.sh_degree + 1) ** 2
-        raw = self.head(self.norm_out(tokens)).unflatten(1, (patch**2, -1)).flatten(0, 1).float()
+        with exact(tokens.device):  # positions, and opacities that rows are put in order by
+            raw = self.head(self.norm_out(tokens.float())).unflatten(1, (patch**2, -1)).flatten(0, 1)
         depth, sh, scales, quats, opacities = raw.split([3, 3 * count, 3, 4, 1], dim=1)
         origins, directions = rays(views)
         start, reach = _depth_range(views, origins, directions, self.config.geometry)

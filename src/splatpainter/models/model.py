@@ -33,18 +33,6 @@ from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels import VoxelGrid
 
 
-def fast_math(device: torch.device | str = "cpu") -> torch.autocast:
-    """A context in which matrix products use bf16 where this machine multiplies it faster than float32 (CUDA; CPUs with
-    AVX512-BF16 or AMX: twice the speed, measured), and nothing changes elsewhere. Attributes are decoded in float32
-    in any case."""
-    kind = torch.device(device).type
-    if kind == "cpu":
-        able = torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
-    else:
-        able = kind == "cuda" and torch.cuda.is_bf16_supported()
-    return torch.autocast(kind, torch.bfloat16, enabled=able)
-
-
 @dataclass(frozen=True)
 class Copy:
     """The LRM's own Gaussians, as rows for Stage I (`copy` representation)."""

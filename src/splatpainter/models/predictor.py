@@ -21,6 +21,7 @@ from torch.nn import functional
 from splatpainter.lift.whole import SEEN, Predict
 from splatpainter.models.config import PredictConfig
 from splatpainter.nn.closed_form import solve
+from splatpainter.nn.precision import exact
 from splatpainter.splats import SH_C0, Splats
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class Predictor(nn.Module):
     def forward(self, facts: Tensor, change: Tensor, weight: Tensor) -> Tensor:
         """[N, 3] predicted change of base colour of all rows. facts: [N, 21] of `row_facts`; change: [N, 3] as the
         pictures have it; weight: [N] pixels that show each row. Without a seen row nothing is predicted: zeros."""
-        with torch.autocast(facts.device.type, enabled=False):
+        with exact(facts.device):
             seen = _spread(torch.nonzero(weight > SEEN)[:, 0], TEACHERS)
             if len(seen) == 0:
                 return torch.zeros_like(change)

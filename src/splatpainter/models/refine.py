@@ -18,6 +18,7 @@ from splatpainter.models.pictures import PictureTokens
 from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.nn.layers import CrossAttention, SelfAttention, SwiGLU, layer_norm, linear
+from splatpainter.nn.precision import exact
 from splatpainter.nn.ttt import TTTLayer
 
 CHUNK = 1 << 12
@@ -210,7 +211,8 @@ class Refiner(nn.Module):
         if len(tokens.pixels) == 0:
             return state
         latents, shares = rows or (None, None)
-        x = self.pictures(tokens.pixels)
+        with exact(tokens.pixels.device):  # float32, so that so is the sum that the blocks add to
+            x = self.pictures(tokens.pixels)
         groups = Groups.of(tokens.lengths, x.device) if self.config.image_attention else None
         weights = tokens.weights if self.config.mask_tokens else None
         memories = []
@@ -244,11 +246,13 @@ class Refiner(nn.Module):
             before, after, seen, predicted, normal = lift.split([3, 3, 1, 3, 3], dim=1)
             changes = (2 * (after - before), seen, 2 * (predicted - before))
             told = torch.cat([2 * before - 1, *changes, normal], dim=1)
-            latents = latents + self.lift(told.to(self.lift.weight.dtype))
+            with exact(latents.device):
+                latents = latents + self.lift(told.to(self.lift.weight.dtype))
         if self.config.base == "lift" and drift is not None:
             if list(drift.shape) != [len(latents), DRIFT_FEATURES]:
                 raise ValueError(f"refine: expected drift [{len(latents)}, {DRIFT_FEATURES}], got {_shape(drift)}")
-            latents = latents + self.drift(drift.to(self.drift.weight.dtype))
+            with exact(latents.device):
+                latents = latents + self.drift(drift.to(self.drift.weight.dtype))
         return latents
 
     def read(self, state: RefineState, latents: Tensor, *, chunk: int | None = None) -> Tensor:

@@ -1,7 +1,7 @@
 """Transformer layers over packed tokens: every linear map and LayerNorm without bias, weights from N(0, 0.02).
 
 T packed tokens, D width, H heads. The groups say which tokens see each other (nn.attention). All of it runs under bf16
-autocast; softmax and LayerNorm stay in float32 there.
+autocast: what blocks add to stays float32 as it came, only what they multiply is rounded.
 """
 
 from __future__ import annotations

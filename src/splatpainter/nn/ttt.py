@@ -18,6 +18,7 @@ from torch.nn import functional
 from splatpainter.nn import fast_weights
 from splatpainter.nn.fast_weights import FastWeights, InnerLoss
 from splatpainter.nn.layers import EPS, linear
+from splatpainter.nn.precision import exact
 
 Stream = Literal["image", "voxel"]
 BASE_RATE = 0.01
@@ -132,7 +133,7 @@ class TTTLayer(nn.Module):
 
     def _rates(self, tokens: Tensor, head: nn.Linear) -> Tensor:
         """[H, T, 3] rates of the tokens, in float32 also under autocast: bf16 would round them by 0.4 %."""
-        with torch.autocast(tokens.device.type, enabled=False):
+        with exact(tokens.device):
             raw = functional.linear(tokens.float(), head.weight.float())
             return functional.softplus(raw + RATE_OFFSET).unflatten(-1, (self.heads, 3)).transpose(0, 1)
 

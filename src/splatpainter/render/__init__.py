@@ -119,7 +119,8 @@ def _render_torch(
     own = replace(splats, **moved, source=None, origin=None)
     behind = [view.background for view in views] if background is None else background
     behind = _background_shape(torch.as_tensor(behind, dtype=own.means.dtype, device=device), len(views))
-    outputs = chosen.draw(own, views, behind, contributions, profile)
+    with torch.autocast(torch.device(device).type, enabled=False):  # a caller's bf16 would round positions to 8 bits
+        outputs = chosen.draw(own, views, behind, contributions, profile)
     return Render(*(None if output is None else output.to(home) for output in outputs))
 
 

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from splatpainter.nn.precision import resolve
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.session.deltas import bare
 from splatpainter.splats import Splats
@@ -86,8 +87,8 @@ class Adapter:
 
 
 def fingerprint(painter: Painter, method: Method) -> str:
-    """What of a painter decides the results of a method, as text: its settings and the hash of its weights. method: not
-    "auto"."""
+    """What of a painter decides the results of a method, as text: its settings, the hash of its weights, and bf16 where
+    its networks are rounded to that. method: not "auto"."""
     settings = f"{painter.local!r} {painter.whole!r}"
     if method != "ttt" or painter.model is None:
         return f"{method} {settings}"
@@ -95,7 +96,9 @@ def fingerprint(painter: Painter, method: Method) -> str:
         from splatpainter.models.cache import digest
 
         _DIGESTS[painter.model] = digest(painter.model)
-    return f"ttt {settings} polish={painter.polish} {_DIGESTS[painter.model]}"
+    device = next(painter.model.parameters()).device
+    rounded = " bfloat16" if resolve(painter.precision, device) == "bfloat16" else ""
+    return f"ttt {settings} polish={painter.polish} {_DIGESTS[painter.model]}{rounded}"
 
 
 _DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()

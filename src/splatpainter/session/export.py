@@ -26,7 +26,7 @@ LARGEST = 1 << 28
 """Bytes of one picture in a layer file."""
 
 
-def receipt_between(original: Splats, now: Splats, preset: str, note: str) -> Receipt:
+def receipt_between(original: Splats, now: Splats, preset: str, note: str, precision: str = "") -> Receipt:
     """The receipt of a whole session: original against now. No file yet, so `output_sha256` is empty."""
     touched = changed_rows(original, now)
     before, after = untouched_hashes(original, now, touched)
@@ -43,6 +43,7 @@ def receipt_between(original: Splats, now: Splats, preset: str, note: str) -> Re
         untouched_sha256_before=before,
         untouched_sha256_after=after,
         note=note,
+        precision=precision,
     )
 
 

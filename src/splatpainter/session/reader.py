@@ -148,7 +148,9 @@ class Reader:
 
     def _receipt(self, shown: Shown) -> Receipt:
         names = ", ".join(layer.name for layer in shown.document.layers if layer.visible) or "none"
-        return export.receipt_between(self.original, shown.splats, self.painter.preset, f"layers: {names}")
+        used = {facts.get("precision", "") for _, facts in shown.level.facts}
+        precision = next((word for word in ("bfloat16", "float32") if word in used), "")  # the roughest of the layers'
+        return export.receipt_between(self.original, shown.splats, self.painter.preset, f"layers: {names}", precision)
 
     def export(self, path: str | Path, *, overwrite: bool = False) -> tuple[Receipt, Verification]:
         """Write the shown asset and its receipt (NAME.receipt.json), proved by reading it again; the name says the

@@ -258,7 +258,8 @@ class Replay:
         facts: dict[str, Any] = {}
         if done.receipt is not None:
             record = json.loads(done.receipt.to_json())
-            facts = {name: record[name] for name in ("method", "preset", "note", "views")}
+            names = ("method", "preset", "note", "views", "precision")
+            facts = {name: record[name] for name in names if name in record}
             facts["stages"] = record["seconds"]
         if layer.painter != fingerprint(self.painter, layer.method):
             facts["note"] = "; ".join(

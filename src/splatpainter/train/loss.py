@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from splatpainter.metrics.lpips import SMALLEST, Lpips, LpipsUnavailable
+from splatpainter.nn.precision import exact
 
 NOTHING = 2e-4
 """An error of which nothing need be left, where ratios count: 37 dB."""
@@ -65,7 +66,7 @@ class PictureLoss:
             mask = wanted.weights[chosen][:, None]
             # Squeeze's first pixels are 4 wide: every pixel around the edit is in some tap's window.
             mask = F.max_pool2d(mask, 9, stride=1, padding=4) + 1e-6
-            with torch.autocast(rendered.device.type, enabled=False):
+            with exact(rendered.device):
                 parts["perceptual"] = self.network(first.float(), second.float(), mask.float()).mean()
             parts["loss"] = squared + self.share * parts["perceptual"]
         if self.decibels:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from splatpainter.models.encode import asset_views, canonical_cameras
-from splatpainter.models.model import SplatPainterModel, fast_math
+from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.rows import RowGroups, TokenLinks, links_from_views
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.train.loss import PictureLoss
@@ -54,7 +54,7 @@ class CopyTask(Task[SplatPainterModel]):
 
     def _copy(self, sample: Sample) -> tuple[Splats, Splats]:
         """After Stage I, and the LRM's Gaussians before it."""
-        with fast_math(self.device):
+        with self.arithmetic():
             with torch.no_grad():
                 copy = self.model.copy_rows(input_views(self.model, sample, self.device))
             grid = voxelize(copy.rows.numpy(), self.model.config.compress.resolution)
@@ -93,7 +93,7 @@ class HiddenColors(Task[SplatPainterModel]):
         tokens, rows, links, groups = self._known.get(sample.asset.sha256, lambda: self._know(sample.asset.numpy()))
         hidden = torch.from_numpy(np.random.default_rng(seed).random(len(rows)) < HIDDEN).to(self.device)
         blind = replace(rows, sh=torch.where(hidden[:, None, None], 0, rows.sh))
-        with fast_math(self.device):
+        with self.arithmetic():
             latents = self.model.compressor(tokens, blind, links, groups)
         order = torch.from_numpy(latents.groups.order).to(self.device)
         sh = rows.sh[order][:, : (self.model.config.sh_degree + 1) ** 2].flatten(1)
@@ -108,7 +108,7 @@ class HiddenColors(Task[SplatPainterModel]):
         cameras = canonical_cameras(splats, config.lrm)
         rows = splats.torch(str(self.device))
         views, seen = asset_views(rows, cameras, grid)
-        with fast_math(self.device):
+        with self.arithmetic():
             tokens = self.model.encode_views(views)
         return tokens, rows, links_from_views(splats.means, cameras, seen, config.lrm.patch), self.model.groups(grid)
 

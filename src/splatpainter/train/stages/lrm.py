@@ -15,7 +15,7 @@ from torch import Tensor
 from splatpainter.cameras import Camera
 from splatpainter.models.encode import asset_views, canonical_cameras
 from splatpainter.models.lrm import AssetViews
-from splatpainter.models.model import SplatPainterModel, fast_math
+from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import Splats
 from splatpainter.train.loss import PictureLoss, Wanted, global_target, masked_psnr, scattered_depth
 from splatpainter.train.stages.task import Task, Verdict, draw, freeze, tensor
@@ -41,7 +41,7 @@ class LrmTask(Task[SplatPainterModel]):
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         views = input_views(self.model, sample, self.device)
-        with fast_math(self.device):
+        with self.arithmetic():
             made = self.model.lrm(views).splats
         if self.step < self.pull_steps:
             pulled = PULL * scattered_depth(_distances(made, views), len(views.cameras))
@@ -54,7 +54,7 @@ class LrmTask(Task[SplatPainterModel]):
     @torch.no_grad()
     def judge(self, sample: Sample) -> Verdict:
         views = input_views(self.model, sample, self.device)
-        with fast_math(self.device):
+        with self.arithmetic():
             made = self.model.lrm(views).splats
         return judged(_drawn(made, views, self.model), sample, views, self.device)
 

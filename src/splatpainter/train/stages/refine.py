@@ -28,7 +28,7 @@ from splatpainter.models.draft import (
     refine_draft,
 )
 from splatpainter.models.encode import Encoded, asset_views, canonical_cameras, encode_asset
-from splatpainter.models.model import SplatPainterModel, fast_math
+from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import predicting
 from splatpainter.models.rows import RowGroups, TokenLinks, links_from_views
 from splatpainter.render import render
@@ -126,7 +126,7 @@ class RefineTask(Task[SplatPainterModel]):
         draft = self._draft(sample, known, views)
         cameras, wanted = self._wanted(sample, known, views, rng)
         draft = self._shown(draft, cameras)
-        with fast_math(self.device):
+        with self.arithmetic():
             edited = self._refined(known, draft, views, self._first(sample, rng), rng)
         rendered, _ = draw(edited, cameras, self.device)
         chosen = rng.permutation(len(rendered))[: self.options.perceptual_views]
@@ -140,7 +140,7 @@ class RefineTask(Task[SplatPainterModel]):
         same = self.base == "lift" and (sample.mode == "local" or known.predict is None)
         draft = lifted if same else self._draft(sample, known, views)
         alone = sample.mode == "global" and self.model.config.predicts_alone
-        with fast_math(self.device):
+        with self.arithmetic():
             edited = draft.splats if alone else self._refined(known, draft, views)
         wanted = self._novel(sample, known, range(len(sample.novel_after.cameras)))
         near = np.flatnonzero(np.asarray(sample.near)) if sample.mode == "local" else np.arange(len(wanted.colors))
@@ -172,7 +172,7 @@ class RefineTask(Task[SplatPainterModel]):
         resolution = self.model.config.compress.resolution
         grid = voxelize(splats, resolution)
         if self.options.train_encoder == "nothing":
-            with fast_math(self.device):
+            with self.arithmetic():
                 encoded = encode_asset(self.model, splats, grid)
             if self.copies:  # what is edited is what Stage I decodes
                 splats = encoded.rows.numpy()
@@ -183,7 +183,7 @@ class RefineTask(Task[SplatPainterModel]):
         config = self.model.config.lrm
         cameras = canonical_cameras(splats, config)
         views, seen = asset_views(splats.torch(str(self.device)), cameras, grid)
-        with fast_math(self.device):
+        with self.arithmetic():
             tokens = self.model.encode_views(views)
         return Known(
             splats,

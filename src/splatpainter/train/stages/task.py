@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from splatpainter.cameras import Camera
 from splatpainter.models.checkpoint import Config
+from splatpainter.nn.precision import autocast, setting
 from splatpainter.render import render
 from splatpainter.splats import Splats
 
@@ -60,6 +61,11 @@ class Task(nn.Module, Generic[_Model]):
     problem: str = ""
     """Why the last sample was of no use; empty if it was."""
 
+    def __init__(self) -> None:
+        """Raises ValueError for a precision (nn.precision) that there is not, here and not for every sample."""
+        super().__init__()
+        self.precision = setting()
+
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         """{"loss": scalar to minimise, other names: scalars to log}. seed: of this sample's random choices, so that
         they do not depend on how many processes share the work. Raises ValueError for a sample that cannot be used."""
@@ -85,6 +91,10 @@ class Task(nn.Module, Generic[_Model]):
     def device(self) -> torch.device:
         """Of the model."""
         return next(self.model.parameters()).device
+
+    def arithmetic(self) -> torch.autocast:
+        """The context that the networks run in."""
+        return autocast(self.device, self.precision)
 
 
 class Recent(Generic[_Item]):

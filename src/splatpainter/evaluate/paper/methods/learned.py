@@ -226,12 +226,12 @@ def reconstruction(needed: Needed, *, stage_one: bool) -> Callable[[Work, Budget
     def edit(work: Work, budget: Budget) -> Done:
         import torch
 
-        from splatpainter.models.model import fast_math
+        from splatpainter.nn.precision import autocast
 
         model = needed.load(budget)
         start = time.perf_counter()
         edited = joined(work.memory, work.step.edited)
-        with torch.inference_mode(), fast_math(budget.device):
+        with torch.inference_mode(), autocast(budget.device):
             views = all_views(model, work, edited)
             copy = dense(model, views)
             splats, numbers = compressed(model, copy) if stage_one else (copy.rows, {})

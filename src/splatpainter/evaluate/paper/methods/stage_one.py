@@ -74,12 +74,12 @@ def reconstructed(weights: Needed, *, compress: bool) -> Callable[[Work, Budget]
     def edit(work: Work, budget: Budget) -> Done:
         import torch
 
-        from splatpainter.models.model import fast_math
+        from splatpainter.nn.precision import autocast
         from splatpainter.voxels import voxelize
 
         model = weights.load(budget)
         start = time.perf_counter()
-        with torch.inference_mode(), fast_math(budget.device):
+        with torch.inference_mode(), autocast(budget.device):
             views = seen(model, work, torch.device(budget.device))
             if compress:
                 splats, numbers = compressed(model, model.copy_rows(views))
