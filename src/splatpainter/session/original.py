@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 PART = 1 << 20
 ROWS = "rows"
 """Format of an original that is no file."""
+DEVICE = r"con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3]"
+"""Names, up to the first dot, that stand for devices on Windows."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,10 @@ class OriginalRule:
     """None: the project has to hold the bytes."""
     folder: Path | None = None
     """Only what lies in this folder, links followed; None: any file of this machine."""
+
+
+ANY_FILE = OriginalRule()
+"""Of projects that their user opens by name."""
 
 
 def file_of(splats: Splats) -> Path | None:
@@ -86,7 +92,7 @@ def pieces(splats: Splats, path: Path | None) -> Iterator[tuple[str, bytes]]:
                 yield file.name, piece
 
 
-def restore(project: Project, rule: OriginalRule = OriginalRule()) -> Splats:
+def restore(project: Project, rule: OriginalRule) -> Splats:
     """The original's rows, with `origin`. rule: what may be opened where the project does not hold the bytes.
     Raises ValueError: the file is gone or may not be opened, its bytes are not those that the project was made from,
     none of its rows can be drawn."""
@@ -157,8 +163,10 @@ def is_plain_name(name: str, windows: bool = os.name == "nt") -> bool:
     name streams and drives, and some words devices."""
     if name in ("", ".", "..") or re.search(r"[/\\\x00-\x1f]", name):
         return False
-    device = re.fullmatch(r"(?i)(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])", name.split(".")[0].rstrip())
-    return not windows or not (":" in name or name[-1] in " ." or device)
+    if not windows:
+        return True
+    device = re.fullmatch(DEVICE, name.split(".")[0].rstrip(), re.IGNORECASE)
+    return not (":" in name or name[-1] in " ." or device)
 
 
 def is_local_path(name: str, windows: bool = os.name == "nt") -> bool:

@@ -140,9 +140,8 @@ class Project:
                     if readonly is False:
                         raise ValueError(f"{path}: {why}")
                     if version < schema.VERSION:
-                        raise ValueError(
-                            f"{path}: project version {version} must be opened for writing once, to be brought up; {why}"
-                        )
+                        said = f"project version {version} must be opened for writing once, to be brought up"
+                        raise ValueError(f"{path}: {said}; {why}")
                     database = _opened(path, readonly=True)
                 return Project(database, lock, why)
         except BaseException:
@@ -397,10 +396,11 @@ def _result_facts(text: str) -> dict[str, Any]:
         raise ValueError("its facts are no JSON object")
     for name, kind in FACT_KINDS.items():
         value = facts.get(name, kind() if isinstance(kind, type) else 0)
-        fits = isinstance(value, kind) and (not isinstance(value, (int, float)) or 0 <= value < 1e15)
-        if not fits or (name == "views" and not all(isinstance(view, dict) for view in value)):
+        if not isinstance(value, kind) or (isinstance(value, (int, float)) and not 0 <= value < 1e15):
             raise ValueError(f"unexpected {name} {value!r:.40}")
     for view in facts.get("views", ()):
+        if not isinstance(view, dict):
+            raise ValueError(f"unexpected view {view!r:.40}")
         scores = [view.get(name) for name in ("psnr_before", "psnr_after", "psnr_outside")]
         if not all(score is None or (isinstance(score, (int, float)) and abs(score) < 1e15) for score in scores):
             raise ValueError(f"unexpected scores {scores!r:.80}")

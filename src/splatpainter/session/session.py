@@ -31,7 +31,7 @@ from splatpainter.session.deltas import bare
 from splatpainter.session.intake import new_layer
 from splatpainter.session.layers import Blend, Document, Kind, Layer, Policy
 from splatpainter.session.looks import LOOKS, LookFunction
-from splatpainter.session.original import OriginalRule
+from splatpainter.session.original import ANY_FILE, OriginalRule
 from splatpainter.session.pending import Pending
 from splatpainter.session.project import Project
 from splatpainter.session.reader import Reader, Shown
@@ -129,7 +129,7 @@ class Session(Reader):
         session._start(Project.open(Path(project), readonly), painter, looks, rule=OriginalRule(at, embedded, within))
         return session
 
-    def _start(self, project: Project, painter, looks, *, splats=None, scratch=None, rule=OriginalRule()) -> None:
+    def _start(self, project: Project, painter, looks, *, splats=None, scratch=None, rule=ANY_FILE) -> None:
         self._project, self._scratch, self._rule = project, scratch, rule
         self._commands = threading.RLock()
         self._changes = Changes()

@@ -23,13 +23,14 @@ from splatpainter.studio import frames, watch
 from splatpainter.studio.actions import Call, Desk
 from splatpainter.studio.actions.looking import render_view
 from splatpainter.studio.core import Studio
-from splatpainter.studio.hub import Hub, Refused, failure, first_fault, problem_of
+from splatpainter.studio.hub import Hub
 from splatpainter.studio.limits import BodyLimit
 from splatpainter.studio.messages import COMMANDS, Command, Failure, Problem
 from splatpainter.studio.messages.base import PIXELS
 from splatpainter.studio.messages.connection import Cancel, Hello, Sync
 from splatpainter.studio.messages.looking import ViewRender
 from splatpainter.studio.messages.state import State
+from splatpainter.studio.problems import Refused, failure, first_fault, problem_of
 from splatpainter.studio.queue import Ticket
 from splatpainter.studio.schema import schema_hash
 from splatpainter.studio.security import Access, Guard

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import secrets
-import sqlite3
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -22,13 +20,13 @@ from splatpainter.session import Session
 from splatpainter.studio import describe, frames
 from splatpainter.studio.actions import Call, Desk, Handler, load
 from splatpainter.studio.core import Studio
-from splatpainter.studio.messages import COMMANDS, Answer, Command, Failure, Model, Problem, Progress
+from splatpainter.studio.messages import COMMANDS, Answer, Command, Model, Problem, Progress
 from splatpainter.studio.messages.connection import Greeting, ToastEvent
 from splatpainter.studio.messages.state import State
-from splatpainter.studio.queue import Busy, Cancelled, Ticket, WorkQueue
+from splatpainter.studio.problems import Refused, first_fault, problem_of
+from splatpainter.studio.queue import Ticket, WorkQueue
 from splatpainter.studio.visitors import Visitor, Visitors
 
-log = logging.getLogger("splatpainter.studio")
 PACE = 0.1
 """Seconds between progress messages of one command."""
 WAITING = 64
@@ -40,14 +38,6 @@ class Socket(Protocol):
 
     async def send_text(self, data: str) -> None: ...
     async def send_bytes(self, data: bytes) -> None: ...
-
-
-class Refused(Exception):
-    """A command that failed, as its client is told."""
-
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem.message)
-        self.problem = problem
 
 
 class Client:
@@ -246,7 +236,7 @@ class Hub:
         try:
             answer = await lane(job, ticket)
         except Exception as error:
-            raise Refused(problem_of(error)) from error
+            raise Refused(self.studio.problem(problem_of(error))) from error
         if client is not None:
             client.after(call)
         if handler.writes:
@@ -278,30 +268,6 @@ def parse(data: object) -> tuple[int, Command]:
         raise Refused(Problem(kind="input", message=first_fault(error, data["do"]))) from None
 
 
-def first_fault(error: ValidationError, where: str) -> str:
-    """One line about the first field that is wrong."""
-    fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    place = ".".join(map(str, fault["loc"]))
-    return f"{where}: {place}: {fault['msg']}" if place else f"{where}: {fault['msg']}"
-
-
-def problem_of(error: Exception) -> Problem:
-    """What a client is told of a failure. Wrong input speaks for itself: its last part says what to do."""
-    if isinstance(error, Refused):
-        return error.problem
-    if isinstance(error, Cancelled):
-        return Problem(kind="cancelled", message="Cancelled; nothing was changed.")
-    if isinstance(error, Busy):
-        return Problem(kind="busy", message="Too much is waiting.", hint="Wait until the work in progress is done.")
-    if isinstance(error, MemoryError):
-        return Problem(kind="input", message="Out of memory.", hint="Use a smaller picture, or an asset of fewer rows.")
-    if isinstance(error, ValueError) and not isinstance(error, sqlite3.Error):
-        message, _, hint = str(error).rpartition("; ")
-        return Problem(kind="input", message=message or hint, hint=hint if message else "")
-    log.error("fault", exc_info=error)
-    return Problem(kind="fault", message=f"Fault in the studio: {type(error).__name__}: {error}"[:300])
-
-
 def pacer(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Callable[[float, str], None]:
     """Progress of a command from a worker thread to its page, not more often than every PACE seconds."""
     last = [0.0, ""]
@@ -316,8 +282,3 @@ def pacer(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Calla
             loop.call_soon_threadsafe(shown.say, Progress(re=number, progress=share, stage=stage))
 
     return report
-
-
-def failure(number: int, problem: Problem) -> Failure:
-    """The answer of a command that failed."""
-    return Failure(re=number, error=problem)

@@ -9,9 +9,10 @@ import json
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from splatpainter.studio.hub import Client, Hub, Refused, failure, pacer, parse
+from splatpainter.studio.hub import Client, Hub, pacer, parse
 from splatpainter.studio.messages import Answer, Command, Problem
 from splatpainter.studio.messages.connection import Cancel, Greeting, Hello, Sync
+from splatpainter.studio.problems import Refused, failure
 from splatpainter.studio.queue import Ticket
 from splatpainter.studio.schema import schema_hash
 
