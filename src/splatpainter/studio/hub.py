@@ -30,7 +30,11 @@ from splatpainter.studio.visitors import Visitor, Visitors
 PACE = 0.1
 """Seconds between progress messages of one command."""
 WAITING = 64
-"""Messages that may wait for a client that reads slowly."""
+"""Messages that may wait for a client that reads slowly, before its next command has to wait too, ..."""
+WAITING_BYTES = 64 << 20
+"""... and bytes of them."""
+MAX_WAITING = 1024
+"""Messages that may wait for a client; one that reads none of more is closed."""
 
 
 class Socket(Protocol):
@@ -55,6 +59,9 @@ class Client:
         """The state that it was told last; None: no greeting has gone out yet."""
         self._state_due = False
         self._waiting: list[str | _Preview | Greeting] = []
+        self._waiting_bytes = 0
+        self.overrun = asyncio.Event()
+        """Set where it reads so little that it has to go."""
         self._wake, self._room = asyncio.Event(), asyncio.Event()
         self._room.set()
 
@@ -79,8 +86,12 @@ class Client:
         if self._gone:
             return
         self._waiting.append(item)
-        if len(self._waiting) >= WAITING:
+        self._waiting_bytes += item.size if isinstance(item, _Preview) else len(item) if isinstance(item, str) else 0
+        if len(self._waiting) >= WAITING or self._waiting_bytes >= WAITING_BYTES:
             self._room.clear()
+        if len(self._waiting) > MAX_WAITING:
+            self._waiting.clear()
+            self.overrun.set()
         self._wake.set()
 
     def gone(self) -> None:
@@ -98,6 +109,7 @@ class Client:
             await self._wake.wait()
             self._wake.clear()
             items, self._waiting = self._waiting, []
+            self._waiting_bytes = 0
             self._room.set()
             if self.greeted:
                 await self._send_rows([item for item in items if isinstance(item, _Preview)])
@@ -142,6 +154,7 @@ class _Preview:
 
     def __init__(self, frame: bytes, rows: np.ndarray, session: str) -> None:
         self.frame, self.rows, self.session = frame, rows, session
+        self.size = len(frame) + rows.nbytes
         self.version = frames.HEADER.unpack_from(frame)[4]
 
 
@@ -256,7 +269,7 @@ class Hub:
 
 def parse(data: object) -> tuple[int, Command]:
     """(id, command) from a message of a client. Raises Refused."""
-    if not isinstance(data, dict) or not isinstance(data.get("id"), int) or not isinstance(data.get("do"), str):
+    if not isinstance(data, dict) or not is_id(data.get("id")) or not isinstance(data.get("do"), str):
         raise Refused(Problem(kind="input", message='expected {"id": number, "do": name, ...}'))
     kind = COMMANDS.get(data["do"])
     if kind is None:
@@ -266,6 +279,11 @@ def parse(data: object) -> tuple[int, Command]:
         return data["id"], kind.model_validate(fields)
     except ValidationError as error:
         raise Refused(Problem(kind="input", message=first_fault(error, data["do"]))) from None
+
+
+def is_id(value: object) -> bool:
+    """Whether it can number a command: a whole number that JavaScript has too."""
+    return type(value) is int and 0 <= value < 1 << 53
 
 
 def pacer(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Callable[[float, str], None]:
