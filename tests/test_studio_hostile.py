@@ -75,7 +75,7 @@ def raw(studio: Live, data: bytes = b"") -> socket.socket:
 def ended(connection: socket.socket) -> bytes:
     """What is read until the other side closes."""
     out = b""
-    with contextlib.suppress(ConnectionResetError):
+    with connection, contextlib.suppress(ConnectionResetError):
         while piece := connection.recv(65536):
             out += piece
     return out
@@ -121,7 +121,7 @@ HOSTILE = {
     "none.sog": bundle(b'{"version": 2, "count": null}'),
     "deep.sog": bundle(b"[" * 200_000),
     "other.sog": bundle(b"{}", name="x.json"),
-    "unnamed.sog": bundle(b"{}", name="\0"),
+    "unnamed.sog": bundle(b"{}", name="abc").replace(b"abc", b"\0bc"),
     "bzip2.sog": bundle(b'{"version": 2, "count": 1}' + b" " * (1 << 20), zipfile.ZIP_BZIP2),
     "lzma.sog": bundle(b'{"version": 2, "count": 1}' + b" " * (1 << 20), zipfile.ZIP_LZMA),
     "long.sog": bundle(b'{"version": 2, "count": 1}' + b" " * (2 << 20), zipfile.ZIP_DEFLATED),
@@ -295,6 +295,7 @@ def test_heads_that_come_slowly_are_not_waited_for(tmp_path: Path) -> None:
                 slow.sendall(b"x: y\r\n")
                 time.sleep(0.1)
         assert time.monotonic() < end
+        slow.close()
         assert ended(silent) == b""
         assert studio.http.get("/api/state").status_code == 200
 
@@ -303,7 +304,10 @@ def test_bodies_that_stop_are_not_waited_for(tmp_path: Path) -> None:
     with serving(tmp_path) as studio:
         head = b"POST /api/blobs?name=a.png HTTP/1.1\r\nhost: localhost\r\ncontent-length: 100000\r\n\r\nabc"
         assert ended(raw(studio, head)) == b""
-        assert not list(studio.studio.blobs.folder.glob("*.part"))
+        end = time.monotonic() + PATIENCE
+        while list(studio.studio.blobs.folder.glob("*.part")):  # what came is dropped
+            assert time.monotonic() < end
+            time.sleep(0.05)
         refused = raw(studio, head.replace(b"localhost", b"evil.example"))  # answered before its body
         assert ended(refused).startswith(b"HTTP/1.1 400")
 
@@ -388,7 +392,7 @@ def test_odd_files_are_toasts_and_the_watch_goes_on(tmp_path: Path) -> None:
     (shared / "half.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     (shared / "page.png").write_bytes(b"<html>")
     names = ["folder.png", "half.png", "page.png", "gone.png", ".hidden.png", "rows.ply"]
-    expected = {"folder.png": "a pipe or a device", "half.png": "cannot be read", "page.png": "expected a picture"}
+    expected = {"folder.png": "a pipe or a device", "half.png": "expected a picture", "page.png": "expected a picture"}
     if hasattr(os, "mkfifo"):
         os.mkfifo(shared / "pipe.png")
         names.append("pipe.png")
