@@ -407,7 +407,7 @@ def test_scratch_folders_go_with_their_process(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     live, dead = ScratchFolder("studio"), ScratchFolder("blobs")
     (dead.path / "rows.ply").write_bytes(b"x")
-    dead._lock._connection.close()  # as when its process is killed: the file stays, the lock goes
+    dead._lock._connection.close()  # as when its process is killed: the file stays, the lock goes  # type: ignore[union-attr]
     (tmp_path / "splatpainter-studio-notebook").mkdir()
     (tmp_path / "splatpainter-studio-notebook" / "mine.txt").write_bytes(b"")
     (tmp_path / "splatpainter-mine").mkdir()
