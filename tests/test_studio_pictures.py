@@ -192,15 +192,20 @@ def test_saved_pictures_are_offered_once_and_whole(studio: Live, tmp_path: Path)
     assert saved_picture(own, "export.png") is None  # the studio's own writing
     data = png_bytes(painted(shot())[0], view())
     (shared / "export.png").write_bytes(data[: len(data) // 2])
-    assert saved_picture(own, "export.png") is None  # half a file
+    with pytest.raises(ValueError, match="export.png: cannot be read"):
+        saved_picture(own, "export.png")  # half a file
     (shared / "export.png").write_bytes(data)
     blob = saved_picture(own, "export.png")
     assert blob is not None and blob.path.read_bytes() == data
     assert saved_picture(own, "export.png") is None  # offered before
     (shared / "page.png").write_bytes(b"<html>")
     (shared / "rows.splat").write_bytes(b"\1" * 32)
-    for name in ("page.png", "rows.splat", "missing.png", "../own.splatproj"):
+    for name in ("rows.splat", "../own.splatproj"):
         assert saved_picture(own, name) is None
+    with pytest.raises(ValueError, match="page.png: expected a picture"):
+        saved_picture(own, "page.png")
+    with pytest.raises(FileNotFoundError):
+        saved_picture(own, "missing.png")
 
 
 def test_the_folder_is_watched(studio: Live, tmp_path: Path) -> None:

@@ -55,11 +55,14 @@ def run(config: Config) -> Outcome:
         raise ValueError(f"splatpainter studio: expected --port from 0 to 65535, got {config.port}")
     access = Access.of(config.host)
     bound = listen(config.host, config.port)
+    session = None
     try:
         ensure_compiled()
         session, name = open_session(config.asset, frame=config.frame)
         studio = Studio(session, name, Options(config.folder))
     except BaseException:
+        if session is not None:
+            session.close()
         bound.close()
         raise
     url = address(access, bound)

@@ -6,7 +6,7 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from splatpainter.receipts import changed_rows
-from splatpainter.session.original import restore
+from splatpainter.session.original import OriginalRule, restore
 from splatpainter.session.replay import Painted, Replay
 from splatpainter.splats import rows_sha256
 
@@ -32,8 +32,8 @@ class _Stored:
         pass
 
 
-def problems(project: Project, shown: Shown, replay: Replay, repaint: bool) -> list[str]:
-    """What is wrong with a project, one line each; see Session.verify."""
+def problems(project: Project, shown: Shown, replay: Replay, repaint: bool, rule: OriginalRule) -> list[str]:
+    """What is wrong with a project, one line each; see Session.verify. rule: what may be opened as its original."""
     out = []
     try:
         found = [line for (line,) in project.rows("PRAGMA integrity_check")]
@@ -48,7 +48,7 @@ def problems(project: Project, shown: Shown, replay: Replay, repaint: bool) -> l
         except ValueError as error:
             out.append(str(error))
     try:
-        original = restore(project)
+        original = restore(project, rule)
         fresh = Replay(original, replay.painter, _Stored(project, repaint), replay.looks)
         again = fresh.compose(shown.document).splats
         differs = changed_rows(again, shown.splats)

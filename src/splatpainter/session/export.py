@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from splatpainter.aovs import Aov
@@ -22,6 +24,19 @@ from splatpainter.splats import Splats
 from splatpainter.view_files import PictureOptions, view_files
 
 LAYER_SUFFIX = ".splatlayer"
+LAYER_FILE_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    ValueError,
+    OverflowError,
+    RuntimeError,
+    EOFError,
+)
+"""What reading a file that is no layer file raises."""
 LARGEST = 1 << 28
 """Bytes of one picture in a layer file."""
 
@@ -55,7 +70,7 @@ def export_asset(
     RuntimeError: what was written does not prove the receipt."""
     _check_target(path, overwrite)
     receipt_path = path.with_name(path.name + ".receipt.json")
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+    with _partial_folder(path) as folder:
         partial = Path(folder) / path.name
         write(partial, now)
         proved, found = prove(original, partial, receipt)
@@ -64,6 +79,23 @@ def export_asset(
             os.replace(partial, path)
     files.sync_folder(path.parent)
     return proved, found
+
+
+@contextlib.contextmanager
+def _partial_folder(path: Path) -> Iterator[str]:
+    """A folder beside `path` for what is not complete yet (scratch.sweep_folder knows its name). What goes wrong in the
+    block is said of `path`, never of what is in the folder."""
+    folder = None
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".part", dir=path.parent) as folder:
+            yield folder
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written ({error.strerror or error})") from None
+    except ValueError as error:
+        hidden = f"{folder}{os.sep}"
+        if folder is None or hidden not in str(error):
+            raise
+        raise ValueError(str(error).replace(hidden, f"{path.parent}{os.sep}")) from None
 
 
 def _check_target(path: Path, overwrite: bool) -> None:
@@ -123,13 +155,16 @@ def write_layer(path: Path, layer: Layer, blob: Callable[[str], bytes], overwrit
 def read_layer(path: Path) -> tuple[Layer, dict[str, bytes]]:
     """(layer, its pictures by hash) of a layer file. Raises ValueError naming the file and what is wrong with it."""
     try:
-        with zipfile.ZipFile(io.BytesIO(files.read_all(path))) as bundle:
+        data = files.read_all(path)
+        with zipfile.ZipFile(io.BytesIO(data)) as bundle:
+            if sum(info.file_size for info in bundle.infolist()) > len(data):  # they may lie over each other
+                raise ValueError("its members claim more bytes than the file has")
             record = json.loads(_member(bundle, "layer.json"))
             if not isinstance(record, dict) or record.get("version") != 1:
                 raise ValueError("expected a layer of version 1")
             layer = Layer.parse(record.get("layer") or {}, str(path))
             blobs = {name: _member(bundle, f"{name}.png") for name in layer.blobs()}
-    except (zipfile.BadZipFile, KeyError, ValueError, RuntimeError, NotImplementedError, RecursionError) as error:
+    except LAYER_FILE_ERRORS as error:
         raise ValueError(f"{path}: expected a {LAYER_SUFFIX} file ({str(error).removeprefix(f'{path}: ')})") from None
     for name, data in blobs.items():
         if files.sha256(data) != name:

@@ -12,13 +12,15 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from splatpainter.cameras import Camera
-from splatpainter.painter import Method, Mode
+from splatpainter.painter import MAX_VIEWS, Method, Mode
 
 Kind = Literal["paint", "picture", "look", "clone", "erase", "merged"]
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
 Policy = Literal["latest", "first", "blend"]
 DEEPEST = 16
 """Merged layers inside merged layers."""
+MAX_VIEW_PIXELS = 64_000_000
+"""Pixels of one view."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class View:
     @staticmethod
     def parse(data: dict[str, Any], where: str) -> View:
         camera = Camera.from_json(json.dumps(data["camera"]), where)
+        if camera.width * camera.height > MAX_VIEW_PIXELS:
+            raise ValueError(f"{where}: expected a view of at most {MAX_VIEW_PIXELS // 10**6} megapixels")
         return View(camera, _hash(data["picture"], where), _hash(data["mask"], where))
 
 
@@ -77,8 +81,10 @@ class Layer:
         if not 0 <= self.opacity <= 1:
             raise ValueError(f"layer {self.name!r}: expected an opacity of 0 to 1, got {self.opacity}")
         try:  # a copy, which nobody else changes
-            own = json.loads(json.dumps(self.parameters, allow_nan=False))
-        except (TypeError, ValueError) as error:
+            text = json.dumps(self.parameters, allow_nan=False, ensure_ascii=False)
+            f"{self.id} {self.name} {self.painter} {text}".encode()  # halves of surrogate pairs are no text
+            own = json.loads(text)
+        except (TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"layer {self.name!r}: expected parameters that JSON can hold ({error})") from None
         object.__setattr__(self, "parameters", own)
         if (self.kind == "merged") != bool(self.layers):
@@ -105,6 +111,8 @@ class Layer:
         try:
             if depth > DEEPEST:
                 raise ValueError("merged layers are nested too deeply")
+            if len(data["views"]) > MAX_VIEWS:
+                raise ValueError(f"expected at most {MAX_VIEWS} views, got {len(data['views'])}")
             if not isinstance(data["parameters"], dict):
                 raise ValueError(f"expected parameters as a JSON object, got {data['parameters']!r:.40}")
             return Layer(
@@ -122,7 +130,7 @@ class Layer:
                 _hash(data["thumbnail"], where),
                 str(data["painter"]),
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             said = f"has no {error}" if isinstance(error, KeyError) else str(error).removeprefix(f"{where}: ")
             raise ValueError(f"{where}: {said}") from None
 

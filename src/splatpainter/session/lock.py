@@ -13,6 +13,11 @@ import contextlib
 import sqlite3
 from pathlib import Path
 
+from splatpainter.session.database import is_unwritable
+
+LOCK_ENDING = "-lock"
+"""Of the lock's file name, after the project's."""
+
 
 class ProjectLock:
     """Held from `take` until `release`."""
@@ -22,21 +27,22 @@ class ProjectLock:
 
     @staticmethod
     def take(project: Path) -> ProjectLock | None:
-        """The lock of a project file, or None: somebody holds it. Raises ValueError where none can be made."""
-        path = project.with_name(project.name + "-lock")
+        """The lock of a project file, or None: somebody holds it. Raises ValueError naming the project where none can
+        be made: its folder allows no new files, or something else has the lock's name."""
+        path = project.with_name(project.name + LOCK_ENDING)
         for _ in range(100):
-            connection = _locked(path)
+            connection = _locked(path, project)
             if connection is None:
                 return None
             # The file may have been removed by a holder who left between our opening it and our locking it: then what
             # we hold is a file without a name. If the name stands for another file, that can be locked again.
             with contextlib.suppress(ValueError):
-                again = _locked(path)
+                again = _locked(path, project)
                 if again is None:
                     return ProjectLock(connection, path)
                 again.close()
             connection.close()
-        raise ValueError(f"{path}: cannot be locked")
+        raise ValueError(f"{project}: cannot be locked")
 
     def release(self) -> None:
         """Remove the file and let go. In this order: whoever locks the file in between finds that its name is gone."""
@@ -45,16 +51,21 @@ class ProjectLock:
         self._connection.close()
 
 
-def _locked(path: Path) -> sqlite3.Connection | None:
+def _locked(path: Path, project: Path) -> sqlite3.Connection | None:
     connection = None
     try:
+        if path.exists() and (not path.is_file() or path.stat().st_size):  # ours are empty; `release` removes them
+            raise ValueError(f"{project}: cannot be locked ({path.name} is in the way)")
         connection = sqlite3.connect(path, timeout=0, isolation_level=None, check_same_thread=False)
         connection.execute("PRAGMA journal_mode=OFF")
         connection.execute("BEGIN EXCLUSIVE")
         return connection
+    except FileNotFoundError:  # removed between the two looks
+        return None
     except sqlite3.Error as error:
         if connection is not None:
             connection.close()
         if getattr(error, "sqlite_errorname", "").startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
             return None
-        raise ValueError(f"{path}: cannot be locked ({error})") from None
+        said = "its folder allows no new files" if is_unwritable(error) else " ".join(str(error).split())
+        raise ValueError(f"{project}: cannot be locked ({said})") from None

@@ -49,7 +49,7 @@ def recolored(sh: np.ndarray, parameters: Mapping[str, Any], looks: Mapping[str,
 def _three(parameters: Mapping[str, Any], name: str, default: float) -> np.ndarray:
     try:
         values = np.asarray(parameters.get(name, [default] * 3), np.float32)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.zeros(0)
     if values.shape != (3,) or not np.isfinite(values).all():
         raise ValueError(f"look: expected three numbers as {name}, got {parameters.get(name)!r}")

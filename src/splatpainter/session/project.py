@@ -14,15 +14,25 @@ import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.session import schema
+from splatpainter.session.database import (
+    ContentError,
+    Database,
+    closed_on_error,
+    is_unwritable,
+    one_line,
+    open_readable,
+    open_writable,
+    try_writing,
+)
 from splatpainter.session.deltas import decode, encode
-from splatpainter.session.layers import Document, Layer, digest
+from splatpainter.session.layers import Document, Layer, Policy, digest
 from splatpainter.session.lock import ProjectLock
 from splatpainter.session.replay import Painted
 from splatpainter.session.states import pack_state, unpack_state
@@ -32,6 +42,18 @@ STEPS = 1000
 PART = 1 << 20
 """Bytes of a part of the original."""
 ELSEWHERE = "open elsewhere: this copy can be looked at, not changed; save_as makes one of your own"
+UNWRITABLE = "cannot be written ({}): it can be looked at, not changed; save_as makes one that can"
+FACT_KINDS: dict[str, type | tuple[type, ...]] = {
+    "rows_touched": int,
+    "rows_appended": int,
+    "seconds": (int, float),
+    "method": str,
+    "note": str,
+    "problem": str,
+    "preset": str,
+    "views": list,
+}
+"""Facts of a result that others read, and what they are."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +84,9 @@ class Additions:
 class Project:
     """An open project file. `read_only` says why it cannot be written, "" where it can."""
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, lock: ProjectLock | None, read_only: str) -> None:
-        self.path, self.read_only = path, read_only
-        self._db, self._hold = connection, lock
+    def __init__(self, database: Database, lock: ProjectLock | None, read_only: str) -> None:
+        self.path, self.read_only = database.path, read_only
+        self._database, self._db, self._hold = database, database.connection, lock
         self._mutex = threading.RLock()
         self._bookmarks: list[Bookmark] | None = None
 
@@ -88,32 +110,41 @@ class Project:
         lock = _claim(path, overwrite)
         try:
             _place(path, fill)
-            return Project(path, _open(path, readonly=False), lock, "")
+            with one_line(path):
+                return Project(_opened(path, readonly=False), lock, "")
         except BaseException:
             lock.release()
             raise
 
     @staticmethod
     def open(path: Path, readonly: bool | None = None) -> Project:
-        """Open a project file. readonly None: only where it is open elsewhere; False: then it is an error.
-        Raises ValueError: missing, damaged, no project, newer, of an older version and read-only."""
+        """Open a project file. readonly None: only where it is open elsewhere or cannot be written; False: then it is
+        an error. Raises ValueError: missing, damaged, no project, newer, of an older version and read-only."""
         version = schema.check_head(path)
-        lock = None if readonly else ProjectLock.take(path)
-        if lock is None and readonly is False:
-            raise ValueError(f"{path}: {ELSEWHERE}")
-        why = "" if lock else ("opened for reading only" if readonly else ELSEWHERE)
-        if lock is None and version < schema.VERSION:
-            raise ValueError(f"{path}: project version {version} must be opened for writing once, to be brought up")
-        connection = None
+        lock, why = None, "opened for reading only"
+        if not readonly:
+            lock, why = _lock_or_reason(path)
         try:
-            with _clear(path):
-                connection = _open(path, readonly=lock is None)
+            with one_line(path):
+                database = None
                 if lock is not None:
-                    schema.migrate(connection, path)
-            return Project(path, connection, lock, why)
+                    try:
+                        database = _opened(path, readonly=False)
+                    except sqlite3.OperationalError as error:
+                        if not is_unwritable(error):
+                            raise
+                        why = UNWRITABLE.format(" ".join(str(error).split()))
+                        lock.release()
+                        lock = None
+                if database is None:
+                    if readonly is False:
+                        raise ValueError(f"{path}: {why}")
+                    if version < schema.VERSION:
+                        said = f"project version {version} must be opened for writing once, to be brought up"
+                        raise ValueError(f"{path}: {said}; {why}")
+                    database = _opened(path, readonly=True)
+                return Project(database, lock, why)
         except BaseException:
-            if connection is not None:
-                connection.close()
             if lock is not None:
                 lock.release()
             raise
@@ -122,9 +153,9 @@ class Project:
         """Fold the log into the one file. Closing twice does nothing."""
         with self._mutex:
             if self._hold is not None:
-                with contextlib.suppress(
-                    sqlite3.Error
-                ):  # a reader is in the way: all is in the log, for the next opener
+                # A reader in the way, or a full disk: all is in the log, for the next opener.
+                with contextlib.suppress(sqlite3.Error):
+                    self._database.start()
                     self._db.execute("PRAGMA busy_timeout=0").fetchall()
                     self._db.execute("PRAGMA incremental_vacuum").fetchall()
                     self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
@@ -144,35 +175,52 @@ class Project:
             lock.release()
 
     def _clone(self, target: sqlite3.Connection) -> None:
-        with self._mutex, _clear(self.path):
-            self._db.backup(target, pages=1024)
+        with self._mutex:
+            try:
+                self._db.backup(target, pages=1024)
+            except sqlite3.Error as error:
+                if is_unwritable(error):
+                    raise  # of the target, whose writer names it
+                with one_line(self.path):
+                    raise
         target.execute("PRAGMA journal_mode=DELETE").fetchall()
 
     # ---- reading
 
-    def rows(self, query: str, *values: Any) -> list[tuple]:
-        with self._mutex, _clear(self.path):
-            return self._db.execute(query, values).fetchall()
+    def rows(self, query: str, *values: Any, kinds: tuple[type | tuple[type, ...], ...] = ()) -> list[tuple]:
+        """All rows of a query. kinds: expected types of the columns. Raises ValueError: damaged."""
+        with self._mutex:
+            return self._database.rows(query, *values, kinds=kinds)
 
     def fact(self, name: str) -> str | None:
-        found = self.rows("SELECT value FROM facts WHERE name = ?", name)
+        """A fact by its name. Raises ValueError: it is no text."""
+        found = self.rows("SELECT value FROM facts WHERE name = ?", name, kinds=(str,))
         return found[0][0] if found else None
 
     def original(self) -> Iterator[tuple[str, bytes]]:
-        """(name, bytes) pieces of the original's files, in order."""
-        for file, part in self.rows("SELECT file, part FROM original ORDER BY part"):
-            yield file, self.rows("SELECT bytes FROM original WHERE file = ? AND part = ?", file, part)[0][0]
+        """(name, bytes) pieces of the original's files, in order. Raises ValueError: more than the file has."""
+        with self._mutex, one_line(self.path):
+            left = self._database.start()
+        for file, part in self.rows("SELECT file, part FROM original ORDER BY part", kinds=(str, int)):
+            query = "SELECT bytes FROM original WHERE file = ? AND part = ?"
+            for (data,) in self.rows(query, file, part, kinds=(bytes,)):
+                left -= len(data)
+                if left < 0:
+                    raise ValueError(f"{self.path}: damaged project file (its original has more bytes than the file)")
+                yield file, data
 
     def blob(self, sha256: str) -> bytes:
         """Bytes of a picture. Raises ValueError: unknown or damaged."""
-        found = self.rows("SELECT bytes FROM blobs WHERE sha256 = ?", sha256)
+        found = self.rows("SELECT bytes FROM blobs WHERE sha256 = ?", sha256, kinds=(bytes,))
         if not found or files.sha256(found[0][0]) != sha256:
             raise ValueError(f"{self.path}: damaged project file (picture {sha256[:12]}... is missing or wrong)")
         return found[0][0]
 
     def result(self, key: str) -> Painted | None:
         """A stored result; its parts are decoded one at a time. Raises ValueError where it is damaged."""
-        found = self.rows("SELECT facts, confidence, state FROM results WHERE key = ?", key)
+        optional = (bytes, type(None))
+        query = "SELECT facts, confidence, state FROM results WHERE key = ?"
+        found = self.rows(query, key, kinds=(str, optional, optional))
         if not found:
             return None
         facts, confidence, state = found[0]
@@ -180,45 +228,52 @@ class Project:
         delta = decode(self._parts(key), where)
         try:
             certain = None if confidence is None else np.frombuffer(confidence, np.uint8)
-            return Painted(delta, dict(json.loads(facts)), certain, None if state is None else unpack_state(state))
-        except (ValueError, TypeError) as error:
+            if certain is not None and len(certain) != delta.count + len(delta.appended):
+                raise ValueError(f"{len(certain)} values of confidence for {delta.count + len(delta.appended)} rows")
+            return Painted(delta, _result_facts(facts), certain, None if state is None else unpack_state(state))
+        except (ValueError, TypeError, RecursionError) as error:
             raise ValueError(f"{where}: damaged ({error})") from None
 
     def _parts(self, key: str) -> Iterator[bytes]:
-        for (part,) in self.rows("SELECT part FROM deltas WHERE result = ? ORDER BY part", key):
-            yield from (
-                data for (data,) in self.rows("SELECT bytes FROM deltas WHERE (result, part) = (?, ?)", key, part)
-            )
+        for (part,) in self.rows("SELECT part FROM deltas WHERE result = ? ORDER BY part", key, kinds=(int,)):
+            query = "SELECT bytes FROM deltas WHERE (result, part) = (?, ?)"
+            yield from (data for (data,) in self.rows(query, key, part, kinds=(bytes,)))
 
     def bookmarks(self) -> list[Bookmark]:
         """The same objects as long as they are the same."""
         with self._mutex:
             if self._bookmarks is None or self.read_only:  # somebody else may write
-                rows = self.rows("SELECT id, name, camera FROM bookmarks ORDER BY id")
+                rows = self.rows("SELECT id, name, camera FROM bookmarks ORDER BY id", kinds=(int, str, str))
                 where = f"{self.path}: bookmark"
                 self._bookmarks = [Bookmark(str(k), name, Camera.from_json(text, where)) for k, name, text in rows]
             return list(self._bookmarks)
 
     def steps(self) -> tuple[list[Step], int]:
         """(the history, oldest first; place of the step in effect)."""
-        steps = [Step(*row) for row in self.rows("SELECT id, label FROM steps ORDER BY id")]
-        at = int(self.fact("cursor") or 0)
-        places = [k for k, step in enumerate(steps) if step.id == at]
+        steps = [Step(*row) for row in self.rows("SELECT id, label FROM steps ORDER BY id", kinds=(int, str))]
+        cursor = self.fact("cursor") or ""
+        places = [k for k, step in enumerate(steps) if str(step.id) == cursor]
         if not places:
-            raise ValueError(f"{self.path}: damaged project file (step {at} of its history is missing)")
+            raise ValueError(f"{self.path}: damaged project file (step {cursor[:20]!r} of its history is missing)")
         return steps, places[0]
 
     def document(self, step: int) -> Document:
-        """The layers as they were after a step."""
+        """The layers as they were after a step. Raises ValueError: damaged."""
         where = f"{self.path}: layer"
-        ((policies,),) = self.rows("SELECT policies FROM steps WHERE id = ?", step)
-        ((following,),) = self.rows("SELECT max(next_id) FROM steps")  # ids of undone layers are not used again
-        query = "SELECT content FROM step_layers JOIN layers ON layers.id = layer WHERE step = ? ORDER BY place"
+        with one_line(self.path):
+            found = self.rows("SELECT policies FROM steps WHERE id = ?", step, kinds=(str,))
+            highest = self.rows("SELECT max(next_id) FROM steps", kinds=(int,))  # undone layers' ids stay theirs
+            query = "SELECT content FROM step_layers JOIN layers ON layers.id = layer WHERE step = ? ORDER BY place"
+            contents = self.rows(query, step, kinds=(str,))
+            if not found:
+                raise ContentError(f"step {step} of its history is missing")
         try:
-            layers = tuple(Layer.parse(json.loads(text), where) for (text,) in self.rows(query, step))
-            return Document(layers, tuple((a, b, c) for a, b, c in json.loads(policies)), following)
-        except (json.JSONDecodeError, TypeError, AttributeError) as error:
-            raise ValueError(f"{where}: damaged ({error})") from None
+            layers = tuple(Layer.parse(json.loads(text), where) for (text,) in contents)
+            if len({layer.id for layer in layers}) < len(layers):
+                raise ValueError("two layers have one id")
+            return Document(layers, _policies(json.loads(found[0][0])), highest[0][0])
+        except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
+            raise ValueError(f"{where}: damaged ({str(error).removeprefix(f'{where}: ')})") from None
 
     # ---- writing: each of these is one durable transaction
 
@@ -285,7 +340,8 @@ class Project:
     def _writing(self) -> Iterator[sqlite3.Connection]:
         if self.read_only:
             raise ValueError(f"{self.path}: {self.read_only}")
-        with self._mutex, _clear(self.path):
+        with self._mutex, one_line(self.path):
+            self._database.start()
             self._db.execute("BEGIN IMMEDIATE")
             try:
                 yield self._db
@@ -333,35 +389,56 @@ def _text(layer: Layer) -> str:
     return json.dumps(layer.record(), sort_keys=True)
 
 
-@contextlib.contextmanager
-def _clear(path: Path) -> Iterator[None]:
-    """SQLite's errors as one line."""
-    try:
-        yield
-    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter: SQLite quotes the damaged bytes
-        name = getattr(error, "sqlite_errorname", "") or ""
-        said = " ".join(str(error).split())
-        if name.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")):
-            raise ValueError(f"{path}: cannot be read or written ({said}); nothing was changed") from None
-        raise ValueError(f"{path}: damaged project file ({said})") from None
+def _result_facts(text: str) -> dict[str, Any]:
+    """Facts of a result. Raises ValueError where one that others read is not what it should be."""
+    facts = json.loads(text)
+    if not isinstance(facts, dict):
+        raise ValueError("its facts are no JSON object")
+    for name, kind in FACT_KINDS.items():
+        value = facts.get(name, kind() if isinstance(kind, type) else 0)
+        if not isinstance(value, kind) or (isinstance(value, (int, float)) and not 0 <= value < 1e15):
+            raise ValueError(f"unexpected {name} {value!r:.40}")
+    for view in facts.get("views", ()):
+        if not isinstance(view, dict):
+            raise ValueError(f"unexpected view {view!r:.40}")
+        scores = [view.get(name) for name in ("psnr_before", "psnr_after", "psnr_outside")]
+        if not all(score is None or (isinstance(score, (int, float)) and abs(score) < 1e15) for score in scores):
+            raise ValueError(f"unexpected scores {scores!r:.80}")
+    return facts
 
 
-def _open(path: Path, readonly: bool) -> sqlite3.Connection:
-    mode = "ro" if readonly else "rw"
-    uri = f"{path.resolve().as_uri()}?mode={mode}"
-    connection = sqlite3.connect(uri, uri=True, timeout=10, isolation_level=None, check_same_thread=False)
-    try:
-        connection.execute("PRAGMA foreign_keys=ON")
-        connection.execute("PRAGMA trusted_schema=OFF")
+def _policies(pairs: Any) -> tuple[tuple[str, str, Policy], ...]:
+    """Raises ValueError where they are not [lower layer, upper layer, policy]."""
+    out = []
+    for pair in pairs:
+        lower, upper, policy = pair
+        if not (isinstance(lower, str) and isinstance(upper, str) and policy in get_args(Policy)):
+            raise ValueError(f"unexpected policy {pair!r:.80}")
+        out.append((lower, upper, policy))
+    return tuple(out)
+
+
+def _opened(path: Path, readonly: bool) -> Database:
+    """The database, checked. readonly False: that it can be written has been tried, and older versions are brought up.
+    Raises sqlite3.Error, ValueError."""
+    connection = open_readable(path) if readonly else open_writable(path)
+    with closed_on_error(connection):
+        database = Database(path, connection)
+        database.start()
+        schema.check_tables(connection)
         if not readonly:
-            connection.execute("PRAGMA journal_mode=WAL").fetchall()
-            connection.execute("PRAGMA synchronous=FULL")
-            connection.execute("PRAGMA fullfsync=ON")  # macOS: past the disk's own cache; nothing elsewhere
-        connection.execute("SELECT count(*) FROM facts").fetchall()
-        return connection
-    except BaseException:
-        connection.close()
-        raise
+            try_writing(connection)
+            schema.migrate(database)
+        return database
+
+
+def _lock_or_reason(path: Path) -> tuple[ProjectLock | None, str]:
+    """(the lock of a project, "") or (None, why it cannot be written)."""
+    try:
+        lock = ProjectLock.take(path)
+    except ValueError as error:
+        return None, UNWRITABLE.format(str(error).removeprefix(f"{path}: "))
+    return lock, "" if lock else ELSEWHERE
 
 
 def _claim(path: Path, overwrite: bool) -> ProjectLock:
@@ -380,7 +457,7 @@ def _place(path: Path, fill) -> None:
     partial = path.with_name(f".{path.name}.part")
     try:
         partial.unlink(missing_ok=True)  # of somebody who was killed here
-        with _clear(path):
+        with one_line(path):
             connection = sqlite3.connect(partial, isolation_level=None)
             try:
                 connection.execute("PRAGMA journal_mode=OFF").fetchall()  # it has no name yet: all or nothing anyway

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from splatpainter.render.profiles import Profile
 from splatpainter.session import conflicts, export
 from splatpainter.session.changes import AssetDelta, Changes
 from splatpainter.session.layers import Document, Layer
+from splatpainter.session.original import OriginalRule
 from splatpainter.session.project import Bookmark, Project, Step
 from splatpainter.session.replay import Level, Replay
 from splatpainter.splats import Splats
@@ -54,7 +55,9 @@ class Reader:
     _commands: Any
     """The lock of commands (a threading.RLock)."""
     _scratch: Any
-    """The folder of a temporary project, or None."""
+    """The folder of a temporary project (a scratch.ScratchFolder), or None."""
+    _rule: OriginalRule
+    """What may be opened as the original."""
 
     @property
     def shown(self) -> Shown:
@@ -184,7 +187,8 @@ class Reader:
         from splatpainter.session.check import problems
 
         with self._commands:
-            return problems(self._project, self._shown, self._replay, repaint)
+            rule = replace(self._rule, at=None)  # what is checked is what the project itself leads to
+            return problems(self._project, self._shown, self._replay, repaint, rule)
 
     def refresh(self) -> bool:
         """For a session that can only be looked at: show what the writer has done since. False: nothing."""

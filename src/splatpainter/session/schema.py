@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
 from splatpainter.io import files
+from splatpainter.session.database import ContentError, Database
 
 APPLICATION = 0x53504C50
 """ASCII "SPLP"."""
@@ -48,6 +50,17 @@ CREATE INDEX layer_blobs_by_blob ON layer_blobs (blob);
 CREATE INDEX step_results_by_result ON step_results (result);
 """
 
+OLDER_TABLES = """
+CREATE TABLE original (part INTEGER PRIMARY KEY, bytes BLOB NOT NULL);
+CREATE TABLE steps (id INTEGER PRIMARY KEY, label TEXT NOT NULL, policies TEXT NOT NULL, next_id INTEGER NOT NULL);
+CREATE TABLE steps (
+    id INTEGER PRIMARY KEY, label TEXT NOT NULL, policies TEXT NOT NULL, next_id INTEGER NOT NULL, gesture TEXT
+);
+"""
+"""Tables as version 1 made them, and as bringing it up leaves them, where they differ from TABLES."""
+MAX_SCHEMA_ROWS = 64
+"""Tables and indexes that are looked at."""
+
 
 def check_head(path: Path) -> int:
     """Version of the project file at `path`, from its first bytes; nothing is changed. Raises ValueError: no such file,
@@ -80,26 +93,60 @@ def create(connection: sqlite3.Connection) -> None:
     connection.execute(f"PRAGMA user_version={VERSION}")
 
 
-def migrate(connection: sqlite3.Connection, path: Path) -> None:
-    """Bring an older database up to VERSION: all steps in one transaction, so a crash leaves the old file."""
-    found = connection.execute("PRAGMA user_version").fetchone()[0]
-    if found == VERSION:
+def check_tables(connection: sqlite3.Connection) -> None:
+    """Raises ContentError where the database holds anything but the tables and indexes of a project in a form that
+    some version wrote: views, triggers, virtual tables and computed columns would run when rows are read or written."""
+    query = f"SELECT type, name, sql FROM sqlite_master LIMIT {MAX_SCHEMA_ROWS + 1}"
+    present = set()
+    for kind, name, text in connection.execute(query).fetchall():
+        if kind == "index" and text is None and str(name).startswith("sqlite_autoindex_"):
+            continue  # of a PRIMARY KEY or UNIQUE
+        if not isinstance(text, str) or _squeezed(text) not in _FORMS:
+            raise ContentError(f"unexpected {str(kind)[:20]} {str(name)[:40]!r}")
+        present.add(name)
+    missing = sorted(_TABLE_NAMES - present)
+    if missing:
+        raise ContentError(f"no such table: {missing[0]}")
+
+
+def _squeezed(statement: str) -> str:
+    """A statement without what the layout adds."""
+    return re.sub(r"\s*([(),])\s*", r"\1", " ".join(statement.replace('"', "").split()))
+
+
+_FORMS = {_squeezed(statement) for statement in (TABLES + OLDER_TABLES).split(";") if statement.strip()}
+_TABLE_NAMES = {statement.split()[2] for statement in TABLES.split(";") if statement.split()[:2] == ["CREATE", "TABLE"]}
+
+
+def migrate(database: Database) -> None:
+    """Bring an older database up to VERSION: all steps in one transaction, so a crash leaves the old file. Raises
+    ContentError where that cannot be done."""
+    path, connection = database.path, database.connection
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if version == VERSION:
         return
-    if found > VERSION or found not in MIGRATIONS:
-        raise ValueError(f"{path}: project version {found} cannot be read (expected 1 to {VERSION})")
+    if version not in MIGRATIONS:
+        raise ContentError(f"{path}: project version {version} cannot be read (expected 1 to {VERSION})")
+    size = database.start()
     connection.execute("BEGIN IMMEDIATE")
     try:
-        for version in range(found, VERSION):
-            MIGRATIONS[version](connection)
+        for step in range(version, VERSION):
+            MIGRATIONS[step](database, size)
         connection.execute(f"PRAGMA user_version={VERSION}")
         connection.execute("COMMIT")
-    except BaseException:
-        connection.execute("ROLLBACK")
+    except BaseException as error:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        if isinstance(error, (KeyError, TypeError, AttributeError, IndexError, json.JSONDecodeError)):
+            raise ContentError(f"a layer or fact of version {version} is missing or wrong: {error!r:.80}") from None
         raise
 
 
-def _from_1(connection: sqlite3.Connection) -> None:
+def _from_1(database: Database, size: int) -> None:
     """Version 1 had no gestures, no thumbnails, one file as original, and called the blend mode "colour"."""
+    connection = database.connection
+    if connection.execute("SELECT total(length(bytes)) FROM original").fetchone()[0] > size:
+        raise ContentError("the original has more bytes than the file")
     connection.execute("ALTER TABLE steps ADD COLUMN gesture TEXT")
     name = connection.execute("SELECT value FROM facts WHERE name = 'name'").fetchone()[0]
     connection.execute("ALTER TABLE original RENAME TO original_1")
@@ -109,7 +156,7 @@ def _from_1(connection: sqlite3.Connection) -> None:
     )
     connection.execute("INSERT INTO original SELECT ?, part, bytes FROM original_1", (name,))
     connection.execute("DROP TABLE original_1")
-    for row, content in connection.execute("SELECT id, content FROM layers").fetchall():
+    for row, content in database.rows("SELECT id, content FROM layers", kinds=(int, str)):
         record = json.dumps(_renewed(json.loads(content)), sort_keys=True)
         sha = hashlib.sha256(record.encode()).hexdigest()
         connection.execute("UPDATE layers SET content = ?, sha256 = ? WHERE id = ?", (record, sha, row))
@@ -121,5 +168,5 @@ def _renewed(record: dict) -> dict:
     return {**record, "blend": blend, "thumbnail": None, "layers": [_renewed(layer) for layer in record["layers"]]}
 
 
-MIGRATIONS: dict[int, Callable[[sqlite3.Connection], None]] = {1: _from_1}
+MIGRATIONS: dict[int, Callable[[Database, int], None]] = {1: _from_1}
 """What makes version n + 1 of version n."""

@@ -12,8 +12,10 @@ the history, is on disk when it returns, and can be undone, bit for bit, also af
 
 from __future__ import annotations
 
-import tempfile
+import struct
 import threading
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,13 +32,28 @@ from splatpainter.session.deltas import bare
 from splatpainter.session.intake import new_layer
 from splatpainter.session.layers import Blend, Document, Kind, Layer, Policy
 from splatpainter.session.looks import LOOKS, LookFunction
+from splatpainter.session.original import ANY_FILE, OriginalRule
 from splatpainter.session.pending import Pending
 from splatpainter.session.project import Project
 from splatpainter.session.reader import Reader, Shown
 from splatpainter.session.replay import Progress, Replay
+from splatpainter.session.scratch import ScratchFolder
 from splatpainter.splats import Frame, Splats
 
-ODD = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
+ODD = (
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RuntimeError,
+    AssertionError,
+    EOFError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+)
 """What reading values that are not what they should be raises."""
 SETTABLE = ("name", "visible", "opacity", "blend", "parameters", "method")
 
@@ -78,11 +95,16 @@ class Session(Reader):
                 raise ValueError("session: embed=False needs an asset that was read from a file")
         scratch = None
         if project is None:
-            scratch = tempfile.TemporaryDirectory(prefix="splatpainter-")
-            project = Path(scratch.name) / f"unsaved{schema.SUFFIX}"
-        place = _project_name(project)
-        facts = original.describe(splats, source, embed)
-        made = Project.create(place, facts, original.pieces(splats, source) if embed else (), overwrite)
+            scratch = ScratchFolder("session")
+            project = scratch.path / f"unsaved{schema.SUFFIX}"
+        try:
+            place = _project_name(project)
+            facts = original.describe(splats, source, embed)
+            made = Project.create(place, facts, original.pieces(splats, source) if embed else (), overwrite)
+        except BaseException:
+            if scratch is not None:
+                scratch.close()
+            raise
         self._start(made, painter, looks, splats=splats, scratch=scratch)
 
     @classmethod
@@ -94,17 +116,24 @@ class Session(Reader):
         looks: Mapping[str, LookFunction] | None = None,
         readonly: bool | None = None,
         original: str | Path | None = None,
+        embedded: bool = False,
+        folder: str | Path | None = None,
     ) -> Session:
-        """Open a project file where it was left, history and all. If it is open elsewhere the session can only be
-        looked at (`read_only` says so; readonly=False makes that an error). original: where the original file is now,
-        for a project that does not hold its bytes. Raises ValueError: missing, damaged or newer."""
+        """Open a project file where it was left, history and all. If it is open elsewhere, or cannot be written (a
+        folder without rights, a full disk), the session can only be looked at (`read_only` says why; readonly=False
+        makes that an error).
+
+        Of a project that names its original instead of holding the bytes: original says where that file is now;
+        embedded refuses it; folder refuses it unless the file lies in there. For projects of strangers: else they
+        could name any file of this machine. Raises ValueError: missing, damaged or newer, an original that is gone,
+        refused or another."""
         session = cls.__new__(cls)
-        place = None if original is None else Path(original)
-        session._start(Project.open(Path(project), readonly), painter, looks, place=place)
+        at, within = (None if path is None else Path(path) for path in (original, folder))
+        session._start(Project.open(Path(project), readonly), painter, looks, rule=OriginalRule(at, embedded, within))
         return session
 
-    def _start(self, project: Project, painter, looks, *, splats=None, scratch=None, place=None) -> None:
-        self._project, self._scratch = project, scratch
+    def _start(self, project: Project, painter, looks, *, splats=None, scratch=None, rule=ANY_FILE) -> None:
+        self._project, self._scratch, self._rule = project, scratch, rule
         self._commands = threading.RLock()
         self._changes = Changes()
         self._pending = Pending(project)
@@ -112,7 +141,7 @@ class Session(Reader):
         self.progress: Progress | None = None
         """Called before each layer that has to be computed; what it raises cancels the command."""
         try:
-            self.original = original.restore(project, place) if splats is None else splats
+            self.original = original.restore(project, rule) if splats is None else splats
             self._replay = Replay(self.original, self.painter, self._pending, {**LOOKS, **(looks or {})})
             steps, at = project.steps()
             document = project.document(steps[at].id)
@@ -124,7 +153,7 @@ class Session(Reader):
         except BaseException as error:
             project.close()
             if scratch is not None:
-                scratch.cleanup()
+                scratch.close()
             if splats is None and isinstance(error, ODD) and str(project.path) not in str(error):
                 raise ValueError(f"{project.path}: damaged project file ({' '.join(str(error).split())})") from error
             raise
@@ -279,7 +308,7 @@ class Session(Reader):
             self._pending.project = self._project
             old.close()
             if scratch is not None:
-                scratch.cleanup()
+                scratch.close()
 
     def save_copy(self, path: str | Path, *, overwrite: bool = False) -> None:
         """A copy of the project in another file; the session stays where it is."""
@@ -290,7 +319,7 @@ class Session(Reader):
         with self._commands:
             self._project.close()
             if self._scratch is not None:
-                self._scratch.cleanup()
+                self._scratch.close()
 
     def __enter__(self) -> Session:
         return self

@@ -54,5 +54,5 @@ def unpack_state(data: bytes) -> RefineState:
         count = len({key.split(".")[1] for key in named if key.startswith("block.")})
         detail = memory("detail") if any(key.split(".")[0] == "detail" for key in named) else None
         return RefineState(tuple(memory(f"block.{k}") for k in range(count)), detail)
-    except (SafetensorError, KeyError, IndexError) as error:
+    except (SafetensorError, KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"project: the painter's state is damaged ({error!r})") from None

@@ -81,7 +81,7 @@ class Grade:
             curve = tuple((float(x), float(y)) for x, y in data.get("curve", ()))
             hues = tuple(HueBand(**{k: float(v) for k, v in dict(band).items()}) for band in data.get("hues", ()))
             rest = {k: float(v) for k, v in data.items() if k not in ("look", "curve", "hues", "space")}
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"look: expected numbers, got {error}") from None
         numbers = [*rest.values(), *(v for band in hues for v in asdict(band).values()), *(v for p in curve for v in p)]
         if not np.isfinite(numbers).all():

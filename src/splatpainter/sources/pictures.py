@@ -121,6 +121,8 @@ def _opened(path: Path) -> Iterator[Image]:
         raise ValueError(f"{path}: no such file")
     if path.is_dir():
         raise ValueError(f"{path}: is a folder; expected a picture")
+    if not path.is_file():
+        raise ValueError(f"{path}: is no regular file; expected a picture")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own size warning and remarks about EXIF: judged here or harmless
         try:

@@ -16,6 +16,7 @@ from fastapi import FastAPI, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from pydantic import ValidationError
+from starlette.requests import ClientDisconnect
 from starlette.staticfiles import StaticFiles
 
 from splatpainter import __version__
@@ -23,21 +24,19 @@ from splatpainter.studio import frames, watch
 from splatpainter.studio.actions import Call, Desk
 from splatpainter.studio.actions.looking import render_view
 from splatpainter.studio.core import Studio
-from splatpainter.studio.hub import Hub, Refused, failure, first_fault, problem_of
-from splatpainter.studio.limits import BodyLimit
+from splatpainter.studio.hub import Hub
+from splatpainter.studio.limits import BadBody, BodyLimit, CommandRoute, body_limit
 from splatpainter.studio.messages import COMMANDS, Command, Failure, Problem
-from splatpainter.studio.messages.base import PIXELS
 from splatpainter.studio.messages.connection import Cancel, Hello, Sync
 from splatpainter.studio.messages.looking import ViewRender
 from splatpainter.studio.messages.state import State
+from splatpainter.studio.problems import Refused, TooLarge, failure, first_fault, log, problem_of
 from splatpainter.studio.queue import Ticket
 from splatpainter.studio.schema import schema_hash
 from splatpainter.studio.security import Access, Guard
 from splatpainter.studio.socket import serve
 
 STATIC = Path(__file__).with_name("static")
-MESSAGE = 8 * PIXELS
-"""Bytes of one command: a dab over the whole of the largest view is 16/3 of its pixels."""
 STATUS = {"input": 400, "cancelled": 409, "busy": 503, "schema": 409, "fault": 500}
 SOCKET_ONLY: tuple[type[Command], ...] = (Hello, Sync, Cancel)
 NO_STORE = {"cache-control": "no-store"}
@@ -56,10 +55,9 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
             yield
         finally:
             watching.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await watching
-            if hub.leaving:
-                await asyncio.wait(hub.leaving)
+            await asyncio.wait([watching, *hub.leaving])  # whatever they end with
+            if not watching.cancelled() and watching.exception() is not None:
+                log.error("the watched folder", exc_info=watching.exception())
             await asyncio.to_thread(hub.close)
 
     app = FastAPI(
@@ -82,7 +80,7 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
         app.mount("/", StaticFiles(directory=STATIC, html=True))
     else:
         app.get("/", include_in_schema=False)(lambda: PlainTextResponse(UNBUILT))
-    app.add_middleware(BodyLimit, limit=MESSAGE, free=("/api/blobs",))
+    app.add_middleware(BodyLimit, limit=body_limit)
     app.add_middleware(Guard, access=access or Access())
     return app
 
@@ -103,24 +101,34 @@ def _commands(app: FastAPI, hub: Hub) -> None:
         if not any(field.is_required() for field in kind.model_fields.values()):
             run.__defaults__ = (kind(),)  # no body is needed
         about = " ".join((kind.__doc__ or "").split()) if kind.__doc__ != Command.__doc__ else ""
-        app.post(
+        app.router.add_api_route(
             f"/api/do/{name}",
+            run,
+            methods=["POST"],
             summary=name,
             description=about,
             operation_id=name.replace(".", "_"),
             response_model=kind.ANSWER,
             responses={status: {"model": Failure} for status in (400, 500, 503)},
-        )(run)
+            route_class_override=CommandRoute,
+        )
 
     for name, kind in COMMANDS.items():
         if kind not in SOCKET_ONLY:
             add(name, kind)
 
+    @app.exception_handler(BadBody)
+    async def unreadable(request: Request, error: BadBody) -> Response:
+        if error.status_code == 413:
+            raise error  # BodyLimit answers
+        return _failed(Problem(kind="input", message=f"{request.url.path}: {error.detail}"))
+
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
         fault = error.errors()[0]
         place = ".".join(str(part) for part in fault["loc"] if part != "body")
-        return _failed(Problem(kind="input", message=f"{request.url.path}: {place}: {fault['msg']}"[:300]))
+        text = f"{request.url.path}: {place}: {fault['msg']}"[:300]
+        return _failed(Problem(kind="input", message=" ".join(text.encode("utf-8", "replace").decode().split())))
 
 
 def _data(app: FastAPI, hub: Hub) -> None:
@@ -160,12 +168,18 @@ def _data(app: FastAPI, hub: Hub) -> None:
     @app.post("/api/blobs", summary="Send a picture, a splat file, a project or a layer: the body is the file")
     async def upload(request: Request, name: str = "") -> Response:
         try:
+            declared = request.headers.get("content-length", "0")
+            if declared.isdigit() and int(declared[:20]) > studio.blobs.limits.upload:
+                raise TooLarge(f"{name[:200] or 'upload'}: expected at most {studio.blobs.limits.upload >> 20} MiB")
             with studio.blobs.receive(name) as incoming:
                 async for piece in request.stream():
                     await asyncio.to_thread(incoming.write, piece)
                 blob = await asyncio.to_thread(incoming.finish)
-        except ValueError as error:
-            return _failed(problem_of(error))
+        except ClientDisconnect:
+            return Response(status_code=400)  # nobody reads it
+        except Exception as error:
+            problem = studio.problem(problem_of(error))
+            return _failed(problem, 413 if isinstance(error, TooLarge) else None)
         claim = blob.claim
         facts = {"blob": blob.sha256, "kind": claim.kind, "bytes": blob.size, "name": blob.name}
         return JSONResponse({**facts, "width": claim.width, "height": claim.height, "rows": claim.rows})

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import hashlib
 import secrets
-import shutil
-import tempfile
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 
+from splatpainter.session.scratch import ScratchFolder
 from splatpainter.studio.claims import Claim, claim_of
+from splatpainter.studio.problems import TooLarge
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Limits:
     picture: int = 256 << 20
     """Bytes of one picture."""
     total: int = 4 << 30
-    """Bytes kept; beyond that the oldest go."""
+    """Bytes kept; beyond that the oldest go. No more than that may be on their way in either."""
     rows: int = 20_000_000
     """Rows that an uploaded asset may claim."""
 
@@ -48,12 +48,15 @@ class Blobs:
 
     def __init__(self, limits: Limits = Limits()) -> None:
         self.limits = limits
-        self._folder = Path(tempfile.mkdtemp(prefix="splatpainter-studio-"))
+        self._scratch = ScratchFolder("blobs")
+        self.folder = self._scratch.path
         self._lock = threading.Lock()
         self._kept: OrderedDict[str, Blob] = OrderedDict()
+        self._incoming = 0
+        """Bytes of uploads that have not ended."""
 
     def receive(self, name: str = "") -> Incoming:
-        """A thing to be written piece by piece."""
+        """A thing to be written piece by piece. Raises ValueError where nothing can be written."""
         return Incoming(self, name)
 
     def put(self, data: bytes, name: str = "") -> Blob:
@@ -84,16 +87,26 @@ class Blobs:
         """Remove everything."""
         with self._lock:
             self._kept.clear()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._scratch.close()
 
     def _partial(self) -> Path:
-        return self._folder / f"{secrets.token_hex(8)}.part"
+        return self.folder / f"{secrets.token_hex(8)}.part"
+
+    def _take_in(self, count: int, name: str) -> None:
+        """Count bytes on their way in (negative: they have ended). Raises TooLarge where there are too many."""
+        with self._lock:
+            if count > 0 and self._incoming + count > self.limits.total:
+                raise TooLarge(f"{name}: expected at most {self.limits.total >> 20} MiB on their way in at a time")
+            self._incoming += count
 
     def _keep(self, partial: Path, sha256: str, name: str, size: int) -> Blob:
-        claim = claim_of(partial, name, self.limits.rows)
+        try:
+            claim = claim_of(partial, name, self.limits.rows)
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(partial), name or "the upload")) from None
         if claim.kind == "picture" and size > self.limits.picture:
-            raise ValueError(f"{name or 'picture'}: expected at most {self.limits.picture >> 20} MiB, got {size >> 20}")
-        blob = Blob(sha256, self._folder / (sha256 + claim.ending), name, size, claim)
+            raise TooLarge(f"{name or 'picture'}: expected at most {self.limits.picture >> 20} MiB, got {size >> 20}")
+        blob = Blob(sha256, self.folder / (sha256 + claim.ending), name, size, claim)
         with self._lock:
             partial.replace(blob.path)
             self._kept[sha256] = blob
@@ -110,30 +123,48 @@ class Incoming:
     """Bytes on their way in; leaving the block without `finish` drops them."""
 
     def __init__(self, store: Blobs, name: str) -> None:
-        self._store, self._name = store, name[:200]
+        self._store, self._name = store, name[:200].encode("utf-8", "replace").decode()
         self._partial = store._partial()
         self._digest, self._size = hashlib.sha256(), 0
-        self._file = open(self._partial, "wb")
+        try:
+            self._file = open(self._partial, "wb")
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def __enter__(self) -> Incoming:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
+        try:
+            self._file.close()
+        except OSError:
+            pass  # a full disk: what was written is dropped
         self._partial.unlink(missing_ok=True)
+        self._store._take_in(-self._size, self._name)
+        self._size = 0
 
     def write(self, piece: bytes) -> None:
-        """Raises ValueError where it gets too long."""
+        """Raises TooLarge where it gets too long, ValueError where the disk is full."""
+        limit = self._store.limits.upload
+        if self._size + len(piece) > limit:
+            raise TooLarge(f"{self._name or 'upload'}: expected at most {limit >> 20} MiB; use a file in the folder")
+        self._store._take_in(len(piece), self._name or "uploads")
         self._size += len(piece)
-        if self._size > self._store.limits.upload:
-            limit = self._store.limits.upload
-            raise ValueError(f"{self._name or 'upload'}: expected at most {limit >> 20} MiB; use a file in the folder")
         self._digest.update(piece)
-        self._file.write(piece)
+        try:
+            self._file.write(piece)
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def finish(self) -> Blob:
         """Judge and keep. Raises ValueError: empty, or nothing that the studio can use."""
         if not self._size:
             raise ValueError(f"{self._name or 'upload'}: is empty")
-        self._file.close()
-        return self._store._keep(self._partial, self._digest.hexdigest(), self._name, self._size)
+        try:
+            self._file.close()
+            return self._store._keep(self._partial, self._digest.hexdigest(), self._name, self._size)
+        except OSError as error:
+            raise self._unwritable(error) from None
+
+    def _unwritable(self, error: OSError) -> ValueError:
+        return ValueError(f"{self._name or 'upload'}: cannot be kept ({error.strerror or 'disk error'})")

@@ -52,9 +52,11 @@ def claim_of(path: Path, name: str, most_rows: int) -> Claim:
 
     try:
         rows = _rows(path, key)
+        if rows < 0:
+            raise ValueError(f"{path}: {rows} rows")
     except (ValueError, struct.error, OSError) as error:
-        said = str(error).replace(str(path), shown)
-        raise ValueError(f"{shown}: damaged ({said})") from None
+        said = " ".join(str(error).replace(str(path), shown).split())
+        raise ValueError(f"{shown}: damaged ({said.removeprefix(f'{shown}: ')[:200]})") from None
     if rows > most_rows:
         raise ValueError(f"{shown}: expected at most {most_rows:,} rows, it claims {rows:,}")
     return Claim("asset", FORMATS[key].suffixes[0], "application/octet-stream", rows=rows)
@@ -72,7 +74,7 @@ def _detected(path: Path, name: str) -> str | None:
     """Key of the format by content, or by the ending for the two formats that have no magic."""
     try:
         return detect(path)
-    except ValueError:
+    except Exception:  # of a damaged file
         return {".splat": "splat", ".ksplat": "ksplat"}.get(Path(name.lower()).suffix)
 
 

@@ -7,23 +7,27 @@ and blobs may be read from anywhere.
 from __future__ import annotations
 
 import contextlib
+import re
 import secrets
-import tempfile
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
 from splatpainter.cameras import Camera
 from splatpainter.framing import AUTO_UP
 from splatpainter.session import Session
+from splatpainter.session.scratch import ScratchFolder, sweep_folder, sweep_scratch
 from splatpainter.splats import Splats
 from splatpainter.studio import describe
 from splatpainter.studio.blobs import Blobs, Limits
-from splatpainter.studio.messages.state import ProjectInfo, State
+from splatpainter.studio.messages.base import Problem
+from splatpainter.studio.messages.state import AssetInfo, ProjectInfo, State
 from splatpainter.studio.places import Downloads, Folder, Projects, data_folder
+from splatpainter.studio.problems import first_fault
 
 EXPORTS = 64
 """Exported views that a returning picture is compared with."""
@@ -54,36 +58,53 @@ class Studio:
     """One session at a time; another asset or project replaces it for all clients."""
 
     def __init__(self, session: Session, name: str = "asset", options: Options = Options()) -> None:
-        """The session is the studio's from now on: closing the studio closes it."""
+        """The session is the studio's from now on: closing the studio closes it. What a studio that was killed left
+        behind is removed."""
         self.options = options
         self.folder = None if options.folder is None else Folder(options.folder)
         self.projects = Projects(options.projects or data_folder())
+        sweep_scratch()
+        places = {self.projects.root, self.folder and self.folder.root, session.path and session.path.parent}
+        for place in places - {None}:
+            sweep_folder(place)
         self.blobs = Blobs(options.limits)
-        self._scratch = tempfile.TemporaryDirectory(prefix="splatpainter-studio-")
-        self.downloads = Downloads(Path(self._scratch.name))
+        self.scratch = ScratchFolder("studio")
+        self.downloads = Downloads(self.scratch.path)
         self.exports: deque[ExportedView] = deque(maxlen=EXPORTS)
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
-        self._adopt(session, name)
+        try:
+            self._adopt(session, name)
+        except BaseException:
+            self.blobs.close()
+            self.scratch.close()
+            raise
 
     @property
     def original(self) -> Splats:
         return self.session.original
 
     def open(self, make: Callable[[], Session], name: str) -> None:
-        """Close the session and go on with another. Where `make` raises, everything stays as it was."""
+        """Close the session and go on with another. Where `make` raises, or what it made cannot be described to
+        clients, everything stays as it was."""
         fresh = make()
         old = self.session
-        self._adopt(fresh, name)
+        try:
+            self._adopt(fresh, name)
+        except BaseException:
+            fresh.close()
+            raise
         self.exports.clear()
         _leave(old, self.projects)
 
     def _adopt(self, session: Session, name: str) -> None:
-        self.session, self.session_id, self.name = session, secrets.token_hex(8), name
-        self._asset = describe.asset_info(session, name)
-        self._lists = describe.Lists()
-        self._counted = 0
-        self.refresh()
+        session_id, lists, shown = secrets.token_hex(8), describe.Lists(), session.shown
+        with _described(name):
+            asset = describe.counted(describe.asset_info(session, name), session.original, shown.splats)
+            state = self._state_of(session, session_id, name, asset, lists)
+        self.session, self.session_id, self.name = session, session_id, name
+        self._asset, self._lists, self._counted = asset, lists, shown.version
+        self.state = state
 
     def refresh(self) -> None:
         """Describe the session anew; cheap where the rows are the same."""
@@ -93,28 +114,45 @@ class Studio:
         if self._counted != shown.version:
             self._asset = describe.counted(self._asset, session.original, shown.splats)
             self._counted = shown.version
-        self.state = State(
-            session=self.session_id,
-            version=shown.version,
-            asset=self._asset,
+        with _described(self.name):
+            self.state = self._state_of(session, self.session_id, self.name, self._asset, self._lists)
+
+    def _state_of(self, session: Session, session_id: str, name: str, asset: AssetInfo, lists: describe.Lists) -> State:
+        return State(
+            session=session_id,
+            version=session.shown.version,
+            asset=asset,
             layers=[describe.layer_info(session, layer) for layer in session.layers],
-            history=self._lists.history(session),
+            history=lists.history(session),
             cursor=session.cursor,
             conflicts=describe.conflict_infos(session),
-            bookmarks=self._lists.bookmarks(session),
-            project=self._project(),
+            bookmarks=lists.bookmarks(session),
+            project=self._project(session, name),
             methods=describe.methods(session),
             folder=None if self.folder is None else self.folder.root.name,
             clients=0,
             formats=describe.endings(),
         )
 
-    def _project(self) -> ProjectInfo:
-        path = self.session.path
+    def _project(self, session: Session, name: str) -> ProjectInfo:
+        path = session.path
         inside = path is not None and self.folder is not None and path.resolve().parent == self.folder.root
-        name = self.name if path is None or not inside else path.stem
+        name = name if path is None or not inside else path.stem
         file = path.name if path is not None and inside else None
-        return ProjectInfo(name=name, file=file, read_only=bool(self.session.read_only))
+        reason = session.read_only
+        return ProjectInfo(name=name, file=file, read_only=bool(reason), read_only_reason=self.public(reason))
+
+    def public(self, text: str) -> str:
+        """A message without the folders that clients have no business with: of what lies there the name is said."""
+        roots = [self.projects.root, self.blobs.folder, self.scratch.path]
+        roots += [] if self.folder is None else [self.folder.root]
+        for root in sorted(map(str, roots), key=len, reverse=True):
+            text = re.sub(re.escape(root) + r"[/\\]([0-9a-f]{16}[/\\])?", "", text)
+        return text
+
+    def problem(self, problem: Problem) -> Problem:
+        """The same with `public` texts."""
+        return problem.model_copy(update={"message": self.public(problem.message), "hint": self.public(problem.hint)})
 
     def picture_bytes(self, sha256: str) -> tuple[bytes, str]:
         """(bytes, content type) of a picture that was sent or made, or that a layer holds. Raises ValueError."""
@@ -129,7 +167,7 @@ class Studio:
         """Leave nothing but the project file."""
         _leave(self.session, self.projects)
         self.blobs.close()
-        self._scratch.cleanup()
+        self.scratch.close()
 
 
 def _leave(session: Session, projects: Projects) -> None:
@@ -139,4 +177,14 @@ def _leave(session: Session, projects: Projects) -> None:
     unused = unused and len(session.history) == 1 and not session.bookmarks() and session.up == AUTO_UP
     session.close()
     if unused and path is not None:
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _described(name: str) -> Iterator[None]:
+    """Values of a project that cannot be told to clients are an error of one line."""
+    try:
+        yield
+    except ValidationError as error:
+        raise ValueError(f"{name}: damaged project ({first_fault(error, 'state')})") from None

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import secrets
-import sqlite3
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -22,17 +20,21 @@ from splatpainter.session import Session
 from splatpainter.studio import describe, frames
 from splatpainter.studio.actions import Call, Desk, Handler, load
 from splatpainter.studio.core import Studio
-from splatpainter.studio.messages import COMMANDS, Answer, Command, Failure, Model, Problem, Progress
+from splatpainter.studio.messages import COMMANDS, Answer, Command, Model, Problem, Progress
 from splatpainter.studio.messages.connection import Greeting, ToastEvent
 from splatpainter.studio.messages.state import State
-from splatpainter.studio.queue import Busy, Cancelled, Ticket, WorkQueue
+from splatpainter.studio.problems import Refused, first_fault, problem_of
+from splatpainter.studio.queue import Ticket, WorkQueue
 from splatpainter.studio.visitors import Visitor, Visitors
 
-log = logging.getLogger("splatpainter.studio")
 PACE = 0.1
 """Seconds between progress messages of one command."""
 WAITING = 64
-"""Messages that may wait for a client that reads slowly."""
+"""Messages that may wait for a client that reads slowly, before its next command has to wait too, ..."""
+WAITING_BYTES = 64 << 20
+"""... and bytes of them."""
+MAX_WAITING = 1024
+"""Messages that may wait for a client; one that reads none of more is closed."""
 
 
 class Socket(Protocol):
@@ -40,14 +42,6 @@ class Socket(Protocol):
 
     async def send_text(self, data: str) -> None: ...
     async def send_bytes(self, data: bytes) -> None: ...
-
-
-class Refused(Exception):
-    """A command that failed, as its client is told."""
-
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem.message)
-        self.problem = problem
 
 
 class Client:
@@ -65,6 +59,9 @@ class Client:
         """The state that it was told last; None: no greeting has gone out yet."""
         self._state_due = False
         self._waiting: list[str | _Preview | Greeting] = []
+        self._waiting_bytes = 0
+        self.overrun = asyncio.Event()
+        """Set where it reads so little that it has to go."""
         self._wake, self._room = asyncio.Event(), asyncio.Event()
         self._room.set()
 
@@ -89,8 +86,12 @@ class Client:
         if self._gone:
             return
         self._waiting.append(item)
-        if len(self._waiting) >= WAITING:
+        self._waiting_bytes += item.size if isinstance(item, _Preview) else len(item) if isinstance(item, str) else 0
+        if len(self._waiting) >= WAITING or self._waiting_bytes >= WAITING_BYTES:
             self._room.clear()
+        if len(self._waiting) > MAX_WAITING:
+            self._waiting.clear()
+            self.overrun.set()
         self._wake.set()
 
     def gone(self) -> None:
@@ -108,6 +109,7 @@ class Client:
             await self._wake.wait()
             self._wake.clear()
             items, self._waiting = self._waiting, []
+            self._waiting_bytes = 0
             self._room.set()
             if self.greeted:
                 await self._send_rows([item for item in items if isinstance(item, _Preview)])
@@ -152,6 +154,7 @@ class _Preview:
 
     def __init__(self, frame: bytes, rows: np.ndarray, session: str) -> None:
         self.frame, self.rows, self.session = frame, rows, session
+        self.size = len(frame) + rows.nbytes
         self.version = frames.HEADER.unpack_from(frame)[4]
 
 
@@ -246,7 +249,7 @@ class Hub:
         try:
             answer = await lane(job, ticket)
         except Exception as error:
-            raise Refused(problem_of(error)) from error
+            raise Refused(self.studio.problem(problem_of(error))) from error
         if client is not None:
             client.after(call)
         if handler.writes:
@@ -266,7 +269,7 @@ class Hub:
 
 def parse(data: object) -> tuple[int, Command]:
     """(id, command) from a message of a client. Raises Refused."""
-    if not isinstance(data, dict) or not isinstance(data.get("id"), int) or not isinstance(data.get("do"), str):
+    if not isinstance(data, dict) or not is_id(data.get("id")) or not isinstance(data.get("do"), str):
         raise Refused(Problem(kind="input", message='expected {"id": number, "do": name, ...}'))
     kind = COMMANDS.get(data["do"])
     if kind is None:
@@ -278,28 +281,9 @@ def parse(data: object) -> tuple[int, Command]:
         raise Refused(Problem(kind="input", message=first_fault(error, data["do"]))) from None
 
 
-def first_fault(error: ValidationError, where: str) -> str:
-    """One line about the first field that is wrong."""
-    fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    place = ".".join(map(str, fault["loc"]))
-    return f"{where}: {place}: {fault['msg']}" if place else f"{where}: {fault['msg']}"
-
-
-def problem_of(error: Exception) -> Problem:
-    """What a client is told of a failure. Wrong input speaks for itself: its last part says what to do."""
-    if isinstance(error, Refused):
-        return error.problem
-    if isinstance(error, Cancelled):
-        return Problem(kind="cancelled", message="Cancelled; nothing was changed.")
-    if isinstance(error, Busy):
-        return Problem(kind="busy", message="Too much is waiting.", hint="Wait until the work in progress is done.")
-    if isinstance(error, MemoryError):
-        return Problem(kind="input", message="Out of memory.", hint="Use a smaller picture, or an asset of fewer rows.")
-    if isinstance(error, ValueError) and not isinstance(error, sqlite3.Error):
-        message, _, hint = str(error).rpartition("; ")
-        return Problem(kind="input", message=message or hint, hint=hint if message else "")
-    log.error("fault", exc_info=error)
-    return Problem(kind="fault", message=f"Fault in the studio: {type(error).__name__}: {error}"[:300])
+def is_id(value: object) -> bool:
+    """Whether it can number a command: a whole number that JavaScript has too."""
+    return type(value) is int and 0 <= value < 1 << 53
 
 
 def pacer(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Callable[[float, str], None]:
@@ -316,8 +300,3 @@ def pacer(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Calla
             loop.call_soon_threadsafe(shown.say, Progress(re=number, progress=share, stage=stage))
 
     return report
-
-
-def failure(number: int, problem: Problem) -> Failure:
-    """The answer of a command that failed."""
-    return Failure(re=number, error=problem)

@@ -34,7 +34,10 @@ class Folder:
         """The file of that name. Raises ValueError: no plain name, hidden, outside (a link), missing."""
         if not name or name.startswith(".") or Path(name).name != name or re.search(r"[/\\:\x00-\x1f]", name):
             raise ValueError(f"{name!r}: expected a plain file name")
-        place = (self.root / name).resolve()
+        try:
+            place = (self.root / name).resolve()
+        except (OSError, RuntimeError):  # a circle of links
+            raise ValueError(f"{name}: leads nowhere") from None
         if place.parent != self.root:
             raise ValueError(f"{name}: lies outside the studio's folder")
         if not new and not place.is_file():
@@ -44,6 +47,7 @@ class Folder:
     def names(self) -> list[str]:
         """Assets and projects in it, by name."""
         found = [entry.name for entry in os.scandir(self.root) if entry.is_file() and not entry.name.startswith(".")]
+        found = [name for name in found if name.isprintable()]  # others are no text that could be sent
         return sorted(name for name in found if name.lower().endswith(PROJECT) or format_of_name(Path(name)))
 
 
@@ -61,7 +65,11 @@ class Projects:
     """Projects that have no place of their own yet: everything is always saved, wherever it is."""
 
     def __init__(self, root: Path) -> None:
-        root.mkdir(parents=True, exist_ok=True)
+        """Raises ValueError where it cannot be made."""
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ValueError(f"{root}: cannot be made ({error.strerror or error})") from None
         self.root = root
 
     def fresh(self, name: str) -> Path:
@@ -74,7 +82,7 @@ class Projects:
         """Newest first."""
         out = []
         for path in self.root.glob(f"*{PROJECT}"):
-            if not path.name.startswith("."):
+            if not path.name.startswith(".") and path.is_file():
                 out.append(Kept(path.stem, path.stem.rsplit("_", 1)[0], path, path.stat().st_mtime))
         return sorted(out, key=lambda kept: -kept.changed)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import re
 import secrets
 from collections.abc import MutableMapping
 from dataclasses import dataclass, field
@@ -17,6 +18,12 @@ from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode
 
 COOKIE = "splatpainter"
+"""Of the cookie's name, before the port: a browser gives a cookie to every port of a host."""
+BRACKETED = re.compile(r"\[([0-9a-f:.]+)\](?::[0-9]{1,5})?")
+NAMED = re.compile(r"([a-z0-9._-]+)(?::[0-9]{1,5})?")
+"""Host headers, lower case: an IPv6 address in brackets, any other address or name."""
+SAFE_METHODS = ("GET", "HEAD")
+"""Of requests that a link may make from another site."""
 LOCAL = ("127.0.0.1", "localhost", "::1")
 CSP = "; ".join(
     (
@@ -94,7 +101,7 @@ class Guard:
         headers = _headers(scope)
         refusal = self._refusal(scope, headers)
         if scope["type"] == "websocket":
-            if refusal is None and not self._authorised(headers):
+            if refusal is None and not self._authorised(scope, headers):
                 refusal = (403, "")
             if refusal is None:
                 await self.app(scope, receive, send)
@@ -105,7 +112,7 @@ class Guard:
         outgoing = _with_headers(send)
         if refusal is not None:
             await _answer(outgoing, *refusal)
-        elif self._authorised(headers):
+        elif self._authorised(scope, headers):
             await self.app(scope, receive, outgoing)
         else:
             await self._ask(scope, outgoing)
@@ -118,16 +125,18 @@ class Guard:
         scheme = "https" if scope["scheme"] in ("https", "wss") else "http"
         if origin is not None and origin.lower() != f"{scheme}://{host}".lower():
             return 403, "Requests from other sites are not answered (Origin header)."
-        navigating = headers.get("sec-fetch-mode") == "navigate" and scope["type"] == "http"
+        linked = scope["type"] == "http" and scope["method"] in SAFE_METHODS
+        navigating = linked and headers.get("sec-fetch-mode") == "navigate"
         if headers.get("sec-fetch-site") in ("cross-site", "same-site") and not navigating:
             return 403, "Requests from other sites are not answered (Sec-Fetch-Site header)."
         return None
 
-    def _authorised(self, headers: dict[str, str]) -> bool:
+    def _authorised(self, scope: MutableMapping[str, Any], headers: dict[str, str]) -> bool:
         if self.access.token is None:
             return True
         kind, _, value = headers.get("authorization", "").partition(" ")
-        return self.access.knows_token(value if kind.lower() == "bearer" else _cookie(headers.get("cookie", "")))
+        given = value if kind.lower() == "bearer" else _cookie(headers.get("cookie", ""), cookie_name(scope))
+        return self.access.knows_token(given)
 
     async def _ask(self, scope: MutableMapping[str, Any], send: Any) -> None:
         """A page address with the right ?token= gets the cookie and is sent on without it; everything else is 401."""
@@ -138,8 +147,14 @@ class Guard:
             return
         rest = urlencode([pair for pair in query if pair[0] != "token"])
         place = "/" + quote(scope["path"].lstrip("/")) + (f"?{rest}" if rest else "")
-        cookie = f"{COOKIE}={self.access.token}; Path=/; HttpOnly; SameSite=Strict"
+        cookie = f"{cookie_name(scope)}={self.access.token}; Path=/; HttpOnly; SameSite=Strict"
         await _answer(send, 303, "", {"location": place, "set-cookie": cookie})
+
+
+def cookie_name(scope: MutableMapping[str, Any]) -> str:
+    """Of this server, so that two studios on one host do not take each other's tokens away."""
+    server = scope.get("server")
+    return f"{COOKIE}-{server[1] or 0}" if server else COOKIE
 
 
 def _headers(scope: MutableMapping[str, Any]) -> dict[str, str]:
@@ -152,11 +167,13 @@ def _headers(scope: MutableMapping[str, Any]) -> dict[str, str]:
 
 
 def _name_of(header: str) -> str:
-    """The name in a Host header, without port and brackets."""
-    name = header.strip().lower()
-    if name.startswith("["):
-        return name[1:].partition("]")[0]
-    return name.partition(":")[0]
+    """The name in a Host header, without port and brackets; "" where it is none."""
+    text = header.lower()
+    bracketed = BRACKETED.fullmatch(text)
+    if bracketed:
+        return bracketed[1] if _is_address(bracketed[1]) else ""
+    named = NAMED.fullmatch(text)
+    return named[1] if named else ""
 
 
 def _is_address(name: str) -> bool:
@@ -167,9 +184,9 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _cookie(header: str) -> str | None:
+def _cookie(header: str, name: str) -> str | None:
     try:
-        morsel = SimpleCookie(header).get(COOKIE)
+        morsel = SimpleCookie(header).get(name)
     except CookieError:
         return None
     return morsel.value if morsel else None

@@ -10,6 +10,7 @@ from pathlib import Path
 from splatpainter.io import read
 from splatpainter.session import Session
 from splatpainter.splats import Frame, Splats
+from splatpainter.studio.connections import ConnectionLimits, bounded
 from splatpainter.studio.core import Options, Studio
 from splatpainter.studio.demo import demo
 from splatpainter.studio.places import PROJECT, Projects, data_folder
@@ -74,16 +75,19 @@ def warm() -> threading.Thread:
     return thread
 
 
-def make_server(studio: Studio, access: Access):
+def make_server(studio: Studio, access: Access, limits: ConnectionLimits | None = None):
     """A uvicorn server of the studio; run it with `server.run(sockets=[bound])`."""
     import uvicorn
 
-    from splatpainter.studio.app import MESSAGE, create_app
+    from splatpainter.studio.app import create_app
+    from splatpainter.studio.limits import MAX_DAB_BYTES
 
+    http, socket_class = bounded(limits or ConnectionLimits())
     config = uvicorn.Config(
         create_app(studio, access),
-        ws="websockets-sansio",
-        ws_max_size=MESSAGE,
+        http=http,
+        ws=socket_class,
+        ws_max_size=MAX_DAB_BYTES,
         ws_per_message_deflate=False,  # rows do not pack well, and packing them costs more than sending them
         log_level="warning",
         access_log=False,  # addresses may hold the token
@@ -131,10 +135,13 @@ def studio(
     access = Access.of("127.0.0.1")
     bound = listen(access.host, port)
     place = None if projects is None else Path(projects)
+    session = None
     try:
         session, name = open_session(asset, place, frame)
         own = Studio(session, name, Options(None if folder is None else Path(folder), place))
     except BaseException:
+        if session is not None:
+            session.close()
         bound.close()
         raise
     server = make_server(own, access)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
-import json
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from splatpainter.studio.hub import Client, Hub, Refused, failure, pacer, parse
+from splatpainter.studio.hub import Client, Hub, is_id, pacer, parse
+from splatpainter.studio.limits import parse_json
 from splatpainter.studio.messages import Answer, Command, Problem
 from splatpainter.studio.messages.connection import Cancel, Greeting, Hello, Sync
+from splatpainter.studio.problems import Refused, failure
 from splatpainter.studio.queue import Ticket
 from splatpainter.studio.schema import schema_hash
 
@@ -30,7 +31,8 @@ async def serve(hub: Hub, socket: WebSocket) -> None:
     hub.clients.add(client)
     connection = Connection(hub, client)
     worker = asyncio.create_task(connection.work_all())
-    talking = [asyncio.create_task(client.send_all()), asyncio.create_task(connection.read_all(socket))]
+    doing = (client.send_all(), connection.read_all(socket), client.overrun.wait())
+    talking = [asyncio.create_task(work) for work in doing]
     try:
         await asyncio.wait(talking, return_when=asyncio.FIRST_COMPLETED)
     finally:
@@ -58,16 +60,16 @@ class Connection:
         """Take messages until the client goes."""
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                self._take(await socket.receive_text())
+                await self._take(await socket.receive_text())
 
-    def _take(self, text: str) -> None:
+    async def _take(self, text: str) -> None:
         number = 0
         try:
             try:
-                data = json.loads(text)
-            except (ValueError, RecursionError):
-                raise Refused(Problem(kind="input", message="expected JSON")) from None
-            if isinstance(data, dict) and isinstance(data.get("id"), int):
+                data = await parse_json(text)
+            except ValueError as error:
+                raise Refused(Problem(kind="input", message=str(error))) from None
+            if isinstance(data, dict) and is_id(data.get("id")):
                 number = data["id"]
             number, command = parse(data)
             if isinstance(command, Cancel):

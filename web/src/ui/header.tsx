@@ -72,7 +72,11 @@ export function Header() {
       />
       <span class="title" title={now?.asset.problems.join("\n")}>
         {now ? (now.project.file ?? now.asset.name) : ""}
-        {readOnly.value && <em class="tag">read only</em>}
+        {readOnly.value && (
+          <em class="tag" title={now?.project.read_only_reason}>
+            read only
+          </em>
+        )}
       </span>
       <Button icon="undo" label="Undo" keys="Ctrl-Z" disabled={!canUndo.value} onClick={undo} />
       <Button icon="redo" label="Redo" keys="Ctrl-Shift-Z" disabled={!canRedo.value} onClick={redo} />

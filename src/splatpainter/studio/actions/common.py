@@ -42,6 +42,17 @@ def camera_of(camera: WireCamera) -> Camera:
     return camera_from_wire(camera, PIXELS)
 
 
+@contextlib.contextmanager
+def called(path: Path, name: str) -> Iterator[None]:
+    """Errors about the file at `path` are said of what its owner calls it."""
+    try:
+        yield
+    except ValueError as error:
+        if str(path) not in str(error):
+            raise
+        raise ValueError(str(error).replace(str(path), name)) from None
+
+
 def draw(splats: Splats, camera: Camera, profile: Profile = "inria") -> np.ndarray:
     """[H, W, 3] display colours."""
     from splatpainter.render import render
@@ -80,7 +91,8 @@ def edit_of(call: Call, view: EditView, mode: Mode) -> Edit:
     wanted = (camera.width, camera.height)
     blob = call.studio.blobs.get(view.picture, "picture")
     name = Path(blob.name or "picture")
-    picture = read_picture(blob.path)
+    with called(blob.path, str(name)):
+        picture = read_picture(blob.path)
     _check_shape(str(name), picture.size, wanted)
     mask = None if view.mask is None else mask_of(call, view.mask, camera)
     kind = find_alpha(blob.path)
@@ -92,7 +104,8 @@ def edit_of(call: Call, view: EditView, mode: Mode) -> Edit:
 def mask_of(call: Call, blob: str, camera: Camera) -> np.ndarray:
     """[H, W] bool of an uploaded mask. Raises ValueError where it is empty or of another shape than the camera."""
     kept = call.studio.blobs.get(blob, "picture")
-    mask = read_mask(kept.path)
+    with called(kept.path, kept.name or "mask"):
+        mask = read_mask(kept.path)
     wanted = (camera.width, camera.height)
     _check_shape(kept.name or "mask", (mask.shape[1], mask.shape[0]), wanted)
     if not mask.any():

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import tempfile
+import shutil
 from pathlib import Path
+from typing import Any
 
 from splatpainter.io import FORMATS, read
 from splatpainter.session import Session
+from splatpainter.session.scratch import scratch_folder
 from splatpainter.splats import Splats
 from splatpainter.studio.actions import Call, handles
-from splatpainter.studio.actions.common import camera_of, python_line
+from splatpainter.studio.actions.common import called, camera_of, python_line
+from splatpainter.studio.blobs import Blob
 from splatpainter.studio.core import Studio
 from splatpainter.studio.demo import demo
 from splatpainter.studio.describe import camera_to_wire
@@ -48,7 +52,8 @@ def open_asset(call: Call, command: say.AssetOpen) -> Answer:
         name, path = blob.name or f"asset{blob.claim.ending}", blob.path
     elif command.file is not None:
         name, path = command.file, _folder_file(studio, command.file)
-    studio.open(lambda: start(studio, demo() if path is None else read(path), name), name)
+    with contextlib.nullcontext() if path is None else called(path, name):
+        studio.open(lambda: start(studio, demo() if path is None else read(path), name), name)
     return Answer(python=python_line("session = sp.Session", name))
 
 
@@ -68,21 +73,43 @@ def open_project(call: Call, command: say.ProjectOpen) -> Answer:
     studio = call.studio
     if sum(given is not None for given in (command.blob, command.file, command.recent)) != 1:
         raise ValueError("project: expected one of file, recent or blob")
+    call.ticket.report(0, "opening")
     if command.blob is not None:
         blob = studio.blobs.get(command.blob, "project")
         name = Path(blob.name).stem or "project"
-        path = studio.projects.fresh(name)
-        path.write_bytes(blob.path.read_bytes())
-    elif command.recent is not None:
+        studio.open(lambda: _received(studio, blob, name), name)
+        return Answer(python=python_line("session = sp.Session.load", f"{name}{PROJECT}"))
+    rule: dict[str, Any] = {"embedded": True}
+    if command.recent is not None:
         path = studio.projects.find(command.recent)
         name = command.recent.rsplit("_", 1)[0]
     else:
         path = _folder_file(studio, command.file or "")
         name = path.stem
-    call.ticket.report(0, "opening")
+        assert studio.folder is not None
+        rule = {"folder": studio.folder.root}
     if studio.session.path is None or path.resolve() != studio.session.path.resolve():
-        studio.open(lambda: Session.load(path), name)
+        studio.open(lambda: Session.load(path, **rule), name)
     return Answer(python=python_line("session = sp.Session.load", path.name))
+
+
+def _received(studio: Studio, blob: Blob, name: str) -> Session:
+    """A session on an uploaded project, which then lies in the studio's own folder. Only one that opens gets there."""
+    title = blob.name or "the project"
+    with scratch_folder("studio") as folder:
+        copy = folder / f"upload{PROJECT}"
+        try:
+            shutil.copyfile(blob.path, copy)
+        except OSError as error:
+            raise ValueError(f"{title}: cannot be copied ({error.strerror or error})") from None
+        with called(copy, title):
+            session = Session.load(copy, embedded=True, readonly=False)
+            try:
+                session.save_as(studio.projects.fresh(name))
+            except BaseException:
+                session.close()
+                raise
+    return session
 
 
 @handles(say.ProjectSaveAs, writes=True)
@@ -95,7 +122,8 @@ def save_as(call: Call, command: say.ProjectSaveAs) -> Answer:
     before = studio.session.path
     studio.session.save_as(path, overwrite=command.overwrite)
     if before is not None and before.parent == studio.projects.root:
-        before.unlink(missing_ok=True)  # it moved
+        with contextlib.suppress(OSError):
+            before.unlink(missing_ok=True)  # it moved
     studio.name = path.stem
     return Answer(python=python_line("session.save_as", name))
 
@@ -149,8 +177,8 @@ def verify(call: Call, command: say.Verify) -> say.Verified:
     entry = None if source is None else FORMATS.get(source.format)
     ending = ".ply" if entry is None or entry.write is None or not entry.suffixes else entry.suffixes[0]
     call.ticket.report(0, "writing and reading again")
-    with tempfile.TemporaryDirectory(prefix="splatpainter-verify-") as folder:
-        _, found = session.export(Path(folder) / f"asset{ending}")
+    with scratch_folder("verify") as folder:
+        _, found = session.export(folder / f"asset{ending}")
     call.ticket.report(0.5, "replaying the layers")
     problems = [*found.problems, *session.verify()]
     return say.Verified(

@@ -6,7 +6,7 @@ from typing import Any
 
 from splatpainter.sources.grade import NAME, Grade
 from splatpainter.studio.actions import Call, handles
-from splatpainter.studio.actions.common import layer_made, progress, python_line
+from splatpainter.studio.actions.common import called, layer_made, progress, python_line
 from splatpainter.studio.describe import conflict_infos
 from splatpainter.studio.messages import Answer
 from splatpainter.studio.messages import layers as say
@@ -72,7 +72,7 @@ def export_layer(call: Call, command: say.LayerExport) -> Exported:
 @handles(say.LayerImport, writes=True)
 def import_layer(call: Call, command: say.LayerImport) -> LayerMade:
     blob = call.studio.blobs.get(command.blob, "layer")
-    with progress(call, "layers"):
+    with progress(call, "layers"), called(blob.path, blob.name or "layer"):
         layer = call.studio.session.import_layer(blob.path)
     return layer_made(call, layer.id, python_line("session.import_layer", blob.name or "layer.splatlayer"))
 

@@ -150,7 +150,9 @@ class ProjectInfo(Model):
     file: str | None
     """Its name in the studio's folder; None while it only lives in the studio's own data folder (autosave)."""
     read_only: bool
-    """Somebody else has it open."""
+    """Nothing can be changed: somebody else has it open, or it cannot be written."""
+    read_only_reason: str = ""
+    """Why, one line; "" where it can be changed."""
 
 
 class Present(Model):
