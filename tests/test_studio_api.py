@@ -216,7 +216,12 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     rows = rows_sha256(studio.studio.session.splats)
     studio.post("project.save_as", file="mine")
     state = studio.http.get("/api/state").json()
-    assert state["project"] == {"name": "mine", "file": "mine.splatproj", "read_only": False}
+    assert state["project"] == {
+        "name": "mine",
+        "file": "mine.splatproj",
+        "read_only": False,
+        "read_only_reason": "",
+    }
     assert studio.post("project.recent")["files"] == ["mine.splatproj", "other.ply"]
     studio.post("asset.open", file="other.ply")
     again = studio.http.post("/api/do/project.save_as", json={"file": "mine"})

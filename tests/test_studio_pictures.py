@@ -192,7 +192,7 @@ def test_saved_pictures_are_offered_once_and_whole(studio: Live, tmp_path: Path)
     assert saved_picture(own, "export.png") is None  # the studio's own writing
     data = png_bytes(painted(shot())[0], view())
     (shared / "export.png").write_bytes(data[: len(data) // 2])
-    with pytest.raises(ValueError, match="export.png: cannot be read"):
+    with pytest.raises(ValueError, match="export.png: damaged picture"):
         saved_picture(own, "export.png")  # half a file
     (shared / "export.png").write_bytes(data)
     blob = saved_picture(own, "export.png")
