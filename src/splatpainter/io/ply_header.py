@@ -206,44 +206,57 @@ def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int
     lists are as long as those of the row before (a mesh of triangles) are compared at once.
     """
     lists, tail = _lists_of(element, header.order)
+    longest = max(counter.itemsize for _, counter, _ in lists)
+    steps = [(ahead, _COUNTERS[counter.str].unpack_from, counter.itemsize, width) for ahead, counter, width in lists]
     file_start = file.tell()
-    window, base = b"", 0
-    """A piece of the element, and its place in it."""
-    at, row, stepped, patience, next_try = 0, 0, 0, LEAST_RUN, 0
-    while row < element.count:
-        first, counts, offsets = at, [], []
-        for ahead, counter, width in lists:
-            at += ahead
-            if at + counter.itemsize > base + len(window):
-                if at + counter.itemsize > available:
-                    return available + 1
-                file.seek(file_start + at)
-                window, base = file.read(min(WINDOW, available - at)), at
-            (length,) = _COUNTERS[counter.str].unpack_from(window, at - base)
-            counts.append(length)
-            offsets.append(at - first)
-            at += counter.itemsize + (width * length if length > 0 else 0)
-        at += tail
-        row += 1
-        stepped += len(lists)
-        if at > available:
-            return available + 1
+    window, base, last = b"", 0, -1
+    at, row, stepped, patience = 0, 0, 0, LEAST_RUN
+
+    def walk(count: int) -> list[tuple[int, int]]:
+        """Step over so many rows one by one; (place, length) of every list of the last one."""
+        nonlocal window, base, last, at
+        seen: list[tuple[int, int]] = []
+        for k in range(count):
+            for ahead, unpack, counter_bytes, width in steps:
+                at += ahead
+                if at > last:  # no whole list length is left of the window
+                    if at > available:
+                        return []
+                    file.seek(file_start + at)
+                    window, base = file.read(min(WINDOW, available - at)).ljust(longest, b"\0"), at
+                    last = base + len(window) - longest
+                (length,) = unpack(window, at - base)
+                if k == count - 1:
+                    seen.append((at, length))
+                at += counter_bytes + width * length if length > 0 else counter_bytes
+            at += tail
+            if at > available:
+                return []
+        return seen
+
+    while row < element.count and at <= available:
+        first = at
+        seen = walk(1)
+        row, stepped = row + 1, stepped + len(lists)
+        fitting = min((base + len(window) - at) // (at - first), element.count - row, (available - at) // (at - first))
+        run = 0
+        if seen and first >= base and fitting >= LEAST_RUN:
+            equal = np.ones(fitting, bool)
+            for (place, length), (_, counter, _) in zip(seen, lists, strict=True):
+                equal &= np.ndarray(fitting, counter, window, at - base + place - first, at - first) == length
+            run = fitting if equal.all() else int(np.argmin(equal))
+            at, row = at + run * (at - first), row + run
+        # Uneven rows are not compared again soon: a failed try costs as much as many steps.
+        patience = LEAST_RUN if run >= LEAST_RUN else min(2 * patience, 1 << 16)
+        if run < LEAST_RUN and at <= available:
+            count = min(patience, element.count - row)
+            walk(count)
+            row, stepped = row + count, stepped + count * len(lists)
         if stepped > MAX_UNEVEN_LISTS:
             name = printable(element.name)
             raise ValueError(
                 f"{path}: element '{name}' has more than {MAX_UNEVEN_LISTS} lists of uneven length; expected fewer"
             )
-        size = at - first
-        fitting = min((base + len(window) - at) // size, element.count - row)
-        if row >= next_try and first >= base and fitting >= LEAST_RUN:
-            equal = np.ones(fitting, bool)
-            for (_, counter, _), length, offset in zip(lists, counts, offsets, strict=True):
-                equal &= np.ndarray(fitting, counter, window, at - base + offset, size) == length
-            run = fitting if equal.all() else int(np.argmin(equal))
-            at, row = at + run * size, row + run
-            # Uneven rows are not tried again soon: a failed try costs as much as many steps.
-            patience = LEAST_RUN if run >= LEAST_RUN else min(2 * patience, 4096)
-            next_try = row if run >= LEAST_RUN else row + patience
     return at
 
 
