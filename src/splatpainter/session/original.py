@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatpainter.io import FRAMES, files, frame_of, read
+from splatpainter.io import files, frame_of, option, read
 from splatpainter.session.deltas import Delta, bare, decode, encode
 from splatpainter.splats import Frame, Splats
 
@@ -74,7 +74,7 @@ def restore(project: Project, at: Path | None = None) -> Splats:
     """The original's rows, with `origin`. at: where the file is now, for projects that hold a path only.
     Raises ValueError: the file is gone, or its bytes are not those that the project was made from."""
     facts = {name: project.fact(name) or "" for name in ("name", "format", "sha256", "path", "color_space")}
-    frame: Frame = next((one for one in FRAMES if one == project.fact("frame")), "auto")
+    frame = option(project.fact("frame") or "")
     if facts["format"] == ROWS:
         delta = decode((data for _, data in project.original()), f"{project.path}: the original")
         linear, soft = facts["color_space"] == "linear", project.fact("antialiased") == "1"
