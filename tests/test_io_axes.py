@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -114,7 +114,8 @@ def test_an_edit_says_a_chosen_frame(tmp_path: Path) -> None:
     path = tmp_path / "a.spz"
     write_spz(path, random_splats(100, 1), 4)
     silent(path)
-    for frame, code in (("auto", None), ("rub", None), ("rdf", 6)):
+    cases: list[tuple[Frame, int | None]] = [("auto", None), ("rub", None), ("rdf", 6)]
+    for frame, code in cases:
         splats = io.read(path, frame=frame)
         io.write(tmp_path / "b.spz", replace(splats, opacities=splats.opacities[::-1].copy()), overwrite=True)
         back = io.read(tmp_path / "b.spz")
@@ -162,13 +163,14 @@ def test_bytes_behind_the_rows_are_no_place_for_a_frame(tmp_path: Path) -> None:
 
 
 def test_wrong_words(tmp_path: Path) -> None:
-    io.write(tmp_path / "a.ply", random_splats(5, 0))
-    for call in (
-        lambda: io.read(tmp_path / "a.ply", frame="up"),
-        lambda: io.write(tmp_path / "b.ply", None, frame="x"),
-    ):  # type: ignore[arg-type]
-        with pytest.raises(ValueError, match="frame: expected one of auto, rub, rdf, got"):
-            call()
+    splats = random_splats(5, 0)
+    io.write(tmp_path / "a.ply", splats)
+    wrong: Any = "up"
+    with pytest.raises(ValueError, match="frame: expected one of auto, rub, rdf, got 'up'"):
+        io.read(tmp_path / "a.ply", frame=wrong)
+    with pytest.raises(ValueError, match="frame: expected one of auto, rub, rdf, got 'up'"):
+        io.write(tmp_path / "b.ply", splats, frame=wrong)
+    assert not (tmp_path / "b.ply").exists()
 
 
 # ---- splat-transform: version 2 turns SPZ to right-up-back, version 3 leaves it right-down-front

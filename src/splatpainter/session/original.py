@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatpainter.io import FRAMES, files, frame_of, read
+from splatpainter.io import files, frame_of, option, read
 from splatpainter.session.deltas import Delta, bare, decode, encode
 from splatpainter.session.scratch import scratch_folder
 from splatpainter.splats import Frame, Splats
@@ -99,7 +99,7 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
     Raises ValueError: the file is gone or may not be opened, its bytes are not those that the project was made from,
     none of its rows can be drawn."""
     facts = {name: project.fact(name) or "" for name in ("name", "format", "sha256", "path", "color_space")}
-    frame: Frame = next((one for one in FRAMES if one == project.fact("frame")), "auto")
+    frame = option(project.fact("frame") or "")
     if facts["format"] == ROWS:
         delta = decode((data for _, data in project.original()), f"{project.path}: the original")
         linear, soft = facts["color_space"] == "linear", project.fact("antialiased") == "1"

@@ -50,8 +50,9 @@ def home(splats: Splats, up: tuple[int, int, int]) -> tuple[np.ndarray, float, c
     distance = MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
     # An asset that is upside down is mostly half a turn about x away: then this is its front again.
     start = 180.0 if up == UPS["+y"] else 0.0
-    size = {"width": 800, "height": 800, "background": BACKGROUND}
-    view = cameras.orbit(center, distance, 1, up=up, start=start, **size, **HOME)[0]
+    view = cameras.orbit(center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME)[
+        0
+    ]
     return center, radius, view
 
 
