@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -130,7 +131,7 @@ class Camera:
         if not isinstance(data, dict):
             raise ValueError(f"{where}: expected a JSON object, got {type(data).__name__}")
         if data.get("version") != VERSION:
-            raise ValueError(f"{where}: expected camera version {VERSION}, got {data.get('version')!r}")
+            raise ValueError(f"{where}: expected camera version {VERSION}, got {repr(data.get('version'))[:80]}")
         try:
             red, green, blue = (float(c) for c in data.get("background") or (0, 0, 0))
             return Camera(
@@ -147,7 +148,7 @@ class Camera:
         except KeyError as error:
             raise ValueError(f"{where}: the camera has no {error}") from None
         except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(f"{where}: {error}") from None
+            raise ValueError(f"{where}: {' '.join(str(error).split())[:200]}") from None
 
 
 def _whole(value: Any) -> int:
@@ -273,9 +274,11 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
     else:
         kind = "PNG chunk"
         try:
-            with Image.open(picture) as image:
-                text = getattr(image, "text", {}).get(CHUNK) or image.info.get(CHUNK)
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # Pillow's remarks about damaged tags
+                with Image.open(picture) as image:
+                    text = getattr(image, "text", {}).get(CHUNK) or image.info.get(CHUNK)
+        except Exception as error:  # decoders of damaged files raise anything
             raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
     if text:
         return text, f"{picture} ({kind})"
@@ -291,4 +294,5 @@ def _read_text(path: Path) -> str:
 
 
 def _reason(error: BaseException) -> str:
-    return getattr(error, "strerror", None) or str(error)
+    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(said.split())[:200]

@@ -68,10 +68,10 @@ def work(name: str, first: int, step: int, count: int, seconds: float, out: str,
             peak = _peak_kib()
             if fault is None and unraisable:
                 fault = f"raised where nobody can catch it: {unraisable[0]}", ""
-            if fault is None and spent > target.seconds_limit:
-                fault = f"slow: {spent:.1f} CPU seconds", ""
             if fault is None and (peak - base) * 1024 > target.memory_limit:
                 fault = f"memory: the peak rose by {(peak - base) >> 10} MiB", ""
+            if fault is None and spent > target.seconds_limit:
+                fault = f"slow: {spent:.1f} CPU seconds", ""
             base = max(base, peak)
             unraisable.clear()
             if fault is not None:

@@ -141,7 +141,12 @@ def _opened(path: Path) -> Iterator[Image]:
                 image.load()
             except Exception as error:
                 raise ValueError(f"{path}: damaged picture ({_short(error)})") from None
-            yield image
+            try:
+                yield image
+            except Exception as error:  # palettes, EXIF and profiles are only looked at when they are used
+                if isinstance(error, MemoryError) or (type(error) is ValueError and str(path) in str(error)):
+                    raise
+                raise ValueError(f"{path}: damaged picture ({_short(error)})") from None
 
 
 def _short(error: Exception) -> str:

@@ -1,0 +1,54 @@
+"""Damage that decoders only meet when a part of a picture is used: one line that names the file, no warning."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+
+from splatpainter.cameras import Camera, find_camera
+from splatpainter.sources.pictures import read_picture
+
+
+def png(header: bytes, *parts: tuple[bytes, bytes]) -> bytes:
+    """A PNG file of the given chunks around one line of pixel data."""
+    out = b"\x89PNG\r\n\x1a\n"
+    for kind, body in ((b"IHDR", header), *parts, (b"IEND", b"")):
+        out += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    return out
+
+
+GREY = struct.pack(">IIBBBBB", 2, 1, 8, 0, 0, 0, 0)
+PIXELS = (b"IDAT", zlib.compress(b"\0\x80\x80"))
+DAMAGED = {
+    "EXIF that is none": png(GREY, (b"eXIf", b"splatpainter"), PIXELS),
+    "EXIF cut short": png(GREY, (b"eXIf", b"MM\0*\0\0\0\x08\0\x09\x01\x12"), PIXELS),
+}
+
+
+@pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
+def test_a_picture_is_read_or_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
+    place = tmp_path / "a.png"
+    place.write_bytes(data)
+    try:
+        assert read_picture(place).size == (2, 1)
+    except ValueError as error:
+        assert type(error) is ValueError and str(error).startswith(str(place)) and str(error).isprintable()
+
+
+def test_a_tiff_whose_tags_lie_outside_of_it_has_no_camera_and_warns_of_nothing(tmp_path: Path) -> None:
+    place = tmp_path / "a.tif"
+    tags = [(256, 4, 1, 2), (257, 4, 1000, 9999), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 1), (273, 4, 1, 8)]
+    body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    place.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    with pytest.raises(ValueError) as caught:
+        find_camera(place)
+    assert type(caught.value) is ValueError and str(place) in str(caught.value)
+
+
+def test_a_camera_of_an_endless_version_is_refused_in_a_short_line() -> None:
+    with pytest.raises(ValueError, match="expected camera version 1") as caught:
+        Camera.from_json('{"version": [' + ", ".join(["7"] * 5000) + "]}", "a.json")
+    assert len(str(caught.value)) < 200
