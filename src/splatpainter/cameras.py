@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from splatpainter.atomic import writing
 
 CHUNK = "splatpainter"
 """Keyword of the PNG tEXt chunk that carries a camera."""
@@ -206,22 +207,15 @@ def orbit(
 
 
 def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None) -> None:
-    """Write [H, W, 3] colours (float 0..1, or uint8) as an 8-bit PNG, with its camera in the tEXt chunk if given."""
+    """Write [H, W, 3] colours (float 0..1, or uint8) as an 8-bit PNG, with its camera in the tEXt chunk if given.
+    It appears whole or not at all. Raises ValueError where it cannot be written."""
     from PIL import Image, PngImagePlugin
 
     chunk = PngImagePlugin.PngInfo()
     if camera is not None:
         chunk.add_text(CHUNK, camera.to_json())
-    target = Path(path)
-    partial = target.with_name(target.name + ".part")
-    try:
-        with open(partial, "wb") as file:
-            Image.fromarray(to_uint8(image)).save(file, "PNG", pnginfo=chunk)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(target)
-    finally:
-        partial.unlink(missing_ok=True)
+    with writing(Path(path)) as file:
+        Image.fromarray(to_uint8(image)).save(file, "PNG", pnginfo=chunk)
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:
@@ -256,7 +250,7 @@ def find_camera(png: str | Path, explicit: str | Path | None = None) -> Camera:
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # editors of Windows begin files with a mark
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: cannot be read as a camera ({_reason(error)})") from None
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -55,7 +54,7 @@ def export_asset(
         proved, found = prove(original, partial, receipt)
         with files.writing(receipt_path) as file:
             file.write(proved.to_json().encode())
-            os.replace(partial, path)
+            files.replace(partial, path)
     files.sync_folder(path.parent)
     return proved, found
 

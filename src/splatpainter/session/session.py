@@ -75,7 +75,7 @@ class Session(Reader):
                 raise ValueError("session: embed=False needs an asset that was read from a file")
         scratch = None
         if project is None:
-            scratch = tempfile.TemporaryDirectory(prefix="splatpainter-")
+            scratch = tempfile.TemporaryDirectory(prefix="splatpainter-", ignore_cleanup_errors=True)
             project = Path(scratch.name) / f"unsaved{schema.SUFFIX}"
         place = _project_name(project)
         facts = original.describe(splats, source, embed)

@@ -17,12 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.io import files
 from splatpainter.session import Session
 from splatpainter.splats import Splats
 from splatpainter.studio import describe
 from splatpainter.studio.blobs import Blobs, Limits
 from splatpainter.studio.messages.state import ProjectInfo, State
-from splatpainter.studio.places import Downloads, Folder, Projects, data_folder
+from splatpainter.studio.places import Downloads, Folder, Projects
+from splatpainter.user_folders import projects_folder
 
 EXPORTS = 64
 """Exported views that a returning picture is compared with."""
@@ -56,9 +58,11 @@ class Studio:
         """The session is the studio's from now on: closing the studio closes it."""
         self.options = options
         self.folder = None if options.folder is None else Folder(options.folder)
-        self.projects = Projects(options.projects or data_folder())
+        self.projects = Projects(options.projects or projects_folder())
         self.blobs = Blobs(options.limits)
-        self._scratch = tempfile.TemporaryDirectory(prefix="splatpainter-studio-")
+        self._scratch = tempfile.TemporaryDirectory(
+            prefix="splatpainter-studio-", ignore_cleanup_errors=True
+        )  # Windows keeps files that are being sent
         self.downloads = Downloads(Path(self._scratch.name))
         self.exports: deque[ExportedView] = deque(maxlen=EXPORTS)
         self.written: dict[str, str] = {}
@@ -136,4 +140,4 @@ def _leave(session: Session, projects: Projects) -> None:
     unused = unused and len(session.history) == 1 and not session.bookmarks()
     session.close()
     if unused and path is not None:
-        path.unlink(missing_ok=True)
+        files.remove(path)

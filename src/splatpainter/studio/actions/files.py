@@ -6,7 +6,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from splatpainter.io import FORMATS, read
+from splatpainter.io import FORMATS, files, read
 from splatpainter.session import Session
 from splatpainter.splats import Splats
 from splatpainter.studio.actions import Call, handles
@@ -89,7 +89,7 @@ def save_as(call: Call, command: say.ProjectSaveAs) -> Answer:
     before = studio.session.path
     studio.session.save_as(path, overwrite=command.overwrite)
     if before is not None and before.parent == studio.projects.root:
-        before.unlink(missing_ok=True)  # it moved
+        files.remove(before)  # it moved
     studio.name = path.stem
     return Answer(python=python_line("session.save_as", name))
 
