@@ -120,6 +120,7 @@ def test_the_studio_serves_its_page(installed: Path, tmp_path: Path) -> None:
     server = processes.begin(
         words, cwd=tmp_path / "empty", env=surroundings(installed, tmp_path), stdout=subprocess.DEVNULL, stderr=pipe
     )
+    assert server.stderr is not None
     try:
         said: list[bytes] = []
         url = None
