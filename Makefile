@@ -29,6 +29,7 @@ check: .venv/installed-dev
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/pyright
+	$(PY) scripts/check_platforms.py  # and for the systems that this one is not
 	scripts/web check
 
 format: .venv/installed-dev

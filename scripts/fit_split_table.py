@@ -37,7 +37,7 @@ def main() -> None:
         error = np.sqrt((fit.fun**2).sum() / ((opacity * np.exp(-(X**2 + Y**2) / 2)) ** 2).sum())
         print(f"opacity {opacity}: peaks {rows[-1]}, relative rms error of alpha {error:.3f}")
     target = Path(__file__).parents[1] / "src/splatpainter/lift/split_table.json"
-    target.write_text(json.dumps({"opacities": OPACITIES, "peaks": rows}) + "\n")
+    target.write_bytes(json.dumps({"opacities": OPACITIES, "peaks": rows}).encode() + b"\n")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,7 @@ class Work:
         first = not list(Path(self.folder).glob(f"{number}.*"))
         (Path(self.folder) / f"{number}.{time.time_ns()}.{os.getpid()}").touch()
         if number == self.dies_always or (number == self.dies_once and first):
-            os.kill(os.getpid(), signal.SIGKILL)
+            os.kill(os.getpid(), 9)  # SIGKILL; on Windows TerminateProcess
         if number == self.fails:
             raise ValueError(f"{number}: is unlucky")
         return number * number

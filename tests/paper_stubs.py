@@ -8,7 +8,6 @@ known by hand. Where a test wants trouble, it writes NAME into the folder given 
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -69,7 +68,7 @@ class Toy:
     def make(self, key: Key, setup: Setup) -> Case:
         count(f"make-{key.label}")
         if trouble(f"kill-make-{key.label}"):
-            os.kill(os.getpid(), signal.SIGKILL)
+            os.kill(os.getpid(), 9)  # SIGKILL; on Windows TerminateProcess
         if (Path(os.environ[VARIABLE]) / f"broken-{key.name}").exists():
             raise ValueError(f"{key.name}: a broken mesh")
         number = int(key.name.removeprefix("toy-"))
@@ -111,7 +110,7 @@ def grow(work: Work, budget: Budget) -> Done:
     if trouble("swap"):
         (Path(os.environ[VARIABLE]) / "swapped").touch()
     if trouble("kill"):
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.kill(os.getpid(), 9)
     made = replace(work.asset, opacities=opacities)
     half = replace(work.asset, opacities=opacities - np.float32(0.5) * (np.arange(ROWS) == number).astype(np.float32))
     curve = ((0.5, 10, half), (1.0, 20, made)) if budget.curve else ()

@@ -41,6 +41,8 @@ def write_forever(path: Path, pipe: int, seed: int) -> None:
 
 def killed_writer(path: Path, seed: int, lines: int, wait: float) -> list[dict[str, Any]]:
     """What a writer acknowledged until it was killed, `wait` seconds after its start or its `lines`-th word."""
+    if sys.platform == "win32":
+        raise RuntimeError("Windows cannot fork")
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:

@@ -11,6 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "splatpainter"
 ORDER = (
+    ("atomic", "user_folders"),
     ("splats",),
     ("image_files",),
     ("cameras",),

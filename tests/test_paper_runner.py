@@ -16,6 +16,7 @@ import numpy as np
 import paper_stubs
 import pytest
 from paper_stubs import counted
+from systems import posix_only
 
 from splatpainter.evaluate.paper import children, runner, worker
 from splatpainter.evaluate.paper.methods import Budget
@@ -153,6 +154,7 @@ def test_errors_are_rows(asked: Asked) -> None:
     assert "raise RuntimeError" in (done.folder / "logs" / "raising.log").read_text()
 
 
+@posix_only
 def test_a_killed_worker_costs_the_case_in_hand(asked: Asked) -> None:
     ask_for(asked, "kill")
     done = run(asked)
@@ -176,6 +178,7 @@ def test_weights_that_change_during_a_run_mix_no_rows(asked: Asked) -> None:
     assert [r.error for r in found(asked, "grow").values()] == ["", ""] and counted("grow") == 1 + 3
 
 
+@posix_only
 def test_a_broken_object_is_a_note(asked: Asked) -> None:
     ask_for(asked, "broken-toy-1")
     ask_for(asked, "kill-make-toy-0-2")
@@ -201,8 +204,8 @@ def test_shards_and_processes_fill_one_folder(asked: Asked) -> None:
     assert "| Bound (2 of 3) |" in table(asked) and "Bound: 2 of 6 cases have not been run" in done.notes
 
 
-@pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs POSIX signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@posix_only
+@pytest.mark.parametrize("number", [signal.SIGINT, 9])
 def test_interrupting_and_resuming_gives_the_same_table(asked: Asked, number: int) -> None:
     ask_for(asked, "slow")
     program = (

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import io
 import json
-import resource
 import subprocess
 import sys
 import tarfile
@@ -158,7 +157,7 @@ def test_a_killed_run_carries_on_and_ends_with_the_same_bytes(tmp_path: Path, af
     folders = [tmp_path / "killed", tmp_path / "whole"]
     scripts = [KILLED.format(after=n, folder=str(folder)) for n, folder in zip((after, 1000), folders, strict=True)]
     codes = [subprocess.run([sys.executable, "-c", script], check=False).returncode for script in scripts]
-    assert codes == [-9, 0]
+    assert codes == [9 if sys.platform == "win32" else -9, 0]
     with ShardWriter(folders[0], {"seed": 3}, 5, 2) as writer:
         left = writer.missing()
         for number in left:
@@ -204,6 +203,8 @@ def test_skipped_scenes_and_samples_are_in_the_index(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_one_clear_error_and_leaves_no_half_shard(tmp_path: Path) -> None:
     """The kernel refuses to let a file grow past a limit, as it does on a full disk."""
+    resource = pytest.importorskip("resource")
+
     folder = tmp_path / "shards"
     with ShardWriter(folder, SPEC, 2, 2) as writer:
         writer.add(0, scene(0))

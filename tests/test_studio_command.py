@@ -13,6 +13,7 @@ import httpx
 import numpy as np
 import pytest
 from studio_scenes import Browser, ball, view
+from systems import posix_only
 from websockets.sync.client import connect
 
 import splatpainter as sp
@@ -23,6 +24,7 @@ from splatpainter.studio.security import Access
 from splatpainter.studio.server import address, listen
 
 
+@posix_only
 def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
     write(tmp_path / "ball.ply", ball(50))
     command = [

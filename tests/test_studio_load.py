@@ -6,6 +6,7 @@ In full, as a bench: SPLATPAINTER_LOAD=20x200 python -m pytest tests/test_studio
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,7 +28,7 @@ def resident() -> int:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:
         return 0
-    return pages * os.sysconf("SC_PAGE_SIZE")
+    return 0 if sys.platform == "win32" else pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def work(browser: Browser, k: int, edits: int) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import gzip
 import io
 import struct
+import sys
 import zipfile
 import zlib
 from collections.abc import Iterator, MutableMapping
@@ -199,7 +200,10 @@ def test_the_real_server_refuses_foreign_pages(studio: Live) -> None:
     ["../secret.ply", "/etc/passwd", "..", ".hidden.ply", "a/b.ply", "a\\b.ply", "C:x.ply", "x\0.ply", "link.ply"],
 )
 def test_names_do_not_leave_the_folder(studio: Live, tmp_path: Path, name: str) -> None:
-    (tmp_path / "shared" / "link.ply").symlink_to(tmp_path / "secret.ply")
+    if name == "link.ply" and sys.platform == "win32":
+        pytest.skip("needs links")
+    if name == "link.ply":
+        (tmp_path / "shared" / "link.ply").symlink_to(tmp_path / "secret.ply")
     answer = studio.http.post("/api/do/asset.open", json={"file": name})
     assert answer.status_code == 400 and answer.json()["error"]["kind"] == "input"
     with pytest.raises(ValueError):

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 from model_scenes import with_refine
+from systems import posix_only
 from train_scenes import LIFT, RECIPE, loop, stream
 
 from splatpainter.models import checkpoint
@@ -68,6 +69,7 @@ def test_rows_beyond_the_state_are_dropped(tmp_path: Path) -> None:
     assert rows(tmp_path)[2]["loss"] != "0.5"
 
 
+@posix_only
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
 def test_a_signal_ends_after_the_step_and_saves(tmp_path: Path, name: str) -> None:
     class Signalling:

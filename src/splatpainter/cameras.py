@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +15,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from splatpainter.atomic import writing
 from splatpainter.image_files import encode_png, exr_text, is_exr, quantized
 
 CHUNK = "splatpainter"
@@ -218,18 +218,11 @@ def orbit(
 
 
 def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None) -> None:
-    """Write [H, W, 3] colours (float 0..1, or uint8) as an 8-bit PNG, with its camera in the tEXt chunk if given."""
+    """Write [H, W, 3] colours (float 0..1, or uint8) as an 8-bit PNG, with its camera in the tEXt chunk if given.
+    It appears whole or not at all. Raises ValueError where it cannot be written."""
     data = encode_png(to_uint8(image), None if camera is None else {CHUNK: camera.to_json()})
-    target = Path(path)
-    partial = target.with_name(target.name + ".part")
-    try:
-        with open(partial, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(target)
-    finally:
-        partial.unlink(missing_ok=True)
+    with writing(Path(path)) as file:
+        file.write(data)
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:
@@ -288,7 +281,7 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # editors of Windows begin files with a mark
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: cannot be read as a camera ({_reason(error)})") from None
 

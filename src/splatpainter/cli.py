@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import io
 import os
 import signal
 import sys
@@ -29,6 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line (default: the process's own) and return its exit code. Raises nothing for users, unless
     SPLATPAINTER_DEBUG is set."""
     words = list(sys.argv[1:] if argv is None else argv)
+    _write_what_the_terminal_can()
     try:
         with _terminated_like_interrupted():
             return _show(_run(words))
@@ -102,6 +104,14 @@ def _show(outcome: Outcome) -> int:
     return outcome.code
 
 
+def _write_what_the_terminal_can() -> None:
+    """Redirected output of Windows is in an old code page, and LANG=C is ASCII: a character that it lacks (in a file
+    name, a rule of the help) is written as an escape, and is no reason to fail."""
+    for stream in (sys.stdout, sys.stderr):  # None without a console
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="backslashreplace")
+
+
 def _one_line(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return "out of memory; use a smaller --size, or an asset with fewer rows"
@@ -126,8 +136,12 @@ def _terminated_like_interrupted() -> Iterator[None]:
     def stop(*_: object) -> None:
         raise SystemExit(TERMINATED)
 
-    before = signal.signal(signal.SIGTERM, stop)
+    signs = [signal.SIGTERM]
+    if sys.platform == "win32":
+        signs.append(signal.SIGBREAK)  # Windows sends no SIGTERM; closing the console or Ctrl-Break sends this
+    before = [(sign, signal.signal(sign, stop)) for sign in signs]
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for sign, handler in before:
+            signal.signal(sign, handler)

@@ -7,6 +7,7 @@ not used: its default layer aborts the process when two Python threads enter it 
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,14 +20,20 @@ _pool: ThreadPoolExecutor | None = None
 _local = threading.local()
 
 
+def cpus() -> int:
+    """CPUs that this process may use: those that `taskset` or a container left it, where the system tells."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
 def threads() -> int:
-    """Threads per kernel: the environment variable SPLATPAINTER_THREADS, else the number of CPUs; 1 inside `each`.
+    """Threads per kernel: the environment variable SPLATPAINTER_THREADS, else `cpus()`; 1 inside `each`.
     Raises ValueError when the variable is not a positive integer."""
     if getattr(_local, "inside_each", False):
         return 1
     text = os.environ.get(VARIABLE)
     if not text:
-        return os.cpu_count() or 1
+        return cpus()
     if not text.isdecimal() or int(text) < 1:
         raise ValueError(f"{VARIABLE}: expected a positive integer, got {text!r}")
     return int(text)
@@ -70,7 +77,7 @@ def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Resu
 def _workers() -> ThreadPoolExecutor:
     global _pool
     if _pool is None:
-        _pool = ThreadPoolExecutor(max(32, os.cpu_count() or 1), thread_name_prefix="splatpainter")
+        _pool = ThreadPoolExecutor(max(32, cpus()), thread_name_prefix="splatpainter")
     return _pool
 
 
@@ -80,5 +87,5 @@ def _forget() -> None:
     _pool = None
 
 
-if hasattr(os, "register_at_fork"):
+if sys.platform != "win32":
     os.register_at_fork(after_in_child=_forget)

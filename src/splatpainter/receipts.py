@@ -130,7 +130,7 @@ def _number(value: Any, none: bool = False) -> Any:
     """A finite number as it is, or (none) null. Raises ValueError."""
     if value is None and none:
         return None
-    if type(value) not in (int, float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"expected a finite number, got {repr(value)[:80]}")
     return value
 

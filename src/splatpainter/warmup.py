@@ -17,6 +17,11 @@ import platform
 import sys
 import time
 from pathlib import Path
+from typing import Any
+
+from splatpainter.atomic import writing
+from splatpainter.parallel import cpus
+from splatpainter.user_folders import cache_folder
 
 WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.render.cpu.warm:warm_tiles": ("render/cpu",),
@@ -45,7 +50,7 @@ def ensure_compiled(progress: bool = True) -> None:
     note = "splatpainter: compiling CPU kernels, once after installation ..."
     if progress:
         print(note, end="", file=sys.stderr, flush=True)
-    _compile(min(2, os.cpu_count() or 1, len(WARMUPS)))
+    _compile(min(2, cpus(), len(WARMUPS)))
     if progress:
         print(f" {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
     _write_stamp({"sources": _sources(), "compiled": wanted})
@@ -83,7 +88,7 @@ def _compile(processes: int) -> None:
     import subprocess  # costs 10 ms, wanted once
 
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), *filter(None, sys.path)])}
-    pipes = {"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True, "env": environment}
+    pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": environment}
     with contextlib.ExitStack() as stack:
         children = []
         for index in range(processes):
@@ -91,7 +96,7 @@ def _compile(processes: int) -> None:
             children.append(stack.enter_context(child))
             stack.callback(child.kill)  # on Ctrl-C, and when the other one fails; after its end this does nothing
         for child in children:
-            _, errors = child.communicate()
+            errors = child.communicate()[1].decode("utf-8", "replace")
             if child.returncode:
                 last = errors.strip().splitlines()[-1] if errors.strip() else f"exit code {child.returncode}"
                 raise RuntimeError(f"splatpainter: compiling CPU kernels failed: {last}")
@@ -110,12 +115,11 @@ def _sources() -> dict[str, str]:
 
 def _machine() -> str:
     """Hash of what compiled code depends on besides its source: CPU, Python, numba, and where numba caches."""
-    processor = platform.machine()
     try:
-        lines = Path("/proc/cpuinfo").read_text().split("\n\n", 1)[0].splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n", 1)[0].splitlines()
         processor = "".join(line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part")))
-    except OSError:
-        pass
+    except (OSError, UnicodeDecodeError):
+        processor = f"{platform.machine()} {platform.processor()}"
     spec = importlib.util.find_spec("numba")
     stamp = f"{spec.origin} {os.stat(spec.origin).st_mtime_ns}" if spec and spec.origin else ""
     settings = "".join(f"{k}={v}" for k, v in sorted(os.environ.items()) if k.startswith("NUMBA_"))
@@ -124,15 +128,14 @@ def _machine() -> str:
 
 def _places() -> list[Path]:
     """Where the stamp may lie: beside the cached kernels, so that both vanish together, else in the user's folder."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     own = hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:16]
-    return [PACKAGE / "render" / "cpu" / "__pycache__" / STAMP, home / "splatpainter" / own / STAMP]
+    return [PACKAGE / "render" / "cpu" / "__pycache__" / STAMP, cache_folder() / own / STAMP]
 
 
 def _read_stamp() -> dict:
     for place in _places():
         try:
-            stamp = json.loads(place.read_text())
+            stamp = json.loads(place.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             continue
         if isinstance(stamp, dict):
@@ -142,19 +145,9 @@ def _read_stamp() -> dict:
 
 def _write_stamp(stamp: dict) -> None:
     """A stamp that cannot be written only means that the kernels are looked up again next time."""
-    import tempfile
-
     for place in _places():
-        partial = None
-        try:
+        with contextlib.suppress(OSError, ValueError):
             place.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile("w", dir=place.parent, suffix=".part", delete=False) as file:
-                partial = Path(file.name)
-                json.dump(stamp, file)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(place)
+            with writing(place) as file:
+                file.write(json.dumps(stamp).encode())
             return
-        except OSError:
-            if partial is not None:
-                partial.unlink(missing_ok=True)

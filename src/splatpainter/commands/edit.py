@@ -10,6 +10,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import AssetFile, CameraFiles, FrameOption, OutFile
 from splatpainter.commands.targets import check_target, placed, splat_format
@@ -143,8 +144,8 @@ def _check(config: Config, receipt_path: Path) -> None:
     pictures = [*config.views, *config.camera, *config.mask]
     check_target(config.out, config.overwrite, [config.asset], pictures)
     check_target(receipt_path, config.overwrite, [], [config.asset, *pictures])
-    if receipt_path.absolute() == config.out.absolute():
-        raise ValueError(f"{receipt_path}: OUT and the receipt need different names")
+    if clash(receipt_path, config.out):
+        raise ValueError(f"{receipt_path}: OUT and the receipt need different names, not only in upper and lower case")
 
 
 def _pictures(config: Config) -> list[FileEdit]:

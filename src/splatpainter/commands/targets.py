@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.atomic import check_name
 from splatpainter.cameras import Camera, write_png
 from splatpainter.commands.terminal import reason
 from splatpainter.io import FORMATS, Format, files, format_of_name
@@ -33,8 +34,9 @@ def check_target(path: Path, overwrite: bool, inputs: Sequence[Path] = (), untou
     """Refuse an output before any work is done. inputs: files that the command reads and may replace; untouchable:
     those that it may not.
 
-    Raises ValueError: it exists (or is an input) and overwrite is False, is untouchable, is no plain file, its folder
-    is missing or cannot be written to."""
+    Raises ValueError: it exists (or is an input) and overwrite is False, is untouchable, is no plain file, its name is
+    none on this system, its folder is missing or cannot be written to."""
+    check_name(path)
     for source in untouchable:
         if _same(path, source):
             raise ValueError(f"{path}: is an input; choose another name")
@@ -57,6 +59,7 @@ def check_target(path: Path, overwrite: bool, inputs: Sequence[Path] = (), untou
 
 def check_folder(path: Path) -> None:
     """Refuse a folder for several files before any work is done; it may be missing. Raises ValueError."""
+    check_name(path.absolute())
     if path.exists() and not path.is_dir():
         raise ValueError(f"{path}: is a file; expected a folder")
     above = path
@@ -94,7 +97,7 @@ def placed(path: Path) -> Iterator[Path]:
             else:
                 if final.exists():
                     shutil.copymode(final, partial)
-                os.replace(partial, final)
+                files.replace(partial, final)
                 files.sync_folder(final.parent)
         except OSError as error:
             raise ValueError(f"{path}: cannot be written ({reason(error)})") from None
@@ -104,14 +107,13 @@ def placed(path: Path) -> Iterator[Path]:
         if partial.is_dir():
             shutil.rmtree(partial, ignore_errors=True)
         else:
-            with contextlib.suppress(OSError):
-                partial.unlink(missing_ok=True)
+            files.remove(partial)
 
 
 def _move_into(partial: Path, final: Path) -> None:
     """Planes first, the meta.json that names them last."""
     for file in sorted(partial.iterdir(), key=lambda file: file.name == META):
-        os.replace(file, final / file.name)
+        files.replace(file, final / file.name)
     files.sync_folder(final)
 
 
@@ -124,10 +126,7 @@ def save_text(path: Path, text: str) -> None:
 def save_picture(path: Path, pixels: np.ndarray, camera: Camera | None = None) -> None:
     """A PNG of [H, W, 3] display colours; with its camera inside and in the sidecar NAME.json, if there is one.
     Raises ValueError."""
-    try:
-        write_png(path, pixels, camera)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written ({reason(error)})") from None
+    write_png(path, pixels, camera)
     if camera is not None:
         save_text(path.with_suffix(".json"), camera.to_json() + "\n")
 

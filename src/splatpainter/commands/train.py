@@ -156,7 +156,7 @@ def run(config: Config) -> Outcome:
             say=say,
         )
         if group.first:
-            (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8")
+            (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8", newline="\n")
         result = loop(Limits(config.minutes, config.session_steps))
         if recipe.workers and recipe.stage != "predict":
             material.training.close()

@@ -14,6 +14,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
+from splatpainter.parallel import cpus
+
 Result = TypeVar("Result")
 RETRIES = 3
 """Of one piece of work, after its worker died."""
@@ -84,9 +86,10 @@ def _alone(work: Callable[[int], Result], number: int, retries: int) -> Result |
 def _pool(workers: int) -> ProcessPoolExecutor:
     from multiprocessing import get_context
 
-    share = max(1, (os.cpu_count() or 1) // workers)
+    share = max(1, cpus() // workers)
     # spawn: a forked child of a process with threads (torch, numba, Mitsuba) can hang.
-    return ProcessPoolExecutor(workers, get_context("spawn"), initializer=limit_threads, initargs=(share,))
+    most = 61 if sys.platform == "win32" else workers  # what Windows can wait for at once
+    return ProcessPoolExecutor(min(workers, most), get_context("spawn"), initializer=limit_threads, initargs=(share,))
 
 
 def limit_threads(count: int) -> None:
@@ -121,7 +124,7 @@ def run_on_ray(
         raise ValueError(f"--ray needs Ray ({error}); pip install 'splatpainter[cluster]'") from None
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR", "include_dashboard": False}
     if address is None:
-        count = workers or os.cpu_count() or 1
+        count = workers or cpus()
         options |= {"num_cpus": count * cpus_per_worker, "object_store_memory": 1 << 28}
     else:
         options = {"address": address, "log_to_driver": False, "logging_level": "ERROR"}

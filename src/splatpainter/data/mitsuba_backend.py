@@ -75,10 +75,10 @@ def available() -> list[Variant]:
 def has_gpu() -> bool:
     """Whether the NVIDIA driver lists a GPU. Asked of nvidia-smi: CUDA itself need not be initialised for that."""
     try:
-        done = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, timeout=10, check=False)
+        done = subprocess.run(["nvidia-smi", "-L"], capture_output=True, timeout=10, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return done.returncode == 0 and "GPU" in done.stdout
+    return done.returncode == 0 and b"GPU" in done.stdout
 
 
 def find_llvm(folders: Iterable[str] = LLVM_FOLDERS) -> Path | None:

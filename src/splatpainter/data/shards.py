@@ -21,9 +21,12 @@ import tarfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from splatpainter.io import files
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
 INDEX, WAITING, LOCK = "index.json", ".scenes", ".lock"
 FORMAT, VERSION = "splatpainter-shards", 1
@@ -63,14 +66,14 @@ class ShardWriter:
         try:
             self.index = self._opened(json.loads(json.dumps(dict(spec))), per_shard)
         except BaseException:
-            self._lock.close()
+            self._lock.release()
             raise
 
     def __enter__(self) -> ShardWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._lock.close()
+        self._lock.release()
 
     def missing(self) -> list[int]:
         """Scenes that are not finished yet."""
@@ -290,22 +293,20 @@ def _copy(path: Path, target: tarfile.TarFile) -> tuple[dict[str, Any], list[str
     return about, list(keys)
 
 
-def _locked(folder: Path) -> BinaryIO:
-    """An open file that no other writer of the folder holds. (Where there is no flock, nothing is held.)"""
+def _locked(folder: Path) -> BaseFileLock:
+    """A lock that no other writer of the folder holds; it goes with its process. Raises ValueError."""
     try:
-        file = open(folder / LOCK, "wb")  # noqa: SIM115 -- held as long as the writer lives
-    except OSError as error:
-        raise ValueError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        from filelock import FileLock, Timeout
+    except ImportError as error:
+        raise ValueError(f"shards need {error.name}; pip install 'splatpainter[data]'") from None
+    lock = FileLock(folder / LOCK, timeout=0, thread_local=False)
     try:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except ImportError:
-        pass
-    except OSError:
-        file.close()
+        lock.acquire()
+    except Timeout:
         raise ValueError(f"{folder}: another run is writing shards here; wait for it, or use another folder") from None
-    return file
+    except (OSError, NotImplementedError) as error:
+        raise ValueError(f"{folder}: cannot be locked ({getattr(error, 'strerror', None) or error})") from None
+    return lock
 
 
 def _short(value: Any) -> str:

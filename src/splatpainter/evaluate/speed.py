@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import statistics
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from splatpainter.evaluate import tables
 from splatpainter.evaluate.operations import OPERATIONS
 from splatpainter.evaluate.scenes import Scene, save_scene, with_rows
 from splatpainter.evaluate.timing import Timing, in_fresh_process, machine, measure
+from splatpainter.parallel import cpus
 
 Report = Callable[[str], None]
 REFERENCE_ROWS, REFERENCE_SIZE = 2000, 64
@@ -232,7 +232,7 @@ def _compile(cache: Path) -> tuple[float, float]:
     """(seconds, MiB of the larger process) with an empty cache, in as many processes as `ensure_compiled` uses."""
     from splatpainter.warmup import WARMUPS
 
-    count = min(2, os.cpu_count() or 1, len(WARMUPS))
+    count = min(2, cpus(), len(WARMUPS))
     task = "splatpainter.warmup:run_group"
     variables = {"NUMBA_CACHE_DIR": str(cache)}
     start = time.perf_counter()

@@ -9,7 +9,6 @@ import json
 import math
 import os
 import re
-import signal
 import subprocess
 import sys
 import threading
@@ -24,9 +23,11 @@ import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from splatpainter.cameras import Camera
+from splatpainter.evaluate import processes
 from splatpainter.splats import Splats
 from splatpainter.studio import frames
 from splatpainter.studio.socket import own_hash
+from splatpainter.user_folders import PROJECTS_VARIABLE
 
 PATIENCE = 120
 """Seconds that an answer may take."""
@@ -193,7 +194,7 @@ class Server:
         """(resident now, largest so far), MiB; NaN where the system does not tell."""
         sizes = {}
         with contextlib.suppress(OSError):
-            for line in Path(f"/proc/{self.process.pid}/status").read_text().splitlines():
+            for line in Path(f"/proc/{self.process.pid}/status").read_text(encoding="utf-8").splitlines():
                 name, _, value = line.partition(":")
                 if name in ("VmRSS", "VmHWM"):
                     sizes[name] = int(value.split()[0]) / 1024
@@ -205,26 +206,26 @@ def serving(asset: Path | None, folder: Path, variables: Mapping[str, str] | Non
     """`splatpainter studio ASSET --no-browser` on a free port, its projects in `folder`; interrupted in the end.
     asset None: the demo. variables: of the environment, besides the present ones. Raises RuntimeError where it does
     not start."""
-    own = {"XDG_DATA_HOME": str(folder)} | ({"HOME": str(folder)} if sys.platform == "darwin" else {})
+    own = {PROJECTS_VARIABLE: str(folder / "projects")}
     command = [sys.executable, "-m", "splatpainter", "studio", *([] if asset is None else [str(asset)])]
     command += ["--no-browser", "--port", "0"]
     start = time.perf_counter()
-    process = subprocess.Popen(
+    process = processes.begin(
         command,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        text=True,
         env={**os.environ, **own, **(variables or {})},
     )
     try:
         assert process.stderr is not None
-        last, url = "", None
+        last, url = b"", None
         for last in process.stderr:
-            if found := re.search(r"http://\S+/", last):
-                url = found.group()
+            if found := re.search(rb"http://\S+/", last):
+                url = found.group().decode()
                 break
         if url is None:
-            raise RuntimeError(f"bench: the studio did not start: {last.strip() or process.wait()}")
+            said = last.decode(errors="replace").strip()
+            raise RuntimeError(f"bench: the studio did not start: {said or process.wait()}")
         drain = threading.Thread(target=process.stderr.read)  # a full pipe would stop the server
         drain.start()
         try:
@@ -241,7 +242,7 @@ def serving(asset: Path | None, folder: Path, variables: Mapping[str, str] | Non
 def _stop(process: subprocess.Popen) -> None:
     """As Ctrl-C does, and by force where that does not help."""
     if process.poll() is None:
-        process.terminate() if os.name == "nt" else process.send_signal(signal.SIGINT)
+        processes.interrupt(process)
     try:
         process.wait(PATIENCE)
     except subprocess.TimeoutExpired:

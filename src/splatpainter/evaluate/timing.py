@@ -6,6 +6,7 @@ compiled kernels and the scene are part of it.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import math
@@ -68,7 +69,8 @@ def in_fresh_process(task: str, arguments: dict[str, Any], environment: dict[str
     job = json.dumps({"task": task, "arguments": arguments})
     variables = {**os.environ, **(environment or {})}
     start = time.perf_counter()
-    done = subprocess.run([sys.executable, "-c", CHILD], input=job, capture_output=True, text=True, env=variables)
+    command = [sys.executable, "-c", CHILD]
+    done = subprocess.run(command, input=job, capture_output=True, encoding="utf-8", errors="replace", env=variables)
     seconds = time.perf_counter() - start
     if done.returncode:
         last = done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit code {done.returncode}"
@@ -93,11 +95,13 @@ def peak_mib() -> float:
     Not getrusage where there is another way: on Linux its maximum is inherited through vfork, so that the child of a
     large process looks large."""
     try:
-        for line in Path("/proc/self/status").read_text().splitlines():
+        for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024
     except OSError:
         pass
+    if sys.platform == "win32":
+        return math.nan
     try:
         import resource
     except ImportError:
@@ -115,14 +119,13 @@ def machine() -> str:
     parts = [f"{model}, {_cores()} cores"]
     if simd:
         parts.append(" ".join(simd))
-    try:
-        parts.append(f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f} GiB")
-    except (AttributeError, ValueError, OSError):
-        pass
+    if sys.platform != "win32":
+        with contextlib.suppress(ValueError, OSError):
+            parts.append(f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f} GiB")
     parts.append(f"{platform.system()} {platform.machine()}")
     versions = [f"{name} {_version(name)}" for name in ("numba", "numpy", "torch", "splatpainter")]
     parts.append(f"Python {platform.python_version()}, " + ", ".join(versions))
-    if hasattr(os, "getloadavg"):
+    if sys.platform != "win32":
         parts.append(f"load {os.getloadavg()[0]:.1f} at the start")
     return "; ".join(parts)
 
@@ -136,7 +139,7 @@ def _cores() -> int:
 def _cpuinfo() -> dict[str, str]:
     """The first processor's entries."""
     try:
-        text = Path("/proc/cpuinfo").read_text()
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except OSError:
         return {}
     pairs = (line.partition(":") for line in text.split("\n\n", 1)[0].splitlines())

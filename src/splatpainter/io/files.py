@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
-import secrets
-import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
+
+from splatpainter.atomic import remove, replace, sync_folder, writing
+
+__all__ = ["read_all", "read_head", "reading", "remove", "replace", "sha256", "sync_folder", "take", "writing"]
 
 HEADER_LIMIT = 1 << 20
 """Bytes; no honest text header is longer, and a hostile one must not be searched to its end."""
@@ -70,40 +71,6 @@ def take(data: bytes | memoryview, offset: int, count: int, where: Path | str, w
     if offset + count > len(data):
         raise ValueError(f"{where}: truncated: {what} needs {count} bytes at byte {offset}, the file has {len(data)}")
     return memoryview(data)[offset : offset + count]
-
-
-@contextlib.contextmanager
-def writing(path: Path) -> Iterator[BinaryIO]:
-    """A file that appears at `path` complete (flushed, synced, renamed) or, when the block raises, not at all.
-
-    An existing file keeps its permissions; a symbolic link keeps pointing where it points. OSError becomes ValueError.
-    """
-    target = Path(os.path.realpath(path))
-    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
-    try:
-        with open(partial, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        if target.exists():
-            shutil.copymode(target, partial)
-        os.replace(partial, target)
-        sync_folder(target.parent)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make a rename inside `folder` durable, where the system can do that."""
-    with contextlib.suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def printable(text: str, limit: int = 80) -> str:

@@ -34,7 +34,7 @@ _SITE = 1 << 15
 @lru_cache(maxsize=1)
 def table() -> tuple[np.ndarray, np.ndarray]:
     """([O] parent peak alphas, ascending, [O, REACH + 1] peaks of the central child and of those 1, 2 sites away)."""
-    data = json.loads(files("splatpainter.lift").joinpath("split_table.json").read_text())
+    data = json.loads(files("splatpainter.lift").joinpath("split_table.json").read_text(encoding="utf-8"))
     return np.array(data["opacities"]), np.array(data["peaks"])
 
 

@@ -12,12 +12,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatpainter import user_folders
 from splatpainter.io.files import writing
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -40,14 +40,7 @@ SUFFIX = ".safetensors"
 def cache_folder() -> Path:
     """The folder that VARIABLE names, or `splatpainter` in the user's cache folder of this platform."""
     named = os.environ.get(VARIABLE)
-    if named:
-        return Path(named)
-    home = Path.home()
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "splatpainter" / "Cache"
-    if sys.platform == "darwin":
-        return home / "Library" / "Caches" / "splatpainter"
-    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "splatpainter"
+    return Path(named) if named else user_folders.cache_folder()
 
 
 def digest(model: SplatPainterModel) -> str:

@@ -11,6 +11,7 @@ import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 OPS_BETWEEN_CHECKS = 20_000
 """Instructions of SQLite's machine between two looks at how many there were."""
@@ -82,6 +83,13 @@ def is_unwritable(error: BaseException) -> bool:
     return (getattr(error, "sqlite_errorname", "") or "").startswith(UNWRITABLE)
 
 
+def _uri(path: Path) -> str:
+    """file:///... of a path. Not `Path.as_uri`: it makes a network folder (//server/share) a server's name, which SQLite
+    refuses."""
+    name = path.resolve().as_posix()
+    return ("file://" if name.startswith("/") else "file:///") + quote(name)
+
+
 def connect(uri: str) -> sqlite3.Connection:
     """A connection in autocommit mode that any thread may use."""
     return sqlite3.connect(uri, uri=True, timeout=10, isolation_level=None, check_same_thread=False)
@@ -89,7 +97,7 @@ def connect(uri: str) -> sqlite3.Connection:
 
 def open_writable(path: Path) -> sqlite3.Connection:
     """The database for writing, in WAL mode; that it can be written has been tried. Raises sqlite3.Error."""
-    connection = connect(f"{path.resolve().as_uri()}?mode=rw")
+    connection = connect(f"{_uri(path)}?mode=rw")
     with closed_on_error(connection):
         _distrust(connection)
         connection.execute("PRAGMA journal_mode=WAL").fetchall()
@@ -113,7 +121,7 @@ def try_writing(connection: sqlite3.Connection) -> None:
 def open_readable(path: Path) -> sqlite3.Connection:
     """The database for reading only; nothing in its folder is made or changed where it was closed properly.
     Raises sqlite3.Error; ValueError where its log is needed and the folder allows no files."""
-    uri = f"{path.resolve().as_uri()}?mode=ro"
+    uri = f"{_uri(path)}?mode=ro"
     log = path.with_name(path.name + "-wal")
     connection = connect(uri)
     try:

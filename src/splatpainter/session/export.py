@@ -76,7 +76,7 @@ def export_asset(
         proved, found = prove(original, partial, receipt)
         with files.writing(receipt_path) as file:
             file.write(proved.to_json().encode())
-            os.replace(partial, path)
+            files.replace(partial, path)
     files.sync_folder(path.parent)
     return proved, found
 

@@ -2,8 +2,9 @@
 
 The lock is an exclusive SQLite transaction on an empty database beside the project (NAME.splatproj-lock). SQLite takes
 the operating system's own file locks (fcntl, LockFileEx), so a killed process frees them at once, and two openers in
-one process exclude each other too, which plain fcntl locks do not. A lock row with a heartbeat would need clocks, a
-time to wait after a crash, and would trust a stopped process to be dead; locking the project database itself would keep
+one process exclude each other too, which plain fcntl locks do not. The package filelock (data/shards.py) would do as
+well; a session has SQLite at hand and needs no further package. A lock row with a heartbeat would need clocks, a time
+to wait after a crash, and would trust a stopped process to be dead; locking the project database itself would keep
 readers out as well. On network folders it is as good as the locks of that file system.
 """
 
@@ -13,6 +14,7 @@ import contextlib
 import sqlite3
 from pathlib import Path
 
+from splatpainter.io import files
 from splatpainter.session.database import is_unwritable
 
 LOCK_ENDING = "-lock"
@@ -46,9 +48,13 @@ class ProjectLock:
 
     def release(self) -> None:
         """Remove the file and let go. In this order: whoever locks the file in between finds that its name is gone."""
-        with contextlib.suppress(OSError):  # Windows removes no open file: it stays, empty and free
+        removed = False
+        with contextlib.suppress(OSError):
             self._path.unlink(missing_ok=True)
+            removed = True
         self._connection.close()
+        if not removed:  # Windows removes no open file: neither ours before, nor by now that of the next holder
+            files.remove(self._path)
 
 
 def _locked(path: Path, project: Path) -> sqlite3.Connection | None:

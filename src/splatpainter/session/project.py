@@ -469,7 +469,7 @@ def _place(path: Path, fill) -> None:
             os.fsync(file.fileno())
         for ending in ("-wal", "-shm"):  # of a project that was there and is replaced
             path.with_name(path.name + ending).unlink(missing_ok=True)
-        os.replace(partial, path)
+        files.replace(partial, path)
         files.sync_folder(path.parent)
     except OSError as error:
         raise ValueError(f"{path}: cannot be written ({error.strerror or error})") from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import mimetypes
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Literal
@@ -37,6 +38,8 @@ from splatpainter.studio.security import Access, Guard
 from splatpainter.studio.socket import serve
 
 STATIC = Path(__file__).with_name("static")
+PAGE_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+"""File ending -> what browsers must be told, as they do not guess (x-content-type-options)."""
 STATUS = {"input": 400, "cancelled": 409, "busy": 503, "schema": 409, "fault": 500}
 SOCKET_ONLY: tuple[type[Command], ...] = (Hello, Sync, Cancel)
 NO_STORE = {"cache-control": "no-store"}
@@ -77,6 +80,8 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
         await serve(hub, connection)
 
     if (STATIC / "index.html").is_file():
+        for ending, kind in PAGE_TYPES.items():  # the registry of Windows may call scripts text/plain
+            mimetypes.add_type(kind, ending)
         app.mount("/", StaticFiles(directory=STATIC, html=True))
     else:
         app.get("/", include_in_schema=False)(lambda: PlainTextResponse(UNBUILT))

@@ -12,6 +12,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 
+from splatpainter.io import files
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.studio.claims import Claim, claim_of
 from splatpainter.studio.problems import TooLarge
@@ -108,14 +109,15 @@ class Blobs:
             raise TooLarge(f"{name or 'picture'}: expected at most {self.limits.picture >> 20} MiB, got {size >> 20}")
         blob = Blob(sha256, self.folder / (sha256 + claim.ending), name, size, claim)
         with self._lock:
-            partial.replace(blob.path)
+            if not blob.path.exists():  # the same bytes; and Windows replaces no file that is being read
+                files.replace(partial, blob.path)
             self._kept[sha256] = blob
             self._kept.move_to_end(sha256)
             total = sum(kept.size for kept in self._kept.values())
             while total > self.limits.total and len(self._kept) > 1:
                 _, oldest = self._kept.popitem(last=False)
                 total -= oldest.size
-                oldest.path.unlink(missing_ok=True)
+                files.remove(oldest.path)
         return blob
 
 
@@ -139,7 +141,7 @@ class Incoming:
             self._file.close()
         except OSError:
             pass  # a full disk: what was written is dropped
-        self._partial.unlink(missing_ok=True)
+        files.remove(self._partial)
         self._store._take_in(-self._size, self._name)
         self._size = 0
 

@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from splatpainter.cameras import Camera
 from splatpainter.framing import AUTO_UP
+from splatpainter.io import files
 from splatpainter.session import Session
 from splatpainter.session.scratch import ScratchFolder, sweep_folder, sweep_scratch
 from splatpainter.splats import Splats
@@ -26,8 +27,9 @@ from splatpainter.studio import describe
 from splatpainter.studio.blobs import Blobs, Limits
 from splatpainter.studio.messages.base import Problem
 from splatpainter.studio.messages.state import AssetInfo, ProjectInfo, State
-from splatpainter.studio.places import Downloads, Folder, Projects, data_folder
+from splatpainter.studio.places import Downloads, Folder, Projects
 from splatpainter.studio.problems import first_fault
+from splatpainter.user_folders import projects_folder
 
 EXPORTS = 64
 """Exported views that a returning picture is compared with."""
@@ -62,7 +64,7 @@ class Studio:
         behind is removed."""
         self.options = options
         self.folder = None if options.folder is None else Folder(options.folder)
-        self.projects = Projects(options.projects or data_folder())
+        self.projects = Projects(options.projects or projects_folder())
         sweep_scratch()
         places = {self.projects.root, self.folder and self.folder.root, session.path and session.path.parent}
         for place in places - {None}:
@@ -177,8 +179,7 @@ def _leave(session: Session, projects: Projects) -> None:
     unused = unused and len(session.history) == 1 and not session.bookmarks() and session.up == AUTO_UP
     session.close()
     if unused and path is not None:
-        with contextlib.suppress(OSError):
-            path.unlink(missing_ok=True)
+        files.remove(path)
 
 
 @contextlib.contextmanager

@@ -8,13 +8,12 @@ from __future__ import annotations
 import os
 import re
 import secrets
-import sys
 import time
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from splatpainter.io import format_of_name
+from splatpainter.io import files, format_of_name
 
 PROJECT = ".splatproj"
 DOWNLOADS = 16
@@ -94,17 +93,6 @@ class Projects:
         raise ValueError(f"project {id!r}: not among the recent ones (any more)")
 
 
-def data_folder() -> Path:
-    """Where this user's programs keep their data (XDG, macOS, Windows)."""
-    if sys.platform == "darwin":
-        base = Path.home() / "Library" / "Application Support"
-    elif sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    else:
-        base = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
-    return base / "splatpainter" / "projects"
-
-
 @dataclass
 class Downloads:
     """Files made for a download, by a secret key."""
@@ -124,7 +112,7 @@ class Downloads:
         self._files[key] = path
         while len(self._files) > DOWNLOADS:
             _, oldest = self._files.popitem(last=False)
-            oldest.unlink(missing_ok=True)
+            files.remove(oldest)  # Windows: not while it is sent
         return f"/api/files/{key}/{path.name}"
 
     def find(self, key: str, name: str) -> Path:

@@ -102,6 +102,6 @@ def _type(field: dict[str, Any]) -> str:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        Path(sys.argv[1]).write_text(typescript(), encoding="utf-8")
+        Path(sys.argv[1]).write_text(typescript(), encoding="utf-8", newline="\n")
     else:
         sys.stdout.write(typescript())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +14,9 @@ from splatpainter.splats import Frame, Splats
 from splatpainter.studio.connections import ConnectionLimits, bounded
 from splatpainter.studio.core import Options, Studio
 from splatpainter.studio.demo import demo
-from splatpainter.studio.places import PROJECT, Projects, data_folder
+from splatpainter.studio.places import PROJECT, Projects
 from splatpainter.studio.security import Access
+from splatpainter.user_folders import projects_folder
 
 PORT = 8750
 TRIES = 20
@@ -31,7 +33,7 @@ def open_session(
         return Session.load(asset), Path(asset).stem
     name = "demo" if asset is None else "asset" if isinstance(asset, Splats) else Path(asset).name
     splats = demo() if asset is None else asset if isinstance(asset, Splats) else read(asset, frame=frame)
-    return Session(splats, Projects(projects or data_folder()).fresh(name)), name
+    return Session(splats, Projects(projects or projects_folder()).fresh(name)), name
 
 
 def listen(host: str, port: int | None) -> socket.socket:
@@ -42,7 +44,10 @@ def listen(host: str, port: int | None) -> socket.socket:
     for number in wanted:
         # asyncio turns Nagle's delays (40 ms an answer) off for sockets that say that they are TCP
         own = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if sys.platform == "win32":  # there REUSEADDR lets two programs listen on one port
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             own.bind((host, number))
             own.listen(128)

@@ -8,6 +8,7 @@ W processes see the same batches as one. Knows no stage.
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
 from collections import defaultdict
@@ -315,7 +316,10 @@ def _signals(loop: Loop) -> Iterator[None]:
         for sign, handler in before.items():
             signal.signal(sign, handler)
 
-    for sign in (signal.SIGINT, signal.SIGTERM):
+    signs = [signal.SIGINT, signal.SIGTERM]
+    if sys.platform == "win32":
+        signs.append(signal.SIGBREAK)  # what another program can send there
+    for sign in signs:
         before[sign] = signal.signal(sign, told)
     try:
         yield

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -21,6 +20,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+from splatpainter.evaluate import processes
 from splatpainter.parallel import VARIABLE
 
 COMMAND: tuple[str, ...] = (sys.executable, "-m", "splatpainter.evaluate.paper.worker")
@@ -129,7 +129,7 @@ class Children:
                             left.remove(told["end"])
                             begun = ""
                             yield Event(plan, told["end"], told.get("said", ""))
-                    code = _outcome(child)
+                    code = processes.reap(child)
                 finally:
                     _end(child)
                     with self._lock:
@@ -153,13 +153,10 @@ class Children:
             if self._closed:
                 return None
             pipe = subprocess.PIPE
-            # A session of its own: Ctrl-C reaches this process alone, which then ends its children.
-            child = subprocess.Popen(
-                COMMAND, stdin=pipe, stdout=pipe, stderr=log, env=variables, start_new_session=True
-            )
+            child = processes.begin(COMMAND, stdin=pipe, stdout=pipe, stderr=log, env=variables)
             self._live.add(child)
         assert child.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it died at once: its exit code tells
+        with contextlib.suppress(OSError):  # it died at once: its exit code tells (a broken pipe; EINVAL on Windows)
             child.stdin.write(text.encode())
             child.stdin.flush()
         return child
@@ -171,9 +168,7 @@ def stop_with_parent() -> None:
     def wait() -> None:
         while os.read(0, 4096):
             pass
-        if hasattr(os, "killpg") and os.getpgrp() == os.getpid():
-            os.killpg(os.getpgrp(), signal.SIGKILL)
-        os._exit(1)
+        processes.end_own_group()
 
     threading.Thread(target=wait, daemon=True, name="stop with parent").start()
 
@@ -193,19 +188,10 @@ def _lines(child: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
                 yield told
 
 
-def _outcome(child: subprocess.Popen[bytes]) -> int:
-    """The exit code of a child that has closed its stdout; what it started and left behind is killed."""
-    with contextlib.suppress(OSError, AttributeError):  # not every system has these
-        os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # its group is its own until it is reaped
-        os.killpg(child.pid, signal.SIGKILL)
-    return child.wait()
-
-
 def _end(child: subprocess.Popen[bytes]) -> None:
     """Kill a child and its group, if it is still there, and close its pipes."""
     if child.poll() is None:
-        with contextlib.suppress(OSError):
-            os.killpg(child.pid, signal.SIGKILL) if hasattr(os, "killpg") else child.kill()
+        processes.kill(child)
     child.wait()
     for pipe in (child.stdin, child.stdout):
         if pipe is not None:
@@ -215,7 +201,7 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 def _reason(code: int, log: Path, start: int) -> str:
     if code < 0:
-        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        name = processes.signal_name(code)
         hint = "; out of memory?" if name == "SIGKILL" else ""
         return f"its process ended by {name}{hint}"
     with open(log, "rb") as file:

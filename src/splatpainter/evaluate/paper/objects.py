@@ -146,7 +146,7 @@ def _details(folder: Path) -> dict[str, float]:
             continue
         found = {}
         try:
-            with open(manifest, newline="", encoding="utf-8") as file:
+            with open(manifest, newline="", encoding="utf-8-sig") as file:
                 for row in csv.DictReader(file):
                     known = DETAIL.search(row.get("notes") or "")
                     path = (place / (row.get("path") or "")).resolve()

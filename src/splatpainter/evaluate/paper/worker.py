@@ -40,7 +40,7 @@ def main(ready: Callable[[], None] | None = None) -> None:
     """Do the job on stdin. ready: called before the first edit, so that no method pays for loading what all share."""
     job = json.loads(sys.stdin.readline())
     stop_with_parent()
-    with os.fdopen(os.dup(1), "w") as channel:
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as channel:
         os.dup2(2, 1)  # what methods print goes to the log
         if job["task"] == "make":
             _make(job, channel)
@@ -186,7 +186,7 @@ def _figures(told: dict[str, float | None]) -> dict[str, float | None]:
 def _forget_peak() -> None:
     """Start the peak of resident memory anew, where the system can: scoring the case before is not the method's."""
     with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
 def _gpu(budget: Budget) -> str:

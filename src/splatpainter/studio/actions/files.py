@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from splatpainter.io import FORMATS, read
+from splatpainter.io import FORMATS, files, read
 from splatpainter.session import Session
 from splatpainter.session.scratch import scratch_folder
 from splatpainter.splats import Splats
@@ -122,8 +122,7 @@ def save_as(call: Call, command: say.ProjectSaveAs) -> Answer:
     before = studio.session.path
     studio.session.save_as(path, overwrite=command.overwrite)
     if before is not None and before.parent == studio.projects.root:
-        with contextlib.suppress(OSError):
-            before.unlink(missing_ok=True)  # it moved
+        files.remove(before)  # it moved
     studio.name = path.stem
     return Answer(python=python_line("session.save_as", name))
 

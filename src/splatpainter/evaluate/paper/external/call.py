@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import signal
 import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-GRACE = 5.0
-"""Seconds between asking processes to end and ending them."""
+from splatpainter.evaluate import processes
+
 DROPPED = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "PYTHONWARNINGS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables of this process that mean another environment, or this machine's sharing among processes."""
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[\x00-\x08\x0b\x0c\x0e-\x1f]")
@@ -37,7 +36,7 @@ def run(
     status than 0, or takes longer than `timeout` seconds. All of its group are ended then, and also when this process
     is interrupted or killed."""
     surroundings = {k: v for k, v in os.environ.items() if k not in DROPPED} | {"PYTHONUNBUFFERED": "1"}
-    if python and os.sep in python:
+    if os.path.dirname(python):
         surroundings["PATH"] = os.path.dirname(python) + os.pathsep + surroundings.get("PATH", "")
     surroundings |= environment or {}
     name = " ".join([os.path.basename(command[0]), *command[1:3]]).splitlines()[0][:60]
@@ -47,14 +46,13 @@ def run(
         output.flush()
         start = time.perf_counter()
         try:
-            child = subprocess.Popen(
+            child = processes.begin(
                 list(command),
                 cwd=folder,
                 env=surroundings,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,
             )
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
@@ -66,7 +64,7 @@ def run(
             raise ValueError(f"{name}: took longer than {timeout:g} s; {_said(log)}") from None
         finally:
             seconds = time.perf_counter() - start
-            _end_group(child)
+            processes.end(child)
     if status:
         how = f"ended by signal {-status}" if status < 0 else f"ended with status {status}"
         raise ValueError(f"{name}: {how}; {_said(log)}")
@@ -94,11 +92,11 @@ def last_line(log: Path) -> str:
 
 @contextlib.contextmanager
 def _guarded(child: subprocess.Popen[bytes]) -> Iterator[None]:
-    """While this lasts, the child's group ends with this process, even where that is killed: a shell waits for the end
-    of a pipe that only this process holds."""
-    command = ["/bin/sh", "-c", 'read line; kill -KILL -- "-$1"', "sh", str(child.pid)]
+    """While this lasts, the child's group ends with this process, even where that is killed: another process waits for
+    the end of a pipe that only this one holds."""
     quiet = subprocess.DEVNULL
-    guard = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet, start_new_session=True)
+    command = processes.watch_command(child.pid)
+    guard = processes.begin(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet)
     try:
         yield
     finally:
@@ -111,27 +109,3 @@ def _guarded(child: subprocess.Popen[bytes]) -> Iterator[None]:
 def _said(log: Path) -> str:
     line = last_line(log)
     return f"{line or 'it said nothing'} (log: {log})"
-
-
-def _end_group(child: subprocess.Popen[bytes]) -> None:
-    """End whatever is left of the child's group, also what it started and left behind."""
-    for how, patience in ((signal.SIGTERM, GRACE), (signal.SIGKILL, 1.0)):
-        try:
-            os.killpg(child.pid, how)
-        except (ProcessLookupError, PermissionError):
-            break
-        until = time.monotonic() + patience
-        while time.monotonic() < until and _alive(child):
-            time.sleep(0.02)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        child.wait(1.0)
-
-
-def _alive(child: subprocess.Popen[bytes]) -> bool:
-    """Whether anybody of the child's group is left. The child itself is reaped, so that it does not count dead."""
-    child.poll()
-    try:
-        os.killpg(child.pid, 0)
-    except (ProcessLookupError, PermissionError):
-        return False
-    return True

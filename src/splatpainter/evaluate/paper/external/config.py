@@ -15,6 +15,7 @@ import hashlib
 import os
 import re
 import shutil
+import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -81,7 +82,7 @@ class Section:
 def sections(path: Path) -> dict[str, dict[str, Any]]:
     """Name of table -> its keys, unchecked. Raises ValueError for a file that is missing or no TOML."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise ValueError(f"{path}: cannot be read as the adapters file ({reason}); see {GUIDE}") from None
@@ -104,7 +105,7 @@ def section(path: Path, name: str) -> Section | None:
     values = {key: _checked(f"{where} {key}", key, value) for key, value in found.items()}
     if values.get("repository"):
         values["repository"] = _place(path, values["repository"])
-    if os.sep in values.get("python", ""):
+    if os.path.dirname(values.get("python", "")):
         values["python"] = str(_place(path, values["python"]))
     return Section(name, **values)
 
@@ -141,6 +142,8 @@ def has_cuda_gpu() -> bool:
     """Whether this machine shows an NVIDIA GPU to its processes. Not by our own torch: the systems bring theirs."""
     if os.environ.get("CUDA_VISIBLE_DEVICES", "all").strip() in ("", "-1"):
         return False
+    if sys.platform == "win32":
+        return shutil.which("nvidia-smi") is not None  # comes with the driver
     return any(Path("/dev").glob("nvidia[0-9]*")) or Path("/dev/dxg").exists()
 
 
@@ -149,8 +152,10 @@ def commit(repository: Path | None) -> str:
     if repository is None:
         return ""
     try:
-        head = (repository / ".git" / "HEAD").read_text().strip()
-        return (repository / ".git" / head[5:]).read_text().strip() if head.startswith("ref: ") else head
+        head = (repository / ".git" / "HEAD").read_text(encoding="utf-8").strip()
+        if not head.startswith("ref: "):
+            return head
+        return (repository / ".git" / head[5:]).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError):
         return ""
 

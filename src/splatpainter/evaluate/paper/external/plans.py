@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -189,7 +190,19 @@ def _linked(source: Path, target: Path, inside: str, hidden: tuple[str, ...]) ->
         if any(name.startswith(f"{path}/") for name in hidden):
             _linked(source / entry, target / entry, f"{path}/", hidden)
         else:
-            (target / entry).symlink_to((source / entry).resolve())
+            link(target / entry, (source / entry).resolve())
+
+
+def link(path: Path, target: Path) -> None:
+    """A symbolic link at `path`, or a copy where the system allows none (Windows asks for a privilege). target:
+    absolute, or relative to the link's folder."""
+    try:
+        path.symlink_to(target, target_is_directory=(path.parent / target).is_dir())
+    except OSError:
+        if path.is_symlink() or path.exists():
+            raise
+        source = path.parent / target
+        shutil.copytree(source, path) if source.is_dir() else shutil.copy2(source, path)
 
 
 def one_of(job: Job) -> str:

@@ -6,11 +6,13 @@ environment map; methods of these tables get relit views instead (Work has no ma
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from splatpainter.evaluate.paper.external import alignment, exchange
 from splatpainter.evaluate.paper.external.config import GUIDE, Section
-from splatpainter.evaluate.paper.external.plans import Job, Plan, System
+from splatpainter.evaluate.paper.external.plans import Job, Plan, System, link
 
 VIEWS = 8
 """It takes 4 to 8."""
@@ -22,7 +24,7 @@ def plan(job: Job) -> Plan:
     count = min(job.own.views or VIEWS, len(base))
     chosen = base.take(np.linspace(0, len(base), count, endpoint=False).astype(int))
     exchange.posed(job.inputs / "base", chosen)
-    (job.inputs / "views").symlink_to("base")
+    link(job.inputs / "views", Path("base"))
     return Plan(
         edit=(),
         result=job.out / "edited.ply",

@@ -1,0 +1,143 @@
+"""What `pip install splatpainter[studio]` gives, in an empty folder: the wheel, the demo, the studio. No network."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import urllib.request
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import splatpainter
+from splatpainter.evaluate import processes
+from splatpainter.user_folders import PROJECTS_VARIABLE
+from splatpainter.warmup import ensure_compiled
+
+ROOT = Path(__file__).resolve().parents[1]
+PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built from a copy of the checkout, so that nothing is left in it and no old build gets in."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    shutil.copytree(ROOT / "src", source / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    words = ["wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder), str(source)]
+    done = subprocess.run([*PIP, *words], capture_output=True, encoding="utf-8", errors="replace")
+    assert done.returncode == 0, done.stderr
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that it is installed into. Its kernels are those of the checkout, as long as the code is: compiling
+    them again would take longer than all tests here."""
+    folder = tmp_path_factory.mktemp("site")
+    words = ["install", "--no-deps", "--no-index", "--target", str(folder), str(wheel)]
+    done = subprocess.run([*PIP, *words], capture_output=True, encoding="utf-8", errors="replace")
+    assert done.returncode == 0, done.stderr
+    ensure_compiled(progress=False)
+    checkout = Path(splatpainter.__file__).parent
+    for source in checkout.rglob("*.py"):
+        copy = folder / "splatpainter" / source.relative_to(checkout)
+        assert copy.read_bytes() == source.read_bytes()
+        os.utime(copy, ns=(source.stat().st_atime_ns, source.stat().st_mtime_ns))  # what numba's cache goes by
+    for pattern in ("*.nbi", "*.nbc", "*.json"):
+        for cached in checkout.rglob(f"__pycache__/{pattern}"):
+            target = folder / "splatpainter" / cached.relative_to(checkout)
+            target.parent.mkdir(exist_ok=True)
+            shutil.copy(cached, target)
+    return folder
+
+
+def command(installed: Path) -> str:
+    """The program that pip made."""
+    found = shutil.which("splatpainter", path=os.pathsep.join([str(installed / "bin"), str(installed / "Scripts")]))
+    assert found is not None, sorted(installed.iterdir())
+    return found
+
+
+def surroundings(installed: Path, home: Path) -> dict[str, str]:
+    folders = {"XDG_CACHE_HOME": str(home / "cache"), PROJECTS_VARIABLE: str(home / "projects")}
+    return {**os.environ, **folders, "PYTHONPATH": str(installed)}
+
+
+def test_the_wheel_has_what_the_package_needs_and_nothing_else(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as bundle:
+        names = set(bundle.namelist())
+    expected = {
+        path.relative_to(ROOT / "src").as_posix()
+        for path in (ROOT / "src" / "splatpainter").rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    packed = {name for name in names if ".dist-info/" not in name}
+    assert packed == expected
+    for part in ("studio/static/index.html", "studio/static/studio.js", "train/recipes/", "weights/", "py.typed"):
+        assert any(name.startswith(f"splatpainter/{part}") for name in packed), part
+    assert any(name.endswith(".safetensors") for name in packed)
+    assert not any("test" in Path(name).name.split("_") or name.startswith(("tests", "web")) for name in names)
+
+
+def test_the_demo_runs_in_an_empty_folder(installed: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    asked = "import splatpainter, sys; print(splatpainter.__file__, 'torch' in sys.modules)"
+    variables = surroundings(installed, tmp_path)
+    where = subprocess.run(
+        [sys.executable, "-c", asked], cwd=tmp_path, env=variables, capture_output=True, encoding="utf-8"
+    )
+    assert where.stdout.startswith(str(installed)), where
+    done = subprocess.run(
+        [command(installed), "demo", "--size", "64"],
+        cwd=tmp_path / "empty",
+        env=variables,
+        capture_output=True,
+        encoding="utf-8",
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    assert {"painted.ply", "painted.ply.receipt.json", "overview.png", "turntable.webp"} <= {
+        path.name for path in (tmp_path / "empty" / "demo").iterdir()
+    }
+
+
+def test_the_studio_serves_its_page(installed: Path, tmp_path: Path) -> None:
+    """On a small asset: the demo's would take seconds to make."""
+    from cli_scenes import ball, saved
+
+    (tmp_path / "empty").mkdir()
+    asset = saved(tmp_path / "ball.ply", ball(200))
+    words = [command(installed), "studio", str(asset), "--no-browser", "--port", "0"]
+    pipe = subprocess.PIPE
+    server = processes.begin(
+        words, cwd=tmp_path / "empty", env=surroundings(installed, tmp_path), stdout=subprocess.DEVNULL, stderr=pipe
+    )
+    assert server.stderr is not None
+    try:
+        said: list[bytes] = []
+        url = None
+        for line in server.stderr:
+            said.append(line)
+            if url := re.search(rb"http://\S+/", line):
+                break
+        assert url is not None, said
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        for path, kind in (("", "text/html"), ("studio.js", "text/javascript"), ("api/state", "application/json")):
+            with opener.open(url.group().decode() + path, timeout=60) as answer:
+                assert answer.status == 200 and answer.headers["content-type"].startswith(kind), path
+        processes.interrupt(server)
+        server.communicate(timeout=60)
+        if sys.platform != "win32":
+            assert server.returncode == 0
+    finally:
+        processes.end(server)
+        server.stderr.close()
+    assert not list((tmp_path / "empty").iterdir()), "nothing is left where it was started"
