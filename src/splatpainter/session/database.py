@@ -84,7 +84,7 @@ def is_unwritable(error: BaseException) -> bool:
 
 
 def _uri(path: Path) -> str:
-    """file:///... of a path. Not `Path.as_uri`: it makes a network folder (//server/share) a server's name, which SQLite
+    """file:///... of a path. Not `Path.as_uri`, which makes a network folder (//server/share) a server, which SQLite
     refuses."""
     name = path.resolve().as_posix()
     return ("file://" if name.startswith("/") else "file:///") + quote(name)
