@@ -23,8 +23,8 @@ what the file says, else what its format has by default."""
 SH_COUNTS = {1: 0, 4: 1, 9: 2, 16: 3, 25: 4}
 """Number of SH coefficients -> degree."""
 MAX_MAGNITUDE = 1e15
-"""Means, scales, quaternions and SH coefficients beyond this are not drawn: their squares, summed over a hundred
-million rows or pixels, would not fit into float32."""
+"""Rows whose means, scales, quaternions or SH coefficients go beyond this are not drawn: their squares, summed over a
+hundred million rows or pixels, would not fit into float32."""
 MIN_QUAT = 1e-15
 """A quaternion whose largest component is below this counts as zero: its squares vanish in float32."""
 SH_C0 = 0.28209479177387814
@@ -46,7 +46,7 @@ class Splats:
     """[N] peak alpha, 0..1 (not logit)."""
     sh: Array
     """[N, K, 3] spherical harmonics, K = (degree + 1)^2, 1 to 25; colour(d) = max(0.5 + sum_k Y_k(d) sh_k, 0).
-    Each within MAX_MAGNITUDE."""
+    Magnitudes of a row sum to at most MAX_MAGNITUDE."""
     antialiased: bool = False
     """True: trained with Mip-Splatting's 2D filter; the renderer compensates opacity for the 0.3 px blur."""
     color_space: ColorSpace = "srgb"
@@ -113,12 +113,15 @@ class Splats:
                 ("quats", -MAX_MAGNITUDE, MAX_MAGNITUDE),
                 ("scales", 0, MAX_MAGNITUDE),
                 ("opacities", 0, 1),
-                ("sh", -MAX_MAGNITUDE, MAX_MAGNITUDE),
             ):
                 values = getattr(own, name)
                 # The extremes of all rows first: one pass without a temporary, which is all that most assets need.
                 if values.size and not (values.min() >= least and values.max() <= most):
                     ok &= ((values >= least) & (values <= most)).all(tuple(range(1, values.ndim)))
+            # As a sum, which kernels take many at a time. No row of values below a hundredth can exceed it.
+            if own.sh.size and not max(-own.sh.min(), own.sh.max()) <= MAX_MAGNITUDE / 100:
+                with np.errstate(over="ignore"):
+                    ok &= np.abs(own.sh).sum((1, 2)) <= MAX_MAGNITUDE
             return ok & (own.scales > 0).all(1) & (np.abs(own.quats) >= MIN_QUAT).any(1)
 
     @cached_property

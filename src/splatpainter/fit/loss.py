@@ -28,6 +28,7 @@ STRIPE = 8
 """Rows of pixels that a thread takes at a time."""
 
 
+@np.errstate(over="ignore", invalid="ignore")  # pictures beyond float32 have an infinite loss, or NaN
 def picture_loss(
     image: np.ndarray, target: np.ndarray, weights: np.ndarray | None, share: float
 ) -> tuple[float, np.ndarray]:

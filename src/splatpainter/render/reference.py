@@ -104,9 +104,9 @@ def drawable(splats: Splats) -> Tensor:
     """[N] bool: every attribute finite and in its range, see `Splats`. Other rows are not drawn."""
     ok = (splats.opacities >= 0) & (splats.opacities <= 1) & (splats.scales > 0).all(1)  # [N]
     ok = ok & (splats.quats.abs() >= MIN_QUAT).any(1)
-    for values in (splats.means, splats.quats, splats.scales, splats.sh):
-        ok = ok & (values.abs() <= MAX_MAGNITUDE).flatten(1).all(1)
-    return ok
+    for values in (splats.means, splats.quats, splats.scales):
+        ok = ok & (values.abs() <= MAX_MAGNITUDE).all(1)
+    return ok & (splats.sh.abs().sum((1, 2)) <= MAX_MAGNITUDE)
 
 
 def composite(alpha: Tensor, profile: Profile = "inria") -> tuple[Tensor, Tensor]:

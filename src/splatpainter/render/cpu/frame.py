@@ -225,7 +225,8 @@ def project(
     records, keys = lanes.aligned((size, lanes.RECORD), dtype), np.empty(size, dtype)
     (row, room), counts = np.empty((2, size), np.int32), np.empty(blocks, np.int32)
     if len(tile_ids) and n and np.abs(camera.position).max() <= MAX_MAGNITUDE:
-        arguments = (*attributes, splats.sh_degree, keep, cam, bool(splats.antialiased), grid, slots)
+        settings = (splats.sh_degree, keep, cam, bool(splats.antialiased), grid, slots)
+        arguments = (*attributes, attributes[4].reshape(n, -1), *settings)
         run(projection.project_rows, *arguments, records, keys, row, room, counts)
     else:
         counts[:] = 0

@@ -117,20 +117,23 @@ def project_axes(p00, p01, p02, p10, p11, p12, q):
 
 
 @strict
-def within_range(means, quats, sh, n):
-    """Whether a row's centre, quaternion and colours are in the ranges of Splats.finite; NaN is not."""
+def within_range(means, quats, n):
+    """Whether a row's centre and quaternion are in the ranges of Splats.finite; NaN is not."""
     F = means.dtype.type
     largest = F(MAX_MAGNITUDE)
-    within = abs(means[n, 0]) <= largest and abs(means[n, 1]) <= largest and abs(means[n, 2]) <= largest
-    norm = F(0)
-    for c in range(4):
-        within &= abs(quats[n, c]) <= largest
-        norm = max(norm, abs(quats[n, c]))
-    within &= norm >= F(MIN_QUAT)
-    for c in range(sh.shape[1]):
-        for channel in range(3):
-            within &= abs(sh[n, c, channel]) <= largest
-    return within
+    norm = max(max(abs(quats[n, 0]), abs(quats[n, 1])), max(abs(quats[n, 2]), abs(quats[n, 3])))
+    if not (norm >= F(MIN_QUAT) and norm <= largest):
+        return False
+    return abs(means[n, 0]) <= largest and abs(means[n, 1]) <= largest and abs(means[n, 2]) <= largest
+
+
+@device
+def magnitude(values, n):
+    """Sum of the magnitudes of values[n] ([N, C]); NaN where one is NaN."""
+    total = values.dtype.type(0)
+    for c in range(values.shape[1]):
+        total += abs(values[n, c])
+    return total
 
 
 @strict

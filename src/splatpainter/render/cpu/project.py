@@ -25,6 +25,7 @@ def project_rows(
     scales,  # [N, 3]
     opacities,  # [N]
     sh,  # [N, K, 3]
+    flat,  # [N, 3 K] the same
     degree,  # of sh
     keep,  # [N] bool, or [0]: all
     cam,  # geometry.camera_vector
@@ -139,7 +140,7 @@ def project_rows(
                 red += basis[c] * sh[n, c, 0]
                 green += basis[c] * sh[n, c, 1]
                 blue += basis[c] * sh[n, c, 2]
-            if not geo.within_range(means, quats, sh, n):
+            if not (geo.within_range(means, quats, n) and geo.magnitude(flat, n) <= largest):
                 continue
             records[at, 0] = mx
             records[at, 1] = my

@@ -37,12 +37,10 @@ def blocks_hit(m, e):
     """Blocks [begin, end) of a tile that [m - e, m + e] hits, m relative to the centre of the tile's first pixel."""
     zero = type(m)(0)
     limit = type(m)(TILE - 1)
-    low = m - e
-    high = m + e
-    if not high >= zero:  # NaN too
+    if m + e < zero:
         return 0, 0
-    low = low if low > zero else zero
-    return int(low if low < limit else limit) >> 2, (int(high if high < limit else limit) >> 2) + 1
+    # In this order of arguments NaN becomes the bound: casts of NaN are undefined.
+    return int(min(limit, max(zero, m - e))) >> 2, (int(min(limit, m + e)) >> 2) + 1
 
 
 @device
