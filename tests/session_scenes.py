@@ -29,6 +29,7 @@ class FlatPainter:
     model: Any = None
     """Any torch module: then it learns."""
     polish: bool = False
+    precision: str = "float32"
     calls: list[str] = field(default_factory=list)
 
     def choose(self, method: str, mode: str) -> tuple[str, str]:

@@ -274,7 +274,6 @@ def test_a_view_from_inside(view: Path, capfd: Capture) -> None:
 
 
 def test_methods_that_are_not_there(view: Path, capfd: Capture) -> None:
-    assert "trained weights" in refused(capfd, view.parent, view, "--method", "ttt")
     assert "fit" in refused(capfd, view.parent, view, "--method", "fit", "--mode", "global")
 
 

@@ -18,7 +18,7 @@ def two_rows() -> Splats:
         np.array([[1, 2, 3], [4, 5, 6]], np.float32),
         np.array([[2, 0, 0, 0], [0, 3, 0, 4]], np.float32),
         np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], np.float32),
-        np.array([0.5, 1.5], np.float32),
+        np.array([0.5, 1], np.float32),
         np.array([[[0.1, 0.2, 0.3]], [[0.4, 0.5, 0.6]]], np.float32),
     )
 
@@ -27,7 +27,7 @@ def test_a_delta_is_these_bytes() -> None:
     header = struct.pack("<8I", 0x53504C44, 1, 0, 7, 9, 2, 1, 1)
     row = struct.pack("<I", 1)
     geometry = struct.pack("<10f", 4, 5, 6, 0.4, 0.5, 0.6, 0, 0.6, 0, 0.8)
-    look = struct.pack("<4f", 1, 0.4, 0.5, 0.6)  # opacities above 1 are not for screens
+    look = struct.pack("<4f", 1, 0.4, 0.5, 0.6)
     assert frames.delta(two_rows(), np.array([1]), 7, 9) == header + row + geometry + look
 
 

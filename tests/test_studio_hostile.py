@@ -124,7 +124,7 @@ HOSTILE = {
     "unnamed.sog": bundle(b"{}", name="abc").replace(b"abc", b"\0bc"),
     "bzip2.sog": bundle(b'{"version": 2, "count": 1}' + b" " * (1 << 20), zipfile.ZIP_BZIP2),
     "lzma.sog": bundle(b'{"version": 2, "count": 1}' + b" " * (1 << 20), zipfile.ZIP_LZMA),
-    "long.sog": bundle(b'{"version": 2, "count": 1}' + b" " * (2 << 20), zipfile.ZIP_DEFLATED),
+    "long.sog": bundle(b'{"version": 2, "count": 1}' + b" " * (17 << 20), zipfile.ZIP_DEFLATED),
     "directory.sog": long_directory(),
     "cut.sog": bundle(b"{}")[:-10],
     "short.spz": b"\x1f\x8b\x08",

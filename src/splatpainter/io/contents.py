@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import gltf
+from splatpainter.io import gltf, spz
 from splatpainter.io.ply_header import Element, Header, element_size
 from splatpainter.io.ply_rows import TextRows
 from splatpainter.splats import Source
@@ -193,13 +193,15 @@ def _splat(record: Any) -> Contents:
 
 
 def _spz(file: Any) -> Contents:
+    """The frame in which the rows were read is a setting; the extension that says it is no other difference."""
     tables = []
     for name, words in file.streams.items():
         fields = tuple((f"{name} byte {k}", "u1") for k in range(words.shape[1]))
         tables.append(Table(words, fields, frozenset(n for n, _ in fields)))
-    settings = {"version": file.version, "fractional bits": file.fractional_bits, "flags": file.flags}
+    settings = {"version": file.version, "fractional bits": file.fractional_bits, "flags": file.flags & ~spz.EXTENDED}
+    settings["axes"] = spz.NAMES[file.frame - 1]
     settings["reserved bytes"] = bytes(file.reserved)
-    blocks = {"extensions": bytes(file.extensions), "trailing bytes": bytes(file.tail)}
+    blocks = {"extensions": spz.other_extensions(file), "trailing bytes": bytes(file.tail)}
     return Contents(tuple(tables), settings, blocks, unseen="how the streams are packed (gzip or zstd)")
 
 

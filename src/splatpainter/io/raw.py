@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
+from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, SH_C0, Splats
 
 BLOCK = 1 << 16
 """Values per block: float64 intermediates stay in the cache, and 1M+ rows cost no second copy in float64."""
@@ -70,7 +70,7 @@ def differs(new: np.ndarray, old: np.ndarray) -> np.ndarray:
 
 def oddities(splats: Splats) -> list[str]:
     """One line for each kind of row that cannot be drawn as it stands."""
-    found = []
+    lines = []
     finite = np.ones(len(splats), bool)
     with np.errstate(all="ignore"):  # signalling NaNs raise floating-point flags wherever they are touched
         for name in ATTRIBUTES:
@@ -78,13 +78,14 @@ def oddities(splats: Splats) -> list[str]:
             # One NaN or infinity makes the sum NaN or infinite: one cheap pass settles the usual, clean file.
             if not np.isfinite(values.sum()):
                 finite &= np.isfinite(values.reshape(len(splats), -1)).all(1)
-        counts = (
-            (np.count_nonzero(~finite), "with NaN or infinite values (kept, not drawn)"),
-            (np.count_nonzero(~splats.quats.any(1)), "with a zero rotation quaternion (kept, not drawn)"),
-            (np.count_nonzero((splats.scales <= 0).any(1)), "with a scale that is not positive (kept, not drawn)"),
-            (np.count_nonzero((splats.opacities < 0) | (splats.opacities > 1)), "with an opacity outside 0..1"),
+        hidden = (
+            (~finite, "with NaN or infinite values"),
+            (~splats.quats.any(1), "with a zero rotation quaternion"),
+            ((splats.scales <= 0).any(1), "with a scale that is not positive"),
+            ((splats.opacities < 0) | (splats.opacities > 1), "with an opacity outside 0..1"),
         )
-    for count, text in counts:
-        if count:
-            found.append(f"{count} {'row' if count == 1 else 'rows'} {text}")
-    return found
+        beyond = ~splats.finite & ~np.any([rows for rows, _ in hidden], 0)
+    for rows, text in (*hidden, (beyond, f"with values beyond +-{MAX_MAGNITUDE:g}, or a quaternion near zero")):
+        if count := np.count_nonzero(rows):
+            lines.append(f"{count} {'row' if count == 1 else 'rows'} {text} (kept, not drawn)")
+    return lines

@@ -317,6 +317,15 @@ def _frame_records(file: SpzFile) -> Iterator[int]:
         at += 8 + size
 
 
+def other_extensions(file: SpzFile) -> bytes:
+    """The extensions without the records of the frame."""
+    data, at = bytearray(), 0
+    for record in _frame_records(file):
+        data += file.extensions[at:record]
+        at = record + 12
+    return bytes(data + file.extensions[at:])
+
+
 def _saying_frame(file: SpzFile, new: bool) -> SpzFile:
     """The file with its frame in the extension, if it would be taken for another one without, or is new and of version
     4, where extensions have a place of their own: before that they stand behind the rows, and some readers (spz-js)
