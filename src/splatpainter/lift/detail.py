@@ -16,7 +16,7 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.colors import recolor
 from splatpainter.parallel import run
 from splatpainter.render.cpu.frame import Frame
-from splatpainter.splats import Splats
+from splatpainter.splats import MAX_MAGNITUDE, Splats
 
 DEPTH = 0.4
 """The surface is where this much of a pixel's light has been stopped: in front of the expected depth, so that little
@@ -65,6 +65,8 @@ def detail_rows(splats: Splats, frame: Frame, pixels: np.ndarray, wanted: np.nda
     width = WIDTH * z / camera.fx
     scales = np.stack([width * np.minimum(stretch, STEEPEST), width * np.minimum(tall, STEEPEST), width * THIN], 1)
     means = (_points(z, ys, xs, camera) - camera.world_to_camera[:3, 3]) @ turn
+    if not max(np.abs(means).max(), scales.max()) <= MAX_MAGNITUDE:  # seen through a lens beyond all measure
+        return None
     entries = host[ys, xs]
     hosts = splats.take(frame.rows[entries])
     sh = recolor(hosts.sh, frame.raw_colors[entries], wanted[ys, xs], 1.0)
