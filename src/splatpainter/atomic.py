@@ -89,8 +89,8 @@ def windows_refuses(name: str) -> str:
     """Why Windows has no ordinary file of this name (without folders), or ""."""
     if RESERVED_NAMES.match(name):
         return "is the name of a device on Windows"
-    if found := RESERVED_CHARACTERS.search(name):
-        return f"Windows allows no {found.group()!r} in names"
+    if match := RESERVED_CHARACTERS.search(name):
+        return f"Windows allows no {match.group()!r} in names"
     return "ends in a dot or a space, which Windows drops" if name.endswith((".", " ")) else ""
 
 

@@ -92,8 +92,8 @@ def changed_rows(before: Splats, after: Splats) -> np.ndarray:
             continue
         if old.shape[1:] != new.shape[1:]:
             return np.arange(n)
-        found = np.flatnonzero(_bits(old[:n]) != _bits(new[:n]))  # a reduction along short rows takes longer
-        changed[found // (old[:n].size // n)] = True
+        differing = np.flatnonzero(_bits(old[:n]) != _bits(new[:n]))  # a reduction along short rows takes longer
+        changed[differing // (old[:n].size // n)] = True
     return np.flatnonzero(changed)
 
 
@@ -158,9 +158,9 @@ def _stored_rows(
     for one, two in zip(old.tables, new.tables, strict=True):
         if one.first != two.first:  # of another row: values tell
             continue
-        found = rows_differ(one, two, min(len(one), len(two)))
-        rows = np.union1d(rows, one.first + found)
-        for name, where in fields_differ(one, two, found).items():
+        differing = rows_differ(one, two, min(len(one), len(two)))
+        rows = np.union1d(rows, one.first + differing)
+        for name, where in fields_differ(one, two, differing).items():
             if name in one.edited:
                 names.append(name)
             else:
@@ -236,8 +236,8 @@ def _chunk_problems(
     return [f"{name}: its rows {listed(strange)} differ although no Gaussian of them does"] if len(strange) else []
 
 
-def _without(lines: tuple[str, ...], others: tuple[str, ...]) -> list[str]:
-    rest = list(others)
+def _without(lines: tuple[str, ...], excluded: tuple[str, ...]) -> list[str]:
+    rest = list(excluded)
     out = []
     for line in lines:
         if line in rest:
@@ -247,19 +247,19 @@ def _without(lines: tuple[str, ...], others: tuple[str, ...]) -> list[str]:
     return out
 
 
-def _json_place(was: Any, now: Any, place: str = "") -> str:
+def _json_place(was: Any, now: Any, where: str = "") -> str:
     """The first place at which two trees differ, and how."""
     if isinstance(was, dict) and isinstance(now, dict):
         for key in sorted({*was, *now}):
             if key not in was or key not in now:
-                return f"{place}.{_quoted(key)[1:-1]} ({'new' if key not in was else 'missing'})"[:200]
+                return f"{where}.{_quoted(key)[1:-1]} ({'new' if key not in was else 'missing'})"[:200]
             if was[key] != now[key]:
-                return _json_place(was[key], now[key], f"{place}.{_quoted(key)[1:-1]}")
+                return _json_place(was[key], now[key], f"{where}.{_quoted(key)[1:-1]}")
     if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
         for k, (one, two) in enumerate(zip(was, now, strict=True)):
             if one != two:
-                return _json_place(one, two, f"{place}[{k}]")
-    return f"{place[:200] or 'its root'} ({_quoted(was)} became {_quoted(now)})"
+                return _json_place(one, two, f"{where}[{k}]")
+    return f"{where[:200] or 'its root'} ({_quoted(was)} became {_quoted(now)})"
 
 
 def _quoted(value: Any) -> str:
@@ -268,5 +268,5 @@ def _quoted(value: Any) -> str:
 
 
 def _some(names: list[str]) -> str:
-    shown = ", ".join(_quoted(name)[1:-1] for name in names[:MOST_NAMES])
-    return shown + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
+    text = ", ".join(_quoted(name)[1:-1] for name in names[:MOST_NAMES])
+    return text + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")

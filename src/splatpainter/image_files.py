@@ -157,12 +157,13 @@ def read_deep(path: Path, most_pixels: int) -> PixelSamples:
         names = [str(name).upper() for name in spec.channelnames]
         if spec.deep:
             raise ValueError(f"{path}: expected a flat picture, got deep samples; flatten it first")
-        wanted = next((k for k in (["R", "G", "B", "A"], ["R", "G", "B"], ["Y", "A"], ["Y"]) if {*k} <= {*names}), None)
-        if wanted is None:
-            shown = ", ".join(map(str, spec.channelnames[:8]))
-            raise ValueError(f"{path}: expected channels R, G, B or Y, got {shown}")
-        places = [names.index(name) for name in wanted]
-        first, last = min(places), max(places) + 1
+        layouts = ("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",)
+        channels = next((layout for layout in layouts if {*layout} <= {*names}), None)
+        if channels is None:
+            listed = ", ".join(map(str, spec.channelnames[:8]))
+            raise ValueError(f"{path}: expected channels R, G, B or Y, got {listed}")
+        positions = [names.index(name) for name in channels]
+        first, last = min(positions), max(positions) + 1
         if last - first > 16:
             raise ValueError(f"{path}: expected the colour channels side by side, got {last - first - 1} between them")
         pixels = source.read_image(0, 0, first, last, "float")
@@ -173,18 +174,18 @@ def read_deep(path: Path, most_pixels: int) -> PixelSamples:
         values = _windowed(np.nan_to_num(pixels), spec)
         turned = spec.getattribute("Orientation")
         orientation = turned if isinstance(turned, int) and 1 <= turned <= 8 else 1
-    return PixelSamples(values, len(wanted), bool(associated), orientation)
+    return PixelSamples(values, len(channels), bool(associated), orientation)
 
 
 def _windowed(pixels: np.ndarray, spec: Any) -> np.ndarray:
     """The display window of a picture that may hold more or less of it."""
-    whole = (spec.x, spec.y, spec.width, spec.height) == (
+    full_window = (spec.x, spec.y, spec.width, spec.height) == (
         spec.full_x,
         spec.full_y,
         spec.full_width,
         spec.full_height,
     )
-    if whole:
+    if full_window:
         return np.ascontiguousarray(pixels, np.float32)
     out = np.zeros((spec.full_height, spec.full_width, pixels.shape[2]), np.float32)
     left, top = spec.x - spec.full_x, spec.y - spec.full_y
@@ -198,8 +199,8 @@ def _windowed(pixels: np.ndarray, spec: Any) -> np.ndarray:
 def exr_text(path: Path, keyword: str, most_pixels: int) -> str | None:
     """A text attribute of an OpenEXR header; None where it has none. Raises ValueError as `read_deep`."""
     with _opened(path, most_pixels) as (_, spec):
-        found = spec.getattribute(keyword)
-        return found if isinstance(found, str) else None
+        value = spec.getattribute(keyword)
+        return value if isinstance(value, str) else None
 
 
 @contextlib.contextmanager

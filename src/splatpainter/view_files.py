@@ -127,10 +127,10 @@ def _picture(passes: Passes, camera: Camera, options: PictureOptions, space: Col
             light = np.concatenate([light * alpha, alpha], -1)
         samples = np.clip(light, 0, HALF_MAX).astype(np.float16 if options.depth == 16 else np.float32)
         return encode_exr(samples, ("R", "G", "B", "A")[: samples.shape[2]], text)
-    shown = np.clip(to_display(colors, space), 0, 1)
+    display = np.clip(to_display(colors, space), 0, 1)
     if options.transparent:
-        shown = np.concatenate([shown * alpha if options.transparent == "premultiplied" else shown, alpha], -1)
-    return encode_png(quantized(shown, options.depth), text, options.level)
+        display = np.concatenate([display * alpha if options.transparent == "premultiplied" else display, alpha], -1)
+    return encode_png(quantized(display, options.depth), text, options.level)
 
 
 def _aov(name: Aov, passes: Passes, options: PictureOptions) -> tuple[np.ndarray, dict[str, Any]]:

@@ -26,9 +26,9 @@ def rows(count: int, degree: int, seed: int = 0) -> Splats:
 
 def written(folder: Path, name: str, splats: Splats) -> bytes:
     """The bytes of a file that `write` makes."""
-    place = folder / name
-    place.unlink(missing_ok=True)
-    write(place, splats)
-    data = place.read_bytes()
-    place.unlink()
+    path = folder / name
+    path.unlink(missing_ok=True)
+    write(path, splats)
+    data = path.read_bytes()
+    path.unlink()
     return data

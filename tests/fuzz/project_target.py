@@ -78,9 +78,9 @@ class ProjectTarget(Target):
         """A project with a few layers, undone steps and a bookmark; over rows where there is no file."""
         source: Any = sheet()
         if asset:
-            place = self.folder / asset
-            place.write_bytes(written(self.folder, f"x{asset}", sheet()))
-            source = place
+            path = self.folder / asset
+            path.write_bytes(written(self.folder, f"x{asset}", sheet()))
+            source = path
         path = self.folder / "seed.splatproj"
         with Session(source, path, painter=self.painter, overwrite=True) as session:
             first = session.add("paint", [dab(0.9)])
@@ -193,12 +193,12 @@ class ProjectTarget(Target):
 
     def _nothing_left(self) -> None:
         """Of a closed project nothing but the file is left (and what was exported)."""
-        for place in list(self.folder.iterdir()):
-            ours = place.name in ("a.splatproj", "out.ply", "copy.splatproj", "a.splatlayer", "out.ply.receipt.json")
+        for path in list(self.folder.iterdir()):
+            ours = path.name in ("a.splatproj", "out.ply", "copy.splatproj", "a.splatlayer", "out.ply.receipt.json")
             if not ours:
                 with contextlib.suppress(OSError):
-                    place.unlink()
-                raise Fault(f"left behind: {place.name}")
+                    path.unlink()
+                raise Fault(f"left behind: {path.name}")
 
 
 def sheet() -> Splats:

@@ -54,12 +54,12 @@ class FileTarget(Target):
         if writer is None:
             return
         (name, data), *_ = files.items()
-        place = back / name
+        path = back / name
         try:
-            writer(place, splats)
+            writer(path, splats)
         except ValueError as error:
             raise Fault(f"what was read is not written: {str(error)[:300]}") from error
-        if place.read_bytes() != data:
+        if path.read_bytes() != data:
             raise Fault(f"saved untouched, the {splats.source.format} file is not the same byte for byte")
 
     def warm_up(self) -> None:
@@ -91,7 +91,7 @@ def check_described(splats: Splats, path: Path) -> None:
         raise Fault(f"info prints what is not printable: {[x for x in lines if not x.isprintable()][0][:200]!r}")
 
 
-def check_edited(splats: Splats, place: Path, rng: random.Random) -> None:
+def check_edited(splats: Splats, path: Path, rng: random.Random) -> None:
     """A recoloured row and an appended one: the file has one more row, and where nothing rounds the others are same."""
     assert splats.source is not None
     key = splats.source.format
@@ -105,11 +105,11 @@ def check_edited(splats: Splats, place: Path, rng: random.Random) -> None:
     if rng.random() < 0.5:
         edited = edited.append(edited.take(np.array([row])))
     try:
-        writer(place, edited)
+        writer(path, edited)
     except ValueError as error:
         refusal(error)
         return
-    again = read(place)
+    again = read(path)
     if len(again) != len(edited):
         raise Fault(f"{len(edited)} rows were written, {len(again)} are read")
     if key not in ("ply", "spz", "splat") or again.source is None or again.source.format != key:

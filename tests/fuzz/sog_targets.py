@@ -74,8 +74,8 @@ class SogFolderTarget(FileTarget):
         for old in back.iterdir():
             old.unlink()
         write(back / "meta.json", splats, overwrite=True)
-        for place in back.iterdir():
-            assert place.read_bytes() == (self.folder / place.name).read_bytes(), place.name
+        for path in back.iterdir():
+            assert path.read_bytes() == (self.folder / path.name).read_bytes(), path.name
 
     def bent_files(self, rng: random.Random) -> dict[str, bytes]:
         files = dict(rng.choice(self.seeds))
@@ -145,11 +145,11 @@ class SogTarget(SogFolderTarget):
 
 def sog_files(folder: Path, splats: Splats) -> dict[str, bytes]:
     """The files of a sound asset, meta.json first."""
-    place = folder / "seed.sog"
-    write(place, splats, overwrite=True)
-    with zipfile.ZipFile(place) as archive:
+    path = folder / "seed.sog"
+    write(path, splats, overwrite=True)
+    with zipfile.ZipFile(path) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
-    place.unlink()
+    path.unlink()
     return dict(sorted(files.items(), key=lambda item: item[0] != "meta.json"))
 
 
@@ -202,8 +202,8 @@ def pack_zip(rng: random.Random, entries: list[Entry]) -> bytes:
             common = struct.pack("<HHHHHIIIHH", 20, entry.flags, method, 0, 0x21, crc, packed_size, size,
                                  len(entry.name), len(entry.extra))  # fmt: skip
             if central_one:
-                place = len(out) if entry.offset is None else entry.offset
-                central += struct.pack("<IH", 0x02014B50, 20) + common + struct.pack("<HHHII", 0, 0, 0, 0, place)
+                offset = len(out) if entry.offset is None else entry.offset
+                central += struct.pack("<IH", 0x02014B50, 20) + common + struct.pack("<HHHII", 0, 0, 0, 0, offset)
                 central += entry.name + entry.extra
             else:
                 start = struct.pack("<I", 0x04034B50) + common + entry.name + entry.extra + packed

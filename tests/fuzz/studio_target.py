@@ -203,11 +203,11 @@ class StudioTarget(Target):
     # ---- trying them
 
     def check(self, files: dict[str, bytes], rng: random.Random) -> Verdict:
-        place = self.folder / "studio"
-        shutil.rmtree(place, ignore_errors=True)
-        (place / "shared").mkdir(parents=True)
-        session = Session(sheet(), place / "own.splatproj", painter=FlatPainter())  # type: ignore[arg-type]
-        studio = Studio(session, "sheet", Options(place / "shared" if rng.random() < 0.3 else None, place / "projects"))
+        path = self.folder / "studio"
+        shutil.rmtree(path, ignore_errors=True)
+        (path / "shared").mkdir(parents=True)
+        session = Session(sheet(), path / "own.splatproj", painter=FlatPainter())  # type: ignore[arg-type]
+        studio = Studio(session, "sheet", Options(path / "shared" if rng.random() < 0.3 else None, path / "projects"))
         return asyncio.run(self._play(studio, json.loads(files["script.json"]), files))
 
     async def _play(self, studio: Studio, script: list[dict[str, Any]], files: dict[str, bytes]) -> Verdict:

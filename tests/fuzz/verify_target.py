@@ -81,26 +81,26 @@ class VerifyTarget(Target):
                 refusal(error, "r.json")
                 return Verdict(refused=1)
         try:
-            found = verify(original, edited, receipt)
+            verification = verify(original, edited, receipt)
         except ValueError as error:
             refusal(error, str(self.folder))
             return Verdict(refused=1)
-        self._lines(found)
+        self._lines(verification)
         if receipt is None:
-            self._judge(found, files[original.name] == files[edited.name])
+            self._judge(verification, files[original.name] == files[edited.name])
         return Verdict(opened=1)
 
-    def _lines(self, found: Verification) -> None:
-        for line in (*found.problems, found.exact):
+    def _lines(self, verification: Verification) -> None:
+        for line in (*verification.problems, verification.exact):
             if not line.isprintable() or len(line) > 1000:
                 raise Fault(f"a line that is not printable, or too long: {line[:200]!r}")
 
-    def _judge(self, found: Verification, equal: bool) -> None:
+    def _judge(self, verification: Verification, equal: bool) -> None:
         """Equal files are equal; where bytes differ, something is said to differ."""
-        if equal and (not found.ok or found.changed or found.appended):
-            raise Fault(f"a file is not the same as itself: {found.problems}, {found.changed} changed")
-        if not equal and found.ok and not (found.changed or found.appended):
-            raise Fault(f"files that differ pass as the same: {found.exact}")
+        if equal and (not verification.ok or verification.changed or verification.appended):
+            raise Fault(f"a file is not the same as itself: {verification.problems}, {verification.changed} changed")
+        if not equal and verification.ok and not (verification.changed or verification.appended):
+            raise Fault(f"files that differ pass as the same: {verification.exact}")
 
 
 TARGETS = {"verify": VerifyTarget}

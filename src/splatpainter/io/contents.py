@@ -72,12 +72,12 @@ def rows_differ(old: Table, new: Table, count: int) -> np.ndarray:
     if isinstance(old.records, TextRows):
         rows = range(count)
         return np.array([row for row in rows if old.records.line(row) != new.records.line(row)], np.int64)
-    found = [np.zeros(0, np.int64)]
+    differing = [np.zeros(0, np.int64)]
     for start in range(0, count, BLOCK):
         part = slice(start, min(start + BLOCK, count))
         one, two = _words(old.records[part]), _words(new.records[part])
-        found.append(start + np.flatnonzero((one != two).any(1)))
-    return np.concatenate(found)
+        differing.append(start + np.flatnonzero((one != two).any(1)))
+    return np.concatenate(differing)
 
 
 def fields_differ(old: Table, new: Table, rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -116,7 +116,7 @@ def _words_of_text_differ(old: Table, new: Table, rows: np.ndarray) -> dict[str,
         names = [name for (name, _), a, b in zip(old.fields, one, two, strict=False) if a != b]
         for name in names or ["white space"]:
             out.setdefault(name, []).append(row)
-    return {name: np.array(found, np.int64) for name, found in out.items()}
+    return {name: np.array(differing, np.int64) for name, differing in out.items()}
 
 
 # ---- formats
@@ -125,13 +125,13 @@ def _words_of_text_differ(old: Table, new: Table, rows: np.ndarray) -> dict[str,
 def _ply(record: Any) -> Contents:
     vertex = record.header.element("vertex")
     names = tuple((p.name, p.type) for p in vertex.properties)
-    own = frozenset(name for name in vertex.names if name in GAUSSIAN or name.startswith(GAUSSIAN_STEMS))
+    gaussian_fields = frozenset(name for name in vertex.names if name in GAUSSIAN or name.startswith(GAUSSIAN_STEMS))
     stored = record.rows if isinstance(record.rows, TextRows) else record.rows.records
     at = record.header.elements.index(vertex)
     blocks = _elements(record.header, record.header.elements[:at], record.before, "")
     blocks |= _elements(record.header, record.header.elements[at + 1 :], record.after, "trailing bytes")
     settings = _header(record.header, ("vertex",)) | {"last line end": not record.unended}
-    return Contents((Table(stored, names, own),), settings, blocks)
+    return Contents((Table(stored, names, gaussian_fields),), settings, blocks)
 
 
 def _compressed_ply(record: Any) -> Contents:
@@ -140,8 +140,8 @@ def _compressed_ply(record: Any) -> Contents:
         values = record.tables[element.name]
         names = tuple((p.name, p.type) for p in element.properties)
         if element.name in ("vertex", "sh"):
-            own = frozenset(n for n, _ in names if n.startswith(("packed_", "f_rest_")))
-            tables.append(Table(values, names, own))
+            gaussian_fields = frozenset(n for n, _ in names if n.startswith(("packed_", "f_rest_")))
+            tables.append(Table(values, names, gaussian_fields))
         elif element.name == "chunk":
             chunked["chunk"] = _bytes_of(values)
         else:
@@ -266,8 +266,8 @@ def _meant(glb: gltf.Glb, index: Any) -> Any:
         item = glb.doc["accessors"][index]
     except ValueError:
         return "not readable"
-    said = {key: value for key, value in item.items() if key not in ("bufferView", "byteOffset")}
-    return [said, hashlib.sha256(values.tobytes()).hexdigest()]
+    record = {key: value for key, value in item.items() if key not in ("bufferView", "byteOffset")}
+    return [record, hashlib.sha256(values.tobytes()).hexdigest()]
 
 
 def _view(glb: gltf.Glb, index: int) -> str:
@@ -276,8 +276,8 @@ def _view(glb: gltf.Glb, index: int) -> str:
         return _NOTHING
     start = views[index].get("byteOffset", 0)
     data = glb.binary[start : start + views[index]["byteLength"]]
-    said = {key: value for key, value in views[index].items() if key != "byteOffset"}
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode() + data).hexdigest()
+    record = {key: value for key, value in views[index].items() if key != "byteOffset"}
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode() + data).hexdigest()
 
 
 def _bytes_of(values: np.ndarray) -> np.ndarray:

@@ -30,17 +30,17 @@ def load_object(data: bytes | memoryview, where: Path | str, what: str) -> dict[
     if len(data) > MAX_JSON_BYTES:
         raise ValueError(f"{where}: {what} has {len(data)} bytes; expected at most {MAX_JSON_BYTES}")
     try:
-        found = json.loads(bytes(data), parse_constant=_no_constant)
+        document = json.loads(bytes(data), parse_constant=_no_constant)
     except UnicodeDecodeError:
         raise ValueError(f"{where}: {what} is not JSON (not UTF-8 text)") from None
     except ValueError as error:
         raise ValueError(f"{where}: {what} is not JSON ({' '.join(str(error).split())[:80]})") from None
     except RecursionError:
         raise _too_deep(where, what) from None
-    if not isinstance(found, dict):
-        raise ValueError(f"{where}: expected an object as {what}, found {type(found).__name__}")
-    _check_values(found, where, what)
-    return found
+    if not isinstance(document, dict):
+        raise ValueError(f"{where}: expected an object as {what}, found {type(document).__name__}")
+    _check_values(document, where, what)
+    return document
 
 
 def object_at(item: dict[str, Any], key: str, where: Path | str) -> dict[str, Any]:
@@ -89,8 +89,8 @@ def brief(value: Any) -> str:
     return ascii(value)[:40]
 
 
-def _check_values(found: dict[str, Any], where: Path | str, what: str) -> None:
-    level: list[Any] = [found]
+def _check_values(document: dict[str, Any], where: Path | str, what: str) -> None:
+    level: list[Any] = [document]
     for _ in range(MAX_JSON_DEPTH):
         deeper: list[Any] = []
         for holder in level:

@@ -72,10 +72,10 @@ def one_line(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, UnicodeDecodeError, OverflowError, RecursionError, ContentError) as error:
-        said = " ".join(str(error).split())  # UnicodeDecodeError: SQLite quotes the damaged bytes
+        message = " ".join(str(error).split())  # UnicodeDecodeError: SQLite quotes the damaged bytes
         if is_unwritable(error):
-            raise ValueError(f"{path}: cannot be read or written ({said}); nothing was changed") from None
-        raise ValueError(f"{path}: damaged project file ({said})") from None
+            raise ValueError(f"{path}: cannot be read or written ({message}); nothing was changed") from None
+        raise ValueError(f"{path}: damaged project file ({message})") from None
 
 
 def is_unwritable(error: BaseException) -> bool:

@@ -48,8 +48,8 @@ def problem_of(error: Exception) -> Problem:
 def first_fault(error: ValidationError, where: str) -> str:
     """One line about the first field that is wrong."""
     fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    place = ".".join(map(str, fault["loc"]))
-    return f"{where}: {place}: {fault['msg']}" if place else f"{where}: {fault['msg']}"
+    field_path = ".".join(map(str, fault["loc"]))
+    return f"{where}: {field_path}: {fault['msg']}" if field_path else f"{where}: {fault['msg']}"
 
 
 def failure(number: int, problem: Problem) -> Failure:
