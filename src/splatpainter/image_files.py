@@ -169,7 +169,9 @@ def read_deep(path: Path, most_pixels: int) -> PixelSamples:
         pixels = source.read_image(0, 0, first, last, "float")
         if pixels is None or not isinstance(pixels, np.ndarray):
             raise ValueError(f"{path}: damaged picture ({_short(source.geterror())})")
-        pixels = pixels.reshape(spec.height, spec.width, last - first)[..., [place - first for place in places]]
+        pixels = pixels.reshape(spec.height, spec.width, last - first)[
+            ..., [position - first for position in positions]
+        ]
         associated = spec.getattribute("oiio:UnassociatedAlpha") in (None, 0) and source.format_name() != "png"
         values = _windowed(np.nan_to_num(pixels), spec)
         turned = spec.getattribute("Orientation")
