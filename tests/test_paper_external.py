@@ -50,13 +50,13 @@ time.sleep(60)
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc")
 def test_a_process_that_is_killed_takes_its_system_along(tmp_path):
-    program = f"import os, time; open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+    program = f"import os, time; open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(600)"
     caller = f"""
 import sys
 from pathlib import Path
 from splatpainter.evaluate.paper.external import call
 here = Path({str(tmp_path)!r})
-call.run([sys.executable, "-c", {program!r}], here, here / "log.txt", timeout=60)
+call.run([sys.executable, "-c", {program!r}], here, here / "log.txt", timeout=600)
 """
     parent = subprocess.Popen([sys.executable, "-c", caller])
     pid = tmp_path / "pid"

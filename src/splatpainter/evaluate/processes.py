@@ -89,7 +89,7 @@ def watch_command(pid: int) -> list[str]:
     of that pipe takes the group along when it is killed."""
     if sys.platform == "win32":
         return [sys.executable, "-S", "-c", WATCH_WINDOWS, str(pid)]
-    return ["/bin/sh", "-c", 'read line; kill -KILL -- "-$1"', "sh", str(pid)]
+    return ["/bin/sh", "-c", 'read line; kill -s KILL -- "-$1"', "sh", str(pid)]
 
 
 def end_own_group() -> None:
