@@ -6,6 +6,7 @@ import io as python_io
 import json
 import os
 import struct
+import sys
 import zipfile
 import zlib
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 from glb_files import attributes_of, build, pack, parts
 from io_assets import random_splats
 from io_packed import damages, survives
+from systems import posix_only
 from test_io_ksplat import make
 from test_io_ply import BASE, ROW, ply, save, text
 from test_io_sog import bundle, by_hand, huge_webp
@@ -318,9 +320,10 @@ def test_json_that_is_none(bad: bytes) -> None:
         json_text.load_object(b'{"a":' + deep + b"}", "f", "x")
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes on this system")
+@posix_only
 def test_pipes_and_devices_are_not_opened(tmp_path: Path) -> None:
     """Opening a pipe that nobody writes to would wait for ever."""
+    assert sys.platform != "win32"
     for name in ("a.ply", "a.splat", "a.sog", "meta.json"):
         os.mkfifo(tmp_path / name)
         with pytest.raises(ValueError, match="is a pipe or device"):

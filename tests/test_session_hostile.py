@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import sys
 import time
 from pathlib import Path
 
 import pytest
 from session_scenes import BLUE, RED, FlatPainter, asset, dab, flat, print_of
+from systems import posix_only
 
 import splatpainter as sp
 from splatpainter.session import Session, database, deltas
@@ -244,10 +246,11 @@ def test_originals_stay_inside_the_folder(tmp_path: Path) -> None:
         load(path, folder=folder)
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
+@posix_only
 def test_a_pipe_is_no_original(tmp_path: Path, path: Path) -> None:
     ply, pipe = tmp_path / "vase.ply", tmp_path / "pipe.ply"
     sp.write(ply, asset(6))
+    assert sys.platform != "win32"
     os.mkfifo(pipe)
     named(path, pipe, ply)
     for how in ({}, {"folder": tmp_path}, {"original": pipe}):

@@ -126,6 +126,8 @@ def last_lines(trace: str) -> list[str]:
 
 def _limit_memory() -> None:
     """Address space beyond which an allocation fails, where the system has such a limit."""
+    if sys.platform == "win32":
+        return
     try:
         import resource
 
@@ -139,10 +141,10 @@ def _peak() -> Callable[[], int]:
     status = Path("/proc/self/status")
     if status.exists():  # on Linux getrusage also counts what the parent had when it made this process
         return lambda: int(status.read_text(encoding="ascii").split("VmHWM:", 1)[1].split(None, 1)[0])
-    try:
-        import resource
-    except ImportError:  # Windows: the peak is not watched there
+    if sys.platform == "win32":  # the peak is not watched there
         return lambda: 0
+    import resource
+
     unit = 1024 if sys.platform == "darwin" else 1
     return lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // unit
 
