@@ -326,3 +326,15 @@ def test_untouched_by_turned_frames(tmp_path: Path) -> None:
     turned = io.read(cut, frame="rub", lenient=True)
     io.write(tmp_path / "b.splat", turned)
     assert (tmp_path / "b.splat").read_bytes() == cut.read_bytes()
+
+
+@pytest.mark.parametrize("part", ["means", "shN"])
+def test_planes_of_sog_do_not_share_an_image(part: str, tmp_path: Path) -> None:
+    """Saving an edit of one plane would have changed the other: the file could not be read again."""
+    files = by_hand()
+    meta = json.loads(files["meta.json"])
+    names = meta[part]["files"]
+    meta[part]["files"] = [names[0], *names]
+    bundle(tmp_path / "a.sog", files | {"meta.json": json.dumps(meta).encode()})
+    with pytest.raises(ValueError, match="an image of its own for each plane"):
+        io.read(tmp_path / "a.sog")

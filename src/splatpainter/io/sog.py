@@ -112,6 +112,8 @@ def _parse(container: sog_files.Container, meta: dict[str, Any], path: Path, pro
     mean_range(meta, path)
     codebooks = {part: _codebook(meta, part, path, problems) for part in ("scales", "sh0", "shN") if part in named}
     listed = {key: name for part, names in named.items() for key, name in zip(PLANES[part], names, strict=True)}
+    if len(set(listed.values())) < len(listed):  # an edit of one plane would change the other
+        raise ValueError(f"{path}: expected an image of its own for each plane, meta.json names one twice")
     sizes = {key: _plane_size(container, key, name, count, path) for key, name in listed.items()}
     total = sum(map(len, container.files.values()))
     coefficients = 1 + sizes["palette"][0] // PALETTE_LINE if "palette" in sizes else 1
