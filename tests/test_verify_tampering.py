@@ -345,3 +345,15 @@ def test_other_properties_of_a_listed_row_stay_what_they_were(tmp_path: Path) ->
     proof = receipts.Receipt(one.sha256, 6, two.sha256, 6, "local", "lift", "lift", rows, 0, *hashes)
     found = sp.verify(original, edited, proof)
     assert found.problems == ("nx, which no edit changes, differs in 1 rows: 2",)
+
+
+def test_a_lying_count_of_lines_costs_no_time(tmp_path: Path) -> None:
+    """Two milliards of faces in a text file of two kilobytes: verify reads what is there."""
+    one, two = tmp_path / "one.ply", tmp_path / "two.ply"
+    lie = b"element face 2147483647\nproperty list uchar int vertex_indices\nend_header"
+    head, body = ply(text=True).split(b"element face", 1)
+    text = head + lie + body[body.index(b"end_header") + len(b"end_header") :]
+    one.write_bytes(text)
+    two.write_bytes(text + b"3 0 1 2\n")
+    verification = sp.verify(one, two)
+    assert not verification.ok and any("face" in problem for problem in verification.problems)

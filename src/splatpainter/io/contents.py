@@ -172,9 +172,9 @@ def _elements(header: Header, elements: tuple[Element, ...], data: bytes, rest: 
     out, at = {}, 0
     for element in elements:
         if header.format == "ascii":
-            end = at
-            for _ in range(element.count):
-                end = data.find(b"\n", end) + 1 or len(data)
+            end, left = at, element.count
+            while left and end < len(data):  # the count may be a lie
+                end, left = data.find(b"\n", end) + 1 or len(data), left - 1
         else:
             try:
                 end = at + element_size(io.BytesIO(data[at:]), header, element, len(data) - at, Path("element"))
