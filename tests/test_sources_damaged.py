@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from splatpainter.cameras import Camera, find_camera
+from splatpainter.cameras import Camera, find_camera, look_at
+from splatpainter.sources import pictures
+from splatpainter.sources.files import edit_from_files
 from splatpainter.sources.pictures import read_picture
 
 
@@ -52,3 +54,16 @@ def test_a_camera_of_an_endless_version_is_refused_in_a_short_line() -> None:
     with pytest.raises(ValueError, match="expected camera version 1") as caught:
         Camera.from_json('{"version": [' + ", ".join(["7"] * 5000) + "]}", "a.json")
     assert len(str(caught.value)) < 200
+
+
+def test_a_kilobyte_that_claims_megapixels_of_another_shape_is_not_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """24 x 2,000,000 pixels for a camera of 24 x 16: decoding took 1.9 GB before the refusal."""
+    camera = look_at((0, 0, 3), (0, 0, 0), (0, 1, 0), width=24, height=16).to_json().encode()
+    header = struct.pack(">IIBBBBB", 24, 2_000_000, 8, 2, 0, 0, 0)
+    path = tmp_path / "a.png"
+    path.write_bytes(png(header, (b"tEXt", b"splatpainter\0" + camera), PIXELS))
+    monkeypatch.setattr(pictures, "_srgb", lambda *_: pytest.fail("it was decoded"))
+    with pytest.raises(ValueError, match="aspect ratio of its camera .24x16., got 24x2000000"):
+        edit_from_files(path)

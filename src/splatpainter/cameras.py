@@ -270,7 +270,8 @@ def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # Pillow's remarks about damaged tags
                 with Image.open(picture) as image:
-                    text = getattr(image, "text", {}).get(CHUNK) or image.info.get(CHUNK)
+                    # `text` decodes the picture, to look for chunks behind it: only where none stands ahead.
+                    text = image.info.get(CHUNK) or getattr(image, "text", {}).get(CHUNK)
         except Exception as error:  # decoders of damaged files raise anything
             raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
     if text:

@@ -10,7 +10,7 @@ import numpy as np
 from splatpainter.cameras import Alpha, Camera, find_alpha, find_camera
 from splatpainter.painter import Edit, Mode
 from splatpainter.sources.color import from_display, to_display
-from splatpainter.sources.pictures import LIMIT, Picture, read_mask, read_picture, resample, straight
+from splatpainter.sources.pictures import LIMIT, Picture, declared_size, read_mask, read_picture, resample, straight
 from splatpainter.splats import Splats
 
 ASPECT = 0.01
@@ -69,25 +69,28 @@ def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None
 
     Raises ValueError, one line naming the file: unreadable or too large a picture, no camera or a broken one, an aspect
     ratio more than 1 % off, an empty mask."""
-    shown = read_picture(picture)
-    found = camera_from(camera) if camera is not None else find_camera(picture)
-    _bearable(found, camera or picture)
-    notes = list(shown.notes)
-    wanted = (found.width, found.height)
-    _check_aspect(picture, "the picture", shown.size, wanted)
-    if shown.size != wanted:
-        notes.append(f"resampled from {shown.size[0]}x{shown.size[1]} to its camera's {found.width}x{found.height}")
+    declared = declared_size(picture)
+    view = camera_from(camera) if camera is not None else find_camera(picture)
+    _bearable(view, camera or picture)
+    target_size = (view.width, view.height)
+    _check_declared(picture, "the picture", declared, target_size)
+    decoded = read_picture(picture)
+    notes = list(decoded.notes)
+    _check_aspect(picture, "the picture", decoded.size, target_size)
+    if decoded.size != target_size:
+        notes.append(f"resampled from {decoded.size[0]}x{decoded.size[1]} to its camera's {view.width}x{view.height}")
     marked = None
     if mask is not None:
+        _check_declared(mask, "the mask", declared_size(mask), target_size)
         marked = read_mask(mask)
-        _check_aspect(mask, "the mask", (marked.shape[1], marked.shape[0]), wanted)
+        _check_aspect(mask, "the mask", (marked.shape[1], marked.shape[0]), target_size)
         if not marked.any():
             raise ValueError(f"{mask}: empty mask; expected some pixels that are not black (or not transparent)")
-        if marked.shape[::-1] != wanted:
-            marked = resample(marked.astype(np.float32), *wanted) > 0.25  # a thin stroke survives being shrunk
+        if marked.shape[::-1] != target_size:
+            marked = resample(marked.astype(np.float32), *target_size) > 0.25  # a thin stroke survives being shrunk
     cut_out = find_alpha(picture) or (camera and find_alpha(picture, camera))
-    shown, size = unmultiplied(shown, cut_out), shown.size
-    return FileEdit(picture, shown.resized(*wanted), size, found, marked, tuple(notes), bool(cut_out))
+    fitted = unmultiplied(decoded, cut_out).resized(*target_size)
+    return FileEdit(picture, fitted, decoded.size, view, marked, tuple(notes), bool(cut_out))
 
 
 def unmultiplied(picture: Picture, kind: Alpha | None) -> Picture:
@@ -116,12 +119,23 @@ def _bearable(camera: Camera, where: Path) -> None:
         )
 
 
-def _check_aspect(path: Path, what: str, size: tuple[int, int], wanted: tuple[int, int]) -> None:
-    """Equal sizes pass; others must have the wanted aspect ratio within ASPECT, or be a pixel's rounding off."""
-    (width, height), (w, h) = size, wanted
+def _check_declared(path: Path, what: str, size: tuple[int, int] | None, target: tuple[int, int]) -> None:
+    """`_check_aspect` before anything is decoded: a kilobyte can claim megapixels. EXIF may still turn the picture."""
+    if size is not None and not _fits((size[1], size[0]), target):
+        _check_aspect(path, what, size, target)
+
+
+def _fits(size: tuple[int, int], target: tuple[int, int]) -> bool:
+    """Equal sizes fit; others must have the target's aspect ratio within ASPECT, or be a pixel's rounding off."""
+    (width, height), (w, h) = size, target
     scale = (width * height / (w * h)) ** 0.5
     rounding = abs(width - w * scale) <= 1 and abs(height - h * scale) <= 1
-    if not rounding and abs((width / height) / (w / h) - 1) > ASPECT:
+    return rounding or abs((width / height) / (w / h) - 1) <= ASPECT
+
+
+def _check_aspect(path: Path, what: str, size: tuple[int, int], target: tuple[int, int]) -> None:
+    (width, height), (w, h) = size, target
+    if not _fits(size, target):
         raise ValueError(
             f"{path}: expected {what} to have the aspect ratio of its camera ({w}x{h}), got {width}x{height}; "
             "resize without cropping"

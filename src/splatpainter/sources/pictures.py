@@ -81,8 +81,18 @@ def read_picture(path: Path) -> Picture:
             if can_do_deep():
                 return _deep(read_deep(path, LIMIT))
             notes.append(f"read with 8 of its 16 bits; pip install 'splatpainter[{EXTRA}]' to read all")
-        pixels = np.asarray(colors, np.float32) / 255
+        pixels = np.asarray(colors, np.float32)
+        pixels = np.divide(pixels, 255, out=pixels if pixels.flags.writeable else None)
         return Picture(pixels, alpha, tuple(notes))
+
+
+def declared_size(path: Path) -> tuple[int, int] | None:
+    """(width, height) by a picture's header, before EXIF turns it: nothing is decoded. None for OpenEXR, whose windows
+    the reader judges. Raises ValueError as `read_picture`."""
+    if is_exr(path):
+        return None
+    with _opened(path, decode=False) as image:
+        return image.size
 
 
 def read_mask(path: Path) -> np.ndarray:
@@ -112,9 +122,9 @@ def resample(values: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Image]:
-    """The picture, its size judged and its pixels decoded. Decoders of damaged files raise anything: all of it becomes
-    one line."""
+def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
+    """The picture, its size judged and its pixels decoded (decode). Decoders of damaged files raise anything: all of it
+    becomes one line."""
     from PIL import Image, UnidentifiedImageError
 
     if not path.exists():
@@ -138,7 +148,8 @@ def _opened(path: Path) -> Iterator[Image]:
                 got = f"{image.width}x{image.height}"
                 raise ValueError(f"{path}: expected at most {LIMIT // 10**6} megapixels, got {got}; scale it down")
             try:
-                image.load()
+                if decode:
+                    image.load()
             except Exception as error:
                 raise ValueError(f"{path}: damaged picture ({_short(error)})") from None
             try:
