@@ -17,7 +17,7 @@ import numpy as np
 
 from splatpainter.comparison import Comparison, compare, listed
 from splatpainter.comparison import changed_rows as changed_rows
-from splatpainter.io import frame_line, option, read
+from splatpainter.io import frame_is_news, frame_line, option, read
 from splatpainter.splats import Frame, Splats, rows_sha256
 
 MOST_ROWS = 1 << 27
@@ -192,6 +192,8 @@ class Verification:
     """What was not."""
     frame: str = ""
     """Which way the numbers of the edited file point, and who says so."""
+    frame_is_news: bool = False
+    """Whether people should hear of it (`io.frame_is_news`)."""
 
 
 def verify(
@@ -256,6 +258,7 @@ def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
         found.compared,
         found.not_compared,
         frame,
+        after.source is not None and frame_is_news(after.source),
     )
 
 

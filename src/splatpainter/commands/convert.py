@@ -13,7 +13,7 @@ from splatpainter.commands.info import file_size
 from splatpainter.commands.options import AssetFile, FrameOption
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
-from splatpainter.io import FORMATS, frame_line, frame_of_target, read, write
+from splatpainter.io import FORMATS, frame_is_news, frame_line, frame_of_target, read, write
 from splatpainter.splats import Splats
 
 
@@ -76,10 +76,11 @@ def run(config: Config) -> Outcome:
         },
         "lost": losses(before, after),
     }
+    news = frame_is_news(before.source) or frame_is_news(after.source)
     lines = [
         f"{config.asset} -> {config.out}",
         f"{count(len(after), 'row')}; {size(before_size)} -> {size(record['output']['bytes'])}",
-        f"frame: {frame_line(before.source)} -> {frame_line(after.source)}",
+        *([f"frame: {frame_line(before.source)} -> {frame_line(after.source)}"] if news else []),
         *(f"lost: {line}" for line in record["lost"] or ["nothing"]),
     ]
     return Outcome(record, lines)

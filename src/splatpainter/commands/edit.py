@@ -185,7 +185,7 @@ def _record(config: Config, path: Path, receipt: Receipt, found: Verification, s
 def _lines(config: Config, receipt: Receipt, found: Verification, sources: list[FileEdit], rounded: int) -> list[str]:
     lines = [f"{config.asset} -> {config.out}"]
     lines += [f"{source.path}: {note}" for source in sources for note in source.notes]
-    lines.append(f"frame: {found.frame}")
+    lines += [f"frame: {found.frame}"] if found.frame_is_news else []
     weights = f" with preset {receipt.preset}" if receipt.method == "ttt" else ""
     rounding = f", in {receipt.precision}" if receipt.precision else ""
     lines.append(f"method {receipt.method}{weights}, mode {receipt.mode}{rounding}")

@@ -15,7 +15,7 @@ from splatpainter.commands.options import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.targets import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, progress
 from splatpainter.framing import around
-from splatpainter.io import files, frame_line, read
+from splatpainter.io import files, frame_is_news, frame_line, read
 from splatpainter.render import MAX_SIDE_PX
 from splatpainter.render.profiles import Profile
 from splatpainter.sources.color import from_display
@@ -112,7 +112,8 @@ def run(config: Config) -> Outcome:
     beside = f", and {', '.join(options.aovs)} beside it" if options.aovs else ""
     lines = [f"{count(len(stems), 'picture')} in {config.out}: {first[0]} ... each with its camera inside{beside}"]
     assert splats.source is not None
-    lines.append(f"frame: {frame_line(splats.source)}")
+    if frame_is_news(splats.source):
+        lines.append(f"frame: {frame_line(splats.source)}")
     if hidden:
         lines.append(f"{count(hidden, 'row')} of {len(splats):,} cannot be drawn")
     return Outcome(record, lines)

@@ -62,7 +62,7 @@ def run(config: Config) -> Outcome:
         *found.differences,
         f"compared: {'; '.join((found.exact, *found.compared))}",
         *(f"not compared: {part}" for part in found.not_compared),
-        f"frame: {found.frame}",
+        *([f"frame: {found.frame}"] if found.frame_is_news else []),
         *(f"wrong: {problem}" for problem in found.problems),
         "verified" if found.ok else "NOT verified",
     ]

@@ -221,6 +221,11 @@ def frame_line(source: Source) -> str:
     return f"{axes_words(source.frame)}, {reasons[source.frame_from]}"
 
 
+def frame_is_news(source: Source) -> bool:
+    """Whether people should hear of a file's axes: programs differ about SPZ, or a frame was chosen."""
+    return source.frame_from != "format" or source.format == "spz"
+
+
 def detect(path: Path) -> str:
     """Key of FORMATS that the file at `path` holds. Raises ValueError when it is missing, unreadable or unknown."""
     if os.path.isdir(path):  # Path.is_dir raises where a folder above may not be searched
