@@ -105,6 +105,7 @@ def test_channel_curves_act_on_their_own_channel() -> None:
 def test_bad_settings_are_named() -> None:
     with pytest.raises(ValueError, match="contrast above 0, got -1"):
         apply_look(GREYS, Look(contrast=-1.0))
-    for points in (((0.5, 0.5),), ((0.5, 0.5), (0.5, 0.7)), ((0.6, 0.5), (0.5, 0.7))):
-        with pytest.raises(ValueError, match="from left to right"):
+    near = ((1e-45, 0.5), (1e-38, 1.0))  # slopes overflowed
+    for points in (((0.5, 0.5),), ((0.5, 0.5), (0.5, 0.7)), ((0.6, 0.5), (0.5, 0.7)), near):
+        with pytest.raises(ValueError, match="from left to right, 1e-06 apart"):
             looks.curved(GREYS, points)

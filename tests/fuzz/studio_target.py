@@ -231,7 +231,7 @@ class StudioTarget(Target):
                 for number, do in ((1, "hello"), (2, "receipt")):
                     fields = {"schema_hash": own_hash(), "page": "fedcba98" * 4} if do == "hello" else {}
                     if not await last.send({"ws": {"id": number, "do": do, **fields}}, pool):
-                        raise Fault(f"afterwards {do} does not work: {last.heard[-1][:300]}")
+                        raise Fault(f"afterwards {do} does not work: {(last.heard or ['no answer'])[-1][:300]}")
                 await last.leave()
             finally:
                 await socket.leave()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.parallel import each
-from splatpainter.sources.looks import Look, apply_look, luminance, to_display, to_linear
+from splatpainter.sources.looks import MIN_CURVE_STEP, Look, apply_look, luminance, to_display, to_linear
 from splatpainter.splats import SH_C0
 
 NAME = "grade"
@@ -86,8 +86,9 @@ class Grade:
         numbers = [*rest.values(), *(v for band in hues for v in asdict(band).values()), *(v for p in curve for v in p)]
         if not np.isfinite(numbers).all():
             raise ValueError("look: expected finite numbers")
-        if any(b[0] <= a[0] for a, b in zip(curve, curve[1:], strict=False)):
-            raise ValueError(f"look: expected a curve of points from left to right, got {list(curve)}")
+        if any(b[0] - a[0] < MIN_CURVE_STEP for a, b in zip(curve, curve[1:], strict=False)):
+            line = f"points from left to right, {MIN_CURVE_STEP:g} apart"
+            raise ValueError(f"look: expected a curve of {line}, got {list(curve)}")
         return Grade(**rest, curve=curve, hues=hues, space=data.get("space", "srgb"))
 
     @property

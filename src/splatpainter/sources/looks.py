@@ -19,6 +19,8 @@ LUMA = (0.2126, 0.7152, 0.0722)
 """Weights of Rec. 709: the luminance of linear colours, and near enough the luma of display colours."""
 PIVOT = 0.461
 """Display value of 18 % grey: contrast turns around it."""
+MIN_CURVE_STEP = 1e-6
+"""Least distance of a tone curve's points along its input, 0..1: slopes of nearer ones overflow."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +125,9 @@ def curved(values: Array, points: Sequence[tuple[float, float]]) -> Array:
     that it is monotone where the points are; constant outside. Values of any shape.
     Raises ValueError for fewer than two points or points not in order."""
     x, y = np.array(points, np.float64).reshape(-1, 2).T
-    if len(x) < 2 or (np.diff(x) <= 0).any():
-        raise ValueError(f"look: expected a curve of at least two points from left to right, got {list(points)}")
+    if len(x) < 2 or (np.diff(x) < MIN_CURVE_STEP).any():
+        line = f"at least two points from left to right, {MIN_CURVE_STEP:g} apart"
+        raise ValueError(f"look: expected a curve of {line}, got {list(points)}")
     slopes = _monotone_slopes(x, y)
     out = values * 0 + float(y[0])
     for k in range(len(x) - 1):  # each piece adds its own rise: outside its interval t is 0 or 1

@@ -30,6 +30,8 @@ FAST = 1
 """Level of PNG compression: nobody waits for the last few per cent."""
 TURN_PIXELS = 40_000_000
 """Pixels of all frames of a turntable together: they are held in memory."""
+MAX_FRAME_MS = 60_000
+"""How long a frame of a turntable may stay."""
 
 
 @handles(say.ViewRender)
@@ -114,7 +116,7 @@ def turntable(call: Call, command: say.Turntable) -> say.PictureMade:
         call.ticket.report(k / command.frames, "turntable")
         pictures.append(Image.fromarray(to_uint8(draw(splats, view))))
     file = io.BytesIO()
-    pace = round(1000 / command.fps)
+    pace = round(min(1000 / command.fps, MAX_FRAME_MS))
     pictures[0].save(
         file, "WEBP", save_all=True, append_images=pictures[1:], duration=pace, loop=0, quality=88, method=2
     )
