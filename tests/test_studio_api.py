@@ -188,7 +188,7 @@ def test_views_and_picking(studio: Live) -> None:
     huge = {**wire(camera), "width": 10_000, "height": 10_000}
     assert "megapixels" in studio.http.post("/api/do/view.render", json={"camera": huge}).json()["error"]["message"]
     turn = studio.post("turntable", camera=wire(view(48)), frames=5)
-    assert studio.post("turntable", camera=wire(view(48)), frames=2, fps=1e-38)["picture"]  # a pause of no length in use
+    assert studio.post("turntable", camera=wire(view(48)), frames=2, fps=1e-38)["picture"]
     animation = Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{turn['picture']}").content))
     assert animation.n_frames == 5 and animation.size == (48, 48)  # type: ignore[attr-defined]
     first = np.asarray(animation.convert("RGB")) / 255
