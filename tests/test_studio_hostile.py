@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 from studio_scenes import Live, ball, make_studio, view, wire
 from websockets.exceptions import ConnectionClosed
 
@@ -30,6 +31,8 @@ from splatpainter.studio.connections import ConnectionLimits
 from splatpainter.studio.hub import MAX_WAITING, Client, Hub
 from splatpainter.studio.limits import MAX_COMMAND_BYTES, MAX_JSON_SIGNS
 from splatpainter.studio.messages import Answer
+from splatpainter.studio.messages.connection import Hello
+from splatpainter.studio.problems import first_fault
 from splatpainter.studio.security import Access
 from splatpainter.studio.server import listen, make_server
 
@@ -495,3 +498,10 @@ def test_a_closed_connection_is_the_end_of_its_socket(studio: Live) -> None:
         with pytest.raises(ConnectionClosed):
             browser.socket.send("x")
     assert studio.http.post("/api/do/pick", json={"camera": wire(view()), "x": 1, "y": 1}).status_code == 200
+
+
+def test_names_of_fields_are_told_in_one_line() -> None:
+    with pytest.raises(ValidationError) as caught:
+        Hello.model_validate({"id": 1, "do": "hello", "schema_hash": "0", "\n" * 300: 1})
+    line = first_fault(caught.value, "hello")
+    assert "\n" not in line and len(line) < 200 and "not permitted" in line

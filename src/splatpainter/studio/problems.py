@@ -7,6 +7,7 @@ import sqlite3
 
 from pydantic import ValidationError
 
+from splatpainter.io.files import printable
 from splatpainter.studio.messages import Failure, Problem
 from splatpainter.studio.queue import Busy, Cancelled
 
@@ -48,7 +49,7 @@ def problem_of(error: Exception) -> Problem:
 def first_fault(error: ValidationError, where: str) -> str:
     """One line about the first field that is wrong."""
     fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    field_path = ".".join(map(str, fault["loc"]))
+    field_path = printable(".".join(map(str, fault["loc"])))  # a client's own words
     return f"{where}: {field_path}: {fault['msg']}" if field_path else f"{where}: {fault['msg']}"
 
 
