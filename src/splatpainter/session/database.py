@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from splatpainter.io.files import printable
+
 OPS_BETWEEN_CHECKS = 20_000
 """Instructions of SQLite's machine between two looks at how many there were."""
 FREE_OPS = 20_000_000
@@ -72,7 +74,7 @@ def one_line(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, UnicodeDecodeError, OverflowError, RecursionError, ContentError) as error:
-        message = " ".join(str(error).split())  # UnicodeDecodeError: SQLite quotes the damaged bytes
+        message = printable(" ".join(str(error).split()), 300)  # SQLite quotes damaged bytes
         if is_unwritable(error):
             raise ValueError(f"{path}: cannot be read or written ({message}); nothing was changed") from None
         raise ValueError(f"{path}: damaged project file ({message})") from None
