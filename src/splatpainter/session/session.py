@@ -24,6 +24,7 @@ from typing import Any
 from splatpainter.cameras import Camera
 from splatpainter.framing import UPS
 from splatpainter.io import read
+from splatpainter.io.files import printable
 from splatpainter.painter import Edit, Method, Mode, Painter
 from splatpainter.session import commands, export, original, schema
 from splatpainter.session.adapter import fingerprint
@@ -155,7 +156,9 @@ class Session(Reader):
             if scratch is not None:
                 scratch.close()
             if splats is None and isinstance(error, ODD) and str(project.path) not in str(error):
-                raise ValueError(f"{project.path}: damaged project file ({' '.join(str(error).split())})") from error
+                raise ValueError(
+                    f"{project.path}: damaged project file ({printable(' '.join(str(error).split()), 300)})"
+                ) from error
             raise
 
     # ---- layers
