@@ -156,9 +156,8 @@ class Session(Reader):
             if scratch is not None:
                 scratch.close()
             if splats is None and isinstance(error, ODD) and str(project.path) not in str(error):
-                raise ValueError(
-                    f"{project.path}: damaged project file ({printable(' '.join(str(error).split()), 300)})"
-                ) from error
+                reason = printable(" ".join(str(error).split()), 300)
+                raise ValueError(f"{project.path}: damaged project file ({reason})") from error
             raise
 
     # ---- layers
