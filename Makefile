@@ -47,8 +47,8 @@ format: .venv/installed-dev
 	$(PIP) -e '.[studio]'
 	touch $@
 
-.venv/installed-dev: .venv/installed
-	$(PIP) -e '.[dev]'
+.venv/installed-dev: .venv/installed benchmarks/pyproject.toml
+	$(PIP) -e '.[dev]' -e benchmarks
 	$(PIP) --no-deps gsplat  # its plain-torch formulas are an oracle of the tests; its kernels need CUDA
 	touch $@
 

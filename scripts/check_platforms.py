@@ -28,7 +28,9 @@ DIFFERS = re.compile(
 
 def files() -> list[Path]:
     """Those whose types may depend on the system."""
-    every = sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "tests").rglob("*.py")])
+    every = sorted(
+        [*(ROOT / "src").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
+    )
     return [path for path in every if DIFFERS.search(path.read_text(encoding="utf-8"))]
 
 

@@ -15,8 +15,8 @@ from splatpainter.demo_asset import BACKGROUND, CALM, LIFT, demo_asset, demo_vie
 from splatpainter.demo_asset.light import sh_basis
 from splatpainter.demo_asset.noise import value_noise
 from splatpainter.demo_asset.shapes import MARGIN, quarter, revolve, revolved_distance, scatter, sweep, swept_distance
-from splatpainter.render import render
-from splatpainter.render.reference import harmonics
+from splatpainter.rendering import render
+from splatpainter.rendering.reference import harmonics
 from splatpainter.splats import Splats, rows_sha256
 
 

@@ -9,15 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lift_scenes import back, bits, db, differing, disk, front, row, same_bits, sheet
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.fit.edited import EditFitOptions, fit_edited
-from splatpainter.lift.local import reached_rows
+from splatpainter.lift.local_edit import reached_rows
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.receipts import Receipt
 from splatpainter.splats import Splats
+from tests.support.lift_scenes import back, bits, db, differing, disk, front, row, same_bits, sheet
 
 NAMES = ("means", "quats", "scales", "opacities", "sh")
 RED, BLUE, GREEN = (0.9, 0.1, 0.1), (0.1, 0.15, 0.9), (0.1, 0.8, 0.2)

@@ -9,8 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lift_scenes import db, differing, disk, front, same_bits
-from painter_scenes import (
+
+from splatpainter.models import checkpoint
+from splatpainter.models.config import COMPACT, PAPER, ModelConfig, shallow
+from splatpainter.models.draft import draft_local, edit_views
+from splatpainter.models.encode import asset_views, canonical_cameras, encode_asset
+from splatpainter.models.model import SplatPainterModel
+from splatpainter.models.weights import _Deferred
+from splatpainter.nn.precision import autocast
+from splatpainter.painter import Asset, Edit, Mode, Painter
+from splatpainter.receipts import Receipt
+from splatpainter.rendering import render
+from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.voxels.grid import voxelize
+from tests.support.lift_scenes import db, differing, disk, front, same_bits
+from tests.support.painter_scenes import (
     BLUE,
     CAMERA,
     COPY,
@@ -27,19 +40,6 @@ from painter_scenes import (
     thing,
     uneven,
 )
-
-from splatpainter.models import checkpoint
-from splatpainter.models.config import COMPACT, PAPER, ModelConfig, shallow
-from splatpainter.models.draft import draft_local, edit_views
-from splatpainter.models.encode import asset_views, canonical_cameras, encode_asset
-from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.weights import _Deferred
-from splatpainter.nn.precision import autocast
-from splatpainter.painter import Asset, Edit, Mode, Painter
-from splatpainter.receipts import Receipt
-from splatpainter.render import render
-from splatpainter.splats import ATTRIBUTES, Splats
-from splatpainter.voxels import voxelize
 
 SPLATS = thing()
 MODES: list[Mode] = ["local", "global"]

@@ -14,18 +14,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from cli_scenes import Capture, ball, run, saved
-from studio_scenes import live, make_studio
-from systems import posix_only
+from splatbench.adapters.plans import link
 
-from splatpainter import atomic, user_folders
+from splatpainter import atomic, processes, user_folders
 from splatpainter.cli import main
 from splatpainter.commands import SUMMARIES
-from splatpainter.evaluate import processes
-from splatpainter.evaluate.paper.external.plans import link
-from splatpainter.parallel import cpus
+from splatpainter.kernels.parallel import cpus
+from splatpainter.server.server import listen
 from splatpainter.session.lock import ProjectLock
-from splatpainter.studio.server import listen
+from tests.support.cli_scenes import Capture, ball, run, saved
+from tests.support.studio_scenes import live, make_studio
+from tests.support.systems import posix_only
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = [*sorted((ROOT / "src").rglob("*.py")), *sorted((ROOT / "scripts").glob("*.py"))]
@@ -33,12 +32,12 @@ WINDOWS = SimpleNamespace(platform="win32", executable=sys.executable)
 
 
 def test_the_main_paths_need_nothing_that_only_posix_has(tmp_path: Path) -> None:
-    from splatpainter.warmup import ensure_compiled
+    from splatpainter.kernels.compile import ensure_compiled
 
     ensure_compiled(progress=False)  # with all the threads there are; the program below finds the kernels
-    script = Path(__file__).with_name("without_posix.py")
+    script = Path(__file__).parent / "support" / "without_posix.py"
     variables = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "SPLATPAINTER_THREADS": "2"}
-    path = os.pathsep.join([str(ROOT / "src"), str(script.parent)])
+    path = os.pathsep.join([str(ROOT / "src"), str(ROOT / "benchmarks"), str(ROOT)])
     done = subprocess.run(
         [sys.executable, str(script)],
         cwd=tmp_path,

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lift_scenes import disk, front, sheet
 
 import splatpainter as sp
 from splatpainter.cameras import orbit
 from splatpainter.painter import Edit, Painter
 from splatpainter.receipts import Receipt, ViewScore, changed_rows, from_runs, score, to_runs
 from splatpainter.splats import Splats
+from tests.support.lift_scenes import disk, front, sheet
 
 RAW = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(9))]
 RAW += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4)), "confidence"]

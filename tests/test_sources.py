@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_scenes import ball, paint, without_camera
 from PIL import Image
 
 from splatpainter.cameras import Camera, look_at, write_png
-from splatpainter.render import render
+from splatpainter.rendering import render
 from splatpainter.sources import edit_from_files
 from splatpainter.sources.color import from_display, to_display
 from splatpainter.sources.files import camera_from
 from splatpainter.sources.pictures import read_mask, read_picture, resample
+from tests.support.cli_scenes import ball, paint, without_camera
 
 RNG = np.random.default_rng(7)
 COLORS = RNG.integers(0, 256, (12, 16, 3), np.uint8)

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from lift_scenes import bits, same_bits
 from numpy.typing import DTypeLike
 
 import splatpainter as sp
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Source, Splats, rows_sha256
+from tests.support.lift_scenes import bits, same_bits
 
 
 def splats(rows: int = 6, degree: int = 1, seed: int = 0, dtype: DTypeLike = np.float32) -> Splats:

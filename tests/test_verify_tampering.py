@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from glb_files import attributes_of, build
-from io_assets import random_splats
-from test_io_ksplat import make as make_ksplat
 
 import splatpainter as sp
 from splatpainter import receipts
 from splatpainter.commands import verify as verify_command
 from splatpainter.io.spz import write_spz
+from tests.io.test_ksplat import make as make_ksplat
+from tests.support.glb_files import attributes_of, build
+from tests.support.io_assets import random_splats
 
 Change = Callable[[bytes], bytes]
 NAMES = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]

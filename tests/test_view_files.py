@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cli_scenes import BOX, Capture, ball, run, saved
 from PIL import Image
-from render_scenes import cameras, opaque_stack, scene, with_odd_rows
 
 import splatpainter as sp
 from splatpainter import image_files
@@ -20,14 +18,16 @@ from splatpainter.aovs import draw_passes, normals_of
 from splatpainter.cameras import Camera, find_camera, look_at
 from splatpainter.framing import around
 from splatpainter.image_files import encode_png, quantized, read_deep
-from splatpainter.render import reference
-from splatpainter.render.cpu.frame import project
-from splatpainter.render.cpu.heaviest import heaviest_rows
+from splatpainter.rendering import reference
+from splatpainter.rendering.cpu.heaviest import heaviest_rows
+from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.sources import edit_from_files
 from splatpainter.sources.files import over_render
 from splatpainter.sources.pictures import read_picture
 from splatpainter.splats import Splats
 from splatpainter.view_files import PictureOptions, view_files
+from tests.support.cli_scenes import BOX, Capture, ball, run, saved
+from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
 
 deep = pytest.mark.skipif(not image_files.can_do_deep(), reason="OpenImageIO is not installed (extra pictures)")
 SCENES = {

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 import splatpainter
-from splatpainter.evaluate import processes
+from splatpainter import processes
+from splatpainter.kernels.compile import ensure_compiled
 from splatpainter.user_folders import PROJECTS_VARIABLE
-from splatpainter.warmup import ensure_compiled
 
 ROOT = Path(__file__).resolve().parents[1]
 PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
@@ -81,7 +81,7 @@ def test_the_wheel_has_what_the_package_needs_and_nothing_else(wheel: Path) -> N
     }
     packed = {name for name in names if ".dist-info/" not in name}
     assert packed == expected
-    for part in ("studio/static/index.html", "studio/static/studio.js", "train/recipes/", "weights/", "py.typed"):
+    for part in ("server/static/index.html", "server/static/studio.js", "train/recipes/", "weights/", "py.typed"):
         assert any(name.startswith(f"splatpainter/{part}") for name in packed), part
     assert any(name.endswith(".safetensors") for name in packed)
     assert not any("test" in Path(name).name.split("_") or name.startswith(("tests", "web")) for name in names)
@@ -111,7 +111,7 @@ def test_the_demo_runs_in_an_empty_folder(installed: Path, tmp_path: Path) -> No
 
 def test_the_studio_serves_its_page(installed: Path, tmp_path: Path) -> None:
     """On a small asset: the demo's would take seconds to make."""
-    from cli_scenes import ball, saved
+    from tests.support.cli_scenes import ball, saved
 
     (tmp_path / "empty").mkdir()
     asset = saved(tmp_path / "ball.ply", ball(200))

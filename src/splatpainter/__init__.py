@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from splatpainter.painter import Painter as Painter
     from splatpainter.receipts import Receipt as Receipt
     from splatpainter.receipts import verify as verify
-    from splatpainter.render import Render as Render
-    from splatpainter.render import render as render
+    from splatpainter.rendering import Render as Render
+    from splatpainter.rendering import render as render
+    from splatpainter.server.server import studio as studio
     from splatpainter.session import Session as Session
     from splatpainter.splats import Splats as Splats
-    from splatpainter.studio.server import studio as studio
 
 __version__ = "0.1.0"
 
@@ -34,15 +34,15 @@ _HOME = {
     "orbit": "cameras",
     "read": "io",
     "write": "io",
-    "render": "render",
-    "Render": "render",
+    "render": "rendering",
+    "Render": "rendering",
     "Painter": "painter",
     "Asset": "painter",
     "Edit": "painter",
     "Session": "session",
     "Receipt": "receipts",
     "verify": "receipts",
-    "studio": "studio",
+    "studio": "server.server",
 }
 __all__ = [
     "Asset",
@@ -64,7 +64,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # sp.render is both a package and a function; the function wins once asked for by name.
     if name in _HOME:
         value = getattr(importlib.import_module(f"splatpainter.{_HOME[name]}"), name)
         globals()[name] = value

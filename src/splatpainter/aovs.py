@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.whole import outward_normals
-from splatpainter.render.profiles import Profile
+from splatpainter.lift.global_edit import outward_normals
+from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
 
 Aov = Literal["alpha", "depth", "normal", "gaussian-ids", "coverage"]
@@ -57,9 +57,9 @@ def draw_passes(
     splats: numpy attributes. profile: as in `render`. normals: [N, 3] of `normals_of`, computed where they are
     wanted and not given (the same for all views of an asset). coverage: [N] bool rows predicted and [N] bool rows seen,
     both False for rows as they were. Raises ValueError as `render`, and for "coverage" without one."""
-    from splatpainter.render import render
-    from splatpainter.render.cpu.frame import project
-    from splatpainter.render.cpu.heaviest import heaviest_rows
+    from splatpainter.rendering import render
+    from splatpainter.rendering.cpu.heaviest import heaviest_rows
+    from splatpainter.rendering.cpu.projected_view import project
 
     if "coverage" in aovs and coverage is None:
         raise ValueError("coverage: only a session knows which rows its edits saw; export the view from a session")

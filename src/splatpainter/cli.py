@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.metadata
 import io
 import os
 import signal
@@ -18,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from splatpainter import __version__
-from splatpainter.commands import SUMMARIES, Outcome
+from splatpainter.commands import DISTRIBUTIONS, ENTRY_POINTS, SUMMARIES, Outcome
 from splatpainter.commands.terminal import PROGRAM, complain, reason
 
 DEBUG = "SPLATPAINTER_DEBUG"
@@ -63,7 +64,7 @@ def _run(words: list[str]) -> Outcome:
         near = difflib.get_close_matches(name, SUMMARIES, 1)
         hint = f"; did you mean {near[0]}?" if near else f"; see {PROGRAM} --help"
         raise ValueError(f"expected a command ({', '.join(SUMMARIES)}), got {name!r}{hint}")
-    command: Any = importlib.import_module("splatpainter.commands." + name)
+    command = _module(name)
     if hasattr(command, "dispatch"):  # a command of commands
         return command.dispatch(rest)
     from splatpainter.commands.options import parse
@@ -71,6 +72,19 @@ def _run(words: list[str]) -> Outcome:
     config = parse(command.Config, f"{PROGRAM} {name}", rest)
     outcome = command.run(config)
     return outcome.as_json() if config.json else outcome
+
+
+def _module(name: str) -> Any:
+    """The module of a command: of this package, or of an installed distribution with the entry point `name` in the
+    group `splatpainter.commands`. Raises ValueError where that distribution is missing."""
+    if name not in DISTRIBUTIONS:
+        return importlib.import_module("splatpainter.commands." + name)
+    points = importlib.metadata.entry_points(group=ENTRY_POINTS, name=name)
+    if not points:
+        raise ValueError(
+            f"{PROGRAM} {name}: expected {DISTRIBUTIONS[name]}, which is not installed; see benchmarks/README.md"
+        )
+    return next(iter(points)).load()
 
 
 def _help() -> str:

@@ -23,13 +23,13 @@ from splatpainter.receipts import Receipt, changed_rows, scores, untouched_hashe
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
-    from splatpainter.lift.local import LocalOptions
-    from splatpainter.lift.whole import GlobalOptions, Predict
+    from splatpainter.lift.global_edit import GlobalOptions, Predict
+    from splatpainter.lift.local_edit import LocalOptions
     from splatpainter.models.draft import Draft, EditView
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
-    from splatpainter.voxels import VoxelGrid
+    from splatpainter.voxels.grid import VoxelGrid
 
 Mode = Literal["local", "global"]
 Method = Literal["auto", "ttt", "lift", "fit"]
@@ -87,21 +87,21 @@ class Asset:
     @cached_property
     def grid(self) -> VoxelGrid:
         """The 128^3 voxels of the rows, made on first use."""
-        from splatpainter.voxels import voxelize
+        from splatpainter.voxels.grid import voxelize
 
         return voxelize(self.splats)
 
     @cached_property
     def normals(self) -> np.ndarray:
         """[N, 3] float32 outward unit normals of the rows, made on first use; zeros for rows that cannot be drawn."""
-        from splatpainter.lift.whole import outward_normals
+        from splatpainter.lift.global_edit import outward_normals
 
         return outward_normals(self.splats)
 
     @cached_property
     def transfer(self) -> np.ndarray:
         """[N, 10] float32 the light that reaches the rows (`visibility.row_transfer`), made on first use."""
-        from splatpainter.visibility import row_transfer
+        from splatpainter.lighting import row_transfer
 
         return row_transfer(self.splats.means, self.normals)
 
@@ -385,7 +385,7 @@ def _owned(asset: Asset, owners: np.ndarray) -> Learnt | None:
 
 
 def _one_size(edits: Sequence[Edit]) -> None:
-    from splatpainter.models.pictures import one_size
+    from splatpainter.models.image_tokens import one_size
 
     one_size([edit.camera for edit in edits])
 
@@ -394,7 +394,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
     """The edit beside what the asset shows. Raises ValueError, naming the edit, where there is nothing to do."""
     from splatpainter.lift.masks import change_mask
     from splatpainter.models.draft import EditView, errors_name
-    from splatpainter.raycast import inside
+    from splatpainter.voxels.raycast import inside
 
     with errors_name(edit.name):
         if inside(asset.grid, asset.grid.occupancy, edit.camera.position):
@@ -427,14 +427,14 @@ def _beside(views: Sequence[EditView]) -> str:
 
 def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(colours [H, W, 3], expected depth [H, W], alpha [H, W])."""
-    from splatpainter.render import render
+    from splatpainter.rendering import render
 
     picture = render(splats, camera)
     return picture.colors[0], picture.depths[0, ..., 0], picture.alphas[0, ..., 0]
 
 
 def _polished(before: Splats, after: Splats, draft: Draft, views: Sequence[EditView], mode: Mode) -> Splats:
-    from splatpainter.models.polish import polish_global, polish_local
+    from splatpainter.models.color_refine import polish_global, polish_local
 
     if mode == "global":
         return polish_global(after, [(v.camera, v.target, v.mask) for v in views])

@@ -15,7 +15,7 @@ import numpy as np
 from splatpainter.aovs import Aov, Passes, draw_passes
 from splatpainter.cameras import ALPHA, CHUNK, Alpha, Camera
 from splatpainter.image_files import HALF_MAX, encode_exr, encode_png, quantized, require_deep
-from splatpainter.render.profiles import Profile
+from splatpainter.rendering.profiles import Profile
 from splatpainter.sources.color import to_display, to_light
 from splatpainter.sources.pictures import straight
 from splatpainter.splats import ColorSpace, Splats

@@ -7,10 +7,3 @@ An input is a pure function of its target and its seed number. Each target (targ
 bends: headers, counts, JSON trees, zip directories, packed payloads, database cells; so inputs get past first checks.
 worker.py runs inputs in a process of its own under limits; supervisor.py starts workers and notices when one dies.
 """
-
-import sys
-from pathlib import Path
-
-_TESTS = str(Path(__file__).parents[1])
-if _TESTS not in sys.path:  # scenes that the tests have already are used here, too
-    sys.path.append(_TESTS)

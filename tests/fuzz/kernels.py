@@ -79,7 +79,7 @@ def view(rng: np.random.Generator):
 
 def drawing(rng: np.random.Generator, dtype: type) -> None:
     """render, forward and backward, in both profiles."""
-    from splatpainter.render.cpu.views import draw_views, views_back
+    from splatpainter.rendering.cpu.views import draw_views, views_back
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
     profile = "playcanvas" if rng.random() < 0.3 else "inria"
@@ -97,7 +97,7 @@ def drawing(rng: np.random.Generator, dtype: type) -> None:
 
 def forward(rng: np.random.Generator, dtype: type) -> None:
     """Projection, binning and drawing alone: what compiles in little time."""
-    from splatpainter.render.cpu.frame import project
+    from splatpainter.rendering.cpu.projected_view import project
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
     frame = project(splats, camera)
@@ -108,9 +108,9 @@ def forward(rng: np.random.Generator, dtype: type) -> None:
 def frames(rng: np.random.Generator, dtype: type) -> None:
     """What the lifts call on a frame."""
     from splatpainter.lift.detail import surface
-    from splatpainter.render.cpu.frame import project, tile_shape
-    from splatpainter.render.cpu.heaviest import heaviest_rows
-    from splatpainter.render.cpu.rounds import Kept
+    from splatpainter.rendering.cpu.heaviest import heaviest_rows
+    from splatpainter.rendering.cpu.projected_view import project, tile_shape
+    from splatpainter.rendering.cpu.sirt import Kept
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
     shape = (camera.height, camera.width)
@@ -138,7 +138,8 @@ def frames(rng: np.random.Generator, dtype: type) -> None:
 
 def cubes(rng: np.random.Generator, dtype: type) -> None:
     """Voxels, footprints and rays."""
-    from splatpainter import raycast, voxels
+    from splatpainter.voxels import grid as voxels
+    from splatpainter.voxels import raycast
 
     splats, camera = rows(rng, np.float32, rng.choice([0, 0.01, 0.1])), view(rng)
     if not splats.finite.any():
@@ -156,7 +157,7 @@ def cubes(rng: np.random.Generator, dtype: type) -> None:
 
 def shadows(rng: np.random.Generator, dtype: type) -> None:
     """Shadow maps."""
-    from splatpainter import visibility
+    from splatpainter import lighting as visibility
 
     count = int(rng.integers(1, 60))
     points = rng.normal(0, 1, (count, 3)) * rng.choice([1e-30, 1e-6, 1, 1e9, 1e15])
@@ -187,8 +188,8 @@ def fitting(rng: np.random.Generator, dtype: type) -> None:
 
 def lifting(rng: np.random.Generator, dtype: type) -> None:
     """A local lift: untouched rows stay, whatever they hold."""
-    from splatpainter.lift.local import lift_local
-    from splatpainter.render.cpu.frame import project
+    from splatpainter.lift.local_edit import lift_local
+    from splatpainter.rendering.cpu.projected_view import project
 
     splats, camera = rows(rng, np.float32, rng.choice([0, 0.01, 0.05])), view(rng)
     shape = (camera.height, camera.width)

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import zstandard
-from session_scenes import FlatPainter
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.painter import Edit
 from splatpainter.session import Session
 from splatpainter.splats import Splats
+from tests.support.session_scenes import FlatPainter
 
 from .corpus import rows, written
 from .mutations import FLOATS, INTEGERS, TEXTS, bend_bytes, bend_integer, bend_json, few, json_bytes, maybe

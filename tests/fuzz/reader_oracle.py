@@ -134,7 +134,7 @@ def _few_rows() -> Splats:
 
 def draw(splats: Splats) -> None:
     """A small picture: pixels are finite, whatever the rows."""
-    from splatpainter.render import render
+    from splatpainter.rendering import render
 
     if len(splats) and not np.isfinite(render(splats, _camera()).colors[0]).all():
         raise Fault("the picture has pixels that are not finite")

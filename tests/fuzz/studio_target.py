@@ -17,14 +17,13 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from session_scenes import FlatPainter
-
+from splatpainter.server.app import create_app
+from splatpainter.server.core import Options, Studio
+from splatpainter.server.messages import COMMANDS
+from splatpainter.server.messages.base import PIXELS
+from splatpainter.server.socket import own_hash
 from splatpainter.session import Session
-from splatpainter.studio.app import create_app
-from splatpainter.studio.core import Options, Studio
-from splatpainter.studio.messages import COMMANDS
-from splatpainter.studio.messages.base import PIXELS
-from splatpainter.studio.socket import own_hash
+from tests.support.session_scenes import FlatPainter
 
 from .mutations import FLOATS, INTEGERS, TEXTS, bend_json, json_bytes, maybe
 from .packed_targets import GlbTarget, KsplatTarget, SplatTarget, SpzTarget
@@ -54,8 +53,8 @@ class StudioTarget(Target):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        logging.getLogger("splatpainter.studio").addHandler(logging.NullHandler())
-        logging.getLogger("splatpainter.studio").propagate = False
+        logging.getLogger("splatpainter.server").addHandler(logging.NullHandler())
+        logging.getLogger("splatpainter.server").propagate = False
         for kind in (*READERS, ProjectTarget):
             (folder / kind.__name__).mkdir()
         self.files: list[Target] = [kind(folder / kind.__name__) for kind in (*READERS, ProjectTarget)]

@@ -105,7 +105,7 @@ describe("rows", () => {
     const sh = new Float32Array([0.3, -1.2, 0, 0.75, -0.3, 0.1, 1e-9, 0, 0, -0.01, 0.02, 0.004]);
     for (const texels of [floats, tinted]) encodeRow(texels, 1, one({ coefficients: 4, sh: new Float32Array(12) }), 0);
     encodeRow(floats, 1, one({ shape: null, coefficients: 4, sh }), 0);
-    // the same numbers as in tests/test_studio_frames.py
+    // the same numbers as in tests/server/test_frames.py
     const tints = {
       base: new Uint16Array([0x38ad, 0x312b, 0x3800]),
       codes: new Uint32Array([0x7a1a4dbf, 0, 0x5121a352]),

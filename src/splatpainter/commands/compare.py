@@ -19,8 +19,8 @@ from splatpainter.commands.targets import check_folder, check_target, make_folde
 from splatpainter.commands.terminal import count, decibels, progress, to_json
 from splatpainter.framing import around
 from splatpainter.io import read
-from splatpainter.render import MAX_SIDE_PX
-from splatpainter.render.profiles import Profile
+from splatpainter.rendering import MAX_SIDE_PX
+from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
@@ -159,10 +159,10 @@ def _compared(
     """(likeness per view, the three pictures per view shrunk for the sheet); saves a picture of each view."""
     import numpy as np
 
-    from splatpainter.evaluate.sheets import Strip, sheet, write_sheet
-    from splatpainter.render import render
+    from splatpainter.contact_sheet import Strip, sheet, write_sheet
+    from splatpainter.kernels.compile import ensure_compiled
+    from splatpainter.rendering import render
     from splatpainter.sources.color import from_display, to_display
-    from splatpainter.warmup import ensure_compiled
 
     ensure_compiled()
     results, thumbs = [], []
@@ -191,7 +191,7 @@ def _save_sheet(
     thumbs: Sequence[Sequence[np.ndarray]],
     chosen: Sequence[int],
 ) -> None:
-    from splatpainter.evaluate.sheets import Strip, sheet, write_sheet
+    from splatpainter.contact_sheet import Strip, sheet, write_sheet
 
     labels = _labels(config)
     strips = [Strip(f"{names[k]}  {_words(results[k])}", tuple(zip(labels, thumbs[k], strict=True))) for k in chosen]

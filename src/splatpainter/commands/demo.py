@@ -51,7 +51,7 @@ def run(config: Config) -> Outcome:
     """Make, render, paint, edit, look."""
     from splatpainter.demo_asset import BACKGROUND, demo_asset
     from splatpainter.io.frames import flip
-    from splatpainter.warmup import ensure_compiled
+    from splatpainter.kernels.compile import ensure_compiled
 
     if not 64 <= config.size <= 2048:
         raise ValueError(f"splatpainter demo: expected --size from 64 to 2048, got {config.size}")
@@ -118,7 +118,7 @@ def view(
 
 
 def _shot(splats: Splats, camera: Camera) -> np.ndarray:
-    from splatpainter.render import render
+    from splatpainter.rendering import render
 
     return np.clip(render(splats, camera).colors[0], 0, 1)
 

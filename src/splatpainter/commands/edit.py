@@ -162,7 +162,7 @@ def _warn_of_other_assets(sources: list[FileEdit], splats: Splats) -> None:
 
 
 def _compile() -> None:
-    from splatpainter.warmup import ensure_compiled
+    from splatpainter.kernels.compile import ensure_compiled
 
     ensure_compiled()
 

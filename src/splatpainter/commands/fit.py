@@ -150,7 +150,7 @@ def _material(config: Config) -> Material:
 
 def _fitted(config: Config, made: Material) -> Splats:
     from splatpainter.fit.optimize import FitOptions, View, optimize
-    from splatpainter.warmup import ensure_compiled
+    from splatpainter.kernels.compile import ensure_compiled
 
     ensure_compiled()
     options = FitOptions(
@@ -170,7 +170,7 @@ def _psnr(splats: Splats, pictures: list[Any]) -> float:
     import numpy as np
 
     from splatpainter.metrics import psnr
-    from splatpainter.render import render
+    from splatpainter.rendering import render
 
     return float(np.mean([psnr(np.clip(render(splats, c).colors[0], 0, 1), color) for c, color in pictures]))
 
@@ -204,6 +204,6 @@ def _check(config: Config) -> None:
     if config.most_rows < config.rows:
         raise ValueError(f"splatpainter fit: expected --most-rows of at least --rows, {config.rows:,}")
     if config.device == "cuda":
-        from splatpainter.render.cuda import require
+        from splatpainter.rendering.cuda import require
 
         require()

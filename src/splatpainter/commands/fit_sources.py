@@ -86,8 +86,8 @@ def is_mesh(path: Path) -> bool:
 def _from_asset(source: Path, wish: Wish) -> Material:
     from splatpainter.framing import AUTO_UP, UPS, reach
     from splatpainter.io import read
-    from splatpainter.render import render
-    from splatpainter.warmup import ensure_compiled
+    from splatpainter.kernels.compile import ensure_compiled
+    from splatpainter.rendering import render
 
     splats = read(source)
     if not splats.finite.any():
@@ -120,8 +120,8 @@ def _from_mesh(source: Path, wish: Wish) -> Material:
 def _surfels(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
     from splatpainter.data.lights import shade
     from splatpainter.data.surfels import sample_surfels, to_splats
-    from splatpainter.render import render
-    from splatpainter.warmup import ensure_compiled
+    from splatpainter.kernels.compile import ensure_compiled
+    from splatpainter.rendering import render
 
     ensure_compiled()
     dense = sample_surfels(mesh, wish.surfels, wish.seed)
@@ -138,7 +138,7 @@ def _traced(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], 
     from splatpainter.data.pathtrace import PathOptions, display, path_trace
 
     def shoot(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
-        from splatpainter.warmup import ensure_compiled
+        from splatpainter.kernels.compile import ensure_compiled
 
         ensure_compiled()
         traced = path_trace(mesh, light.environment.numpy(), cameras, PathOptions(wish.samples, seed=wish.seed))

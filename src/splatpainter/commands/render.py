@@ -16,8 +16,8 @@ from splatpainter.commands.targets import check_folder, check_target, make_folde
 from splatpainter.commands.terminal import count, progress
 from splatpainter.framing import around
 from splatpainter.io import files, frame_is_news, frame_line, read
-from splatpainter.render import MAX_SIDE_PX
-from splatpainter.render.profiles import Profile
+from splatpainter.rendering import MAX_SIDE_PX
+from splatpainter.rendering.profiles import Profile
 from splatpainter.sources.color import from_display
 from splatpainter.splats import Splats
 
@@ -129,8 +129,8 @@ def _save_all(
     splats: Splats, cameras: list[Camera], stems: list[str], out: Path, options: PictureOptions
 ) -> Iterator[None]:
     from splatpainter.aovs import normals_of
+    from splatpainter.kernels.compile import ensure_compiled
     from splatpainter.view_files import view_files
-    from splatpainter.warmup import ensure_compiled
 
     ensure_compiled()
     normals = normals_of(splats) if "normal" in options.aovs else None

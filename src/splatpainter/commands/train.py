@@ -19,8 +19,8 @@ from splatpainter.train.recipes import Recipe, Stage
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.train.distributed import Group
-    from splatpainter.train.material import Material
     from splatpainter.train.stages.task import Task
+    from splatpainter.train.training_data import Material
 
 SUMMARIES = {
     "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
@@ -120,8 +120,8 @@ def run(config: Config) -> Outcome:
     """Train. Raises ValueError before anything is written where data, weights or the folder do not fit."""
     from splatpainter.train.distributed import join
     from splatpainter.train.loop import Limits, Loop
-    from splatpainter.train.material import Stock, Supply, open_material, row_material
     from splatpainter.train.state import exists
+    from splatpainter.train.training_data import Stock, Supply, open_material, row_material
 
     recipe = Recipe(**{f.name: getattr(config, f.name) for f in dataclasses.fields(Recipe)})
     if not config.data:

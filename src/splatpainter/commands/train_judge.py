@@ -20,7 +20,7 @@ from splatpainter.train.recipes import STAGES, Recipe
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.train.judge import Finding
-    from splatpainter.train.material import Supply
+    from splatpainter.train.training_data import Supply
 
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Checkpoint = Annotated[Positional[Path], arg(metavar="CHECKPOINT")]
@@ -102,9 +102,9 @@ class CardConfig:
 def judge(config: JudgeConfig) -> Outcome:
     """Judge, write the tables, and the notes if asked to. Raises ValueError before any work where the weights, the data
     or the folder do not fit."""
-    from splatpainter.evaluate import trained
     from splatpainter.models import checkpoint
     from splatpainter.models.model import SplatPainterModel
+    from splatpainter.train import judge_tables as trained
     from splatpainter.train.distributed import join
     from splatpainter.train.judge import (
         copy_rows,
@@ -176,9 +176,9 @@ def judge(config: JudgeConfig) -> Outcome:
 
 def card(config: CardConfig) -> Outcome:
     """The card as text. Raises ValueError for weights that have not been judged."""
-    from splatpainter.evaluate.card import card as text
     from splatpainter.models import checkpoint
     from splatpainter.train import history
+    from splatpainter.train.model_card import card as text
 
     held = checkpoint.load(config.checkpoint)
     stages = history.of(config.checkpoint, held.notes)
@@ -209,7 +209,7 @@ def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:
 
 
 def _supply(config: JudgeConfig, recipe: Recipe, device: str) -> Supply:
-    from splatpainter.train.material import Stock, Supply
+    from splatpainter.train.training_data import Stock, Supply
 
     stock = Stock(config.environments, config.decals, config.fonts, config.textures)
     share, memory = recipe.validation_share, 64 << 20

@@ -14,7 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
-from splatpainter.parallel import cpus
+from splatpainter.kernels.parallel import cpus
 
 Result = TypeVar("Result")
 RETRIES = 3

@@ -62,7 +62,7 @@ def make_light(environment: Any, name: str = "", stops: float = 0.0) -> Light:
 
 def auto_exposure(coefficients: Any) -> Any:
     """[] exposure that gives WHITE to the luminance of a white diffuse sphere's brightest tenth under SH [9, 3]."""
-    from splatpainter.visibility import fibonacci
+    from splatpainter.lighting import fibonacci
 
     normals = torch.as_tensor(fibonacci(128), dtype=coefficients.dtype, device=coefficients.device)
     luminance = irradiance(coefficients, normals) @ _luminance(coefficients)

@@ -16,8 +16,8 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.data import edits
+from splatpainter.data.mesh_visibility import NEAR, projected, sees
 from splatpainter.data.meshes import Material, Mesh, joined
-from splatpainter.data.sight import NEAR, projected, sees
 from splatpainter.sources.looks import to_display, to_linear
 
 EDGE = 1.0

@@ -1,4 +1,4 @@
-"""Samples whose pictures are path traced: the takes of data/takes.py, every picture made anew by data/pathtrace.py.
+"""Samples whose pictures are path traced: the takes of data/edit_samples.py, pictures made anew by data/pathtrace.py.
 
 For evaluation, and for training at scale. Only kinds whose truth is the mesh itself in a known light; paint on meshes
 is data/painted_mesh.py's.
@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from splatpainter.data import takes
+from splatpainter.data import edit_samples as takes
 from splatpainter.data.lights import Light, random_light
+from splatpainter.data.lit_scenes import Views, light_up, mesh_subject
 from splatpainter.data.pathtrace import PathOptions, PathTraced, display, path_trace
 from splatpainter.data.recipes import GLOBAL, SampleRecipe
 from splatpainter.data.samples import TRIES, Mode, Sample
 from splatpainter.data.scenes import MeshSource
-from splatpainter.data.stages import Views, light_up, mesh_subject
 from splatpainter.data.viewpoints import Optics
 
 PATH_KINDS = ("relight", "zoom", "plain")

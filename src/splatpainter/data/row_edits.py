@@ -22,14 +22,14 @@ from torch import Tensor
 
 from splatpainter.data import edits
 from splatpainter.data.lights import Light, random_light, shade, shade_all
+from splatpainter.data.lit_scenes import Subject, shoot
 from splatpainter.data.samples import SampleStream
-from splatpainter.data.stages import Subject, shoot
 from splatpainter.data.surfels import Surfels, to_splats
 from splatpainter.data.viewpoints import Optics, ring
-from splatpainter.lift.whole import SEEN, outward_normals, seen_change
+from splatpainter.lift.global_edit import SEEN, outward_normals, seen_change
+from splatpainter.lighting import row_transfer, turning
 from splatpainter.sources.looks import random_look
 from splatpainter.splats import SH_C0, Splats
-from splatpainter.visibility import row_transfer, turning
 
 RINGS = 3
 """Rings of views per object."""

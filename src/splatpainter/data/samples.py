@@ -18,12 +18,12 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from splatpainter.data import takes
-from splatpainter.data.kinds import Stock, listed
+from splatpainter.data import edit_samples as takes
+from splatpainter.data.edit_types import Stock, listed
 from splatpainter.data.lights import random_light
+from splatpainter.data.lit_scenes import Stage, Subject, Views, light_up, mesh_subject, splat_subject
 from splatpainter.data.recipes import GLOBAL, KINDS, LOCAL, RECIPES, SampleRecipe
 from splatpainter.data.scenes import MeshSource, Source, SplatSource
-from splatpainter.data.stages import Stage, Subject, Views, light_up, mesh_subject, splat_subject
 from splatpainter.data.viewpoints import Optics
 from splatpainter.splats import Splats
 

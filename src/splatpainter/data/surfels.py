@@ -71,8 +71,8 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
 
     Raises ValueError when count is not positive or nothing of the mesh can be seen.
     """
-    from splatpainter.data import blue_noise
-    from splatpainter.visibility import open_transfer
+    from splatpainter.data import poisson_disk as blue_noise
+    from splatpainter.lighting import open_transfer
 
     if count < 1:
         raise ValueError(f"{mesh.name}: expected at least one surfel, got {count}")
@@ -111,7 +111,7 @@ def coarse_asset(surfels: Surfels, rows: int, seed: int = 0, fuzz: float = 0.3) 
     opacity down to 0.99 - 0.49 fuzz, jitter of place, size and orientation, and 0.3 fuzz of the rows spent on faint
     layers above and below the surface. Raises ValueError when rows exceed the surfels or fuzz its range.
     """
-    from splatpainter.data.coarse import coarsened
+    from splatpainter.data.degrade import coarsened
 
     if not 1 <= rows <= len(surfels):
         raise ValueError(f"coarse_asset: expected 1 to {len(surfels)} rows (the surfels there are), got {rows}")
@@ -164,8 +164,8 @@ def _round(
     mesh: Mesh, number: int, flats: np.ndarray, area: float, rng: np.random.Generator
 ) -> tuple[_Candidates, float]:
     """(those of `number` points that light can reach, their share). flats: [F, 3] unit normals of the faces."""
-    from splatpainter.data import blue_noise
-    from splatpainter.visibility import visibility
+    from splatpainter.data import poisson_disk as blue_noise
+    from splatpainter.lighting import visibility
 
     face, weights = blue_noise.scatter(mesh.vertices, mesh.faces, number, rng)
     solid = _covered(mesh, face, weights)

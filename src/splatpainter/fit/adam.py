@@ -13,7 +13,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from splatpainter.parallel import run
+from splatpainter.kernels.parallel import run
 
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15

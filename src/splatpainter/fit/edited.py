@@ -14,8 +14,8 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.fit.optimize import FitOptions, View, optimize
 from splatpainter.framing import around
-from splatpainter.render import render
-from splatpainter.render.cpu.frame import TILE, project
+from splatpainter.rendering import render
+from splatpainter.rendering.cpu.projected_view import TILE, project
 from splatpainter.splats import Splats
 
 __all__ = ["EditFitOptions", "fit_edited"]

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.fit.loss import picture_loss, torch_loss
-from splatpainter.render.cpu.frame import Frame, project, tiles_of_mask
-from splatpainter.render.cpu.views import pixels_back, rows_back
+from splatpainter.rendering.cpu.projected_view import Frame, project, tiles_of_mask
+from splatpainter.rendering.cpu.views import pixels_back, rows_back
 from splatpainter.splats import ATTRIBUTES, Splats
 
 OwnLoss = Callable[[Tensor], Tensor]
@@ -96,7 +96,7 @@ class CpuPasses:
 
 def torch_pass(splats: Splats, target: Target, own: OwnLoss | None, pull: bool, absolute: bool = False) -> Pass:
     """The same by torch, on the splats' device. absolute: not known here, and left out."""
-    from splatpainter.render import render
+    from splatpainter.rendering import render
 
     leaves = {name: getattr(splats, name).detach().requires_grad_() for name in ATTRIBUTES}
     image = render(replace(splats, **leaves), target.camera).colors[0]

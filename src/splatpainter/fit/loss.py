@@ -17,8 +17,8 @@ import torch
 from numba import njit
 from torch import Tensor
 
+from splatpainter.kernels.parallel import run
 from splatpainter.metrics.images import C1, C2, RADIUS, SIGMA
-from splatpainter.parallel import run
 
 WINDOW = 2 * RADIUS + 1
 TAPS = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / SIGMA) ** 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from splatpainter.parallel import run
+from splatpainter.kernels.parallel import run
 from splatpainter.splats import MAX_MAGNITUDE
 
 BLOCK = 256

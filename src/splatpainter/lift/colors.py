@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.render.cpu.frame import Frame
-from splatpainter.render.cpu.rounds import rounds_towards
+from splatpainter.rendering.cpu.projected_view import Frame
+from splatpainter.rendering.cpu.sirt import rounds_towards
 from splatpainter.splats import SH_C0
 
 BRIGHTEST = 1.3

@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels.parallel import run
 from splatpainter.lift.colors import recolor
-from splatpainter.parallel import run
-from splatpainter.render.cpu.frame import Frame
+from splatpainter.rendering.cpu.projected_view import Frame
 from splatpainter.splats import MAX_MAGNITUDE, Splats
 
 DEPTH = 0.4
@@ -101,7 +101,7 @@ def surface(frame: Frame, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def warm() -> None:
     """Compile (or load) the kernels of this module."""
     from splatpainter.cameras import look_at
-    from splatpainter.render.cpu.frame import project
+    from splatpainter.rendering.cpu.projected_view import project
 
     one = np.ones((1, 3), np.float32)
     splats = Splats(one * 0, np.ones((1, 4), np.float32), one, one[:, 0] * 0.9, one[:, None])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.render.cpu.frame import Frame
+from splatpainter.rendering.cpu.projected_view import Frame
 
 HOLD = 0.1
 """Pull of a row's old colour, per hidden pixel of the row and squared doubt. Two close-ups of 4x zoom of four training

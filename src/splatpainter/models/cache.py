@@ -21,7 +21,7 @@ from splatpainter import user_folders
 from splatpainter.io.files import writing
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.splats import ATTRIBUTES, Splats
-from splatpainter.voxels import VoxelGrid, voxelize
+from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -116,7 +116,7 @@ def _packed(model: SplatPainterModel, encoded: Encoded) -> dict[str, Tensor]:
 def _unpacked(model: SplatPainterModel, splats: Splats, grid: VoxelGrid, held: dict[str, Tensor]) -> Encoded | None:
     """None where it does not fit the asset: a file of another program under this name."""
     from splatpainter.models.compress import Latents
-    from splatpainter.models.rows import RowGroups
+    from splatpainter.models.gaussian_groups import RowGroups
 
     device = str(next(model.parameters()).device)
     try:

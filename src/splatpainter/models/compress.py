@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from torch.utils.checkpoint import checkpoint
 
 from splatpainter.models.config import CompressConfig
-from splatpainter.models.rows import RowGroups, TokenLinks, attribute_features, feature_count
+from splatpainter.models.gaussian_groups import RowGroups, TokenLinks, attribute_features, feature_count
 from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.layers import CrossAttention, PackedBlock, layer_norm, linear
 from splatpainter.nn.precision import exact

@@ -20,17 +20,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.models.color_refine import polish_local
 from splatpainter.models.config import Base
-from splatpainter.models.polish import polish_local
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
-from splatpainter.voxels import VoxelGrid, voxelize
+from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
-    from splatpainter.lift.local import LocalOptions
-    from splatpainter.lift.whole import GlobalOptions, Predict
+    from splatpainter.lift.global_edit import GlobalOptions, Predict
+    from splatpainter.lift.local_edit import LocalOptions
     from splatpainter.models.encode import Encoded
+    from splatpainter.models.image_tokens import Pictures
     from splatpainter.models.model import SplatPainterModel
-    from splatpainter.models.pictures import Pictures
     from splatpainter.models.refine import RefineState
 
 TOLD_ROUNDS = 4
@@ -96,7 +96,7 @@ def edit_views(
 ) -> list[EditView]:
     """Edited pictures with the asset rendered from their cameras. splats: numpy or torch; targets: [H, W, 3] float
     each; masks: [H, W] bool each."""
-    from splatpainter.render import render
+    from splatpainter.rendering import render
 
     own, views = splats.numpy(), []
     for camera, target, mask in zip(cameras, targets, masks, strict=True):
@@ -118,7 +118,7 @@ def draft_local(
     """Rows that visibly make the edited pixels; later views win. splats: numpy, N rows; grid: its voxels; options: of
     the lift; features: False leaves `lift` zero, for models that do not read it. Raises ValueError, naming the view,
     where an edit reaches no row."""
-    from splatpainter.lift.local import LocalOptions
+    from splatpainter.lift.local_edit import LocalOptions
 
     options = options or LocalOptions()
     if base == "lift":
@@ -147,7 +147,7 @@ def draft_global(
 ) -> Draft:
     """All rows that can be drawn. splats: numpy, N rows; options and features: as in `draft_local`; normals and
     predict: as in `lift_global`. Raises ValueError, naming the views, where they show no solid part of it."""
-    from splatpainter.lift.whole import GlobalOptions, lift_global
+    from splatpainter.lift.global_edit import GlobalOptions, lift_global
 
     rows = np.flatnonzero(splats.finite)
     if base == "own" and not features:
@@ -172,7 +172,7 @@ def refine_draft(
     them, and for rows that were not encoded."""
     import torch
 
-    from splatpainter.models.rows import drift_features
+    from splatpainter.models.gaussian_groups import drift_features
 
     config = model.config.refine
     device = encoded.latents.values.device
@@ -223,8 +223,8 @@ def assemble(draft: Draft, rows: Splats, further: Splats | None) -> Splats:
 def rows_reached(splats: Splats, grid: VoxelGrid, views: Sequence[EditView]) -> np.ndarray:
     """[N] bool rows in voxels that edited pixels show, and that really contribute to these pixels, of any view. Raises
     ValueError, naming the view, for one without such rows."""
-    from splatpainter.lift.local import reached_rows
-    from splatpainter.raycast import editable_rows
+    from splatpainter.lift.local_edit import reached_rows
+    from splatpainter.voxels.raycast import editable_rows
 
     reached = np.zeros(len(splats), bool)
     for view in views:
@@ -249,8 +249,8 @@ def _lifted(
     """One view after the other, each on the result of those before: (N + A rows, [J] those that were changed or
     appended, [J] rows of `splats` that they come from). A view gets no detail layer where a later one shows the same
     part: from another side its rows stand in the way (SAME_PART)."""
-    from splatpainter.lift.local import lift_local
-    from splatpainter.raycast import editable_rows
+    from splatpainter.lift.local_edit import lift_local
+    from splatpainter.voxels.raycast import editable_rows
 
     owners, changed = np.arange(len(splats)), np.zeros(len(splats), bool)
     again = _shown_again(splats, grid, views)
@@ -280,7 +280,7 @@ def _shown_again(splats: Splats, grid: VoxelGrid, views: Sequence[EditView]) -> 
 
 def _seen(splats: Splats, views: Sequence[EditView]) -> np.ndarray:
     """[N] float32 0..1: how much of each row the edited pixels show; HALF_SEEN pixels of weight are a half."""
-    from splatpainter.render.cpu.frame import project, tiles_of_mask
+    from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 
     weight = np.zeros(len(splats), np.float32)
     for view in views:
@@ -319,7 +319,7 @@ def _pictures(views: Sequence[EditView], device: str) -> Pictures:
     """Raises ValueError for views of several sizes."""
     import torch
 
-    from splatpainter.models.pictures import Pictures, one_size
+    from splatpainter.models.image_tokens import Pictures, one_size
 
     cameras = [view.camera for view in views]
     one_size(cameras)

@@ -17,7 +17,7 @@ import numpy as np
 from splatpainter.cameras import Camera, look_at
 from splatpainter.models.config import LrmConfig
 from splatpainter.splats import Splats
-from splatpainter.voxels import VoxelGrid, bounding_cube, voxelize
+from splatpainter.voxels.grid import VoxelGrid, bounding_cube, voxelize
 
 if TYPE_CHECKING:
     import torch
@@ -77,7 +77,7 @@ def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> t
     import torch
 
     from splatpainter.models.lrm import AssetViews
-    from splatpainter.render import render
+    from splatpainter.rendering import render
 
     with torch.no_grad():
         drawn = render(splats, list(cameras), contributions=True)
@@ -100,7 +100,7 @@ def encode_asset(
     ignored); dtype: how latents are kept, default float32. Raises ValueError when no row can be drawn."""
     import torch
 
-    from splatpainter.models.rows import links_from_views
+    from splatpainter.models.gaussian_groups import links_from_views
 
     config = model.config
     kind, device = dtype or torch.float32, next(model.parameters()).device

@@ -24,13 +24,13 @@ from splatpainter.models import checkpoint
 from splatpainter.models.compress import Compressor, Latents
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.decode import AttributeHead, newborn
+from splatpainter.models.gaussian_groups import RowGroups, TokenLinks
+from splatpainter.models.image_tokens import Pictures, tokenize
 from splatpainter.models.lrm import AssetViews, GaussianLrm
-from splatpainter.models.pictures import Pictures, tokenize
 from splatpainter.models.predictor import Predictor
 from splatpainter.models.refine import CHUNK, SEEN, Refiner, RefineState
-from splatpainter.models.rows import RowGroups, TokenLinks
 from splatpainter.splats import ATTRIBUTES, Splats
-from splatpainter.voxels import VoxelGrid
+from splatpainter.voxels.grid import VoxelGrid
 
 
 @dataclass(frozen=True)

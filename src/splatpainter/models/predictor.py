@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from splatpainter.lift.whole import SEEN, Predict
+from splatpainter.lift.global_edit import SEEN, Predict
 from splatpainter.models.config import PredictConfig
 from splatpainter.nn.closed_form import solve
 from splatpainter.nn.precision import exact

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from splatpainter.models.config import RefineConfig
-from splatpainter.models.pictures import PictureTokens
+from splatpainter.models.image_tokens import PictureTokens
 from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.nn.layers import CrossAttention, SelfAttention, SwiGLU, layer_norm, linear

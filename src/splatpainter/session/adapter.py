@@ -21,7 +21,7 @@ from splatpainter.splats import Splats
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
-    from splatpainter.voxels import VoxelGrid
+    from splatpainter.voxels.grid import VoxelGrid
 
 SHAPES = ("means", "quats", "scales", "opacities")
 """What a voxel grid depends on."""

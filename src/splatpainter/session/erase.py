@@ -24,10 +24,10 @@ def reached(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]) -> np.nd
     """[N] bool: rows that some masked view ((camera, [H, W] bool)) shows, mostly inside its mask; with a row also those
     of its family that lie hidden under the mask, or paint would stay behind. Raises ValueError where a mask is empty or
     reaches no row."""
-    from splatpainter.lift.local import reached_rows
-    from splatpainter.raycast import editable_rows
-    from splatpainter.render.cpu.frame import project
-    from splatpainter.voxels import voxelize
+    from splatpainter.lift.local_edit import reached_rows
+    from splatpainter.rendering.cpu.projected_view import project
+    from splatpainter.voxels.grid import voxelize
+    from splatpainter.voxels.raycast import editable_rows
 
     grid = voxelize(splats)
     out = np.zeros(len(splats), bool)

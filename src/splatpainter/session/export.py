@@ -17,7 +17,7 @@ from splatpainter.cameras import Alpha, Camera
 from splatpainter.io import FORMATS, files, format_of_name, write
 from splatpainter.proof import prove
 from splatpainter.receipts import Receipt, Verification, changed_rows, untouched_hashes
-from splatpainter.render.profiles import Profile
+from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts
 from splatpainter.session.layers import Layer
 from splatpainter.splats import Splats

@@ -14,7 +14,7 @@ from splatpainter.cameras import Alpha, Camera
 from splatpainter.framing import AUTO_UP, UPS
 from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, Verification
-from splatpainter.render.profiles import Profile
+from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts, export
 from splatpainter.session.changes import AssetDelta, Changes
 from splatpainter.session.layers import Document, Layer

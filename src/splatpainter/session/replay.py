@@ -31,7 +31,7 @@ from splatpainter.session.conflicts import Touch, strengths
 from splatpainter.session.deltas import Delta, between, no_delta
 from splatpainter.session.layers import Document, Layer, View, digest
 from splatpainter.session.pictures import decode_mask, decode_picture
-from splatpainter.session.reads import Read, moved, read_of
+from splatpainter.session.read_set import Read, moved, read_of
 from splatpainter.splats import ATTRIBUTES, Splats
 
 KEPT = 1 << 28

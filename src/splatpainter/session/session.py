@@ -30,7 +30,7 @@ from splatpainter.session import commands, export, original, schema
 from splatpainter.session.adapter import fingerprint
 from splatpainter.session.changes import Changes
 from splatpainter.session.deltas import bare
-from splatpainter.session.intake import new_layer
+from splatpainter.session.layer_factory import new_layer
 from splatpainter.session.layers import Blend, Document, Kind, Layer, Policy
 from splatpainter.session.looks import LOOKS, LookFunction
 from splatpainter.session.original import ANY_FILE, OriginalRule

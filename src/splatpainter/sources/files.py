@@ -165,7 +165,7 @@ def over_render(
 
 def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """([H, W, 3] colours, [H, W] alpha)."""
-    from splatpainter.render import render
+    from splatpainter.rendering import render
 
     drawn = render(splats, camera)
     return drawn.colors[0], drawn.alphas[0, ..., 0]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.parallel import each
+from splatpainter.kernels.parallel import each
 from splatpainter.sources.looks import MIN_CURVE_STEP, Look, apply_look, luminance, to_display, to_linear
 from splatpainter.splats import SH_C0
 

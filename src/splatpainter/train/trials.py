@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from splatpainter.data.shard_stream import ShardStream
-from splatpainter.train.material import Supply, is_shards
+from splatpainter.train.training_data import Supply, is_shards
 
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample

@@ -20,9 +20,9 @@ from splatpainter.cameras import Camera
 from splatpainter.fit.gradients import CpuPasses, Target, torch_pass
 from splatpainter.lift.split import rotations
 from splatpainter.models.densification.config import DensifyConfig
-from splatpainter.render import render
+from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
-from splatpainter.voxels import bounding_cube
+from splatpainter.voxels.grid import bounding_cube
 
 GRID = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
 """Places on the row's ellipse, in standard deviations along its longest and its second axis."""

@@ -17,13 +17,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from splatpainter.models.encode import asset_views, canonical_cameras
+from splatpainter.models.gaussian_groups import RowGroups, TokenLinks, links_from_views
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.rows import RowGroups, TokenLinks, links_from_views
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.train.loss import PictureLoss
 from splatpainter.train.stages.lrm import input_views, judged, truth
 from splatpainter.train.stages.task import Recent, Task, Verdict, draw, freeze
-from splatpainter.voxels import voxelize
+from splatpainter.voxels.grid import voxelize
 
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample

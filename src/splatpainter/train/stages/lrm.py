@@ -19,7 +19,7 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import Splats
 from splatpainter.train.loss import PictureLoss, Wanted, global_target, masked_psnr, scattered_depth
 from splatpainter.train.stages.task import Task, Verdict, draw, freeze, tensor
-from splatpainter.voxels import voxelize
+from splatpainter.voxels.grid import voxelize
 
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample

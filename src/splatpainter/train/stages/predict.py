@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.data.row_edits import RowEdit
-from splatpainter.lift.whole import SEEN, GlobalOptions, regressed
+from splatpainter.lift.global_edit import SEEN, GlobalOptions, regressed
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import row_facts
 from splatpainter.splats import SH_C0

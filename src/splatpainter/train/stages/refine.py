@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.whole import Predict, outward_normals
+from splatpainter.lift.global_edit import Predict, outward_normals
+from splatpainter.lighting import row_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.config import Base
 from splatpainter.models.draft import (
@@ -28,16 +29,15 @@ from splatpainter.models.draft import (
     refine_draft,
 )
 from splatpainter.models.encode import Encoded, asset_views, canonical_cameras, encode_asset
+from splatpainter.models.gaussian_groups import RowGroups, TokenLinks, links_from_views
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import predicting
-from splatpainter.models.rows import RowGroups, TokenLinks, links_from_views
-from splatpainter.render import render
+from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.train.figures import figures
 from splatpainter.train.loss import PictureLoss, Wanted, global_target, joined, local_target
 from splatpainter.train.stages.task import Recent, Task, Verdict, draw, freeze, tensor
-from splatpainter.visibility import row_transfer
-from splatpainter.voxels import VoxelGrid, voxelize
+from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from splatpainter.cameras import Camera
 from splatpainter.models.checkpoint import Config
 from splatpainter.nn.precision import autocast, setting
-from splatpainter.render import render
+from splatpainter.rendering import render
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:

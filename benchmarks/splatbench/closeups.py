@@ -1,0 +1,188 @@
+"""A close-up of an asset, chosen by rule: where a person would paint. Knows no paint and no lift.
+
+The asset is drawn small from twelve sides at two heights. Its *front* is the side on which its upper part (things stand
+on pedestals, tables and lawns) shows most contrast and is brightest: what matters is what people carve, print and
+light. In the pictures of that side and its two neighbours, square windows of a few sizes are rated by contrast, rows,
+height, and how squarely the surface faces the camera; the camera moves up to the best ones along the same line of
+sight, and the view with the best rating times the fourth power of its filled part is taken. Nothing is random: the same
+asset gives the same view.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from splatpainter.cameras import Camera, look_at, orbit
+from splatpainter.splats import Splats
+
+SIZE = 160
+"""Pixels of the small pictures."""
+FOV = 40.0
+"""Vertical field of view, degrees, of the small pictures and of the close-up."""
+AZIMUTHS = 12
+ELEVATIONS = (5.0, 25.0)
+WINDOWS = (0.16, 0.2, 0.25, 0.3)
+"""Sides of the windows, in edges of the asset's bounding cube."""
+TOP = 0.12
+"""What counts as the upper part: above the bounding cube's middle by this share of its edge."""
+CANDIDATES = 8
+"""Windows of each size that are tried as close-ups."""
+
+
+@dataclass(frozen=True)
+class Closeup:
+    """A view, and what is needed to walk around its target."""
+
+    camera: Camera
+    target: np.ndarray
+    """[3] the surface point in the middle of the picture, world units."""
+    up: np.ndarray
+    """[3] unit vector that points up in the picture."""
+    filled: float
+    """Part of the picture that the surface covers, 0..1."""
+
+    def turned(self, azimuth: float, elevation: float = 0.0) -> Camera:
+        """The target seen from another side at the same distance; degrees about and above it."""
+        eye = self.camera.position - self.target
+        side = np.cross(self.up, eye)
+        side /= np.linalg.norm(side)
+        eye = _rotated(_rotated(eye, side, -math.radians(elevation)), self.up, math.radians(azimuth))
+        return _aimed(self.target + eye, self.target, self.up, self.camera.width, self.camera.background)
+
+
+def closeup(
+    splats: Splats,
+    size: int = 512,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    up: np.ndarray | None = None,
+) -> Closeup:
+    """The best-rated close-up, size x size pixels. up: [3], by default `default_up`. Raises ValueError when no part of
+    the asset is opaque enough to paint on."""
+    axis = default_up(splats) if up is None else np.asarray(up, np.float64)
+    ring = [_Overview(splats, camera, axis) for camera in _ring(splats, axis, ELEVATIONS[0])]
+    front = int(np.argmax([overview.richness for overview in ring]))
+    near = [(front + step) % AZIMUTHS for step in (0, 1, -1)]
+    high = _ring(splats, axis, ELEVATIONS[1])
+    chosen = [ring[k] for k in near] + [_Overview(splats, high[k], axis) for k in near]
+    best, most = None, 0.0
+    for part in WINDOWS:  # some of each size: the largest would crowd out what fits a narrow asset
+        windows = [window for overview in chosen for window in overview.windows(part)]
+        for window in sorted(windows, key=lambda window: -window.score)[:CANDIDATES]:
+            camera = _aimed(window.target + window.eye, window.target, axis, SIZE, background)
+            filled = _filled(splats, camera)
+            rating = window.score * filled**4
+            if rating > most:
+                best, most = Closeup(camera.resized(size, size), window.target, axis, filled), rating
+    if best is not None:
+        return best
+    raise ValueError("closeup: found no part of the asset that fills a view; it is too small or too transparent")
+
+
+def default_up(splats: Splats) -> np.ndarray:
+    """[3] what is up where nobody says: -y for rows from files (every reader turns them into the frame of PLY
+    captures), +y for rows that come from no file."""
+    return np.array([0.0, 1.0 if splats.source is None else -1.0, 0.0])
+
+
+@dataclass(frozen=True)
+class _Window:
+    score: float
+    target: np.ndarray
+    eye: np.ndarray
+    """[3] from the target to the camera, world units."""
+
+
+class _Overview:
+    """One small picture of the whole asset."""
+
+    def __init__(self, splats: Splats, camera: Camera, up: np.ndarray) -> None:
+        from splatpainter.rendering.cpu.projected_view import project
+        from splatpainter.voxels.grid import bounding_cube
+
+        self.camera = camera
+        low, self.edge = bounding_cube(splats)
+        self.frame = project(splats, camera)
+        self.image, self.alpha, self.depth = self.frame.draw()
+        x, y = np.meshgrid(np.arange(SIZE) + 0.5 - camera.cx, np.arange(SIZE) + 0.5 - camera.cy)
+        local = np.stack([x / camera.fx, y / camera.fy, np.ones_like(x)], -1) * self.depth[..., None]
+        self.points = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]  # [H, W, 3] world
+        self.height = (self.points - low - self.edge / 2) @ up / self.edge  # [H, W], 0 in the cube's middle
+        gray = self.image.mean(-1)
+        solid = self.alpha > 0.95
+        inner = solid & np.roll(solid, 1, 0) & np.roll(solid, -1, 0) & np.roll(solid, 1, 1) & np.roll(solid, -1, 1)
+        down, across = np.gradient(gray)
+        self.contrast = np.where(inner, np.hypot(down, across), 0)  # silhouettes do not count
+        self.inner = inner
+
+    @property
+    def richness(self) -> float:
+        """How much like a front this side is."""
+        upper = self.inner & (self.height > TOP)
+        return float(self.contrast[upper].sum() * self.image[upper].mean()) if upper.any() else 0.0
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """[H, W] centres of rows that are not hidden, per pixel."""
+        sums = self.frame.accumulate(self.image, np.ones_like(self.alpha))
+        shown = sums.weight > 0.25 * sums.alpha
+        x, y = np.clip(self.frame.centers[shown].astype(int), 0, SIZE - 1).T
+        counts = np.zeros((SIZE, SIZE))
+        np.add.at(counts, (y, x), 1)
+        return counts
+
+    def windows(self, part: float) -> list[_Window]:
+        """Windows that the surface fills. part: their side, in edges of the cube."""
+        if not self.inner.any():
+            return []
+        scale = self.camera.fy / float(np.median(self.depth[self.inner]))  # pixels per world unit
+        side = max(round(part * self.edge * scale), 4)
+        if side > SIZE:
+            return []
+        covered, rows, contrast, height, depth = (
+            _means(values, side) for values in (self.alpha > 0.9, self.rows, self.contrast, self.height, self.depth)
+        )
+        relief = np.sqrt(np.maximum(_means(self.depth**2, side) - depth**2, 0)) * scale / side  # of the side
+        level = np.clip(4 * height, 0.01, 1)
+        score = part * np.sqrt(rows * contrast) * level * np.exp(-((relief / 0.5) ** 2))
+        reach = part * self.edge / (2 * math.tan(math.radians(FOV / 2)))
+        step, out = max(side // 6, 1), []
+        for y, x in np.argwhere(covered[::step, ::step] > 0.9) * step:
+            target = np.median(self.points[y : y + side, x : x + side].reshape(-1, 3), 0)
+            away = self.camera.position - target
+            out.append(_Window(float(score[y, x]), target, away / np.linalg.norm(away) * reach))
+        return out
+
+
+def _ring(splats: Splats, up: np.ndarray, elevation: float) -> list[Camera]:
+    from splatpainter.voxels.grid import bounding_cube
+
+    low, edge = bounding_cube(splats)
+    radius = 0.75 * edge / math.tan(math.radians(FOV / 2))
+    kind = {"elevation": elevation, "up": up, "width": SIZE, "height": SIZE, "fov": FOV}
+    return orbit(low + edge / 2, radius, AZIMUTHS, **kind)
+
+
+def _means(values: np.ndarray, side: int) -> np.ndarray:
+    """[H - side + 1, W - side + 1] mean of every side x side window."""
+    sums = np.pad(values.astype(np.float64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    return (sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]) / side**2
+
+
+def _filled(splats: Splats, camera: Camera) -> float:
+    from splatpainter.rendering.cpu.projected_view import project
+
+    return float((project(splats, camera).draw()[1] > 0.9).mean())
+
+
+def _aimed(eye: np.ndarray, target: np.ndarray, up: np.ndarray, size: int, background: tuple) -> Camera:
+    return look_at(eye, target, up, width=size, height=size, fov=FOV, background=background)
+
+
+def _rotated(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rodrigues' rotation about a unit axis."""
+    turned = vector * math.cos(angle) + np.cross(axis, vector) * math.sin(angle)
+    return turned + axis * (axis @ vector) * (1 - math.cos(angle))

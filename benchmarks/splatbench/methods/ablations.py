@@ -1,0 +1,227 @@
+"""Rows of the ablation table: every switch of the model, one at a time.
+
+Two kinds. "Same weights": the shipped ones (or --weights compact=FOLDER), run with one setting changed or one input
+taken away; weights that were trained with another setting are not at their best then. "Trained so": a model that was
+trained with the switch, from --weights NAME=FOLDER. A row whose setting is the weights' own is not run twice: it says
+that it is the row "ttt".
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from splatbench.methods import Budget, Done, Method, Work
+from splatbench.methods.learned import COMPACT, Needed, refined
+from splatbench.methods.lift import painted
+from splatpainter.data import recipes
+from splatpainter.models.config import ModelConfig
+
+if TYPE_CHECKING:
+    from splatpainter.models.model import SplatPainterModel
+
+SILENCE = "predictor.expected.weight"
+"""Without these weights the predictor counts as untrained, and the lift's own regression takes its place."""
+AS_TRAINED = "as trained: the row 'ttt' of these weights"
+
+
+@dataclass(frozen=True)
+class Change:
+    """What is different from the weights' own settings."""
+
+    refine: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of config.refine, and their values."""
+    silent: tuple[str, ...] = ()
+    """Weights of the model that become zero: what they tell is not told."""
+
+    def of(self, config: ModelConfig) -> ModelConfig:
+        return dataclasses.replace(config, refine=dataclasses.replace(config.refine, **self.refine))
+
+    def idle(self, config: ModelConfig) -> bool:
+        """Whether a model of this config has nothing to change."""
+        told = {
+            "refiner.lift.weight": config.refine.lift_features,
+            "refiner.drift.weight": config.refine.base == "lift",
+            SILENCE: config.predict.features > 0,
+        }
+        return self.of(config) == config and not any(told[name] for name in self.silent)
+
+
+def altered(model: SplatPainterModel, change: Change) -> SplatPainterModel:
+    """The same weights (shared, not copied) with another setting; weights that it has no use for are left out. Raises
+    ValueError for a setting that these weights do not fit."""
+    import torch
+
+    from splatpainter.models.model import SplatPainterModel
+
+    with torch.device("meta"):
+        other = SplatPainterModel(change.of(model.config))
+    held = model.state_dict()
+    wanted = other.state_dict()
+    unfit = [name for name, tensor in wanted.items() if name not in held or held[name].shape != tensor.shape]
+    if unfit:
+        raise ValueError(f"ablation: these weights have no '{unfit[0]}' as this setting wants it; train with it")
+    used = {name: torch.zeros_like(held[name]) if name in change.silent else held[name] for name in wanted}
+    other.load_state_dict(used, assign=True)
+    other.notes = model.notes
+    return other.eval()
+
+
+def _row(change: Change) -> Callable[[Work, Budget], Done]:
+    def edit(work: Work, budget: Budget) -> Done:
+        from splatpainter.painter import Painter
+
+        return painted(Painter(model=altered(COMPACT.load(budget), change)), "ttt", work)
+
+    return edit
+
+
+def _idle(budget: Budget, change: Change) -> str:
+    problem = COMPACT.missing(budget)
+    if problem:
+        return problem
+    config = COMPACT.config(budget)
+    try:
+        return AS_TRAINED if change.idle(config) else ""
+    except ValueError as error:
+        return f"these weights cannot: {error}"
+
+
+def _version(budget: Budget, change: Change) -> str:
+    return f"{COMPACT.version(budget)} {change}"
+
+
+def _changed(name: str, label: str, change: Change) -> Method:
+    """A row "same weights"."""
+    return Method(
+        name=f"same-{name}",
+        label=f"{label} (same weights)",
+        edit=_row(change),
+        protocols=("ablate",),
+        missing=partial(_idle, change=change),
+        version=partial(_version, change=change),
+    )
+
+
+def _trained(name: str, label: str, fits: Callable[[ModelConfig], bool], what: str, train: str) -> Method:
+    """A row "trained so"."""
+    needed = Needed((name,), f"model {what}", fits, train)
+    return Method(
+        name=f"trained-{name}",
+        label=f"{label} (trained so)",
+        edit=refined(needed),
+        protocols=("ablate",),
+        missing=needed.missing,
+        version=needed.version,
+    )
+
+
+def _trained_without(kinds: tuple[str, ...]) -> str:
+    return " ".join(["refine", *(f"--samples.kinds.{kind} 0" for kind in kinds)])
+
+
+LOCAL = Needed(("local",), train=_trained_without(recipes.GLOBAL))
+GLOBAL = Needed(
+    ("global",),
+    train=f"{_trained_without(recipes.LOCAL)} --samples.kinds.relight 0.75 --samples.kinds.regrade 0.25 "
+    "--model.predict.no-alone",
+)
+
+
+def _separate(work: Work, budget: Budget) -> Done:
+    """Each kind of edit by the model that was trained for it, as in the paper."""
+    return refined(LOCAL if work.step.mode == "local" else GLOBAL)(work, budget)
+
+
+def _either_missing(budget: Budget) -> str:
+    return LOCAL.missing(budget) or GLOBAL.missing(budget)
+
+
+def _both_versions(budget: Budget) -> str:
+    return f"{LOCAL.version(budget)} {GLOBAL.version(budget)}"
+
+
+SAME = (
+    _changed("inner-steps-1", "1 inner step", Change({"inner_steps": 1})),
+    _changed("inner-steps-5", "5 inner steps", Change({"inner_steps": 5})),
+    _changed("inner-dot", "Inner loss dot", Change({"inner_loss": "dot"})),
+    _changed("inner-l2", "Inner loss l2", Change({"inner_loss": "l2"})),
+    _changed("newton-schulz-0", "Plain gradient, no Newton-Schulz", Change({"newton_schulz_steps": 0})),
+    _changed("newton-schulz-2", "2 Newton-Schulz iterations", Change({"newton_schulz_steps": 2})),
+    _changed("newton-schulz-5", "5 Newton-Schulz iterations", Change({"newton_schulz_steps": 5})),
+    _changed("strength-0", "Edit strength 0: no adaptation", Change({"edit_strength": 0.0})),
+    _changed("strength-0.5", "Edit strength 0.5", Change({"edit_strength": 0.5})),
+    _changed("strength-1", "Edit strength 1", Change({"edit_strength": 1.0})),
+    _changed("strength-2", "Edit strength 2", Change({"edit_strength": 2.0})),
+    _changed("no-lift-features", "Without lift features", Change(silent=("refiner.lift.weight",))),
+    _changed("no-drift", "Without drift features", Change(silent=("refiner.drift.weight",))),
+    _changed("no-mask-tokens", "All tokens teach alike", Change({"mask_tokens": False})),
+    _changed("no-row-tokens", "Rows do not teach", Change({"row_tokens": 0})),
+    _changed("no-predictor", "Unseen rows by the lift's regression", Change(silent=(SILENCE,))),
+)
+"""Strength 0 leaves the fast weights as training left them: what is then lost is what adapting is worth."""
+
+TRAINED = (
+    _trained(
+        "no-lift-features",
+        "Without lift features",
+        lambda config: not config.refine.lift_features,
+        "without refine.lift_features",
+        "refine --model.refine.no-lift-features --model.refine.row-tokens 0",
+    ),
+    _trained(
+        "paper-tokens",
+        "Pictures and rays alone as tokens",
+        lambda config: set(config.refine.image_channels) == {"edited", "rays"},
+        "with refine.image_channels edited and rays",
+        "refine --model.refine.image-channels edited rays",
+    ),
+    _trained(
+        "inner-steps-5",
+        "5 inner steps",
+        lambda config: config.refine.inner_steps == 5,
+        "with refine.inner_steps 5",
+        "refine --model.refine.inner-steps 5",
+    ),
+    _trained(
+        "inner-l2",
+        "Inner loss l2",
+        lambda config: config.refine.inner_loss == "l2",
+        "with refine.inner_loss l2",
+        "refine --model.refine.inner-loss l2",
+    ),
+    _trained(
+        "base-own",
+        "Residual on the row, not on the lift",
+        lambda config: config.refine.base == "own",
+        "with refine.base own",
+        "refine --model.refine.base own --model.refine.detail",
+    ),
+    _trained(
+        "native-voxel-att",
+        "VoxelAtt in Stage I",
+        lambda config: config.compress.grouping == "voxel_mean",
+        "with compress.grouping voxel_mean",
+        "refine --model.compress.grouping voxel_mean --from STAGE_ONE",
+    ),
+    _trained(
+        "native-latent-query",
+        "Latent query in Stage I",
+        lambda config: config.compress.grouping == "latent_query",
+        "with compress.grouping latent_query",
+        "refine --model.compress.grouping latent_query --from STAGE_ONE",
+    ),
+    Method(
+        name="trained-separate",
+        label="One model each for local and global edits",
+        edit=_separate,
+        protocols=("ablate",),
+        missing=_either_missing,
+        version=_both_versions,
+    ),
+)
+
+METHODS = (*SAME, *TRAINED)

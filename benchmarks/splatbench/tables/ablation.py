@@ -1,0 +1,180 @@
+"""The ablation table: every switch of the model on a list of held-out training samples, local and global edits apart.
+
+The list is the one that checkpoints are judged on (train/trials.py), with its truth of dense surfels, so it is quick
+and speaks of the very task that the weights were trained for. Figures are train/judge.py's: of local edits near the
+edit and where it changes the object, of global ones on the object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splatbench.cases import Case, Pictures, Step
+from splatbench.scoring import drawn
+from splatbench.tables import Key, Setup, measures
+from splatpainter.data.recipes import SampleRecipe
+
+if TYPE_CHECKING:
+    from splatbench.methods import Done
+    from splatpainter.data.samples import SampleStream, Views
+    from splatpainter.train.loss import Wanted
+    from splatpainter.train.training_data import Stock, Supply
+
+SHARES = {
+    "relight": 3.0,
+    "stroke": 2.0,
+    "zoom": 2.0,
+    "regrade": 1.0,
+    "text": 1.0,
+    "sticker": 1.0,
+    "recolor": 1.0,
+    "photo": 0.5,
+    "noise": 0.5,
+    "conflict": 0.5,
+}
+"""Of kinds in the list; every beginning of it is in proportion."""
+PER_OBJECT = 2
+"""Samples per object asked for."""
+RELIT = 2
+"""Edited views of every relighting."""
+PROCEDURAL = "procedural:64"
+"""The data without a folder."""
+SURFELS = 8
+"""Of the truth per row of the asset (the training samples have 7.5)."""
+FEWEST = 60_000
+SHARE = 0.1
+"""Of the objects that training holds out (data.scenes.split's own)."""
+SOLID = 0.5
+"""Alpha from which a pixel is the asset's."""
+KEPT = 0.25
+"""Weight of pixels that nobody edited: of the training loss, no figure here depends on it."""
+
+
+class Ablate:
+    """See the module; one case per sample."""
+
+    name = "ablate"
+    title = "Ablations on held-out training samples"
+    columns = measures()
+    split_by = "mode"
+
+    def keys(self, setup: Setup) -> list[Key]:
+        from splatpainter.train.trials import apportioned
+
+        possible = _stream(setup, files=False).kinds  # of splat assets neither zooms nor relighting
+        order = apportioned({kind: SHARES[kind] for kind in possible}, PER_OBJECT * setup.objects)
+        return [Key(f"{k:03d}-{kind}", f"sample {k}", {"number": k, "kind": kind}) for k, kind in enumerate(order)]
+
+    def make(self, key: Key, setup: Setup) -> Case:
+        number, kind = key.settings["number"], key.settings["kind"]
+        sample = _of_kind(_stream(setup), kind)[number]
+        views = sample.edited.colors.shape[0]
+        case = Case(
+            protocol=self.name,
+            name=sample.name,
+            label=key.label,
+            asset=sample.asset.numpy(),
+            base=_pictures(sample.base),
+            steps=(Step(sample.mode, sample.kind, _pictures(sample.edited), np.asarray(sample.masks, bool)),),
+            before=_pictures(sample.novel_before),
+            after=_pictures(sample.novel_after),
+            near=np.asarray(sample.near, bool),
+            facts={"mode": sample.mode, "kind": kind, "views": views, "truth": "surfels", "number": number},
+        )
+        if not bool(_wanted(case)[1].focus.any()):
+            raise ValueError(f"{sample.name}: no novel view shows the edit ({kind})")
+        return case
+
+    def score(self, case: Case, done: Sequence[Done], perceptual: Any | None) -> dict[str, float | None]:
+        import torch
+
+        from splatpainter.train.figures import figures
+
+        places, wanted = _wanted(case)
+        made = torch.from_numpy(drawn(done[-1].splats, [case.after.cameras[k] for k in places]))
+        found = figures("psnr", made, wanted, perceptual)
+        return {"psnr": found.get("psnr"), "ssim": found.get("psnr SSIM"), "lpips": found.get("psnr LPIPS-Alex")}
+
+    def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
+        places, wanted = _wanted(case)
+        shown = int(wanted.focus.flatten(1).sum(1).argmax())
+        made = drawn(done[-1].splats, [case.after.cameras[places[shown]]])[0]
+        return {"result": made, "truth": wanted.colors[shown].numpy()}
+
+
+def protocol() -> Ablate:
+    return Ablate()
+
+
+def _supply(setup: Setup, stock: Stock) -> Supply:
+    """The training data's own samples at the setup's sizes. Raises ValueError for a folder of shards."""
+    from splatpainter.train.training_data import Supply, is_shards
+
+    data = PROCEDURAL if setup.data is None else str(setup.data)
+    if is_shards(data):
+        raise ValueError(f"{data}: expected a folder of meshes or splat assets, these are shards")
+    recipe = SampleRecipe(
+        SHARES,
+        size=setup.size,
+        rows=setup.rows,
+        surfels=max(FEWEST, SURFELS * setup.rows),
+        base_views=setup.base_views,
+        novel_views=setup.novel_views,
+        steps_per_object=1,
+    )
+    return Supply(data, recipe, setup.seed, SHARE, stock, memory=256 << 20)
+
+
+@lru_cache(maxsize=2)
+def _stream(setup: Setup, files: bool = True) -> SampleStream:
+    """Samples of objects that training never sees, unless the setup takes any. files: with lights, stickers, fonts and
+    photos, which take time to read. Raises ValueError where no object is held out."""
+    from splatpainter.train.training_data import Stock
+
+    stock = Stock(setup.environments, setup.decals, setup.fonts, setup.textures) if files else Stock()
+    supply = _supply(setup, stock)
+    stream = supply.stream(held=setup.held_out)
+    if stream is None:
+        raise ValueError(f"{supply.data}: none of its objects is held out of training (a share of {SHARE:g}); add some")
+    return stream
+
+
+def _of_kind(stream: SampleStream, kind: str) -> SampleStream:
+    """Samples of one kind, with the numbers, objects and choices of `train.trials.trials`."""
+    from splatpainter.train.trials import MANY_VIEWS
+
+    own = copy(stream)
+    own.kinds = {kind: 1.0}
+    if kind == MANY_VIEWS:
+        own.recipe = replace(stream.recipe, views=(0.0,) * (RELIT - 1) + (1.0,))
+    return own
+
+
+def _pictures(views: Views) -> Pictures:
+    import torch
+
+    return Pictures(views.cameras, torch.as_tensor(views.colors).cpu().numpy().astype(np.float32))
+
+
+def _wanted(case: Case) -> tuple[list[int], Wanted]:
+    """(indices of the novel views that count, what they should show), as train/stages/refine.py judges."""
+    import torch
+
+    from splatpainter.rendering import render
+    from splatpainter.train.loss import global_target, local_target
+
+    local = case.steps[-1].mode == "local"
+    places = np.flatnonzero(case.near) if local and case.near.any() else np.arange(len(case.after))
+    shown = render(case.asset, [case.after.cameras[k] for k in places])
+    after, before, now, alpha = (
+        torch.from_numpy(np.ascontiguousarray(x, np.float32))
+        for x in (case.after.colors[places], case.before.colors[places], shown.colors, shown.alphas[..., 0])
+    )
+    wanted = local_target(after, before, now, KEPT) if local else global_target(after, alpha > SOLID)
+    return places.tolist(), wanted

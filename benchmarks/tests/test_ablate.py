@@ -1,0 +1,259 @@
+"""The ablation table: its list of samples, its figures, and rows that change one setting of the same weights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from splatbench.cases import Case
+from splatbench.methods import Budget, Done, Work, ablations, learned, lift
+from splatbench.methods.ablations import AS_TRAINED, Change, altered
+from splatbench.tables import Setup
+from splatbench.tables import ablation as ablate
+
+from splatpainter.data.shards import INDEX
+from splatpainter.models.image_tokens import tokenize
+from splatpainter.models.model import SplatPainterModel
+from splatpainter.nn import fast_weights
+from splatpainter.nn.fast_weights import FastWeights
+from splatpainter.train.judge import refine_task
+from splatpainter.train.training_data import Stock, Supply
+from splatpainter.train.trials import trials
+from tests.support.model_scenes import grid_of, pictures, shell, with_refine
+from tests.support.painter_scenes import LIFT, OWN, built
+from tests.support.train_scenes import LIFT as TRAINED
+from tests.support.train_scenes import RECIPE
+
+TABLE = ablate.protocol()
+SETUP = Setup(objects=2, size=32, rows=200, base_views=2, novel_views=2, seed=4)
+ROWS = {method.name: method for method in ablations.METHODS}
+
+
+@pytest.fixture(autouse=True)
+def few_surfels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ablate, "FEWEST", 800)
+
+
+@cache
+def made(place: int) -> Case:
+    return TABLE.make(TABLE.keys(SETUP)[place], SETUP)
+
+
+@cache
+def judged_samples() -> list[Any]:
+    """The first two that `train judge` would look at, with this data, seed, mixture and sizes."""
+    recipe = ablate._supply(SETUP, Stock()).recipe
+    supply = Supply(ablate.PROCEDURAL, recipe, SETUP.seed, 0.1, Stock())
+    return [trial.sample for trial in trials(supply, ablate.SHARES, 2, ablate.RELIT)]
+
+
+def test_the_list_begins_with_every_part_of_the_mixture() -> None:
+    order = [key.settings["kind"] for key in TABLE.keys(replace(SETUP, objects=6))]
+    assert len(order) == 12 and order[:3] == ["relight", "stroke", "zoom"]
+    assert [key.settings["kind"] for key in TABLE.keys(SETUP)] == order[:4]  # more objects only append
+    assert len({key.label for key in TABLE.keys(replace(SETUP, objects=6))}) == 12
+    # Of 12 in proportion to shares that add up to 12.5, each kind gets its share to within one.
+    assert sum(ablate.SHARES.values()) == 12.5
+    assert all(abs(order.count(kind) - share) < 1 for kind, share in ablate.SHARES.items())
+
+
+def test_cases_are_the_samples_that_training_is_judged_on() -> None:
+    for place, sample in enumerate(judged_samples()):
+        case = made(place)
+        assert case.name == sample.name and case.steps[0].kind == sample.kind and case.steps[0].mode == sample.mode
+        assert np.array_equal(case.asset.means, sample.asset.means)
+        assert np.array_equal(case.steps[0].edited.colors, sample.edited.colors.numpy())
+        assert np.array_equal(case.steps[0].masks, sample.masks) and np.array_equal(case.near, sample.near)
+        assert np.array_equal(case.after.colors, sample.novel_after.colors.numpy())
+    assert len(made(0).steps[0].edited) == ablate.RELIT and made(0).facts["mode"] == "global"
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_figures_are_those_of_the_judge(place: int) -> None:
+    """Of the asset as it is, and of the lift: train/stages/refine.py measures both beside the network."""
+    case, sample = made(place), judged_samples()[place]
+    torch.manual_seed(0)
+    numbers = (
+        refine_task(replace(RECIPE, samples=RECIPE.samples), SplatPainterModel(TRAINED), None).judge(sample).numbers
+    )
+    lifted = lift.edit(Work("ablate", case.asset, case.base, case.steps[0]), Budget())
+    for name, splats in (("nothing", case.asset), ("lift", lifted.splats)):
+        found = TABLE.score(case, [Done(splats, 0, 0)], None)
+        assert found["psnr"] == pytest.approx(numbers[name], abs=2e-3)
+        assert found["ssim"] == pytest.approx(numbers[f"{name} SSIM"], abs=1e-3)
+        assert found["lpips"] is None
+
+
+def test_the_sheet_shows_the_view_with_most_of_the_edit() -> None:
+    case = made(1)
+    shown = TABLE.pictures(case, [Done(case.asset, 0, 0)])
+    change = np.abs(case.after.colors - case.before.colors).max(-1) > 0.02
+    most = int(np.argmax(np.where(case.near, change.sum((1, 2)), -1)))
+    assert list(shown) == ["result", "truth"]
+    np.testing.assert_allclose(shown["truth"][change[most]], case.after.colors[most][change[most]])
+
+
+def test_bad_data_is_a_line(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="expected procedural:N, or a folder"):
+        TABLE.keys(replace(SETUP, data=tmp_path / "nowhere"))
+    (tmp_path / INDEX).write_text("{}")
+    with pytest.raises(ValueError, match="these are shards"):
+        TABLE.keys(replace(SETUP, data=tmp_path))
+
+
+def test_an_edit_that_no_novel_view_shows_is_no_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = judged_samples()[1]
+    hidden = replace(sample, novel_after=sample.novel_before)
+    monkeypatch.setattr(ablate, "_of_kind", lambda stream, kind: {1: hidden})
+    with pytest.raises(ValueError, match=r"no novel view shows the edit \(stroke\)"):
+        TABLE.make(TABLE.keys(SETUP)[1], SETUP)
+
+
+def wide_awake(config: Any = LIFT) -> SplatPainterModel:
+    """A model whose Stage II says something, as if trained."""
+    model = built(config, awake=0.01)
+    for name, weight in model.refiner.named_parameters():
+        if name.rsplit(".", 1)[-1] not in ("w0", "w1", "w2"):
+            torch.nn.init.normal_(weight, std=0.15)
+    return model
+
+
+def adapted(model: SplatPainterModel, **more: Any) -> list[torch.Tensor]:
+    """The fast weights after an edit."""
+    groups = model.groups(grid_of(shell(), model.config))
+    state = model.refiner.adapt(model.initial_state(), tokenize(pictures(), groups, model.config.refine), **more)
+    return [w for block in state.blocks for w in block]
+
+
+def close(a: list[torch.Tensor], b: list[torch.Tensor]) -> bool:
+    return all(torch.allclose(x, y, rtol=1e-4, atol=1e-5) for x, y in zip(a, b, strict=True))
+
+
+@torch.no_grad()
+def test_edit_strength_is_the_one_that_a_call_may_ask_for() -> None:
+    model = wide_awake()
+    for strength in (0.5, 2.0):
+        changed = adapted(altered(model, Change({"edit_strength": strength})))
+        assert close(changed, adapted(model, strength=strength)) and not close(changed, adapted(model))
+    first = [w for block in model.initial_state().blocks for w in block]  # type: ignore[union-attr]
+    assert close(adapted(altered(model, Change({"edit_strength": 0.0}))), first)
+
+
+@torch.no_grad()
+def test_five_inner_steps_are_five_updates_from_the_same_tokens() -> None:
+    model = wide_awake()
+    five = altered(model, Change({"inner_steps": 5}))
+    layers: list[Any] = [m.refiner.blocks[0].mixer.ttt for m in (model, five)]  # type: ignore[union-attr]
+    tokens = torch.randn(40, model.config.compress.dim, generator=torch.Generator().manual_seed(1))
+    state: FastWeights = layers[0].initial_state()
+    for _ in range(5):
+        state = layers[0].update(state, tokens)
+    assert close(list(state), list(layers[1].update(layers[1].initial_state(), tokens)))
+
+
+@torch.no_grad()
+def test_loss_and_orthogonalisation_reach_the_update() -> None:
+    """The update written out: a plain step along `ascent`, whose gradients tests/nn/test_fast_weights.py proves."""
+    model = altered(wide_awake(), Change({"inner_loss": "dot", "newton_schulz_steps": 0}))
+    ttt: Any = model.refiner.blocks[0].mixer.ttt  # type: ignore[union-attr]
+    tokens = torch.randn(40, model.config.compress.dim, generator=torch.Generator().manual_seed(1))
+    k, v = torch.nn.functional.silu(ttt.kv(tokens)).chunk(2, 1)
+    k = k / k.norm(dim=1, keepdim=True)
+    rates = torch.nn.functional.softplus(ttt.rates(tokens) + np.log(np.expm1(0.01)))
+    start = [w[0] for w in ttt.initial_state()]
+    way = fast_weights.ascent(FastWeights(*start), k, v, rates, "dot")
+    moved = [w + d for w, d in zip(start, way, strict=True)]
+    wanted = [w * s.norm(dim=0) / w.norm(dim=0) for w, s in zip(moved, start, strict=True)]
+    if torch.allclose(v.norm(dim=1), torch.ones(len(v)), atol=1e-3):
+        pytest.fail("values are not to be of unit length")
+    assert close(wanted, [w[0] for w in ttt.update(ttt.initial_state(), tokens)])
+
+
+def test_weights_are_shared_and_the_model_stays_as_it_was() -> None:
+    model = wide_awake()
+    changed = altered(model, Change({"mask_tokens": False}, ("refiner.lift.weight",)))
+    own, other = model.state_dict(), changed.state_dict()
+    assert own.keys() == other.keys() and not changed.training
+    for name, tensor in own.items():
+        assert (tensor.data_ptr() == other[name].data_ptr()) == (name != "refiner.lift.weight"), name
+    assert not other["refiner.lift.weight"].any() and own["refiner.lift.weight"].any()
+    groups = model.groups(grid_of(shell(), model.config))
+    tokens = tokenize(pictures(2), groups, changed.config.refine)
+    assert len(tokens.pixels) == 2 * (32 // model.config.refine.patch) ** 2  # all of them, edited or not
+
+
+@torch.no_grad()
+def test_what_is_silenced_is_not_told() -> None:
+    model = wide_awake()
+    latents = torch.randn(5, model.config.compress.dim)
+    columns = model.state_dict()["refiner.lift.weight"].shape[1]
+    features = [torch.rand(5, columns), torch.rand(5, columns)]
+    drifts = [torch.rand(5, 7), torch.rand(5, 7)]
+    deaf = altered(model, Change(silent=("refiner.lift.weight",)))
+    heard = [m.refiner.prepare(latents, f, drifts[0]) for m in (model, deaf) for f in features]
+    assert not torch.equal(heard[0], heard[1]) and torch.equal(heard[2], heard[3])
+    still = altered(model, Change(silent=("refiner.drift.weight",)))
+    heard = [m.refiner.prepare(latents, features[0], d) for m in (model, still) for d in drifts]
+    assert not torch.equal(heard[0], heard[1]) and torch.equal(heard[2], heard[3])
+
+
+def test_rows_that_teach_can_be_left_out_and_sizes_cannot_change() -> None:
+    model = wide_awake(with_refine(LIFT, row_tokens=64))
+    changed = altered(model, Change({"row_tokens": 0}))
+    assert changed.state_dict().keys() < model.state_dict().keys() and changed.config.refine.row_tokens == 0
+    with pytest.raises(ValueError, match="as this setting wants it; train with it"):
+        altered(model, Change({"fast_hidden": 16}))
+    with pytest.raises(ValueError, match="train with it"):
+        altered(changed, Change({"row_tokens": 64}))
+
+
+def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> None:
+    built(LIFT).save(tmp_path / "lift")
+    built(OWN).save(tmp_path / "own")
+    told = {
+        name: {m.name for m in ablations.SAME if m.missing(Budget(weights={"compact": str(tmp_path / name)}))}
+        for name in ("lift", "own")
+    }
+    usual = {"same-inner-steps-1", "same-inner-l2", "same-newton-schulz-5", "same-strength-1", "same-no-row-tokens"}
+    usual |= {"same-no-predictor"}
+    assert told["lift"] == usual and told["own"] == usual | {"same-no-drift"}
+    budget = Budget(weights={"compact": str(tmp_path / "lift")})
+    assert ROWS["same-strength-1"].missing(budget) == AS_TRAINED
+    versions = {m.version(budget) for m in ablations.SAME}
+    assert len(versions) == len(ablations.SAME)
+    assert ROWS["same-strength-2"].missing(Budget(weights={"compact": str(tmp_path)})).startswith("no weights: ")
+
+
+def test_a_row_runs_end_to_end_and_differs_from_the_weights_own_settings(tmp_path: Path) -> None:
+    wide_awake().save(tmp_path, dtype="float32")
+    budget, case = Budget(weights={"compact": str(tmp_path)}), made(0)
+    asked = Work("ablate", case.asset, case.base, case.steps[0])
+    plain, still = learned.METHODS[0].edit(asked, budget), ROWS["same-strength-0"].edit(asked, budget)
+    assert not np.array_equal(plain.splats.means, still.splats.means) and still.keeps_rows
+    assert len(still.splats) == len(plain.splats)
+
+
+def test_separate_models_answer_for_their_own_kind_of_edit(tmp_path: Path) -> None:
+    built(LIFT).save(tmp_path / "local", dtype="float32")  # untrained: says what the lift says
+    wide_awake().save(tmp_path / "global", dtype="float32")
+    row = ROWS["trained-separate"]
+    half = Budget(weights={"local": str(tmp_path / "local")})
+    assert row.missing(half).endswith("--weights global=FOLDER") and "samples.kinds.stroke 0" in row.missing(half)
+    budget = Budget(weights={name: str(tmp_path / name) for name in ("local", "global")})
+    assert row.missing(budget) == ""
+    for place, same in ((0, False), (1, True)):
+        case = made(place)
+        asked = Work("ablate", case.asset, case.base, case.steps[0])
+        ours, lifted = row.edit(asked, budget).splats, lift.edit(asked, budget).splats
+        assert np.array_equal(ours.sh, lifted.sh) == same
+
+
+def test_every_name_is_there_once_and_in_the_table() -> None:
+    assert len(ROWS) == len(ablations.METHODS)
+    assert all(method.protocols == ("ablate",) for method in ablations.METHODS)
+    assert all(method.missing(Budget()) for method in ablations.TRAINED)

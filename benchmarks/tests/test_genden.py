@@ -1,0 +1,134 @@
+"""The row of feed-forward densification: where it finds weights, what it replaces, and what it says without them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from splatbench.cases import Pictures, Step
+from splatbench.methods import Budget, Work, genden
+
+from splatpainter.cameras import Camera, orbit
+from splatpainter.metrics import psnr
+from splatpainter.models.densification.config import COMPACT
+from splatpainter.models.densification.densifier import Densifier
+from splatpainter.models.model import SplatPainterModel
+from splatpainter.rendering import render
+from splatpainter.splats import ATTRIBUTES, Splats
+from tests.support.model_scenes import TINY
+
+SMALL = replace(COMPACT, most=40, widths=(16, 24), heads=2, window=16, frequencies=2)
+ROW = genden.METHODS[0]
+
+
+def wall(count: int = 12) -> Splats:
+    """Grey rows on a square, facing the cameras below."""
+    u, v = np.meshgrid(*[np.linspace(-1, 1, count)] * 2)
+    means = np.stack([u, v, 0 * u], -1).reshape(-1, 3)
+    size = np.tile(np.array([0.1, 0.1, 0.02]), (len(means), 1))
+    quats = np.tile([1.0, 0, 0, 0], (len(means), 1))
+    means, size, quats = (np.ascontiguousarray(x, np.float32) for x in (means, size, quats))
+    return Splats(means, quats, size, np.full(len(means), 0.8, np.float32), np.zeros((len(means), 4, 3), np.float32))
+
+
+def cameras(count: int, size: int = 40) -> tuple[Camera, ...]:
+    whole = orbit((0, 0, 0), 4.0, 4 * count, width=size, height=size)
+    near = sorted(whole, key=lambda camera: -abs(camera.forward[2]))
+    return tuple(near[:count])
+
+
+def half_dark(splats: Splats, shown: tuple[Camera, ...], left: bool) -> Pictures:
+    """The wall's renders with rows of one half much darker."""
+    dark = splats.sh.copy()
+    dark[splats.means[:, 0] < 0 if left else splats.means[:, 0] >= 0, 0] = -1.2
+    return pictures(replace(splats, sh=dark), shown)
+
+
+def pictures(splats: Splats, shown: tuple[Camera, ...]) -> Pictures:
+    return Pictures(shown, render(splats, list(shown)).colors.clip(0, 1).astype(np.float32))
+
+
+def step(edited: Pictures) -> Step:
+    return Step("local", "zoom", edited, np.ones(edited.colors.shape[:3], bool))
+
+
+def work(left: bool = True) -> Work:
+    own = wall()
+    return Work("refine", own, pictures(own, cameras(3)), step(half_dark(own, cameras(1, 56), left)))
+
+
+@pytest.fixture
+def budget(tmp_path: Path) -> Budget:
+    torch.manual_seed(0)
+    Densifier(SMALL).save(tmp_path / "w", {"step": 7})
+    return Budget(weights={"genden": str(tmp_path / "w")})
+
+
+def test_rows_that_the_edit_changes_are_replaced_and_the_others_stay(budget: Budget) -> None:
+    asked = work()
+    done = ROW.edit(asked, budget)
+    own, out = asked.asset, done.splats
+    # 40 rows: 8 stay whole, 64 children of which 12 stay whole (52 go on), 208 grandchildren.
+    assert done.numbers == {"rows": 144 - 40 + 228, "rows_replaced": 40, "rows_generated": 228}
+    assert not done.keeps_rows and done.setup_seconds == 0 and done.edit_seconds > 0
+    assert done.note == "4 views; 40 of 144 rows replaced by 228; 7 training steps"
+    kept = out.take(np.arange(104))
+    rows = {tuple(mean) for mean in own.means.tolist()}
+    assert {tuple(mean) for mean in kept.means.tolist()} < rows
+    # Only the half that the close-up shows darker is pulled at: whatever went is on the left, or at its border.
+    gone = np.array(sorted(rows - {tuple(mean) for mean in kept.means.tolist()}))
+    assert len(gone) == 40 and gone[:, 0].max() < 0.3
+    assert all(np.isfinite(getattr(out, name)).all() for name in ATTRIBUTES)
+    before, after = (render(s, list(asked.base.cameras)).colors.astype(np.float64).clip(0, 1) for s in (own, out))
+    assert psnr(after[0], before[0]) > 25  # untrained: near the asset
+
+
+def test_a_second_step_knows_the_first_and_starts_from_the_same_asset(budget: Budget) -> None:
+    first = ROW.edit(work(), budget)
+    right = half_dark(wall(), cameras(1, 56), left=False)
+    second = ROW.edit(Work("refine", first.splats, work().base, step(right), memory=first.memory), budget)
+    both = Pictures(
+        work().step.edited.cameras + right.cameras, np.concatenate([work().step.edited.colors, right.colors])
+    )
+    at_once = ROW.edit(replace(work(), step=step(both)), budget)
+    assert second.note.startswith("5 views; 40 of 144 rows")
+    for name in ATTRIBUTES:
+        assert np.array_equal(getattr(second.splats, name), getattr(at_once.splats, name))
+
+
+def test_without_weights_it_says_how_to_get_them(
+    budget: Budget, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert ROW.missing(budget) == "" and ROW.name == "genden" and ROW.protocols == ("refine",)
+    monkeypatch.setattr("splatpainter.models.weights.PACKAGED", tmp_path / "none")
+    monkeypatch.delenv("SPLATPAINTER_WEIGHTS", raising=False)
+    line = ROW.missing(Budget())
+    assert line.startswith("no weights: train with `splatpainter train densify") and "--weights genden=" in line
+    assert ROW.version(Budget()) == "1-none"
+    with pytest.raises(ValueError, match="no weights: train with"):
+        ROW.edit(work(), Budget())
+    SplatPainterModel(TINY).save(tmp_path / "other")
+    wrong = Budget(weights={"genden": str(tmp_path / "other")})
+    assert "expected format 'splatpainter densifier', got 'splatpainter model'" in ROW.missing(wrong)
+    empty = ROW.missing(Budget(weights={"genden": str(tmp_path / "nowhere")}))
+    assert "expected a folder with model.json" in empty and str(tmp_path) not in empty
+
+
+def test_other_weights_are_another_version(budget: Budget, tmp_path: Path) -> None:
+    before = ROW.version(budget)
+    assert ROW.version(budget) == before
+    torch.manual_seed(1)
+    Densifier(SMALL).save(tmp_path / "w")
+    assert ROW.version(budget) != before
+
+
+def test_packaged_weights_are_of_a_densifier() -> None:
+    if genden.found(Budget()) is None:
+        pytest.skip("no weights of the densifier are packaged")
+    assert ROW.missing(Budget()) == ""
+    done = ROW.edit(work(), Budget())
+    assert done.numbers["rows_generated"] > done.numbers["rows_replaced"] > 16
+    assert all(np.isfinite(getattr(done.splats, name)).all() for name in ATTRIBUTES)

@@ -1,0 +1,223 @@
+"""Tab. 1 and 2: what their cases are made of, and that scores tell a perfect answer from none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from splatbench import assets
+from splatbench import ground_truth as ground
+from splatbench.cases import Case
+from splatbench.methods import Done
+from splatbench.objects import environments, objects
+from splatbench.scoring import object_masks
+from splatbench.tables import Setup, table
+from splatbench.tables import local_refinement as refine
+from splatbench.tables import relighting as relight
+
+from splatpainter.data import viewpoints
+from splatpainter.data.lights import shade
+from splatpainter.data.surfels import to_splats
+from splatpainter.splats import Splats
+
+SETUP = Setup(
+    objects=2, size=40, detail=3, truth="surfels", base_views=5, rows=800, asset_steps=12, novel_views=4, lights=2
+)
+
+
+@lru_cache(maxsize=1)
+def refined() -> Case:
+    protocol = table("refine")
+    return protocol.make(protocol.keys(SETUP)[0], SETUP)
+
+
+@lru_cache(maxsize=2)
+def subject(name: str) -> ground.Subject:
+    return ground.subject(name, objects(SETUP).load(name), SETUP)
+
+
+def dense(case: Case, light: str) -> Splats:
+    """The truth itself, as an asset."""
+    surfels = subject(case.name).surfels
+    assert surfels is not None
+    return to_splats(surfels, shade(surfels, environments(SETUP).load(light), ground.DEGREE)).numpy()
+
+
+def same(one: Case, other: Case) -> bool:
+    pairs = [(one.base, other.base), (one.after, other.after), (one.steps[0].edited, other.steps[0].edited)]
+    return all(np.array_equal(a.colors, b.colors) for a, b in pairs) and np.array_equal(one.asset.sh, other.asset.sh)
+
+
+# Refine
+
+
+def test_refine_has_a_case_per_object_in_one_light() -> None:
+    keys = table("refine").keys(SETUP)
+    assert [key.name for key in keys] == list(objects(SETUP).names)
+    assert len({key.label for key in keys}) == 2 and all(key.settings["light"] for key in keys)
+    assert keys == table("refine").keys(SETUP)
+
+
+def test_a_refine_case_has_the_papers_parts() -> None:
+    case, size = refined(), SETUP.size
+    assert len(case.base) == 5 and len(case.asset) == 800 and case.setup_seconds > 0
+    assert case.before is case.after and case.near.tolist() == [True, True, False, False]
+    step = case.steps[0]
+    assert (step.mode, step.kind, len(step.edited)) == ("local", "zoom", 2)
+    assert step.masks.shape == (2, size, size) and step.masks.mean((1, 2)).min() > 0.1
+    assert case.oracle is not None and len(case.oracle) == refine.ORACLE
+    assert case.facts["truth"] == "surfels" and case.facts["samples"] is None
+
+
+def test_close_ups_are_tiles_of_a_larger_picture_of_the_whole_object() -> None:
+    case = refined()
+    whole = case.base.cameras[0]
+    for camera in case.steps[0].edited.cameras:
+        assert (camera.width, camera.height) == (SETUP.size, SETUP.size)
+        assert camera.fx == pytest.approx(SETUP.detail * whole.fx)
+        assert np.linalg.norm(camera.position) == pytest.approx(np.linalg.norm(whole.position))
+        left, top = whole.cx * SETUP.detail - camera.cx, whole.cy * SETUP.detail - camera.cy
+        room = SETUP.size * (SETUP.detail - 1)
+        assert 0 <= left <= room and 0 <= top <= room
+        np.testing.assert_allclose(camera.forward, -camera.position / np.linalg.norm(camera.position), atol=1e-9)
+
+
+def test_near_views_look_at_a_spot_that_they_and_a_close_up_see() -> None:
+    case = refined()
+    what = subject(case.name).mesh
+    for k in np.flatnonzero(case.near):
+        camera, zoom = case.after.cameras[k], case.steps[0].edited.cameras[k % 2]
+        assert camera.fx == pytest.approx(zoom.fx)
+        place = camera.position + camera.forward * _surface(case, camera)
+        assert not ground.blocked(what, camera.position, place, 0.05)
+        x, y, z = zoom.world_to_camera[:3, :3] @ place + zoom.world_to_camera[:3, 3]
+        assert 0 <= zoom.fx * x / z + zoom.cx <= zoom.width and 0 <= zoom.fy * y / z + zoom.cy <= zoom.height
+        apart = np.degrees(np.arccos(-camera.forward @ (zoom.position - place) / np.linalg.norm(zoom.position - place)))
+        assert 0 < apart < refine.NEAR[1] + 1
+    for camera in case.after.take(np.logical_not(case.near)).cameras:
+        assert camera.fx == pytest.approx(case.base.cameras[0].fx)
+
+
+def _surface(case: Case, camera) -> float:
+    what = subject(case.name)
+    light = environments(SETUP).load(case.facts["light"])
+    return float(ground.show(what, light, [camera], SETUP, "test").depths[0, 20, 20])
+
+
+def test_the_truth_itself_scores_far_above_the_asset_in_refine() -> None:
+    case, protocol = refined(), table("refine")
+    best = protocol.score(case, [Done(dense(case, case.facts["light"]), 0, 0)], None)
+    nothing = protocol.score(case, [Done(case.asset, 0, 0)], None)
+    assert set(best) >= {column.key for column in protocol.columns}
+    for key in ("psnr", "psnr_around"):
+        one, other = best[key], nothing[key]
+        assert one is not None and other is not None and one > 45 and 10 < other < one - 8
+    assert best["lpips"] is None
+    shown = protocol.pictures(case, [Done(case.asset, 0, 0)])
+    assert list(shown)[:2] == ["result", "truth"] and shown["result"].shape == shown["truth"].shape
+
+
+def test_a_case_survives_the_disk_and_is_made_again_alike(tmp_path: Path) -> None:
+    case = refined()
+    case.save(tmp_path)
+    kept = Case.load(tmp_path)
+    assert np.array_equal(object_masks(kept.after), object_masks(case.after)) and kept.facts == case.facts
+    protocol = table("refine")
+    assert same(protocol.make(protocol.keys(SETUP)[0], SETUP), case)
+
+
+def test_a_mesh_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    (tmp_path / "bad_thing.glb").write_bytes(b"glTF\2\0\0\0\x0c\0\0\0")
+    setup = replace(SETUP, data=tmp_path, held_out=False)
+    for name in ("refine", "relight"):
+        protocol = table(name)
+        with pytest.raises(ValueError, match="bad_thing"):
+            protocol.make(protocol.keys(setup)[0], setup)
+
+
+# Assets
+
+
+def test_an_asset_of_base_views_is_nearer_to_them_after_some_steps() -> None:
+    what = subject(objects(SETUP).names[0])
+    light = environments(SETUP).load(environments(SETUP).names[0])
+    rng = np.random.default_rng(0)
+    base = ground.show(what, light, viewpoints.ring(what.radius, ground.optics(SETUP), 4, rng), SETUP, "base")
+    errors = []
+    for steps in (0, 60):
+        built = assets.build(what, light, base, replace(SETUP, asset_steps=steps))
+        drawn = ground.Pictures(base.pictures.cameras, assets_drawn(built.splats, base))
+        errors.append(float(((drawn.colors - base.pictures.colors) ** 2).mean()))
+        assert isinstance(built.splats.means, np.ndarray) and str(steps) in built.how
+    assert errors[1] < 0.6 * errors[0]
+    thin = assets.build(what, light, base, SETUP, "surfels")
+    assert len(thin.splats) == SETUP.rows
+
+
+def assets_drawn(splats: Splats, base: ground.Shown) -> np.ndarray:
+    from splatbench.scoring import drawn
+
+    return drawn(splats, base.pictures.cameras)
+
+
+# Relight
+
+
+def test_relight_has_a_case_per_object_light_and_number_of_views_in_an_order_that_shares_pictures() -> None:
+    keys = table("relight").keys(SETUP)
+    assert len(keys) == 2 * 2 * 3 == len({key.label for key in keys})
+    assert [key.settings["views"] for key in keys[:3]] == [1, 2, 4]
+    assert len({key.settings["target"] for key in keys[:3]}) == 1
+    for key in keys:
+        assert key.settings["target"] != key.settings["source"]
+
+
+@lru_cache(maxsize=1)
+def relit() -> tuple[Case, ...]:
+    protocol = table("relight")
+    return tuple(protocol.make(key, SETUP) for key in protocol.keys(SETUP)[:3])
+
+
+def test_relit_views_are_nested_and_evenly_around() -> None:
+    one, two, four = (case.steps[0].edited for case in relit())
+    assert [len(views) for views in (one, two, four)] == [1, 2, 4]
+    assert np.array_equal(two.colors[:1], one.colors) and np.array_equal(four.colors[:2], two.colors)
+    turns = [viewpoints.angles(camera.position)[0] % 360 for camera in four.cameras]
+    assert (turns[1] - turns[0]) % 360 == pytest.approx(180)
+    assert np.diff(sorted(turns)).round(6).tolist() == [90, 90, 90]
+
+
+def test_a_relight_case_has_the_papers_parts() -> None:
+    cases = relit()
+    first = cases[0]
+    assert first.before is cases[1].before and first.after is cases[2].after and first.asset is cases[1].asset
+    assert first.near.all() and len(first.after) == SETUP.novel_views and first.oracle is not None
+    assert first.steps[0].mode == "global" and first.steps[0].masks.any()
+    assert np.abs(first.after.colors - first.before.colors).mean() > 0.005
+    assert [case.facts["views"] for case in cases] == [1, 2, 4] and len({c.facts["environment"] for c in cases}) == 1
+    known = {camera.position.round(6).tobytes() for p in (first.base, cases[2].steps[0].edited) for camera in p.cameras}
+    assert not known & {camera.position.round(6).tobytes() for camera in first.after.cameras}
+
+
+def test_the_relit_truth_scores_far_above_the_asset_in_relight() -> None:
+    case, protocol = relit()[0], table("relight")
+    best = protocol.score(case, [Done(dense(case, case.facts["environment"]), 0, 0)], None)
+    nothing = protocol.score(case, [Done(case.asset, 0, 0)], None)
+    one, other = best["psnr"], nothing["psnr"]
+    assert one is not None and other is not None and one > 45 and other < one - 8
+    assert set(best) == {column.key for column in protocol.columns} and protocol.split_by in case.facts
+
+
+def test_relight_is_made_again_alike_in_any_order() -> None:
+    protocol, before = table("relight"), relit()[1]
+    relight._stage.cache_clear()
+    relight._relit.cache_clear()
+    assert same(protocol.make(protocol.keys(SETUP)[1], SETUP), before)
+
+
+def test_relight_needs_two_lights() -> None:
+    with pytest.raises(ValueError, match="at least two environments, got 1"):
+        table("relight").keys(replace(SETUP, lights=0))

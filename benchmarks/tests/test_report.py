@@ -1,0 +1,281 @@
+"""The report: summaries by hand, a well-formed page without network, hostile text, contact sheets."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import stats
+from splatbench.report import pictures, runs, sheets
+from splatbench.report.grid import best_of
+from splatbench.report.names import Names
+from splatbench.report.page import write_page
+from splatbench.report.summary import blocks, summarize
+
+from benchmarks.tests.support.runs import COLUMNS, METHODS, FakeTable, plain_run, record, write
+from splatpainter.metrics.bootstrap import interval
+
+VOID = {"meta", "link", "img", "input", "br"}
+
+
+class Page(HTMLParser):
+    """Elements and their texts; complains of what does not nest."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[tuple[str, str]] = []
+        """(innermost element, text)."""
+        self.feed(text)
+        self.close()
+        assert not self.open, f"left open: {self.open}"
+
+    def handle_starttag(self, tag, attrs):
+        assert len({name for name, _ in attrs}) == len(attrs), f"<{tag}> has an attribute twice"
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-1:]}"
+        self.open.pop()
+
+    def handle_data(self, data):
+        if self.open and data.strip():
+            self.texts.append((self.open[-1], data))
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    def said(self) -> str:
+        return " ".join(text for tag, text in self.texts if tag not in ("script", "style"))
+
+
+def page_of(folder: Path, out: Path, table: FakeTable | None = None) -> tuple[Page, Path]:
+    path = write_page([folder], out, {folder.name: table or FakeTable()}, METHODS)
+    return Page(path.read_text()), path
+
+
+# ---- summaries
+
+
+def test_summary_by_hand():
+    told = [record("ttt", "ant", 20, label="ant-1", edit_seconds=1.0, rows=10, rows_equal=1.0, peak_mib=5)]
+    told += [record("ttt", "ant", 22, label="ant-2", edit_seconds=9.0, rows=20, rows_equal=0.5, peak_mib=9)]
+    told += [record("ttt", "bee", 25, label="bee-1", edit_seconds=2.0, rows=30, rows_equal=0.0, peak_mib=7)]
+    told += [record("ttt", "cat", label="cat-1", error="it broke"), record("3dgs", "cat", label="cat-1", missing="no")]
+    first, other = summarize(told)
+    assert (first.method, first.state, first.cases, first.asked, first.objects) == ("ttt", "measured", 3, 4, 2)
+    psnr = first.figures["psnr"]
+    assert psnr.mean == (21 + 25) / 2  # every object counts the same, not every case
+    assert (psnr.low, psnr.high) == (21, 25)  # of two objects: each alone with probability 1/4
+    assert (psnr.objects, psnr.cases) == (2, 3)
+    assert (first.edit_seconds, first.rows, first.rows_equal, first.peak_mib) == (2.0, 20, 0.5, 9)
+    assert first.errors == (("error: it broke", 1),)
+    assert (other.method, other.state, other.cases, other.asked) == ("3dgs", "no", 0, 4) and not other.figures
+
+
+def test_summary_leaves_out_what_is_not_there():
+    told = [record("ttt", "ant", 20), record("ttt", "bee", 30)]
+    told[0].figures.update(lpips=None, ssim=math.nan)
+    told[1].figures.update(lpips=None)
+    figures = summarize(told)[0].figures
+    assert "lpips" not in figures and figures["ssim"].objects == 1 and figures["ssim"].low is None
+
+
+def test_interval_agrees_with_scipy_and_repeats():
+    means = np.random.default_rng(1).normal(20, 3, 12)
+    wanted = stats.bootstrap((means,), np.mean, method="percentile", n_resamples=20_000, rng=0).confidence_interval
+    assert interval(means) == pytest.approx((wanted.low, wanted.high), abs=0.12) and interval(means) == interval(means)
+    assert (interval([math.inf, math.inf, 3.0]) or (0, 0))[1] == math.inf  # and not NaN
+    assert interval([1.0]) is None and interval([]) is None
+    # Values of one owner are drawn together: twice the same ones are no more evidence.
+    assert interval(means.repeat(2), np.arange(12).repeat(2)) == pytest.approx(interval(means), abs=1e-12)
+
+
+def test_blocks_are_in_order_of_numbers():
+    told = [record("ttt", f"{v}", 1, facts={"views": v}) for v in (10, 2, 1)]
+    assert blocks(told, "views") == ["1", "2", "10"]
+    assert [row.block for row in summarize(told, "views")] == ["1", "2", "10"]
+    assert blocks(told, "") == [""] and blocks([record("ttt", "a", 1)], "views") == [""]
+
+
+def test_methods_keep_the_order_of_the_tables():
+    told = [record(m, "a", 1) for m in ("new", "3dgs", "nothing")]
+    assert [row.method for row in summarize(told, "", tuple(METHODS))] == ["nothing", "3dgs", "new"]
+    names = Names.of(METHODS, {"new", "3dgs", "oracle"})
+    assert names.order == ("3dgs", "oracle", "new") and names.labels["new"] == "new" and "oracle" in names.unmarked
+
+
+def test_best_is_among_those_that_answered_everything_and_are_no_bound():
+    told = [record("ttt", "a", 20), record("ttt", "b", 20), record("3dgs", "a", 40), record("3dgs", "b", error="x")]
+    told += [record("oracle", n, 50) for n in "ab"] + [record("srgs", n, 10) for n in "ab"]
+    names = Names.of(METHODS, {r.method for r in told})
+    assert best_of(summarize(told), COLUMNS[0], names) == {"ttt"}
+    assert best_of(summarize(told), replace(COLUMNS[0], better="lower"), names) == {"srgs"}
+    assert best_of(summarize(told[:2]), COLUMNS[0], names) == set()
+
+
+# ---- the page
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> tuple[Page, Path]:
+    folder = tmp_path_factory.mktemp("plain")
+    return page_of(plain_run(folder / "refine"), folder / "out")
+
+
+def test_page_needs_no_network(plain):
+    page, path = plain
+    for _, attributes in page.elements:
+        for name in ("src", "href", "srcset", "action", "data"):
+            link = attributes.get(name) or "#"
+            assert link.startswith(("#", "pictures/")) or link == "data:,", link
+    text = path.read_text()
+    assert "http:" not in text and "https:" not in text and "url(" not in text and "@import" not in text
+    policy = next(m["content"] for m in page.all("meta") if m.get("http-equiv") == "Content-Security-Policy")
+    assert policy is not None and policy.startswith("default-src 'none';")
+    for tag in ("style", "script"):
+        [told] = [text for name, text in page.texts if name == tag]
+        digest = base64.b64encode(hashlib.sha256(told.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}'" in policy
+
+
+def test_every_picture_is_there_and_described(plain):
+    page, path = plain
+    shown = page.all("img")
+    # three cases of input, four or five answers and truth; every answer with its error
+    assert len(shown) == 2 * (2 + 2 * 5) + (2 + 2 * 4)
+    for image in shown:
+        file = path.parent / (image["src"] or "")
+        with Image.open(file) as opened:
+            assert opened.format == "WEBP" and [str(v) for v in opened.size] == [image["width"], image["height"]]
+        assert image["alt"] and image["alt"].split(", ")[-1] in ("ant", "bee", "cat")
+    linked = {path.parent / (a["href"] or "") for a in page.all("a") if (a["href"] or "").startswith("pictures/")}
+    assert linked and all(file.is_file() for file in linked)
+    ids = [a["id"] for _, a in page.elements if "id" in a]
+    assert len(ids) == len(set(ids)) and {a["href"] for a in page.all("a")} >= {"#refine"}
+
+
+def test_page_says_what_was_measured_and_what_was_not(plain):
+    page, path = plain
+    said = page.said()
+    assert "Made up (Tab. 1)" in said and "3 objects, 3 cases." in said and "two cores" in said and "load" not in said
+    assert "not installed: no path in the adapters' file" in said and "2 of 3 cases" in said
+    assert "3DGS: error: ValueError: no splats left (1 of 3 cases)" in said and "Ours (TTT): eight views" in said
+    assert "99.99" in said and "22.00–24.00" in said  # never rounded up to 100; the interval of 22, 23, 24
+    text = path.read_text()
+    assert '<b>23.00</b><span class="unseen"> best</span>' in text  # not the upper bound's 31
+    assert "as published, other data" in said and "21.07" in said and "1.54 + 0.64" in said
+    assert text.index("GenDen") > text.index("VoxHammer")  # rows that only the paper has, below the measured ones
+    measured, own = text[text.index('<table class="results">') :].split('<table class="results paper">')
+    assert "21.07" not in measured and "21.07" in own
+
+
+def test_page_is_the_same_again_and_forgets_old_pictures(tmp_path):
+    folder = plain_run(tmp_path / "refine")
+    first = page_of(folder, tmp_path / "a")[1]
+    again = page_of(folder, tmp_path / "b")[1]
+    stale = tmp_path / "a" / "pictures" / "refine" / "stale.webp"
+    stale.write_bytes(b"")
+    page_of(folder, tmp_path / "a")
+    assert not stale.exists() and first.read_bytes() == again.read_bytes()
+    listed = [sorted(p.relative_to(r).as_posix() for p in r.rglob("*")) for r in (tmp_path / "a", tmp_path / "b")]
+    assert listed[0] == listed[1]
+    assert all((tmp_path / "a" / n).read_bytes() == (tmp_path / "b" / n).read_bytes() for n in listed[0] if "." in n)
+
+
+def test_hostile_text_stays_text(tmp_path):
+    evil = "\"><img src=x onerror=alert(1)><script>alert(2)</script>'&amp;"
+    told = [
+        record(evil, evil, 20, label="ant", note=evil, machine=evil, facts={"views": evil}),
+        record("../../../etc", "bee", 21, facts={"views": evil}),
+        record("ttt", "ant", error=evil, facts={"views": evil}),
+    ]
+    table = FakeTable(title=evil, columns=(replace(COLUMNS[0], label=evil, group=evil),), split_by="views")
+    folder = write(tmp_path / "refine", told, places={evil: "evil", "../../../etc": "etc"})
+    page, path = page_of(folder, tmp_path / "out", table)
+    assert len(page.all("script")) == 1 and not [name for _, a in page.elements for name in a if name.startswith("on")]
+    assert all((image["src"] or "").startswith("pictures/refine/") for image in page.all("img"))
+    assert page.said().count(evil) >= 6 and any(a.get("data-m") == evil for _, a in page.elements)
+    assert {p.parent for p in tmp_path.rglob("*.webp")} == {path.parent / "pictures" / "refine"}
+
+
+def test_page_takes_only_what_the_last_run_asked_for(tmp_path):
+    folder = write(tmp_path / "refine", [record("ttt", n, 20, fingerprint=f"{n}-x") for n in ("ant", "bee")])
+    (folder / "run.json").write_text(json.dumps({"labels": ["ant"], "notes": ["a note of the run <b>"]}))
+    page, _ = page_of(folder, tmp_path / "out")
+    assert "1 object, 1 case." in page.said() and "a note of the run <b>" in page.said()
+    (folder / "run.json").write_text("[]")
+    with pytest.raises(ValueError, match=r"run\.json: expected what `splatpainter bench` writes"):
+        page_of(folder, tmp_path / "out")
+
+
+def test_page_of_nothing_and_of_strangers_is_an_error(tmp_path):
+    (tmp_path / "refine").mkdir()
+    with pytest.raises(ValueError, match="expected records of `splatpainter bench` in .*refine, found none"):
+        page_of(tmp_path / "refine", tmp_path / "out")
+    with pytest.raises(ValueError, match="stranger: expected the folder of one of refine"):
+        write_page([tmp_path / "stranger"], tmp_path / "out", {"refine": FakeTable()}, METHODS)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_without_any_figure_still_has_a_page(tmp_path):
+    told = [record("ttt", "ant", error="it broke"), record("voxhammer", "ant", missing="not installed: x")]
+    page, _ = page_of(write(tmp_path / "refine", told), tmp_path / "out")
+    assert "error: it broke" in page.said() and "PSNR: not measured" in page.said()
+
+
+# ---- pictures and sheets
+
+
+def test_cases_are_the_easiest_the_middle_and_the_hardest(tmp_path):
+    told = [
+        record(m, n, p + k)
+        for k, m in enumerate(("ttt", "3dgs"))
+        for n, p in zip("abcde", (3, 9, 1, 7, 5), strict=True)
+    ]
+    assert pictures.ranked(told, "psnr", 3) == [("b", "easiest"), ("e", "middle"), ("c", "hardest")]
+    assert pictures.ranked(told, "psnr", 2) == [("b", "easiest"), ("c", "hardest")]
+    assert pictures.ranked(told, "psnr", 1) == [("e", "middle")]
+    assert pictures.ranked(told[:2], "psnr", 3) == [("b", ""), ("a", "")]
+    rows = pictures.picture_rows(write(tmp_path, told), told, Names.of(METHODS, {"ttt", "3dgs"}), FakeTable())
+    labels = [[tile.label for tile in row.tiles] for row in rows]
+    assert labels == [["Input edit", "Asset before", "Ours (TTT)", "3DGS", "Truth"]] * 3
+    assert [tile.figure for tile in rows[0].tiles] == [None, None, 9, 10, None]
+
+
+def test_errors_only_against_a_truth_of_the_same_size(tmp_path):
+    folder = write(tmp_path / "refine", [record("ttt", "ant", 20)])
+    rows = pictures.picture_rows(folder, runs.read(folder).records, Names.of(METHODS, {"ttt"}), FakeTable())
+    tile = next(tile for tile in rows[0].tiles if tile.method)
+    wrong = np.abs(pictures.read(tile.path) - pictures.read(rows[0].tiles[-1].path)).max(-1)
+    found = sheets.error_of(tile, pictures.read(rows[0].tiles[-1].path))
+    assert found is not None and np.array_equal(found.sum(-1) == 3, wrong >= 0.25)
+    assert sheets.error_of(tile, np.zeros((5, 5, 3), np.float32)) is None
+    assert sheets.error_of(rows[0].tiles[-1], pictures.read(tile.path)) is None
+
+
+def test_contact_sheet_wraps_many_methods(tmp_path):
+    told = [record(f"method-{k:02}", "ant", 20 + k) for k in range(12)]
+    path = sheets.write_contact_sheet(write(tmp_path / "refine", told), tmp_path / "s" / "a.png", FakeTable(), METHODS)
+    assert path is not None
+    with Image.open(path) as image:
+        # 15 pictures in two lines, each with a line of errors
+        assert image.width == 8 * (sheets.CELL + 6) + 6 and 4 * sheets.CELL < image.height < 6 * sheets.CELL
+    (tmp_path / "relight").mkdir()
+    assert sheets.write_contact_sheet(tmp_path / "relight", tmp_path / "b.png", FakeTable(), METHODS) is None
+    with pytest.raises(ValueError, match="expected the folder of one of refine, relight"):
+        sheets.write_contact_sheet(tmp_path / "s", tmp_path / "b.png")

@@ -1,0 +1,98 @@
+"""The report's page in a real browser: nothing is fetched, nothing complained of; sorting, zoom, comparison; labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import pytest
+from splatbench.report.page import write_page
+
+from benchmarks.tests.support.runs import METHODS, FakeTable, plain_run
+from tests.support.studio_pages import browsing
+
+LABELS = """() => [...document.querySelectorAll("svg.chart")]
+  .filter((svg) => svg.getBoundingClientRect().width > 0)
+  .map((svg) => [...svg.querySelectorAll(".label")].map((text) => {
+    const box = text.getBoundingClientRect();
+    return [text.textContent, box.x, box.y, box.width, box.height];
+  }))"""
+ROWS = """() => [...document.querySelectorAll(".results tbody tr .name > span")]
+  .map((name) => name.firstChild.textContent.trim())"""
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    folder: Path = tmp_path_factory.mktemp("report")
+    path = write_page([plain_run(folder / "refine")], folder / "out", {"refine": FakeTable()}, METHODS)
+    with browsing() as browser:
+        page = browser.new_page(viewport={"width": 1400, "height": 900}, reduced_motion="reduce")
+        page.set_default_timeout(90_000)
+        page.problems, page.asked = [], []
+        page.on("console", lambda said: page.problems.append(said.text))
+        page.on("pageerror", lambda error: page.problems.append(str(error)))
+        page.on("request", lambda request: page.asked.append(request.url))
+        page.goto(path.as_uri())
+        yield page
+
+
+def test_page_is_quiet_and_stays_at_home(tab):
+    tab.evaluate("document.querySelectorAll('img').forEach((i) => (i.loading = 'eager'))")
+    tab.wait_for_function("[...document.images].every((i) => i.complete)")
+    assert tab.evaluate("[...document.images].every((i) => i.naturalWidth > 0)")
+    assert not tab.problems and all(url.startswith(("file:", "data:")) for url in tab.asked)
+
+
+@pytest.mark.parametrize("width", [1400, 420])
+def test_nothing_sticks_out_and_labels_are_apart(tab, width):
+    tab.set_viewport_size({"width": width, "height": 900})
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    charts = tab.evaluate(LABELS)
+    assert charts and all(charts)
+    for labels in charts:
+        for (a, ax, ay, aw, ah), (b, bx, by, bw, bh) in combinations(labels, 2):
+            # boxes of lines are taller than their letters
+            apart = ax + aw <= bx or bx + bw <= ax or ay + 0.75 * ah <= by or by + 0.75 * bh <= ay
+            assert apart, f"{a} is on {b}"
+    tab.set_viewport_size({"width": 1400, "height": 900})
+
+
+def test_columns_sort_best_first_then_worst_then_as_before(tab):
+    before = tab.evaluate(ROWS)
+    head = tab.get_by_role("button", name="PSNR ↑")
+    head.click()
+    best = tab.evaluate(ROWS)
+    assert best[:5] == ["Oracle", "Ours (TTT)", "3DGS", "Ours (lift)", "Asset as it is"]
+    assert sorted(best) == sorted(before) and tab.locator("[aria-sort=descending]").count() == 1
+    head.press("Enter")
+    assert tab.evaluate(ROWS)[:5] == best[4::-1]
+    head.press("Enter")
+    assert tab.evaluate(ROWS) == before
+
+
+def test_pictures_are_compared_with_mouse_and_keys(tab):
+    tab.locator(".tiles a").nth(2).focus()
+    tab.keyboard.press("+")
+    assert tab.evaluate("document.querySelector('.case').style.getPropertyValue('--zoom')") == "2"
+    tab.keyboard.press("Enter")
+    dialog = tab.get_by_role("dialog")
+    sides = [dialog.get_by_label(name) for name in ("Left", "Right")]
+
+    def chosen() -> list[str]:
+        return [side.evaluate("(s) => s.selectedOptions[0].textContent") for side in sides]
+
+    assert chosen() == ["Ours (lift)", "Truth"]
+    tab.keyboard.press("x")
+    assert chosen() == ["Truth", "Ours (lift)"]
+    wipe = dialog.get_by_label("Wipe")
+    wipe.press("Home")
+    assert tab.evaluate("document.querySelector('.stage').style.getPropertyValue('--wipe')") == "0%"
+    tab.keyboard.press("Escape")
+    assert dialog.count() == 0 and not tab.problems
+    tab.get_by_text("Errors", exact=True).click()
+    assert (
+        tab.locator(".tiles .error").first.is_visible()
+        and not tab.locator("li:not(.no-error) .result").first.is_visible()
+    )

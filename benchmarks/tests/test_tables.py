@@ -1,0 +1,162 @@
+"""Records as CSV, Markdown and LaTeX: figures by hand, and what must never be printed as a number."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from splatbench.methods import Budget, Done, Method, Work
+from splatbench.records import Record
+from splatbench.report import tables
+from splatbench.report.names import Names
+from splatbench.report.summary import summarize
+from splatbench.tables import Column
+
+COLUMNS = (Column("psnr", "PSNR", "On the object", "higher"), Column("lpips", "LPIPS", "On the object", "lower", 4))
+
+
+def record(method: str, name: str, psnr: float | None, views: int = 1, **rest) -> Record:
+    whole = Record(
+        protocol="relight",
+        method=method,
+        label=f"{name}-{views}",
+        name=name,
+        fingerprint="f",
+        figures={"psnr": psnr, "lpips": None},
+        setup_seconds=1.5,
+        edit_seconds=0.25,
+        peak_mib=100.4,
+        rows=1000,
+        rows_equal=0.99999,
+        appended=3,
+        numbers={"rounds": 4.0},
+        facts={"views": views},
+    )
+    return replace(whole, **rest)
+
+
+RECORDS = (
+    record("ttt", "a", 20.0),
+    record("ttt", "b", 23.0),
+    record("3dgs", "a", 25.5),
+    record("3dgs", "b", None, error="it burst | into\npieces", figures={}),
+    record("lift", "a", 21.0),
+    record("lift", "b", 21.5, setup_seconds=0.0, rows_equal=1.0),
+    record("bound", "a", 30.0, rows_equal=None),
+    record("bound", "b", 31.0, rows_equal=None),
+    record("voxhammer", "a", None, missing="not installed: a_path & 50%", figures={}),
+    record("voxhammer", "b", None, missing="not installed: a_path & 50%", figures={}),
+    record("ttt", "a", 26.0, 2),
+)
+
+
+def edit(work: Work, budget: Budget) -> Done:
+    raise AssertionError
+
+
+LABELS = {"lift": "Lift", "ttt": "Ours & theirs", "3dgs": "3DGS", "bound": "Bound", "voxhammer": "VoxHammer"}
+METHODS = {name: Method(name, label, edit, (), oracle=name == "bound") for name, label in LABELS.items()}
+
+
+@pytest.fixture()
+def grid() -> tables.Grid:
+    rows = summarize(RECORDS, "views", tuple(METHODS))
+    return tables.grid("relight", COLUMNS, rows, Names.of(METHODS, LABELS), "views")
+
+
+def cells(text: str, label: str, nth: int = 0) -> list[str]:
+    lines = [line for line in text.splitlines() if line.startswith(f"| {label}")]
+    return [cell.strip() for cell in lines[nth].split("|")[1:-1]]
+
+
+def test_markdown(grid: tables.Grid) -> None:
+    text = tables.markdown(grid)
+    heads = [cell.strip() for cell in text.splitlines()[0].split("|")[1:-1]]
+    assert heads[:3] == ["Method", "On the object PSNR ↑", "On the object LPIPS ↓"]
+    assert heads[3:7] == ["Seconds (set-up + edit)", "Peak MiB", "Rows", "Rows kept %"]
+    assert heads[7] == "*as published, other data:* PSNR"
+    ours = cells(text, "Ours & theirs")
+    # Two objects: the bootstrap draws (20, 20), (20, 23), (23, 23), so that its ends are the two.
+    assert ours[1] == "**21.50** [20.00, 23.00]" and ours[2] == "n/a"
+    assert ours[3:7] == ["1.50 + 0.25", "100", "1,000", "99.99"], "never rounded up to all rows"
+    assert ours[7:] == ["*24.56*", "*0.8986*", "*0.0721*", "*1.54 + 0.08*"]
+    lift = cells(text, "Lift")
+    assert (lift[1], lift[3], lift[6]) == ("21.25 [21.00, 21.50]", "0.75 + 0.25", "99.99")
+    assert cells(text, "Bound")[1] == "30.50 [30.00, 31.00]", "an upper bound is not the best"
+    few = cells(text, "3DGS")
+    assert few[0] == "3DGS (1 of 2)" and few[1] == "25.50", "neither is a row that lacks cases"
+    absent = cells(text, "VoxHammer")
+    assert absent[1:7] == ["not installed"] + ["–"] * 5
+    assert "| **views: 2** |" in text
+    two = cells(text, "Ours & theirs", 1)
+    assert two[1] == "26.00" and two[7] == "*24.71*", "alone, there is no best; its interval needs two objects"
+    assert cells(text, "RelitLRM")[1:3] == ["not run", "–"] and cells(text, "RelitLRM")[7] == "*21.68*"
+
+
+def test_latex(grid: tables.Grid, tmp_path: Path) -> None:
+    text = tables.latex(grid, "A caption & more", "relight")
+    assert r"\toprule" in text and r"\textbf{21.50} {\tiny [20.00, 23.00]}" in text
+    assert r"\textcolor{gray}{24.56}" in text and r"\multicolumn{6}{l}{\textit{not installed}}" in text
+    assert r"Ours \& theirs" in text and r"\multicolumn{4}{c}{\textcolor{gray}{as published, other data}}" in text
+    body = text[text.index(r"\begin{tabular}") : text.index(r"\end{tabular}")]
+    widths = {_width(line) for line in body.splitlines() if line.endswith(r"\\")}
+    assert widths == {1 + len(grid.heads)}, "every line has as many columns as the head"
+    assert text.count("{") == text.count("}")
+    assert tables.tex("a_b & 50% <x> ~ ^ \\ – #") == (
+        r"a\_b \& 50\% $<$x$>$ \textasciitilde{} \textasciicircum{} \textbackslash{} -- \#"
+    )
+    if shutil.which("pdflatex"):
+        source = (
+            r"\documentclass{article}\usepackage{booktabs,graphicx,xcolor}\begin{document}" + text + r"\end{document}"
+        )
+        (tmp_path / "t.tex").write_text(source)
+        done = subprocess.run(["pdflatex", "-interaction=batchmode", "t.tex"], cwd=tmp_path, capture_output=True)
+        assert done.returncode == 0
+
+
+def test_csv_has_one_line_per_object_method_and_metric(grid: tables.Grid, tmp_path: Path) -> None:
+    rows = summarize(RECORDS, "views", tuple(METHODS))
+    told, summed = tables.figures(RECORDS), tables.means("relight", rows)
+    tables.write(tmp_path, "A title", grid, told, summed, ["one note", "of two\nlines"])
+    with open(tmp_path / "results.csv", newline="") as file:
+        assert file.readline() == "# A title\n"
+        lines = list(csv.DictReader(file))
+    assert list(lines[0]) == ["protocol", "object", "case", "method", "metric", "value"]
+    values = {(line["case"], line["method"], line["metric"]): line["value"] for line in lines}
+    assert len(values) == len(lines)
+    assert values["b-1", "ttt", "psnr"] == "23.0" and values["b-1", "ttt", "lpips"] == ""
+    assert values["a-1", "lift", "numbers.rounds"] == "4.0" and values["a-1", "lift", "rows"] == "1000"
+    assert values["b-1", "3dgs", "error"] == "it burst | into\npieces"
+    assert [line["metric"] for line in lines if line["method"] == "voxhammer"] == ["missing", "missing"]
+    with open(tmp_path / "summary.csv", newline="") as file:
+        file.readline()
+        means = {(m["block"], m["method"], m["metric"]): m for m in csv.DictReader(file)}
+    assert (means["1", "bound", "psnr"]["mean"], means["1", "bound", "psnr"]["objects"]) == ("30.5", "2")
+    assert means["1", "voxhammer", ""]["mean"] == "" and "not installed" in means["1", "voxhammer", ""]["state"]
+    assert (tmp_path / "table.md").read_text().endswith("- one note\n- of two lines\n")
+    assert "% of two lines\n" in (tmp_path / "table.tex").read_text()
+
+
+def test_seconds_for_people() -> None:
+    told = {0.0: "0", 0.00002: "< 0.01", 0.0149: "0.01", 1.5: "1.50", 9.994: "9.99", 9.996: "10.0", 99.96: "100"}
+    assert {value: tables.seconds(value) for value in told} == told and tables.seconds(1234.5) == "1,234"
+
+
+def test_states_in_cells() -> None:
+    assert tables.short("not installed: pip install x") == "not installed"
+    assert tables.short("needs a CUDA GPU") == "needs a CUDA GPU"
+    long = tables.short("error: " + "x" * 200)
+    assert len(long) == 80 and long.endswith("…")
+
+
+def _width(line: str) -> int:
+    """Columns that a line of a LaTeX table fills."""
+    import re
+
+    parts = re.split(r"(?<!\\)&", line)
+    spans = [re.search(r"\\multicolumn\{(\d+)\}", part) for part in parts]
+    return sum(int(span[1]) if span else 1 for span in spans)

@@ -1,0 +1,142 @@
+"""The asset that an artist has: few, large, irregular Gaussians over the same surface as the dense surfels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+GROWTH = 2.0
+"""Standard deviation of a row over that of the patch that it stands for, so that neighbours overlap."""
+
+INSIDE = 0.06
+"""Openness below which a surfel does not count as part of what a captured asset shows."""
+
+
+def coarsened(own: dict[str, np.ndarray], rows: int, seed: int, fuzz: float) -> dict[str, np.ndarray]:
+    """The fields of `rows` Gaussians that stand for the surfels `own` (fields of Surfels as numpy): see
+    surfels.coarse_asset, which checks the arguments."""
+    from splatpainter.data import poisson_disk as blue_noise
+
+    rng = np.random.default_rng([seed, rows, 7])
+    layers = round(0.3 * fuzz * rows)
+    solid = rows - layers
+    # Area per surfel: a surfel's standard deviation is SIZE times the mean distance of five neighbours.
+    step = float(np.median(own["scales"][:, 0])) / 0.6
+    spacing = step * float(np.sqrt(len(own["means"]) / solid))
+    shown = _shown(own, 0.7 * spacing)
+    if shown.sum() >= rows:
+        own = {k: v[shown] for k, v in own.items()}
+    points, facing = own["means"], _surface_normals(own["quats"])
+    even = blue_noise.select(points, facing, round((1 - 0.4 * fuzz) * solid), spacing, rng, evenness=1.0)
+    others = np.setdiff1d(np.arange(len(points)), even, assume_unique=True)
+    centers = np.concatenate([even, rng.choice(others, solid - len(even), replace=False)])
+    patch = blue_noise.nearest(points, facing, points[centers], facing[centers], spacing)
+    patch[centers] = np.arange(solid)
+    means = _patch_means(own, patch, solid)
+    scales, quats = _shapes(own, patch, means, spacing)
+    means |= {"scales": scales, "quats": quats, "opacities": np.full(solid, 0.99)}
+    if layers:
+        lit = np.flatnonzero(means["occlusion"] >= np.median(means["occlusion"]))  # a dark layer would look like dirt
+        copies = rng.choice(lit, layers)
+        means = {k: np.concatenate([v, v[copies]]) for k, v in means.items()}
+    return _roughened(means, solid, spacing, fuzz, rng)
+
+
+def _shown(own: dict[str, np.ndarray], reach: float) -> np.ndarray:
+    """[N] bool: surfels that a captured asset has rows for. Left out are those deep inside and the darker side of walls
+    thinner than `reach`: rows as large as the wall is thick would let it shine through."""
+    from splatpainter.data import poisson_disk as blue_noise
+
+    points, facing, light = own["means"], _surface_normals(own["quats"]), own["occlusion"]
+    other = blue_noise.nearest(points, -facing, points, facing, reach)
+    gap = np.linalg.norm(points - points[other], axis=1)
+    back = (other >= 0) & (gap < reach) & ((facing * facing[other]).sum(1) < -0.5)
+    return (light > INSIDE) & ~(back & (light < 0.8 * light[other]))
+
+
+MEANS = ("means", "normals", "albedo", "metallic", "roughness", "occlusion", "transfer")
+
+
+def _patch_means(own: dict[str, np.ndarray], patch: np.ndarray, count: int) -> dict[str, np.ndarray]:
+    """Means over each patch [count, ...]; surfels of no patch (-1) are left out."""
+    inside = patch >= 0
+    index = patch[inside]
+    number = np.maximum(np.bincount(index, minlength=count), 1)
+    out = {}
+    for name in MEANS:
+        values = own[name][inside].reshape(len(index), -1)
+        sums = np.stack([np.bincount(index, column, count) for column in values.T], 1)
+        out[name] = (sums / number[:, None]).reshape(count, *own[name].shape[1:])
+    out["normals"] /= np.maximum(np.linalg.norm(out["normals"], axis=1, keepdims=True), 1e-9)
+    return out
+
+
+def _shapes(
+    own: dict[str, np.ndarray], patch: np.ndarray, means: dict[str, np.ndarray], spacing: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(scales [R, 3], quats [R, 4]) from the covariance of each patch, grown to meet its neighbours; thinnest last."""
+    inside = patch >= 0
+    index, count = patch[inside], len(means["means"])
+    number = np.maximum(np.bincount(index, minlength=count), 1)
+    away = own["means"][inside] - means["means"][index]
+    spread = np.empty((count, 3, 3))
+    for a in range(3):
+        for b in range(a + 1):
+            spread[:, a, b] = spread[:, b, a] = np.bincount(index, away[:, a] * away[:, b], count) / number
+    # A patch of one or two surfels has no shape of its own: a disk across its normal is mixed in.
+    disk = np.eye(3) - means["normals"][:, :, None] * means["normals"][:, None, :]
+    few = 1.0 / number
+    spread += few[:, None, None] * disk * (0.28 * spacing) ** 2
+    values, axes = np.linalg.eigh(spread)  # rising: the thin axis first
+    values, axes = values[:, ::-1], axes[:, :, ::-1].copy()
+    axes[np.linalg.det(axes) < 0, :, 2] *= -1
+    scales = GROWTH * np.sqrt(np.maximum(values, 1e-16))
+    low = np.array([0.42, 0.42, 0.03]) * spacing
+    high = np.array([1.5, 1.1, 0.35]) * spacing
+    return np.clip(scales, low, high), quaternions(axes)
+
+
+def _roughened(
+    rows: dict[str, np.ndarray], solid: int, spacing: float, fuzz: float, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """Jitter as real assets have it; rows from `solid` on become faint layers."""
+    count = len(rows["means"])
+    out = dict(rows)
+    layer = np.arange(count) >= solid
+    shift = 0.12 * fuzz * spacing * rng.standard_normal((count, 3))
+    lift = np.where(
+        layer, 0.45 * spacing * rng.standard_normal(count), 0.06 * fuzz * spacing * rng.standard_normal(count)
+    )
+    out["means"] = rows["means"] + shift + lift[:, None] * rows["normals"]
+    size = np.exp(
+        0.45 * fuzz * rng.standard_normal((count, 1)) * [1, 1, 1] + 0.3 * fuzz * rng.standard_normal((count, 3))
+    )
+    out["scales"] = rows["scales"] * np.where(layer[:, None], 1.25 * size, np.maximum(size, 0.8))
+    quats = rows["quats"] + 0.12 * fuzz * rng.standard_normal((count, 4))
+    out["quats"] = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    faint = 0.99 - 0.49 * fuzz * rng.random(count) ** 3
+    out["opacities"] = np.where(layer, rng.uniform(0.1, 0.5, count), faint)
+    return out
+
+
+def quaternions(axes: np.ndarray) -> np.ndarray:
+    """[N, 4] w, x, y, z of rotation matrices [N, 3, 3] whose columns are the rotated axes."""
+    m = np.asarray(axes, np.float64)
+    d = np.einsum("nii->ni", m)
+    trace = d.sum(1)
+    # The largest of the four squared components decides which row is safe to divide by (Shepperd 1978).
+    squares = np.stack([trace, d[:, 0] * 2 - trace, d[:, 1] * 2 - trace, d[:, 2] * 2 - trace], 1)
+    a = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], 1)
+    s = m + m.transpose(0, 2, 1)
+    table = np.empty((len(m), 4, 4))
+    table[:, 0, 0], table[:, 0, 1:], table[:, 1:, 0] = 1 + trace, a, a
+    table[:, 1:, 1:] = s
+    for k in range(3):
+        table[:, k + 1, k + 1] = 1 + squares[:, k + 1]
+    chosen = table[np.arange(len(m)), squares.argmax(1)]
+    return chosen / np.linalg.norm(chosen, axis=1, keepdims=True)
+
+
+def _surface_normals(quats: np.ndarray) -> np.ndarray:
+    """[N, 3] float32 third rotated axes."""
+    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1).astype(np.float32)

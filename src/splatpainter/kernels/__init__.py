@@ -1,0 +1,1 @@
+"""What all numba kernels share: threads, SIMD vectors, compilation before the first use."""

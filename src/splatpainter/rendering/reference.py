@@ -1,0 +1,174 @@
+"""The renderer's specification: plain torch, every row against every pixel, differentiable by autograd in any dtype.
+
+Slow and large (it holds [rows, pixels] arrays): for small scenes, tests, and reading. N rows, V those that can be
+drawn, P pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from splatpainter.cameras import Camera
+from splatpainter.rendering.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR, Profile
+from splatpainter.splats import MAX_MAGNITUDE, MIN_QUAT, Splats
+
+NEAR = 0.01  # world units
+EPS2D = 0.3  # px^2, the width of a pixel's own filter
+MARGIN = 0.15  # of the picture, beyond which Jacobians are not taken
+FAR_PX = 1e9  # rows whose centre lies farther from the picture's corner are not drawn
+THRESHOLD = 1 / 255  # least alpha that is drawn
+CAP = 0.999  # largest alpha
+STOP = 1e-4  # a pixel takes no row that would bring its transmittance to this or below
+
+
+def draw(
+    splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool, profile: Profile = "inria"
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    """background: [C, 3]. Shapes as in `render.Render`."""
+    views = [draw_view(splats, camera, behind, profile) for camera, behind in zip(cameras, background, strict=True)]
+    colors, alphas, depths, weights = (torch.stack(parts) for parts in zip(*views, strict=True))
+    return colors, alphas, depths, weights.detach() if contributions else None
+
+
+def draw_view(
+    splats: Splats, camera: Camera, background: Tensor, profile: Profile = "inria"
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """(colour [H, W, 3], alpha [H, W, 1], depth [H, W, 1], contributions [N])."""
+    alpha, depth, color, rows = project(splats, camera, profile)  # [V, P], [V], [V, 3], [V]
+    weight, left = composite(alpha, profile)  # [V, P], [P]
+    seen = (1 - left)[:, None]  # [P, 1]
+    picture = weight.T @ color + left[:, None] * background  # [P, 3]
+    distance = weight.T @ depth[:, None]  # [P, 1]
+    distance = torch.where(seen > 0, distance / torch.where(seen > 0, seen, 1), 0)  # [P, 1]
+    total = torch.zeros_like(splats.opacities).index_add(0, rows, weight.sum(1))  # [N]
+    shape = (camera.height, camera.width, -1)
+    return picture.reshape(shape), seen.reshape(shape), distance.reshape(shape), total
+
+
+def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Rows that can be drawn, front to back: alpha at each pixel before occlusion [V, P] (0 where not drawn), z [V],
+    colour [V, 3], and which rows they are [V]."""
+    like = {"dtype": splats.means.dtype, "device": splats.means.device}
+    world_to_camera = torch.as_tensor(camera.world_to_camera, **like)  # [4, 4]
+    turn, shift = world_to_camera[:3, :3], world_to_camera[:3, 3]  # [3, 3], [3]
+
+    with torch.no_grad():
+        ok = drawable(splats) & bool(abs(camera.position).max() <= MAX_MAGNITUDE)  # [N]
+        z = splats.means @ turn[2] + shift[2]  # [N]
+        x, y = splats.means @ turn[0] + shift[0], splats.means @ turn[1] + shift[1]  # [N] each
+        near = torch.stack([camera.fx * (x / z) + camera.cx, camera.fy * (y / z) + camera.cy], 1).abs() <= FAR_PX
+        rows = torch.nonzero(ok & (z >= NEAR) & near.all(1))[:, 0]  # [V]
+        rows = rows[torch.argsort(z[rows], stable=True)]  # equal depths: by row
+    means, scales, sh = splats.means[rows], splats.scales[rows], splats.sh[rows]  # [V, 3], [V, 3], [V, K, 3]
+    quats, opacity = splats.quats[rows], splats.opacities[rows]  # [V, 4], [V]
+
+    x, y, z = (means @ turn.T + shift).unbind(1)  # [V] each
+    u, v = x / z, y / z  # [V]
+    center = torch.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], 1)  # [V, 2] pixels
+
+    u = u.clamp((-camera.cx - MARGIN * camera.width) / camera.fx, (camera.width * (1 + MARGIN) - camera.cx) / camera.fx)
+    v = v.clamp(
+        (-camera.cy - MARGIN * camera.height) / camera.fy, (camera.height * (1 + MARGIN) - camera.cy) / camera.fy
+    )
+    zero = torch.zeros_like(z)
+    jacobian = torch.stack(
+        [
+            torch.stack([camera.fx / z, zero, -camera.fx * u / z], 1),
+            torch.stack([zero, camera.fy / z, -camera.fy * v / z], 1),
+        ],
+        1,
+    )  # [V, 2, 3] of the pixel with respect to the camera-space point
+    axes = jacobian @ turn @ rotation(quats) * scales[:, None, :]  # [V, 2, 3]
+    sharp = axes @ axes.transpose(1, 2)  # [V, 2, 2]
+    covariance = sharp + EPS2D * torch.eye(2, **like)  # [V, 2, 2]
+    if splats.antialiased:  # the blur widens the row: keep its total (Mip-Splatting, arXiv 2311.16493)
+        opacity = opacity * (torch.linalg.det(sharp) / torch.linalg.det(covariance)).clamp_min(0).sqrt()  # [V]
+
+    pixels = pixel_centers(camera, **like)  # [P, 2]
+    offset = center[:, None, :] - pixels  # [V, P, 2]
+    sigma = ((offset @ torch.linalg.inv(covariance)) * offset).sum(2) / 2  # [V, P]
+    floor, cap = (0, CAP) if profile == "inria" else (PLAYCANVAS_FLOOR, PLAYCANVAS_CAP)
+    alpha = (opacity[:, None] * (torch.exp(-sigma) - floor)).clamp_max(cap)  # [V, P]
+    alpha = torch.where(alpha >= THRESHOLD, alpha, 0)  # [V, P]
+
+    position = torch.as_tensor(camera.position, **like)  # [3]
+    direction = torch.nn.functional.normalize(means - position, dim=1)  # [V, 3]
+    color = (0.5 + torch.einsum("vk,vkc->vc", harmonics(direction, sh.shape[1]), sh)).clamp_min(0)  # [V, 3]
+    return alpha, z, color, rows
+
+
+def drawable(splats: Splats) -> Tensor:
+    """[N] bool: every attribute finite and in its range, see `Splats`. Other rows are not drawn."""
+    ok = (splats.opacities >= 0) & (splats.opacities <= 1) & (splats.scales > 0).all(1)  # [N]
+    ok = ok & (splats.quats.abs() >= MIN_QUAT).any(1)
+    for values in (splats.means, splats.quats, splats.scales):
+        ok = ok & (values.abs() <= MAX_MAGNITUDE).all(1)
+    return ok & (splats.sh.abs().sum((1, 2)) <= MAX_MAGNITUDE)
+
+
+def composite(alpha: Tensor, profile: Profile = "inria") -> tuple[Tensor, Tensor]:
+    """Front to back: weights w_i = alpha_i prod_{j < i} (1 - alpha_j) of rows that are taken [V, P], and the
+    transmittance that is left [P]. A pixel takes rows until one would bring its transmittance to STOP or below;
+    playcanvas: until its transmittance is below STOP."""
+    after = torch.cumprod(1 - alpha, 0)  # [V, P]
+    before = torch.cat([torch.ones_like(after[:1]), after[:-1]])[: len(alpha)]  # [V, P]
+    taken = after > STOP if profile == "inria" else before >= STOP  # [V, P]: once false, false for all behind
+    weight = torch.where(taken, alpha * before, 0)  # [V, P]
+    left = torch.where(taken, 1 - alpha, 1).prod(0)  # [P]
+    return weight, left
+
+
+def rotation(quats: Tensor) -> Tensor:
+    """[V, 4] w, x, y, z of any non-zero norm -> [V, 3, 3]."""
+    w, x, y, z = (quats / quats.norm(dim=1, keepdim=True)).unbind(1)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, 1) for row in rows], 1)
+
+
+def pixel_centers(camera: Camera, **like) -> Tensor:
+    """[P, 2] x, y of the pixel centres, row by row."""
+    y, x = torch.meshgrid(
+        torch.arange(camera.height, **like) + 0.5, torch.arange(camera.width, **like) + 0.5, indexing="ij"
+    )
+    return torch.stack([x.flatten(), y.flatten()], 1)
+
+
+def harmonics(direction: Tensor, count: int) -> Tensor:
+    """[V, 3] unit directions -> [V, count] real spherical harmonics in the order and signs of 3DGS (count: 1 to 25)."""
+    x, y, z = direction.unbind(1)
+    xx, yy, zz = x * x, y * y, z * z
+    basis = [
+        torch.full_like(x, 0.28209479177387814),
+        -0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        -0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2 * zz - xx - yy),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3 * xx - yy),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * zz - xx - yy),
+        0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+        -0.4570457994644658 * x * (4 * zz - xx - yy),
+        1.445305721320277 * z * (xx - yy),
+        -0.5900435899266435 * x * (xx - 3 * yy),
+        2.5033429417967046 * x * y * (xx - yy),
+        -1.7701307697799304 * y * z * (3 * xx - yy),
+        0.9461746957575601 * x * y * (7 * zz - 1),
+        -0.6690465435572892 * y * z * (7 * zz - 3),
+        0.10578554691520431 * (zz * (35 * zz - 30) + 3),
+        -0.6690465435572892 * x * z * (7 * zz - 3),
+        0.47308734787878004 * (xx - yy) * (7 * zz - 1),
+        -1.7701307697799304 * x * z * (xx - 3 * yy),
+        0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+    ]
+    return torch.stack(basis[:count], 1)

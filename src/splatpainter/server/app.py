@@ -1,0 +1,213 @@
+"""The studio as an ASGI application: HTTP, socket, the page. `create_app(studio)`; server.py runs it.
+
+HTTP has the same commands as the socket (POST /api/do/NAME, described in /api/openapi.json), uploads, and downloads.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import mimetypes
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any, Literal
+
+from fastapi import FastAPI, Request, WebSocket
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from pydantic import ValidationError
+from starlette.requests import ClientDisconnect
+from starlette.staticfiles import StaticFiles
+
+from splatpainter import __version__
+from splatpainter.server import frames, watch
+from splatpainter.server.actions import Call, Desk
+from splatpainter.server.actions.looking import render_view
+from splatpainter.server.core import Studio
+from splatpainter.server.hub import Hub
+from splatpainter.server.limits import BadBody, BodyLimit, CommandRoute, body_limit
+from splatpainter.server.messages import COMMANDS, Command, Failure, Problem
+from splatpainter.server.messages.connection import Cancel, Hello, Sync
+from splatpainter.server.messages.looking import ViewRender
+from splatpainter.server.messages.state import State
+from splatpainter.server.problems import Refused, TooLarge, failure, first_fault, log, problem_of
+from splatpainter.server.queue import Ticket
+from splatpainter.server.schema import schema_hash
+from splatpainter.server.security import Access, Guard
+from splatpainter.server.socket import serve
+
+STATIC = Path(__file__).with_name("static")
+PAGE_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+"""File ending -> what browsers must be told, as they do not guess (x-content-type-options)."""
+STATUS = {"input": 400, "cancelled": 409, "busy": 503, "schema": 409, "fault": 500}
+SOCKET_ONLY: tuple[type[Command], ...] = (Hello, Sync, Cancel)
+NO_STORE = {"cache-control": "no-store"}
+FOREVER = {"cache-control": "private, max-age=31536000, immutable"}
+UNBUILT = "The studio's page is not built: run npm ci && npm run build in web/. The API is here all the same."
+
+
+def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
+    """The application; it closes the studio when it shuts down. access: by default of this machine only."""
+    hub = Hub(studio)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        watching = asyncio.create_task(watch.watch(hub))
+        try:
+            yield
+        finally:
+            watching.cancel()
+            await asyncio.wait([watching, *hub.leaving])  # whatever they end with
+            if not watching.cancelled() and watching.exception() is not None:
+                log.error("the watched folder", exc_info=watching.exception())
+            await asyncio.to_thread(hub.close)
+
+    app = FastAPI(
+        title="SplatPainter studio",
+        version=__version__,
+        openapi_url="/api/openapi.json",
+        docs_url=None,  # its page would come from another site
+        redoc_url=None,
+        lifespan=lifespan,
+    )
+    app.state.hub = hub
+    _commands(app, hub)
+    _data(app, hub)
+
+    @app.websocket("/ws")
+    async def socket(connection: WebSocket) -> None:
+        await serve(hub, connection)
+
+    if (STATIC / "index.html").is_file():
+        for ending, kind in PAGE_TYPES.items():  # the registry of Windows may call scripts text/plain
+            mimetypes.add_type(kind, ending)
+        app.mount("/", StaticFiles(directory=STATIC, html=True))
+    else:
+        app.get("/", include_in_schema=False)(lambda: PlainTextResponse(UNBUILT))
+    app.add_middleware(BodyLimit, limit=body_limit)
+    app.add_middleware(Guard, access=access or Access())
+    return app
+
+
+def _commands(app: FastAPI, hub: Hub) -> None:
+    desk, strokes = Desk("http"), asyncio.Lock()
+
+    def add(name: str, kind: type[Command]) -> None:
+        async def run(command: Any) -> Response:
+            try:
+                async with strokes if name.startswith("paint.") else contextlib.nullcontext():
+                    answer = await hub.carry_out(command, desk, Ticket(), None)
+            except Refused as refused:
+                return _failed(refused.problem)
+            return Response(answer.model_dump_json(), media_type="application/json", headers=NO_STORE)
+
+        run.__annotations__ = {"command": kind, "return": Response}
+        if not any(field.is_required() for field in kind.model_fields.values()):
+            run.__defaults__ = (kind(),)  # no body is needed
+        about = " ".join((kind.__doc__ or "").split()) if kind.__doc__ != Command.__doc__ else ""
+        app.router.add_api_route(
+            f"/api/do/{name}",
+            run,
+            methods=["POST"],
+            summary=name,
+            description=about,
+            operation_id=name.replace(".", "_"),
+            response_model=kind.ANSWER,
+            responses={status: {"model": Failure} for status in (400, 500, 503)},
+            route_class_override=CommandRoute,
+        )
+
+    for name, kind in COMMANDS.items():
+        if kind not in SOCKET_ONLY:
+            add(name, kind)
+
+    @app.exception_handler(BadBody)
+    async def unreadable(request: Request, error: BadBody) -> Response:
+        if error.status_code == 413:
+            raise error  # BodyLimit answers
+        return _failed(Problem(kind="input", message=f"{request.url.path}: {error.detail}"))
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        fault = error.errors()[0]
+        place = ".".join(str(part) for part in fault["loc"] if part != "body")
+        text = f"{request.url.path}: {place}: {fault['msg']}"[:300]
+        return _failed(Problem(kind="input", message=" ".join(text.encode("utf-8", "replace").decode().split())))
+
+
+def _data(app: FastAPI, hub: Hub) -> None:
+    """State, rows, pictures, files."""
+    studio = hub.studio
+
+    @app.get("/api/state", response_model=State, summary="What every client knows")
+    async def state() -> Response:
+        return Response(hub.state().model_dump_json(), media_type="application/json", headers=NO_STORE)
+
+    @app.get("/api/version", summary="Of the package and of the protocol")
+    async def version() -> JSONResponse:
+        return JSONResponse({"version": __version__, "schema": schema_hash()}, headers=NO_STORE)
+
+    @app.get("/api/splats", response_class=Response, summary="All rows as one binary frame (frames.py)")
+    async def splats() -> Response:
+        shown = studio.session.shown
+        data = await asyncio.to_thread(frames.snapshot, shown.splats, shown.version)
+        return Response(data, media_type="application/octet-stream", headers=NO_STORE)
+
+    @app.get("/api/view.png", response_class=Response, summary="The render of a camera (JSON), with it inside")
+    async def view(camera: str, which: Literal["now", "original"] = "now") -> Response:
+        try:
+            command = ViewRender.model_validate({"camera": json.loads(camera), "which": which})
+        except ValidationError as error:
+            return _failed(Problem(kind="input", message=first_fault(error, "view")))
+        except (ValueError, RecursionError):
+            return _failed(Problem(kind="input", message="view: expected a camera as JSON"))
+        call = Call(studio, Desk("http"), Ticket())
+        try:
+            made = await hub.queue.read(lambda ticket: render_view(call, command), call.ticket)
+            data, media = await asyncio.to_thread(studio.picture_bytes, made.picture)
+        except Exception as error:
+            return _failed(problem_of(error))
+        return Response(data, media_type=media, headers=NO_STORE)
+
+    @app.post("/api/blobs", summary="Send a picture, a splat file, a project or a layer: the body is the file")
+    async def upload(request: Request, name: str = "") -> Response:
+        try:
+            declared = request.headers.get("content-length", "0")
+            if declared.isdigit() and int(declared[:20]) > studio.blobs.limits.upload:
+                raise TooLarge(f"{name[:200] or 'upload'}: expected at most {studio.blobs.limits.upload >> 20} MiB")
+            with studio.blobs.receive(name) as incoming:
+                async for piece in request.stream():
+                    await asyncio.to_thread(incoming.write, piece)
+                blob = await asyncio.to_thread(incoming.finish)
+        except ClientDisconnect:
+            return Response(status_code=400)  # nobody reads it
+        except Exception as error:
+            problem = studio.problem(problem_of(error))
+            return _failed(problem, 413 if isinstance(error, TooLarge) else None)
+        claim = blob.claim
+        facts = {"blob": blob.sha256, "kind": claim.kind, "bytes": blob.size, "name": blob.name}
+        return JSONResponse({**facts, "width": claim.width, "height": claim.height, "rows": claim.rows})
+
+    @app.get("/api/blobs/{blob}", response_class=Response, summary="A picture that was sent or made")
+    async def picture(blob: str) -> Response:
+        try:
+            data, media = await asyncio.to_thread(studio.picture_bytes, blob)
+        except ValueError as error:
+            return _failed(problem_of(error), 404)
+        extra = {} if media.startswith("image/") else {"content-disposition": "attachment"}
+        return Response(data, media_type=media, headers={**FOREVER, **extra})
+
+    @app.get("/api/files/{key}/{name}", response_class=Response, summary="A file that was exported")
+    async def file(key: str, name: str) -> Response:
+        try:
+            path = studio.downloads.find(key, name)
+        except ValueError as error:
+            return _failed(problem_of(error), 404)
+        return FileResponse(path, media_type="application/octet-stream", filename=path.name, headers=NO_STORE)
+
+
+def _failed(problem: Problem, status: int | None = None) -> Response:
+    text = failure(0, problem).model_dump_json()
+    code = STATUS[problem.kind] if status is None else status
+    return Response(text, code, media_type="application/json", headers=NO_STORE)

@@ -1,0 +1,191 @@
+"""The studio without HTTP: one open session, what was uploaded, the folders, and the state that clients are told.
+
+`open`, `refresh` and everything that changes the session run on the queue's one writer thread; `state`, `session.shown`
+and blobs may be read from anywhere.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import secrets
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from splatpainter.cameras import Camera
+from splatpainter.framing import AUTO_UP
+from splatpainter.io import files
+from splatpainter.server import describe
+from splatpainter.server.blobs import Blobs, Limits
+from splatpainter.server.messages.base import Problem
+from splatpainter.server.messages.state import AssetInfo, ProjectInfo, State
+from splatpainter.server.places import Downloads, Folder, Projects
+from splatpainter.server.problems import first_fault
+from splatpainter.session import Session
+from splatpainter.session.scratch import ScratchFolder, sweep_folder, sweep_scratch
+from splatpainter.splats import Splats
+from splatpainter.user_folders import projects_folder
+
+EXPORTS = 64
+"""Exported views that a returning picture is compared with."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a studio runs."""
+
+    folder: Path | None = None
+    """The one folder whose files clients may open and write, and which is watched for saved pictures."""
+    projects: Path | None = None
+    """Where projects live that have no place of their own; None: the user's data folder."""
+    limits: Limits = field(default_factory=Limits)
+
+
+@dataclass(frozen=True)
+class ExportedView:
+    """A view that was given out to be edited elsewhere."""
+
+    name: str
+    camera: Camera
+    small: np.ndarray = field(repr=False)
+    """[S, S, 3] float32 what it looked like, shrunk."""
+
+
+class Studio:
+    """One session at a time; another asset or project replaces it for all clients."""
+
+    def __init__(self, session: Session, name: str = "asset", options: Options = Options()) -> None:
+        """The session is the studio's from now on: closing the studio closes it. What a studio that was killed left
+        behind is removed."""
+        self.options = options
+        self.folder = None if options.folder is None else Folder(options.folder)
+        self.projects = Projects(options.projects or projects_folder())
+        sweep_scratch()
+        places = {self.projects.root, self.folder and self.folder.root, session.path and session.path.parent}
+        for place in places - {None}:
+            sweep_folder(place)
+        self.blobs = Blobs(options.limits)
+        self.scratch = ScratchFolder("studio")
+        self.downloads = Downloads(self.scratch.path)
+        self.exports: deque[ExportedView] = deque(maxlen=EXPORTS)
+        self.written: dict[str, str] = {}
+        """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
+        try:
+            self._adopt(session, name)
+        except BaseException:
+            self.blobs.close()
+            self.scratch.close()
+            raise
+
+    @property
+    def original(self) -> Splats:
+        return self.session.original
+
+    def open(self, make: Callable[[], Session], name: str) -> None:
+        """Close the session and go on with another. Where `make` raises, or what it made cannot be described to
+        clients, everything stays as it was."""
+        fresh = make()
+        old = self.session
+        try:
+            self._adopt(fresh, name)
+        except BaseException:
+            fresh.close()
+            raise
+        self.exports.clear()
+        _leave(old, self.projects)
+
+    def _adopt(self, session: Session, name: str) -> None:
+        session_id, lists, shown = secrets.token_hex(8), describe.Lists(), session.shown
+        with _described(name):
+            asset = describe.counted(describe.asset_info(session, name), session.original, shown.splats)
+            state = self._state_of(session, session_id, name, asset, lists)
+        self.session, self.session_id, self.name = session, session_id, name
+        self._asset, self._lists, self._counted = asset, lists, shown.version
+        self.state = state
+
+    def refresh(self) -> None:
+        """Describe the session anew; cheap where the rows are the same."""
+        session, shown = self.session, self.session.shown
+        if self._asset.up != list(describe.up_axis(session)):
+            self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
+        if self._counted != shown.version:
+            self._asset = describe.counted(self._asset, session.original, shown.splats)
+            self._counted = shown.version
+        with _described(self.name):
+            self.state = self._state_of(session, self.session_id, self.name, self._asset, self._lists)
+
+    def _state_of(self, session: Session, session_id: str, name: str, asset: AssetInfo, lists: describe.Lists) -> State:
+        return State(
+            session=session_id,
+            version=session.shown.version,
+            asset=asset,
+            layers=[describe.layer_info(session, layer) for layer in session.layers],
+            history=lists.history(session),
+            cursor=session.cursor,
+            conflicts=describe.conflict_infos(session),
+            bookmarks=lists.bookmarks(session),
+            project=self._project(session, name),
+            methods=describe.methods(session),
+            folder=None if self.folder is None else self.folder.root.name,
+            clients=0,
+            formats=describe.endings(),
+        )
+
+    def _project(self, session: Session, name: str) -> ProjectInfo:
+        path = session.path
+        inside = path is not None and self.folder is not None and path.resolve().parent == self.folder.root
+        name = name if path is None or not inside else path.stem
+        file = path.name if path is not None and inside else None
+        reason = session.read_only
+        return ProjectInfo(name=name, file=file, read_only=bool(reason), read_only_reason=self.public(reason))
+
+    def public(self, text: str) -> str:
+        """A message without the folders that clients have no business with: of what lies there the name is said."""
+        roots = [self.projects.root, self.blobs.folder, self.scratch.path]
+        roots += [] if self.folder is None else [self.folder.root]
+        for root in sorted(map(str, roots), key=len, reverse=True):
+            text = re.sub(re.escape(root) + r"[/\\]([0-9a-f]{16}[/\\])?", "", text)
+        return text
+
+    def problem(self, problem: Problem) -> Problem:
+        """The same with `public` texts."""
+        return problem.model_copy(update={"message": self.public(problem.message), "hint": self.public(problem.hint)})
+
+    def picture_bytes(self, sha256: str) -> tuple[bytes, str]:
+        """(bytes, content type) of a picture that was sent or made, or that a layer holds. Raises ValueError."""
+        with contextlib.suppress(ValueError):
+            blob = self.blobs.get(sha256)
+            return blob.path.read_bytes(), blob.claim.media
+        with contextlib.suppress(ValueError):
+            return self.session.blob(sha256), "image/png"
+        raise ValueError(f"blob {sha256[:12]}...: not here (any more)")
+
+    def close(self) -> None:
+        """Leave nothing but the project file."""
+        _leave(self.session, self.projects)
+        self.blobs.close()
+        self.scratch.close()
+
+
+def _leave(session: Session, projects: Projects) -> None:
+    """Close a session; a project of the studio's own folder in which nothing was done is not kept."""
+    path = session.path
+    unused = path is not None and path.parent == projects.root and not session.read_only
+    unused = unused and len(session.history) == 1 and not session.bookmarks() and session.up == AUTO_UP
+    session.close()
+    if unused and path is not None:
+        files.remove(path)
+
+
+@contextlib.contextmanager
+def _described(name: str) -> Iterator[None]:
+    """Values of a project that cannot be told to clients are an error of one line."""
+    try:
+        yield
+    except ValidationError as error:
+        raise ValueError(f"{name}: damaged project ({first_fault(error, 'state')})") from None

@@ -1,0 +1,187 @@
+"""The session as clients see it: values of messages/state.py from what a session says. Knows no client."""
+
+from __future__ import annotations
+
+import json
+import math
+import operator
+from collections.abc import Sequence
+from itertools import takewhile
+from typing import Any
+
+import numpy as np
+
+from splatpainter import cameras
+from splatpainter.framing import MARGIN, UPS, reach
+from splatpainter.io import FORMATS, frame_line
+from splatpainter.receipts import changed_rows
+from splatpainter.server.messages import state
+from splatpainter.server.messages.connection import StateEvent
+from splatpainter.session import Layer, Session
+from splatpainter.session.project import Bookmark, Step
+from splatpainter.splats import Splats
+
+HOME = {"elevation": 15.0, "fov": 40.0}
+BACKGROUND = (0.16, 0.17, 0.18)
+
+
+def camera_to_wire(camera: cameras.Camera) -> state.Camera:
+    """The same camera."""
+    return state.Camera.model_validate_json(camera.to_json())
+
+
+def camera_from_wire(camera: state.Camera, pixels: int) -> cameras.Camera:
+    """The same camera. Raises ValueError: not rigid, not finite, or more than `pixels` pixels."""
+    if camera.width * camera.height > pixels:
+        raise ValueError(
+            f"camera: expected at most {pixels / 1e6:g} megapixels, got {camera.width}x{camera.height}; zoom out"
+        )
+    return cameras.Camera.from_json(camera.model_dump_json(), "camera")
+
+
+def up_axis(session: Session) -> tuple[int, int, int]:
+    """World axis that is up on the screen."""
+    return UPS[session.up]
+
+
+def home(splats: Splats, up: tuple[int, int, int]) -> tuple[np.ndarray, float, cameras.Camera]:
+    """([3] middle, radius of nearly all opaque rows, a view of them)."""
+    center, radius = reach(splats)
+    distance = MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
+    # An asset that is upside down is mostly half a turn about x away: then this is its front again.
+    start = 180.0 if up == UPS["+y"] else 0.0
+    view = cameras.orbit(center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME)[
+        0
+    ]
+    return center, radius, view
+
+
+def asset_info(session: Session, name: str) -> state.AssetInfo:
+    """What there is to say of the asset as it was opened; `counted` says how it is now."""
+    original = session.original
+    up = up_axis(session)
+    center, radius, view = home(original, up)
+    source = original.source
+    return state.AssetInfo(
+        name=name,
+        format="" if source is None else source.format,
+        sha256=original.sha256,
+        rows=len(original),
+        rows_original=len(original),
+        rows_same=len(original),
+        sh_coefficients=int(original.sh.shape[1]),
+        color_space=original.color_space,
+        antialiased=original.antialiased,
+        center=center.tolist(),
+        radius=radius,
+        up=list(up),
+        home=camera_to_wire(view),
+        frame="" if source is None else frame_line(source),
+        frame_said=source is None or source.frame_from != "format" or source.format != "spz",
+        problems=[] if source is None else list(source.problems),
+    )
+
+
+def counted(info: state.AssetInfo, original: Splats, now: Splats) -> state.AssetInfo:
+    """The same with the rows of now, every one compared with the original."""
+    same = len(original) - len(changed_rows(original, now))
+    return info.model_copy(update={"rows": len(now), "rows_same": same})
+
+
+def layer_info(session: Session, layer: Layer) -> state.LayerInfo:
+    """A layer with what is known of its last computation."""
+    facts = session.facts(layer.id)
+    scores: list[dict[str, Any]] = [*facts.get("views", ()), *({} for _ in layer.views)]
+    views = [
+        state.LayerView(
+            camera=camera_to_wire(view.camera),
+            picture=view.picture,
+            mask=view.mask,
+            **{k: score.get(k) for k in ("psnr_before", "psnr_after", "psnr_outside")},
+        )
+        for view, score in zip(layer.views, scores, strict=False)
+    ]
+    return state.LayerInfo(
+        id=layer.id,
+        name=layer.name,
+        kind=layer.kind,
+        visible=layer.visible,
+        opacity=layer.opacity,
+        blend=layer.blend,
+        mode=layer.mode,
+        method=facts.get("method", layer.method),
+        views=views,
+        parameters=json.loads(json.dumps(layer.parameters)),
+        rows_touched=facts.get("rows_touched", 0),
+        rows_appended=facts.get("rows_appended", 0),
+        seconds=facts.get("seconds", 0.0),
+        note=facts.get("note", ""),
+        problem=facts.get("problem", ""),
+        thumbnail=layer.thumbnail,
+    )
+
+
+def conflict_infos(session: Session) -> list[state.Conflict]:
+    """Layers that wrote the same rows from different views."""
+    return [
+        state.Conflict(lower=c.lower, upper=c.upper, rows=len(c.rows), share=min(c.share, 1), policy=c.policy)
+        for c in session.conflicts()
+    ]
+
+
+class Lists:
+    """The long lists of a session. What was there before is described by the same objects as before, so that
+    `history_change` and whoever else wants to know what is new need not compare what they say."""
+
+    def __init__(self) -> None:
+        self._steps: dict[Step, state.Step] = {}
+        self._bookmarks: dict[int, tuple[Bookmark, state.Bookmark]] = {}
+
+    def history(self, session: Session) -> list[state.Step]:
+        """Oldest first."""
+        known = self._steps
+        self._steps = {s: known.get(s) or state.Step(id=s.id, label=s.label) for s in session.history}
+        return list(self._steps.values())
+
+    def bookmarks(self, session: Session) -> list[state.Bookmark]:
+        """Views to come back to."""
+        known = self._bookmarks
+        self._bookmarks = {id(b): known.get(id(b)) or (b, _bookmark_info(b)) for b in session.bookmarks()}
+        return [info for _, info in self._bookmarks.values()]
+
+
+def _bookmark_info(bookmark: Bookmark) -> state.Bookmark:
+    return state.Bookmark(id=bookmark.id, name=bookmark.name, camera=camera_to_wire(bookmark.camera))
+
+
+def changes(before: state.State, now: state.State, clients: int) -> StateEvent:
+    """What a client that was told `before` is to be told; lists made by Lists."""
+    present = state.Present.model_validate(
+        {k: getattr(now, k) for k in state.Present.model_fields} | {"clients": clients}
+    )
+    history = history_change(before.history, now.history)
+    marks = None if _same(before.bookmarks, now.bookmarks) else now.bookmarks
+    return StateEvent(state=present, history=history, bookmarks=marks)
+
+
+def history_change(before: list[state.Step], now: list[state.Step]) -> state.HistoryChange | None:
+    """How one list of steps (of one Lists) became the other; None: it did not change."""
+    if _same(before, now):
+        return None
+    dropped = next((k for k, step in enumerate(before) if now and step is now[0]), len(before))
+    kept = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(before[dropped:], now, strict=False)))
+    return state.HistoryChange(dropped=dropped, kept=kept, steps=now[kept:])
+
+
+def _same(before: Sequence[object], now: Sequence[object]) -> bool:
+    return len(before) == len(now) and all(map(operator.is_, before, now))
+
+
+def methods(session: Session) -> list[state.Method]:
+    """Those that this session's painter has."""
+    return ["auto", "lift", "fit"] if session.painter.model is None else ["auto", "ttt", "lift", "fit"]
+
+
+def endings() -> list[str]:
+    """File name endings that can be written."""
+    return [entry.suffixes[0] for entry in FORMATS.values() if entry.write is not None]

@@ -1,0 +1,161 @@
+"""Running the studio: a socket of its own choosing, uvicorn, and `studio(asset)` for notebooks."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from splatpainter.io import read
+from splatpainter.server.connections import ConnectionLimits, bounded
+from splatpainter.server.core import Options, Studio
+from splatpainter.server.demo import demo
+from splatpainter.server.places import PROJECT, Projects
+from splatpainter.server.security import Access
+from splatpainter.session import Session
+from splatpainter.splats import Frame, Splats
+from splatpainter.user_folders import projects_folder
+
+PORT = 8750
+TRIES = 20
+"""Ports after the wanted one that are tried where none was asked for."""
+
+
+def open_session(
+    asset: Splats | str | Path | None, projects: Path | None = None, frame: Frame = "auto"
+) -> tuple[Session, str]:
+    """(a session, its name) of an asset, a splat file, a project, or (None) the demo asset; the project of a new one
+    lies in `projects` (None: the user's data folder). frame: of a splat file, as in io.read.
+    Raises ValueError for what cannot be read."""
+    if isinstance(asset, str | Path) and Path(asset).suffix.lower() == PROJECT:
+        return Session.load(asset), Path(asset).stem
+    name = "demo" if asset is None else "asset" if isinstance(asset, Splats) else Path(asset).name
+    splats = demo() if asset is None else asset if isinstance(asset, Splats) else read(asset, frame=frame)
+    return Session(splats, Projects(projects or projects_folder()).fresh(name)), name
+
+
+def listen(host: str, port: int | None) -> socket.socket:
+    """A bound socket. port None: PORT or one of the next, 0: any. Raises ValueError where none is free."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    wanted = range(PORT, PORT + TRIES) if port is None else [port]
+    said = ""
+    for number in wanted:
+        # asyncio turns Nagle's delays (40 ms an answer) off for sockets that say that they are TCP
+        own = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        if sys.platform == "win32":  # there REUSEADDR lets two programs listen on one port
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            own.bind((host, number))
+            own.listen(128)
+            return own
+        except OSError as error:
+            own.close()
+            said = error.strerror or str(error)
+    raise ValueError(f"studio: cannot listen on {host} port {wanted[0]} ({said}); choose another --port")
+
+
+def address(access: Access, bound: socket.socket) -> str:
+    """What to open in a browser, the token included."""
+    port = bound.getsockname()[1]
+    host = "localhost" if access.host in ("0.0.0.0", "::") else access.host
+    shown = f"[{host}]" if ":" in host else host
+    return f"http://{shown}:{port}/" + (f"?token={access.token}" if access.token else "")
+
+
+def warm() -> threading.Thread:
+    """Load the compiled kernels beside everything else, so that the first stroke need not wait a second for them. To be
+    joined before the process ends."""
+    from splatpainter.kernels import compile as warmup
+
+    def load() -> None:
+        warmup.ensure_compiled(progress=False)
+        warmup.run_group(0, 1)
+
+    thread = threading.Thread(target=load, name="splatpainter-warm")
+    thread.start()
+    return thread
+
+
+def make_server(studio: Studio, access: Access, limits: ConnectionLimits | None = None):
+    """A uvicorn server of the studio; run it with `server.run(sockets=[bound])`."""
+    import uvicorn
+
+    from splatpainter.server.app import create_app
+    from splatpainter.server.limits import MAX_DAB_BYTES
+
+    http, socket_class = bounded(limits or ConnectionLimits())
+    config = uvicorn.Config(
+        create_app(studio, access),
+        http=http,
+        ws=socket_class,
+        ws_max_size=MAX_DAB_BYTES,
+        ws_per_message_deflate=False,  # rows do not pack well, and packing them costs more than sending them
+        log_level="warning",
+        access_log=False,  # addresses may hold the token
+        server_header=False,
+        proxy_headers=False,
+        timeout_graceful_shutdown=3,
+    )
+    return uvicorn.Server(config)
+
+
+@dataclass
+class Running:
+    """A studio in the background."""
+
+    url: str
+    """Open this."""
+    session: Session
+    """The session that was opened; clients may open another."""
+    _server: object
+    _threads: tuple[threading.Thread, ...]
+
+    def stop(self) -> None:
+        """Close it; the project file stays. Returns when all is on disk."""
+        self._server.should_exit = True  # type: ignore[attr-defined]
+        for thread in self._threads:
+            thread.join()
+
+    def __repr__(self) -> str:
+        return f"studio at {self.url}"
+
+
+def studio(
+    asset: Splats | str | Path | None = None,
+    *,
+    port: int | None = None,
+    folder: str | Path | None = None,
+    projects: str | Path | None = None,
+    browser: bool = False,
+    frame: Frame = "auto",
+) -> Running:
+    """Start the studio on 127.0.0.1 in the background, from a notebook or a script: `s = sp.studio("vase.ply"); s.url`.
+
+    asset: rows, a splat file, a project, or None: the demo asset. folder: what clients may open and save; watched for
+    pictures. frame: of a splat file, as in io.read. Raises ValueError as `open_session` and `listen`."""
+    access = Access.of("127.0.0.1")
+    bound = listen(access.host, port)
+    place = None if projects is None else Path(projects)
+    session = None
+    try:
+        session, name = open_session(asset, place, frame)
+        own = Studio(session, name, Options(None if folder is None else Path(folder), place))
+    except BaseException:
+        if session is not None:
+            session.close()
+        bound.close()
+        raise
+    server = make_server(own, access)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, name="splatpainter-studio", daemon=True)
+    thread.start()
+    warming = warm()
+    url = address(access, bound)
+    if browser:
+        import webbrowser
+
+        webbrowser.open(url)
+    return Running(url, session, server, (thread, warming))

@@ -1,0 +1,1 @@
+"""The asset in a cube of voxels: which Gaussians share one, what a ray meets first."""

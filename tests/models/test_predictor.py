@@ -1,0 +1,258 @@
+"""The predictor of unseen rows: what it is told, what it may depend on, and who asks it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from splatpainter.lift.global_edit import lift_global, outward_normals, regressed, seen_change
+from splatpainter.lighting import row_transfer
+from splatpainter.models import predictor as module
+from splatpainter.models.config import PRESETS, ModelConfig, PredictConfig
+from splatpainter.models.model import SplatPainterModel
+from splatpainter.models.predictor import Predictor, predicting, row_facts
+from splatpainter.painter import Edit, Painter
+from splatpainter.splats import Splats
+from tests.lift.test_global import BACK, FRONT, SIDE, ball, covered, draw, regraded
+from tests.support.model_scenes import TINY
+
+CONFIG = PredictConfig(features=8, hidden=16)
+WITH = replace(TINY, predict=CONFIG)
+
+
+def awake(config: PredictConfig = CONFIG, seed: int = 0) -> Predictor:
+    """Not trained, but not silent either."""
+    torch.manual_seed(seed)
+    made = Predictor(config)
+    torch.nn.init.normal_(made.expected.weight, std=0.1)
+    return made
+
+
+def facts_of(splats: Splats) -> np.ndarray:
+    normals = outward_normals(splats)
+    return row_facts(splats, normals, row_transfer(splats.means, normals))
+
+
+def edit(count: int, seed: int = 3) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Random facts, changes of the first half of the rows, and their weights."""
+    rng = np.random.default_rng(seed)
+    weight = np.where(np.arange(count) < count // 2, rng.uniform(0.1, 60, count), 0)
+    arrays = rng.uniform(-1, 1, (count, 21)), rng.normal(0, 0.2, (count, 3)), weight
+    return tuple(torch.from_numpy(x.astype(np.float32)) for x in arrays)  # type: ignore[return-value]
+
+
+def asked(net: Predictor, *told: torch.Tensor) -> np.ndarray:
+    with torch.no_grad():
+        return net(*told).numpy()
+
+
+def test_facts_do_not_know_size_and_place_and_leave_out_what_cannot_be_drawn() -> None:
+    splats = ball(400)
+    facts = facts_of(splats)
+    assert facts.shape == (400, module.FACTS) and np.isfinite(facts).all() and np.abs(facts).max() < 6
+    away = replace(splats, means=100 * splats.means + np.array([3, 4, 5], np.float32), scales=100 * splats.scales)
+    np.testing.assert_allclose(facts_of(away), facts, atol=2e-3)
+    odd = splats.append(replace(splats.take(np.arange(1)), means=np.full((1, 3), np.nan, np.float32)))
+    held = facts_of(odd)
+    np.testing.assert_allclose(held[:-1], facts, atol=1e-6)
+    assert not held[-1].any()
+
+
+def test_rows_are_a_set() -> None:
+    net, told = awake(), edit(60)
+    order = torch.randperm(60, generator=torch.Generator().manual_seed(0))
+    turned = asked(net, *(x[order] for x in told))
+    np.testing.assert_allclose(turned, asked(net, *told)[order], atol=1e-5)
+
+
+def test_unseen_rows_teach_nothing_and_without_seen_ones_nothing_changes() -> None:
+    net, (facts, change, weight) = awake(), edit(60)
+    other = change.clone()
+    other[30:] = 5.0
+    np.testing.assert_array_equal(asked(net, facts, other, weight), asked(net, facts, change, weight))
+    assert not asked(net, facts, change, torch.zeros(60)).any()
+    other[:30] += 0.1
+    assert np.abs(asked(net, facts, other, weight) - asked(net, facts, change, weight)).max() > 1e-3
+
+
+def test_runs_of_any_size_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    net, told = awake(), edit(50)
+    whole = asked(net, *told)
+    monkeypatch.setattr(module, "CHUNK", 7)
+    np.testing.assert_allclose(asked(net, *told), whole, atol=1e-6)
+    monkeypatch.setattr(module, "TEACHERS", 10)
+    monkeypatch.setattr(module, "COMPANY", 10)
+    few = asked(net, *told)
+    assert np.isfinite(few).all() and np.abs(few - whole).max() > 0
+
+
+def test_evidence_is_believed_as_far_as_features_reach() -> None:
+    net, (facts, change, weight) = awake(PredictConfig(features=32, hidden=32)), edit(40)
+    away = []
+    for trust in (-20.0, 6.0, 25.0):
+        with torch.no_grad():
+            net.trust.fill_(trust)
+        away.append(float(np.abs(asked(net, facts, change, weight) - change.numpy())[:20].max()))
+    assert away[2] < 0.05 < away[1] < away[0]  # 20 rows, 32 features
+
+
+def test_gradients_reach_every_weight() -> None:
+    net, told = awake(), edit(30)
+    net(*told).square().sum().backward()
+    assert all(p.grad is not None and float(p.grad.abs().max()) > 0 for p in net.parameters())
+
+
+def test_an_untrained_predictor_leaves_the_lift_alone() -> None:
+    splats = ball(300)
+    normals = outward_normals(splats)
+
+    def never() -> np.ndarray:
+        raise AssertionError("light is looked for, and nobody needs it")
+
+    torch.manual_seed(0)
+    assert PRESETS["compact"].predict.features > 0 == PRESETS["paper"].predict.features
+    assert predicting(SplatPainterModel(TINY), splats, normals, never) is None
+    model = SplatPainterModel(WITH)
+    assert model.predictor is not None and model.predictor.silent
+    assert predicting(model, splats, normals, never) is None
+    torch.nn.init.normal_(model.predictor.expected.weight, std=0.1)
+    predict = predicting(model, splats, normals, lambda: row_transfer(splats.means, normals))
+    assert predict is not None
+    told = predict(np.full((300, 3), 0.1, np.float32), np.ones(300, np.float32))
+    assert told.shape == (300, 3) and told.dtype == np.float32
+
+
+def test_the_lift_takes_what_it_is_told_about_unseen_rows() -> None:
+    before = ball(600)
+    truth = regraded(before)
+    normals = outward_normals(before)
+    views = [(camera, draw(truth, camera), covered(before, camera)) for camera in (FRONT, SIDE)]
+    plain = lift_global(before, views, normals=normals)
+    own = lift_global(before, views, normals=normals, predict=lambda c, w: regressed(before, normals, c, w))
+    np.testing.assert_allclose(own.splats.sh, plain.splats.sh, atol=1e-5)
+    change, weight = seen_change(before, views)
+    told = []
+    lift_global(before, views, normals=normals, predict=lambda c, w: told.append((c, w)) or 0 * c)
+    np.testing.assert_array_equal(told[0][0], change)
+    np.testing.assert_array_equal(told[0][1], weight)
+    # The truth for a prediction: the far side comes out right.
+    true = (truth.sh[:, 0] - before.sh[:, 0]) * 0.28209479177387814
+    known = lift_global(before, views, normals=normals, predict=lambda c, w: true)
+    assert np.abs(draw(known.splats, BACK) - draw(truth, BACK)).max() < 2e-3
+    # Rows that cannot be drawn are neither asked about nor changed.
+    odd = before.append(replace(before.take(np.arange(2)), means=np.full((2, 3), np.nan, np.float32)))
+    held = lift_global(odd, views, predict=lambda c, w: np.where(w[:, None] >= 0, np.concatenate([true, c[-2:]]), 0))
+    np.testing.assert_allclose(held.splats.sh[:-2], known.splats.sh, atol=1e-5)
+    np.testing.assert_array_equal(held.splats.sh[-2:].view(np.int32), odd.sh[-2:].view(np.int32))
+
+
+def test_the_painter_asks_the_models_predictor_for_global_edits_alone() -> None:
+    splats = ball(500, degree=1)
+    base = replace(WITH, refine=replace(WITH.refine, base="lift", detail=False))
+    torch.manual_seed(1)
+    silent, speaking = SplatPainterModel(base).eval(), SplatPainterModel(base).eval()
+    speaking.load_state_dict(silent.state_dict())
+    assert speaking.predictor is not None
+    torch.nn.init.normal_(speaking.predictor.expected.weight, std=0.3)
+    truth = regraded(splats)
+    camera = replace(FRONT, width=96, height=96)
+    for mode in ("global", "local"):
+        made = {}
+        for name, painter in {
+            "lift": Painter(),
+            "silent": Painter(model=silent),
+            "speaking": Painter(model=speaking),
+        }.items():
+            method = "lift" if name == "lift" else "ttt"
+            change = Edit(draw(truth, camera), camera, covered(splats, camera))
+            made[name] = painter.apply(painter.encode(splats, method), [change], mode=mode, method=method)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(made["silent"].splats.sh, made["lift"].splats.sh)
+        differs = not np.array_equal(made["speaking"].splats.sh, made["lift"].splats.sh)
+        assert differs == (mode == "global")
+
+
+def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats, base = ball(500, degree=1), replace(WITH, refine=replace(WITH.refine, base="lift", detail=False))
+    torch.manual_seed(1)
+    both = SplatPainterModel(base).eval()
+    assert both.predictor is not None
+    torch.nn.init.normal_(both.predictor.expected.weight, std=0.3)
+    alone = SplatPainterModel(replace(base, predict=replace(CONFIG, alone=True))).eval()
+    alone.load_state_dict(both.state_dict())
+    assert alone.config.predicts_alone and not both.config.predicts_alone
+    change = Edit(draw(regraded(splats), FRONT), FRONT, covered(splats, FRONT))
+    with_stage_two = Painter(model=both)
+    expected = with_stage_two.apply(with_stage_two.encode(splats), [change], mode="global", method="ttt")
+    painter = Painter(model=alone)
+    assert not painter.encodes("ttt", "global") and painter.encodes("ttt", "local")
+    monkeypatch.setattr(Painter, "_encoded", None)  # whoever encodes fails
+    asset = painter.encode(splats, "ttt", ["global"])
+    made = painter.apply(asset, [change], mode="global", method="ttt")
+    # Stage II is untrained, so it adds nothing.
+    np.testing.assert_array_equal(made.splats.sh, expected.splats.sh)
+    assert asset.learnt is None and made.receipt is not None and made.receipt.method == "ttt"
+    assert "encode" not in made.receipt.seconds
+    # While it is untrained, the lift's regression stands in.
+    assert alone.predictor is not None
+    torch.nn.init.zeros_(alone.predictor.expected.weight)
+    again = painter.apply(asset, [change], mode="global", method="ttt")
+    lifted = Painter().apply(asset, [change], mode="global")
+    np.testing.assert_array_equal(again.splats.sh, lifted.splats.sh)
+
+
+def test_weights_that_only_help_elsewhere_are_not_read(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
+    from splatpainter.models import weights
+
+    SplatPainterModel(replace(WITH, preset="compact")).save(
+        tmp_path / "compact", notes={"gain": {"local": -0.2, "global": 0.4}}
+    )
+    monkeypatch.setenv(weights.VARIABLE, str(tmp_path))
+    assert Painter.load().model is not None and Painter.load(modes=["global"]).model is not None
+    local = Painter.load(modes=["local"])
+    assert local.choose("auto", "local")[0] == "lift" and "in local edits" in local.choose("auto", "local")[1]
+    assert local.choose("ttt", "local")[0] == "ttt" and "_model" not in vars(local.model)
+
+
+def test_a_checkpoint_keeps_it_and_older_ones_have_none(tmp_path) -> None:  # noqa: ANN001
+    torch.manual_seed(0)
+    model = SplatPainterModel(WITH)
+    assert model.predictor is not None
+    torch.nn.init.normal_(model.predictor.expected.weight)
+    model.save(tmp_path / "new", dtype="float32")
+    held = SplatPainterModel.load(tmp_path / "new")
+    assert held.predictor is not None and not held.predictor.silent
+    assert torch.equal(held.predictor.trust, model.predictor.trust)
+    np.testing.assert_array_equal(asked(held.predictor, *edit(30)), asked(model.predictor, *edit(30)))
+    SplatPainterModel(TINY).save(tmp_path / "old")
+    text = TINY.to_json()
+    cut = text[: text.index('"predict"')] + text[text.index('"decoder"') :]
+    assert ModelConfig.from_json(cut) == TINY and "predict" not in cut
+
+
+def test_weights_are_read_when_they_are_needed(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
+    from splatpainter.models import weights
+
+    config = replace(WITH, preset="compact", predict=replace(CONFIG, alone=True))
+    config = replace(config, refine=replace(config.refine, base="lift", detail=False))
+    torch.manual_seed(2)
+    model = SplatPainterModel(config)
+    assert model.predictor is not None
+    torch.nn.init.normal_(model.predictor.expected.weight, std=0.3)
+    model.save(tmp_path / "compact", notes={"gain": {"local": -0.2, "global": 0.4}}, dtype="float32")
+    monkeypatch.setenv(weights.VARIABLE, str(tmp_path))
+    read = []
+    monkeypatch.setattr(SplatPainterModel, "load", staticmethod(lambda folder: read.append(folder) or model.eval()))
+    painter, splats = Painter.load(), ball(500, degree=1)
+    assert painter.preset == "compact"
+    change = Edit(draw(regraded(splats), FRONT), FRONT, covered(splats, FRONT))
+    painter.apply(painter.encode(splats), [change])
+    assert not read, "local edits are the lift's"
+    made = painter.apply(painter.encode(splats), [change], mode="global")
+    assert len(read) == 1 and made.receipt is not None and made.receipt.method == "ttt"
+    painter.apply(made, [change], mode="global")
+    assert len(read) == 1
+    expected = Painter(model=model).apply(Painter(model=model).encode(splats), [change], mode="global", method="ttt")
+    np.testing.assert_array_equal(made.splats.sh, expected.splats.sh)

@@ -1,0 +1,269 @@
+"""`Frame`, what the lift is built on: local pictures, sums over pixels, and the fused round."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+import torch
+
+import splatpainter as sp
+from splatpainter.rendering import reference
+from splatpainter.rendering.cpu import sirt as rounds
+from splatpainter.rendering.cpu.projected_view import project, tile_shape, tiles_of_mask
+from splatpainter.rendering.cpu.sirt import rounds_towards
+from splatpainter.rendering.cpu.views import draw_views, views_back
+from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
+
+
+def pixels_of(tiles: np.ndarray, height: int, width: int) -> np.ndarray:
+    """[H, W] bool of a [TH, TW] one."""
+    return np.kron(tiles, np.ones((16, 16), bool))[:height, :width]
+
+
+@pytest.mark.parametrize("splats", [with_odd_rows(scene(60, 1, 1)), opaque_stack()], ids=["odd rows", "opaque"])
+def test_accumulate_is_the_sum_over_the_references_weights(splats):
+    view = cameras(45, 37)[0]
+    rng = np.random.default_rng(0)
+    values = rng.normal(0, 1, (37, 45, 3))
+    mask = rng.uniform(0, 1, (37, 45)) * (rng.uniform(0, 1, (37, 45)) < 0.3)
+    mask[:16] = 0  # tiles and blocks without any mask are skipped
+    alpha, _, _, rows = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), view))
+    weight = reference.composite(torch.tensor(alpha))[0].numpy()
+    m = mask.ravel()
+    expected = {
+        "values": weight @ (m[:, None] * values.reshape(-1, 3)),
+        "weight": weight @ m,
+        "alpha": alpha @ m,
+        "peak": np.where(m > 0, weight, 0).max(1),
+    }
+    frame = project(splats, view)
+    sums = frame.accumulate(values, mask)
+    for name, reference_sums in expected.items():
+        full = np.zeros((len(splats), *reference_sums.shape[1:]))
+        full[frame.rows] = getattr(sums, name)
+        np.testing.assert_allclose(full[rows], reference_sums, atol=1e-10, err_msg=name)
+        full[rows] = 0
+        assert not full.any(), name
+    assert (sums.weight <= sums.alpha + 1e-12).all()
+
+
+def test_a_hidden_row_has_alpha_but_no_weight():
+    splats, view = opaque_stack(), cameras(32, 32)[0]
+    frame = project(splats, view)
+    sums = frame.accumulate(np.zeros((32, 32, 3)), np.ones((32, 32)))
+    last = np.flatnonzero(frame.rows == len(splats) - 1)
+    assert sums.weight[last] == 0 and sums.alpha[last] > 10
+
+
+def test_a_local_frame_is_a_window_of_the_whole_view():
+    splats, view = with_odd_rows(scene(400, 1, 2, dtype=np.float32)), cameras(90, 70)[0]
+    tiles = np.zeros(tile_shape(view), bool)
+    tiles[1:4, 2] = tiles[4, 5] = True
+    whole, local = project(splats, view), project(splats, view, tiles=tiles)
+    inside = pixels_of(tiles, 70, 90)
+    for all_of_it, window, outside in zip(whole.draw(), local.draw(), (view.background, 0, 0), strict=True):
+        np.testing.assert_array_equal(window[inside], all_of_it[inside])
+        assert (window[~inside] == np.asarray(outside, np.float32)).all()
+
+    # Its rows are those whose ellipses reach its tiles, in the same order.
+    touching = np.zeros(len(splats), bool)
+    for row in whole.rows:
+        only = np.zeros(len(splats), bool)
+        only[row] = True
+        touching[row] = (whole.tiles_of(only) & tiles).any()
+    np.testing.assert_array_equal(local.rows, whole.rows[touching[whole.rows]])
+    np.testing.assert_array_equal(local.visible_rows(), touching)
+    np.testing.assert_array_equal(local.records, whole.records[touching[whole.rows]])
+
+    keep = np.random.default_rng(0).uniform(size=len(splats)) < 0.5
+    some = project(splats, view, rows=keep)
+    np.testing.assert_array_equal(np.sort(some.rows), np.flatnonzero(keep & whole.visible_rows()))
+    np.testing.assert_array_equal(some.draw()[0], project(splats.take(keep), view).draw()[0])
+
+
+def test_tiles_of_covers_every_pixel_a_row_draws():
+    splats, view = with_odd_rows(scene(60, 0, 3)), cameras(77, 61)[0]
+    frame = project(splats, view)
+    alpha, _, _, rows = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), view))
+    loose = 0
+    for row, drawn in zip(rows, alpha.reshape(-1, 61, 77) > 0, strict=True):
+        only = np.arange(len(splats)) == row
+        tiles = frame.tiles_of(only)
+        assert not drawn[~pixels_of(tiles, 61, 77)].any()
+        loose += (tiles & ~tiles_of_mask(drawn)).sum()
+    # Exact culling: an ellipse may graze a tile between pixel centres, and hardly more than that.
+    assert loose < 0.15 * len(frame.members)
+
+
+def test_what_a_frame_exposes():
+    splats, view = scene(30, 2, 4, dtype=np.float32), cameras(40, 30)[0]
+    frame = project(splats, view)
+    m, rows = len(frame), frame.rows
+    assert rows.dtype == np.int64 and frame.centers.shape == (m, 2) and frame.conics.shape == (m, 3)
+    local = splats.means[rows] @ view.world_to_camera[:3, :3].T.astype(np.float32) + view.world_to_camera[:3, 3]
+    np.testing.assert_allclose(frame.depths, local[:, 2], rtol=1e-5)
+    assert (np.diff(frame.depths) >= 0).all()
+    np.testing.assert_allclose(frame.centers[:, 0], view.fx * local[:, 0] / local[:, 2] + view.cx, atol=1e-3)
+    # The ellipse that is drawn is where alpha falls to 1/255: sigma at its rightmost point.
+    a, b, c = frame.conics.T.astype(np.float64)
+    x = frame.extents[:, 0].astype(np.float64)
+    sigma = (a - b * b / c) * x * x / 2
+    np.testing.assert_allclose(frame.opacities * np.exp(-sigma), 1 / 255, rtol=5e-3)
+    np.testing.assert_array_equal(frame.colors, np.maximum(frame.raw_colors, 0))
+    assert (frame.raw_colors < 0).any()
+    with pytest.raises(ValueError, match="read-only"):
+        frame.records[0, 0] = 1
+
+
+def test_draw_with_other_colors():
+    splats, view = scene(80, 1, 5, dtype=np.float32), cameras(50, 40)[0]
+    frame = project(splats, view)
+    before = frame.colors.copy()
+    ones = np.ones((len(frame), 3), np.float32)
+    image, alpha, _ = frame.draw(ones * [0.5, 1, -2])
+    for channel, color in enumerate([0.5, 1, -2]):
+        expected = color * alpha + (1 - alpha) * np.float32(view.background[channel])
+        np.testing.assert_allclose(image[..., channel], expected, atol=1e-5)
+    np.testing.assert_array_equal(frame.colors, before)
+
+
+def test_a_round_is_draw_subtract_accumulate():
+    splats, view = with_odd_rows(scene(300, 1, 6, dtype=np.float32)), cameras(83, 64)[0]
+    rng = np.random.default_rng(1)
+    target = rng.uniform(0, 1, (64, 83, 3)).astype(np.float32)
+    mask = np.zeros((64, 83), np.float32)
+    mask[20:40, 30:70] = rng.uniform(0, 1, (20, 40))
+    frame = project(splats, view, tiles=tiles_of_mask(mask))
+    colors = rng.uniform(-0.2, 1, (len(frame), 3)).astype(np.float32)
+    image, _, _ = frame.draw(colors)
+    sums, error = frame.residual_round(target, mask, colors)
+    np.testing.assert_allclose(sums, frame.accumulate(target - image, mask).values, atol=1e-5)
+    assert error == pytest.approx(float((mask[..., None] * (target - image) ** 2).sum()), rel=1e-5)
+    assert frame.residual_round(image, mask, colors)[1] == pytest.approx(0, abs=1e-8)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_rounds_of_some_rows_are_rounds_of_the_picture(share: float, monkeypatch: pytest.MonkeyPatch):
+    splats, view = with_odd_rows(scene(600, 1, 8, dtype=np.float32)), cameras(83, 64)[0]
+    rng = np.random.default_rng(2)
+    target = rng.uniform(0, 1, (64, 83, 3)).astype(np.float32)
+    mask = rng.uniform(0, 1, (64, 83)).astype(np.float32)
+    mask[:, 30:50] = 0
+    frame = project(splats, view, tiles=tiles_of_mask(mask))
+    chosen = rng.uniform(size=len(frame)) < share
+    colors = frame.colors.copy()
+    colors[chosen] = rng.uniform(-0.2, 1, (int(chosen.sum()), 3))
+    gain, weight = frame.residual_round(target, mask, colors)[0], frame.accumulate(target, mask).weight
+    found = rounds_towards(frame, target, mask, chosen)
+    assert isinstance(found, rounds.Kept)
+    monkeypatch.setattr(rounds, "MOST", -1)
+    for way in (found, rounds_towards(frame, target, mask, chosen)):
+        np.testing.assert_allclose(way.gain(colors[chosen]), gain[chosen], atol=2e-5)
+        np.testing.assert_allclose(way.weight, weight[chosen], atol=2e-5)
+    assert isinstance(way, rounds.Walked)
+
+
+def test_no_row_lists_more_tiles_than_its_bounding_box():
+    """Room for a row's tiles is made before they are listed: one more would be written into the next row's room. The
+    outline of this row, found among millions, rounds to 304.00003 px and its box to 304, the edge of a tile."""
+    splats = scene(3000, 0, 11, dtype=np.float32)
+    row = {
+        "means": [0.31944116950035095, -0.4232747256755829, -0.8478182554244995],
+        "quats": [0.1521817147731781, 0.4232747256755829, 0.31944116950035095, 0.0],
+        "scales": [0.0072451308369636536, 0.0032653689850121737, 0.0008028619340620935],
+        "opacities": 0.5975682735443115,
+    }
+    for name, values in row.items():
+        getattr(splats, name)[7] = values
+    frame = project(splats, cameras(512, 512)[0])
+    assert 7 in frame.rows and len(frame) > 2500
+    low = np.clip((frame.centers - frame.extents) / np.float32(16), 0, 32).astype(int)
+    high = np.clip((frame.centers + frame.extents) / np.float32(16) + np.float32(1), 0, 32).astype(int)
+    assert (np.diff(frame.offsets) <= (high - low).prod(1)).all()
+    # Every pair is listed once: `homes` is a permutation, and each tile's rows ascend, front to back.
+    np.testing.assert_array_equal(np.sort(frame.homes), np.arange(len(frame.members)))
+    inside = np.ones(len(frame.members), bool)
+    inside[frame.starts[:-1][np.diff(frame.starts) > 0]] = False
+    assert (np.diff(frame.members)[inside[1:]] > 0).all()
+
+
+def everything(splats, view):
+    """Every output of every kernel, as one list of arrays."""
+    frame = project(splats, view)
+    rng = np.random.default_rng(0)
+    values = rng.normal(0, 1, (view.height, view.width, 3)).astype(np.float32)
+    mask = rng.uniform(0, 1, (view.height, view.width)).astype(np.float32)
+    sums, error = frame.residual_round(values, mask)
+    drawn = draw_views(splats, [view], contributions=True, keep_frames=True)
+    back = views_back(splats, drawn, values[None], mask[None, ..., None], mask[None, ..., None])
+    total = frame.accumulate(values, mask)
+    chosen = np.arange(len(frame)) % 3 > 0
+    kept = rounds_towards(frame, values, mask, chosen)
+    total_of_some = [kept.weight, kept.gain(frame.colors[chosen])]
+    return [
+        *total_of_some,
+        frame.rows,
+        frame.members,
+        *frame.draw(),
+        *vars(total).values(),
+        sums,
+        np.array(error),
+        *back,
+    ]
+
+
+def test_bits_do_not_depend_on_threads(monkeypatch):
+    splats, view = with_odd_rows(scene(5000, 2, 7, dtype=np.float32)), cameras(130, 100)[0]
+    results = []
+    for count in ("1", "2", "3"):
+        monkeypatch.setenv("SPLATPAINTER_THREADS", count)
+        results.append(everything(splats, view))
+    for others in results[1:]:
+        for one, other in zip(results[0], others, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_bits_do_not_depend_on_how_views_are_shared_out(monkeypatch):
+    """Few views are drawn one after the other on all threads, many on one thread each."""
+    splats, views = with_odd_rows(scene(500, 1, 10, dtype=np.float32)), cameras(40, 50, count=6)
+    results = []
+    for count in ("1", "2", "4"):
+        monkeypatch.setenv("SPLATPAINTER_THREADS", count)
+        drawn = draw_views(splats, views, contributions=True, keep_frames=True)
+        back = views_back(splats, drawn, drawn.colors, drawn.depths, drawn.alphas)
+        results.append([drawn.colors, drawn.alphas, drawn.depths, drawn.contributions, *back])
+    for others in results[1:]:
+        for one, other in zip(results[0], others, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_two_python_threads_at_once():
+    splats, view = scene(2000, 1, 8, dtype=np.float32), cameras(100, 100)[0]
+    expected = everything(splats, view)
+    found: list[list] = []
+
+    def work():
+        for _ in range(10):
+            found.append(everything(splats, view))
+
+    workers = [threading.Thread(target=work) for _ in range(3)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert len(found) == 30
+    for result in found:
+        for one, other in zip(expected, result, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_readonly_and_strided_rows_draw_the_same():
+    splats, view = scene(50, 1, 9, dtype=np.float32), cameras(30, 30)[0]
+    expected = sp.render(splats, view).colors
+    packed = np.concatenate([splats.means, splats.scales], 1)  # [N, 6]: columns of a file
+    packed.flags.writeable = False
+    sh = np.asfortranarray(splats.sh)
+    strided = sp.Splats(packed[:, :3], splats.quats, packed[:, 3:], splats.opacities[::-1][::-1], sh)
+    np.testing.assert_array_equal(sp.render(strided, view).colors, expected)

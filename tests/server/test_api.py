@@ -1,0 +1,316 @@
+"""The same commands over HTTP: pictures in, layers, files out, projects, and the folder."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatpainter.io import read, write
+from splatpainter.receipts import Receipt, changed_rows, verify
+from splatpainter.rendering import render
+from splatpainter.server import frames
+from splatpainter.server.messages import COMMANDS
+from splatpainter.server.pictures import png_bytes
+from splatpainter.session import Session
+from splatpainter.splats import rows_sha256
+from tests.support.studio_scenes import Live, ball, dab, live, live_with_folder, make_studio, view, wire
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Live]:
+    with live_with_folder(tmp_path) as own:
+        yield own
+
+
+def edited(studio: Live, color=(0.9, 0.1, 0.1), camera=None) -> tuple[np.ndarray, np.ndarray]:
+    """(the view with a coloured square, the square's mask)."""
+    camera = camera or view()
+    image = np.clip(render(studio.studio.session.splats, camera).colors[0], 0, 1)
+    mask = np.zeros(image.shape[:2], bool)
+    mask[36:60, 36:60] = True
+    image[mask] = color
+    return image, mask
+
+
+def test_a_regraded_picture_can_stay_within_a_selection(studio: Live) -> None:
+    image, mask = edited(studio)
+    session, camera = studio.studio.session, view()
+    before = session.splats
+    green = np.clip(image * (0.5, 1.2, 0.5), 0, 1)
+    blank = {"camera": wire(camera), "picture": studio.send(png_bytes(green))}
+    chosen = blank | {"mask": studio.send(png_bytes(mask))}
+    other = blank | {"camera": wire(view(96, 180))}
+    made = studio.post("edit", views=[chosen, other], mode="global", kind="picture", within=True, name="greener")
+    changed = changed_rows(before, session.splats)
+    assert 0 < len(changed) < len(before) / 4 and made["layer"]["parameters"] == {"within": True}
+    assert "parameters={'within': True}" in made["python"] and len(made["layer"]["views"]) == 1
+    alone = studio.http.post("/api/do/edit", json={"views": [blank], "mode": "global", "within": True})
+    assert "select an area" in alone.json()["error"]["hint"]
+    studio.post("edit", views=[blank], mode="global", name="all greener")
+    assert len(changed_rows(before, session.splats)) == len(before)
+
+
+def test_a_picture_becomes_a_layer_as_in_python(studio: Live) -> None:
+    image, mask = edited(studio)
+    camera = view()
+    picture = {"camera": wire(camera), "picture": studio.send(png_bytes(image)), "mask": studio.send(png_bytes(mask))}
+    made = studio.post("edit", views=[picture], name="square")
+    session = studio.studio.session
+    own = Session(ball())
+    from splatpainter.painter import Edit
+
+    stored = np.asarray(Image.open(io.BytesIO(png_bytes(image)))).astype(np.float32) / 255
+    own.add("picture", [Edit(stored, camera, mask)])
+    assert rows_sha256(own.splats) == rows_sha256(session.splats)
+    own.close()
+    layer = made["layer"]
+    assert layer["rows_touched"] > 0 and layer["views"][0]["mask"] and made["version"] == 2
+    for blob in (layer["thumbnail"], layer["views"][0]["picture"], layer["views"][0]["mask"]):
+        assert studio.http.get(f"/api/blobs/{blob}").headers["content-type"] == "image/png"
+
+
+def test_transparent_and_resized_pictures_and_erasing(studio: Live) -> None:
+    image, mask = edited(studio)
+    before = rows_sha256(studio.studio.session.splats)
+    clear = np.concatenate([image, mask[..., None]], -1)
+    big = Image.fromarray((clear * 255).astype(np.uint8)).resize((192, 192), Image.Resampling.NEAREST)
+    file = io.BytesIO()
+    big.save(file, "PNG")
+    studio.post("edit", views=[{"camera": wire(view()), "picture": studio.send(file.getvalue())}])
+    after = render(studio.studio.session.splats, view()).colors[0]
+    assert np.abs(after - image)[mask].mean() < 0.08 and np.abs(after - image)[~mask].mean() < 0.02
+    hole = studio.send(png_bytes(np.ones(mask.shape, bool)), "all.png")
+    studio.post("edit", kind="erase", views=[{"camera": wire(view()), "picture": hole}])
+    erased = render(studio.studio.session.splats, view()).colors[0]
+    truth = render(studio.studio.original, view()).colors[0]
+    assert np.abs(erased - truth).mean() < 0.25 * np.abs(after - truth).mean()
+    studio.post("jump", cursor=0)
+    assert rows_sha256(studio.studio.session.splats) == before
+    wrong = studio.http.post(
+        "/api/do/edit",
+        json={"views": [{"camera": wire(view()), "picture": studio.send(png_bytes(image[:50]))}]},
+    )
+    assert wrong.status_code == 400 and wrong.json()["error"]["hint"] == "resize without cropping"
+
+
+def test_every_operation_on_layers(studio: Live) -> None:
+    session = studio.studio.session
+    ids = []
+    for angle in (0, 180):
+        image, _ = edited(studio, camera=view(96, angle))
+        picture = {"camera": wire(view(96, angle)), "picture": studio.send(png_bytes(image))}
+        ids.append(studio.post("edit", views=[picture], name=f"from {angle}")["layer"]["id"])
+    whole = rows_sha256(session.splats)
+    studio.post("layer.set", layer=ids[0], visible=False)
+    assert rows_sha256(session.splats) != whole
+    studio.post("layer.set", layer=ids[0], visible=True)
+    assert rows_sha256(session.splats) == whole
+    studio.post("layer.set", layer=ids[1], name="renamed", blend="color", opacity=0.25)
+    studio.post("layer.move", layer=ids[1], to=0)
+    assert [layer.name for layer in session.layers] == ["renamed", "from 0"]
+    copy = studio.post("layer.duplicate", layer=ids[0])["layer"]["id"]
+    merged = studio.post("layer.merge", layers=[ids[0], copy], name="both")["layer"]
+    assert merged["kind"] == "merged"
+    out = studio.post("layer.export", layer=merged["id"])
+    data = studio.http.get(out["url"]).content
+    assert len(data) == out["bytes"]
+    studio.post("layer.delete", layer=merged["id"])
+    studio.post("layer.import", blob=studio.send(data, "both.splatlayer"))
+    assert [layer.name for layer in session.layers] == ["renamed", "both"]
+    state = studio.http.get("/api/state").json()
+    assert state["cursor"] == len(state["history"]) - 1 == len(session.history) - 1
+    for _ in range(len(session.history)):
+        studio.post("undo")
+    assert rows_sha256(session.splats) == rows_sha256(session.original) and not session.layers
+    assert studio.http.post("/api/do/redo").json()["ok"]
+
+
+def test_conflicts_are_reported_and_settled(studio: Live) -> None:
+    for angle, color in ((0, (0.9, 0.1, 0.1)), (25, (0.1, 0.1, 0.9))):
+        image, _ = edited(studio, color, view(96, angle))
+        studio.post("edit", views=[{"camera": wire(view(96, angle)), "picture": studio.send(png_bytes(image))}])
+    found = studio.post("conflicts")["conflicts"]
+    assert len(found) == 1 and found[0]["rows"] > 0 and found[0]["policy"] == "latest"
+    studio.post("conflict.set", lower=found[0]["lower"], upper=found[0]["upper"], policy="first")
+    assert studio.post("conflicts")["conflicts"][0]["policy"] == "first"
+
+
+def test_exports_prove_themselves(studio: Live, tmp_path: Path) -> None:
+    image, _ = edited(studio)
+    studio.post("edit", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])
+    out = studio.post("export", file="painted.ply")
+    (tmp_path / "painted.ply").write_bytes(studio.http.get(out["url"]).content)
+    receipt = Receipt.from_json(studio.http.get(out["receipt_url"]).text)
+    write(tmp_path / "ball.ply", studio.studio.original)
+    found = verify(tmp_path / "ball.ply", tmp_path / "painted.ply")
+    assert found.ok and found.changed == len(receipt.touched) and found.appended == receipt.appended_rows > 0
+    told = studio.post("receipt")
+    state = studio.http.get("/api/state").json()["asset"]
+    same = f"{found.same:,} of {found.rows:,} rows byte-identical"
+    assert told["text"].startswith(same) and state["rows_same"] == found.same and state["rows"] == receipt.output_rows
+    proof = studio.post("verify")
+    assert proof["proved"] and proof["same"] == found.same and not proof["problems"]
+    wrong = studio.http.post("/api/do/export", json={"file": "painted.obj"})
+    assert wrong.status_code == 400 and ".ply" in wrong.json()["error"]["message"]
+    assert studio.http.get("/api/files/nokey/painted.ply").status_code == 404
+
+
+def test_views_and_picking(studio: Live) -> None:
+    camera = view()
+    made = studio.post("view.render", camera=wire(camera))
+    png = Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{made['picture']}").content))
+    truth = np.clip(render(studio.studio.session.splats, camera).colors[0], 0, 1)
+    assert np.abs(np.asarray(png) / 255 - truth).max() <= 0.51 / 255
+    assert json.loads(png.text["splatpainter"])["fx"] == camera.fx  # type: ignore[attr-defined]
+    direct = studio.http.get("/api/view.png", params={"camera": camera.to_json()})
+    assert direct.content == studio.http.get(f"/api/blobs/{made['picture']}").content
+    assert studio.http.get("/api/view.png", params={"camera": "{}"}).status_code == 400
+    other = studio.post("view.render", camera=wire(camera), profile="playcanvas")
+    assert "profile='playcanvas'" in other["python"]
+    dark = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{other['picture']}").content))) / 255
+    expected = render(studio.studio.session.splats, camera, profile="playcanvas").colors[0]
+    assert np.abs(dark - np.clip(expected, 0, 1)).max() <= 0.51 / 255 and np.abs(dark - truth).max() > 2 / 255
+    assert studio.http.post("/api/do/view.render", json={"camera": wire(camera), "profile": "x"}).status_code == 400
+    seen = studio.post("pick", camera=wire(camera), x=48.5, y=48.5)
+    assert np.allclose(seen["color"], truth[48, 48], atol=1e-4) and seen["hit"]
+    point = np.array(seen["point"])
+    assert 0.8 < np.linalg.norm(point) < 1.2  # on the ball
+    local = camera.world_to_camera @ [*point, 1]
+    assert np.allclose(local[2], seen["depth"]) and np.allclose(local[0] / local[2] * camera.fx + camera.cx, 48.5)
+    assert not studio.post("pick", camera=wire(camera), x=1, y=1)["hit"]
+    assert studio.http.post("/api/do/pick", json={"camera": wire(camera), "x": 96, "y": 0}).status_code == 400
+    huge = {**wire(camera), "width": 10_000, "height": 10_000}
+    assert "megapixels" in studio.http.post("/api/do/view.render", json={"camera": huge}).json()["error"]["message"]
+    turn = studio.post("turntable", camera=wire(view(48)), frames=5)
+    assert studio.post("turntable", camera=wire(view(48)), frames=2, fps=1e-38)["picture"]
+    animation = Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{turn['picture']}").content))
+    assert animation.n_frames == 5 and animation.size == (48, 48)  # type: ignore[attr-defined]
+    first = np.asarray(animation.convert("RGB")) / 255
+    assert np.abs(first - np.clip(render(studio.studio.session.splats, view(48)).colors[0], 0, 1)).mean() < 0.02
+
+
+def test_coverage_shows_what_was_seen_and_what_was_predicted(studio: Live) -> None:
+    image = np.clip(render(studio.studio.session.splats, view()).colors[0], 0, 1) ** 1.5
+    studio.post("edit", mode="global", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])
+    found = studio.post("coverage", camera=wire(view()))
+    assert found["seen"] > 50 and found["predicted"] > 50
+    front = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{found['picture']}").content))).astype(int)
+    assert front.shape == (96, 96, 4) and front[48, 48, 1] > front[48, 48, 0] and front[2, 2, 3] == 0
+    back = np.array(found["next_view"]["world_to_camera"])
+    position = -back[:3, :3].T @ back[:3, 3]
+    assert position[2] > 0.5  # the far side
+
+
+def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None:
+    shared = tmp_path / "shared"
+    write(shared / "other.ply", ball(100, seed=5))
+    (shared / "notes.txt").write_text("x")
+    studio.post("bookmark.add", name="front", camera=wire(view()))
+    image, _ = edited(studio)
+    studio.post("edit", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])
+    rows = rows_sha256(studio.studio.session.splats)
+    studio.post("project.save_as", file="mine")
+    state = studio.http.get("/api/state").json()
+    assert state["project"] == {
+        "name": "mine",
+        "file": "mine.splatproj",
+        "read_only": False,
+        "read_only_reason": "",
+    }
+    assert studio.post("project.recent")["files"] == ["mine.splatproj", "other.ply"]
+    studio.post("asset.open", file="other.ply")
+    again = studio.http.post("/api/do/project.save_as", json={"file": "mine"})
+    assert again.status_code == 400 and "already exists" in again.json()["error"]["message"]
+    assert studio.http.get("/api/state").json()["asset"]["rows"] == 100
+    kept = studio.post("project.recent")["recent"]
+    assert [own["name"] for own in kept] == ["other"]
+    studio.post("project.open", file="mine.splatproj")
+    state = studio.http.get("/api/state").json()
+    assert rows_sha256(studio.studio.session.splats) == rows
+    assert [mark["name"] for mark in state["bookmarks"]] == ["front"] and len(state["layers"]) == 1
+    assert studio.post("project.recent")["recent"] == []  # in the other one nothing was done
+    studio.post("bookmark.delete", bookmark=state["bookmarks"][0]["id"])
+    copy = studio.post("project.download")
+    data = studio.http.get(copy["url"]).content
+    studio.post("asset.open", file="other.ply")
+    studio.post("project.open", blob=studio.send(data, "back.splatproj"))
+    assert rows_sha256(studio.studio.session.splats) == rows
+    assert [own["name"] for own in studio.post("project.recent")["recent"]] == ["back"]
+
+
+def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
+    """The screen's up and the first view follow, the rows do not; a project in which only this was done is kept."""
+    rows = rows_sha256(studio.studio.session.splats)
+    asset = studio.http.get("/api/state").json()["asset"]
+    assert asset["up"] == [0, -1, 0] and asset["frame_said"] and asset["frame"] == ""
+    write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
+    studio.post("asset.open", file="other.ply")
+    assert studio.post("asset.up", up="+y")["python"] == "session.set_up('+y')"
+    turned = studio.http.get("/api/state").json()["asset"]
+    assert turned["up"] == [0, 1, 0] and turned["frame"].startswith("right-down-front")
+    down, eye = np.array(turned["home"]["world_to_camera"])[1, :3], turned["home"]["world_to_camera"][2][3]
+    assert down[1] < -0.9 and eye > 0
+    assert studio.http.post("/api/do/asset.up", json={"up": "up"}).status_code == 400
+    studio.post("asset.open", demo=True)
+    (mine,) = (own for own in studio.post("project.recent")["recent"] if own["name"] == "other")
+    studio.post("project.open", recent=mine["id"])
+    assert studio.http.get("/api/state").json()["asset"]["up"] == [0, 1, 0]
+    assert rows != rows_sha256(studio.studio.session.splats)
+
+
+def test_everything_is_on_disk_when_the_studio_ends(tmp_path: Path) -> None:
+    with live(make_studio(tmp_path)) as studio:
+        image, _ = edited(studio)
+        studio.post("edit", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])
+        rows = rows_sha256(studio.studio.session.splats)
+    assert [path.name for path in tmp_path.glob("own*")] == ["own.splatproj"]
+    with Session.load(tmp_path / "own.splatproj") as again:
+        assert rows_sha256(again.splats) == rows
+
+
+def test_the_description_names_every_command(studio: Live) -> None:
+    paths = studio.http.get("/api/openapi.json").json()["paths"]
+    missing = {name for name in COMMANDS if f"/api/do/{name}" not in paths}
+    assert missing == {"hello", "sync", "cancel"}
+    body = paths["/api/do/layer.move"]["post"]["requestBody"]["content"]["application/json"]["schema"]
+    assert body == {"$ref": "#/components/schemas/LayerMove"}
+    fault = studio.http.post("/api/do/layer.move", json={"layer": "1"})
+    assert fault.status_code == 400 and "to: Field required" in fault.json()["error"]["message"]
+
+
+def test_rows_over_http_and_strokes_without_a_socket(studio: Live) -> None:
+    frame = frames.unpack(studio.http.get("/api/splats").content)
+    assert np.array_equal(frame.splats.sh, studio.studio.session.splats.sh)
+    stroke = studio.post("paint.begin", camera=wire(view()))["stroke"]
+    assert studio.post("paint.dab", stroke=stroke, x=36, y=36, width=24, height=24, rgba=dab(24, (255, 0, 0, 255)))[
+        "rows"
+    ]
+    assert studio.post("paint.end", stroke=stroke, name="red")["layer"]["name"] == "red"
+
+
+def test_a_linear_asset_is_painted_and_graded_in_display_colours(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    asset = ball()
+    sh = asset.sh.copy()
+    sh[:, 1:] = 0
+    with live(make_studio(tmp_path, replace(asset, sh=sh, color_space="linear"))) as studio:
+        stroke = studio.post("paint.begin", camera=wire(view()))["stroke"]
+        studio.post("paint.dab", stroke=stroke, x=30, y=30, width=36, height=36, rgba=dab(36, (128, 128, 128, 255)))
+        studio.post("paint.end", stroke=stroke)
+        seen = studio.post("pick", camera=wire(view()), x=48.0, y=48.0)["color"]
+        assert np.allclose(seen, 128 / 255, atol=0.06)
+
+
+def test_a_file_asset_keeps_its_name_and_format(tmp_path: Path) -> None:
+    write(tmp_path / "ball.spz", ball())
+    with live(make_studio(tmp_path, read(tmp_path / "ball.spz"))) as studio:
+        asset = studio.http.get("/api/state").json()["asset"]
+        assert asset["format"] == "spz" and asset["rows"] == asset["rows_same"] == 600
+        assert studio.post("verify")["proved"]

@@ -1,0 +1,404 @@
+"""The studio's page in a real browser: it draws what the renderer draws, paints, keeps, and says what it does."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatpainter.cameras import Camera
+from splatpainter.rendering import render
+from splatpainter.splats import Splats
+from tests.support import studio_scenes
+from tests.support.studio_pages import STATIC, WEB, Page, browsing
+
+SOURCES = (
+    "index.html",
+    "package-lock.json",
+    "package.json",
+    "public",
+    "scripts",
+    "src",
+    "tsconfig.json",
+    "vite.config.ts",
+)
+
+
+def test_the_bundle_is_that_of_the_sources() -> None:
+    """scripts/record.ts writes the hash of what the bundle was made from: `npm run build` in web/ makes them agree."""
+    digest = hashlib.sha256()
+    files = [path for name in SOURCES for path in ([WEB / name] if (WEB / name).is_file() else (WEB / name).rglob("*"))]
+    named = {path.relative_to(WEB).as_posix(): path for path in files if path.is_file()}
+    for name in sorted(named):
+        data = named[name].read_bytes()
+        digest.update(f"{name}\0{len(data)}\0".encode() + data)
+    assert json.loads((STATIC / "build.json").read_text())["sources"] == digest.hexdigest()
+
+
+def test_the_bundle_is_small_and_alone() -> None:
+    import gzip
+
+    names = sorted(path.name for path in STATIC.iterdir())
+    assert names == ["build.json", "favicon.svg", "index.html", "studio.css", "studio.js"]
+    assert sum(len(gzip.compress(path.read_bytes(), mtime=0)) for path in STATIC.iterdir()) <= 2_500_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with browsing() as one:
+        yield one
+
+
+@pytest.fixture
+def place(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
+    """A studio with the ball, and its page."""
+    with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
+        page = Page(browser, live.url)
+        try:
+            yield live, page
+            assert page.problems == []
+            assert all(url.startswith((live.url, "blob:", "data:")) for url in page.requests)
+        finally:
+            page.tab.close()
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    error = float(np.mean((a - b) ** 2))
+    return 999.0 if error == 0 else -10 * np.log10(error)
+
+
+def drawn(splats: Splats, camera: dict[str, Any]) -> np.ndarray:
+    return np.clip(render(splats, Camera.from_json(json.dumps(camera))).colors[0], 0, 1)
+
+
+def test_the_browser_draws_what_the_renderer_draws(browser: Any, tmp_path: Path) -> None:
+    """The demo asset, SH degree 3, from two sides, off-centre: 45 dB at least; its 8 bits allow 59."""
+    from splatpainter.server.demo import demo
+
+    asset = demo()
+    with studio_scenes.live(studio_scenes.make_studio(tmp_path, asset)) as live:
+        page = Page(browser, live.url, 760, 420)
+        try:
+            home = page.camera()
+            shifted = home | {"cx": home["cx"] + 11.25, "cy": home["cy"] - 7.5, "fx": home["fx"] * 1.1}
+            for camera in (home, shifted):
+                page.ask("(camera) => window.studio.viewer.setCamera(camera)", camera)
+                assert psnr(page.pixels(), drawn(asset, camera)) > 45
+        finally:
+            page.tab.close()
+
+
+def test_a_stroke_is_where_it_was_painted_and_undo_brings_every_pixel_back(
+    place: tuple[studio_scenes.Live, Page],
+) -> None:
+    live, page = place
+    before = page.pixels()
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.settled()
+    after = page.pixels()
+    height, width, _ = after.shape
+    change = abs(after - before).max(-1)
+    rows, columns = np.mgrid[0:height, 0:width]
+    reach = 40 * 0.5  # the brush is 40 view pixels wide
+    inside = (abs(rows - height / 2) < 0.5 * reach) & (abs(columns - width / 2) < 0.05 * width)
+    outside = (abs(rows - height / 2) > 4 * reach) | (abs(columns - width / 2) > 0.05 * width + 4 * reach)
+    assert change[inside].mean() > 0.1
+    assert change[outside].mean() < 0.01
+    assert np.linalg.norm(after[inside].mean(0) - np.array([0xC8, 0x44, 0x2E]) / 255) < 0.15
+    assert psnr(after, drawn(live.studio.session.splats, page.camera())) > 45
+    page.tab.locator("#stage").press("ArrowLeft")  # from the side it is there too
+    side = page.pixels()
+    assert psnr(side, drawn(live.studio.session.splats, page.camera())) > 45
+    page.tab.locator("#stage").press("ArrowRight")
+    page.tab.keyboard.press("Control+z")
+    page.wait("the undo", lambda: page.names() == [])
+    page.wait("the pixels", lambda: np.array_equal(page.pixels(), before))
+    page.tab.keyboard.press("Control+Shift+z")
+    page.wait("the redo", lambda: page.names() == ["Brush"])
+    page.wait("the pixels", lambda: np.array_equal(page.pixels(), after))
+
+
+def test_every_painting_tool_makes_a_layer(place: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = place
+    keys = page.tab.keyboard
+
+    def made(name: str) -> None:
+        page.wait(f"the layer {name}", lambda: page.names() and page.names()[-1].startswith(name))
+        page.settled()
+
+    keys.press("4")
+    page.drag((0.4, 0.45), (0.6, 0.5))
+    made("Line")
+    keys.press("7")
+    keys.down("Alt")
+    page.drag((0.45, 0.45))
+    keys.up("Alt")
+    page.drag((0.55, 0.55), (0.58, 0.55))
+    made("Clone")
+    keys.press("8")
+    page.drag((0.5, 0.42), (0.53, 0.42))
+    made("Heal")
+    keys.press("2")
+    page.drag((0.4, 0.45), (0.6, 0.5))
+    made("Erase")
+    keys.press("5")
+    page.drag((0.5, 0.5))
+    page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
+    page.tab.locator("#stage").press("Escape")  # a canvas that is only cleared goes on showing what it showed
+    page.wait("nothing over the view", lambda: not page.tab.locator(".glass").is_visible())
+    page.drag((0.5, 0.5))
+    page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
+    page.tab.locator("#stage").press("Enter")
+    made("Text")
+    keys.press("3")
+    page.tab.get_by_role("textbox", name="Tolerance, number").fill("2")
+    page.drag((0.5, 0.6))
+    made("Fill")
+    assert len(page.names()) == 6
+
+
+def test_a_selection_limits_the_stroke(place: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = place
+    page.tab.keyboard.press("0")
+    page.drag((0.3, 0.2), (0.5, 0.8))
+    page.wait("the selection", lambda: page.tab.get_by_role("button", name="Deselect").count())
+    page.tab.keyboard.press("1")
+    page.drag((0.42, 0.5), (0.58, 0.5))
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.settled()
+    (view,) = page.state()["layers"][0]["views"]
+    mask = np.asarray(Image.open(io.BytesIO(live.http.get(f"/api/blobs/{view['mask']}").content)).convert("L"))
+    height, width = mask.shape
+    assert mask[height // 2, int(0.43 * width) : int(0.49 * width)].min() > 0
+    assert mask[:, int(0.51 * width) :].max() == 0
+
+
+def test_a_pen_presses_and_fingers_turn_and_pinch(place: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = place
+    page.pointer("down", 5, "pen", 0.4, 0.5, 0.05)
+    for k in range(1, 11):
+        page.pointer("move", 5, "pen", 0.4 + 0.02 * k, 0.5, 0.1 * k)
+    page.pointer("up", 5, "pen", 0.6, 0.5, 0.0)
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.settled()
+    (view,) = page.state()["layers"][0]["views"]
+    mask = np.asarray(Image.open(io.BytesIO(live.http.get(f"/api/blobs/{view['mask']}").content)).convert("L")) > 127
+    width = mask.shape[1]
+    assert mask[:, int(0.58 * width)].sum() > 2 * mask[:, int(0.44 * width)].sum() > 0
+    before = page.camera()["world_to_camera"]
+    page.pointer("down", 7, "touch", 0.5, 0.5)
+    page.pointer("move", 7, "touch", 0.6, 0.5)
+    page.pointer("up", 7, "touch", 0.6, 0.5)
+    turned = page.camera()["world_to_camera"]
+    assert turned[0] != before[0]
+    assert abs(turned[2][3] - before[2][3]) < 0.1 * before[2][3]
+    for finger, x in ((7, 0.4), (8, 0.6)):
+        page.pointer("down", finger, "touch", x, 0.5)
+    page.pointer("move", 8, "touch", 0.8, 0.5)
+    assert page.camera()["world_to_camera"][2][3] < 0.6 * turned[2][3]
+    assert page.names() == ["Brush"]
+
+
+def test_a_dropped_picture_a_look_and_the_order_of_layers_outlive_a_reload(
+    place: tuple[studio_scenes.Live, Page],
+) -> None:
+    live, page = place
+    camera = Camera.from_json(json.dumps(page.camera()))
+    camera = replace(camera, asset_sha256=live.studio.session.original.sha256)
+    edited = drawn(live.studio.session.splats, page.camera())
+    height, width, _ = edited.shape
+    edited[height // 2 - 15 : height // 2 + 15, width // 2 - 15 : width // 2 + 15] = (0.1, 0.9, 0.2)
+    page.drop("patch.png", png(edited, camera), "image/png")
+    apply = page.tab.get_by_role("button", name="Apply as layer")
+    page.wait("the check", lambda: page.tab.get_by_text("its camera is in the file").count())
+    apply.click()
+    page.wait("the picture's layer", lambda: page.names() == ["patch"])
+    assert np.linalg.norm(page.pixels()[height // 2, width // 2] - (0.1, 0.9, 0.2)) < 0.2
+
+    page.tab.get_by_role("tab", name="Look").click()
+    before = page.pixels()
+    page.tab.get_by_role("textbox", name="Exposure, number").fill("-1.5")
+    page.tab.get_by_role("textbox", name="Exposure, number").press("Enter")
+    page.wait("the preview", lambda: page.pixels().mean() < 0.8 * before.mean())
+    assert page.names() == ["patch"]
+    apply.click()
+    page.wait("the look's layer", lambda: page.names() == ["patch", "Look"])
+    look = page.pixels()
+    assert look.mean() < 0.8 * before.mean()
+
+    page.tab.locator(".layer-name").first.focus()
+    page.tab.keyboard.press("Alt+ArrowDown")
+    page.wait("the order", lambda: page.names() == ["Look", "patch"])
+    page.tab.get_by_role("button", name="Hide patch").click()
+    page.wait("hidden", lambda: not page.state()["layers"][1]["visible"])
+    known = page.state()
+    kept = page.pixels()
+    page.open()
+    assert page.state() | {"clients": 0} == known | {"clients": 0}
+    assert np.array_equal(page.pixels(), kept)
+
+
+def test_export_and_verify(place: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = place
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.settled()
+    page.tab.get_by_role("tab", name="Receipt").click()
+    page.tab.get_by_role("button", name="Verify").click()
+    page.wait("the proof", lambda: page.tab.get_by_text("Proved").count())
+    page.tab.keyboard.press("Control+s")
+    page.tab.get_by_label("Format").select_option(".ply")
+    with page.tab.expect_download() as download:
+        page.tab.get_by_role("button", name="Export", exact=True).click()
+    assert Path(download.value.path()).read_bytes()[:3] == b"ply"
+
+
+def test_a_conflict_is_shown_and_settled(place: tuple[studio_scenes.Live, Page]) -> None:
+    """Red from the front, blue over it from the side: the panel says so, and each policy shows what it promises."""
+    _, page = place
+
+    def blueness() -> float:
+        middle = page.pixels()[:, :, [0, 2]]
+        height, width, _ = middle.shape
+        red, blue = middle[height // 2 - 4 : height // 2 + 5, width // 2 - 4 : width // 2 + 5].mean((0, 1))
+        return float(blue - red)
+
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.settled()
+    page.tab.locator("#stage").press("ArrowLeft")
+    page.tab.get_by_role("textbox", name="Colour").fill("#2040d0")
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the second layer", lambda: page.names() == ["Brush", "Brush 2"])
+    page.settled()
+    latest = blueness()
+    assert latest > 0.3
+    page.tab.get_by_role("button", name="Layers of different views overlap (1)").click()
+    page.wait("the conflict", lambda: page.tab.get_by_text("painted from another view.").count())
+    choice = page.tab.get_by_label("Show", exact=True)
+    choice.select_option("first")
+    page.wait("the lower layer", lambda: blueness() < -0.3)
+    assert page.tab.locator(".in-conflict").count() == 0  # it was decided
+    choice.select_option("blend")
+    page.wait("a blend", lambda: -0.3 < blueness() < 0.3)
+    choice.select_option("latest")
+    page.wait("the upper layer", lambda: abs(blueness() - latest) < 0.02)
+
+
+def test_a_layer_goes_out_and_comes_back_as_a_file(place: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = place
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.settled()
+    painted = page.pixels()
+    with page.tab.expect_download() as download:
+        page.tab.get_by_role("button", name="Save the layer as a file").click()
+    assert download.value.suggested_filename == "Brush.splatlayer"
+    data = Path(download.value.path()).read_bytes()
+    page.tab.get_by_role("button", name="Delete the layer").click()
+    page.wait("the empty list", lambda: page.names() == [])
+    page.drop("Brush.splatlayer", data, "")
+    page.wait("the layer again", lambda: page.names() == ["Brush"])
+    page.wait("its pixels", lambda: np.array_equal(page.pixels(), painted))
+
+
+def test_a_selection_waits_in_its_view(place: tuple[studio_scenes.Live, Page]) -> None:
+    """Turned away it limits no stroke but still a look; back in its view it is there again."""
+    _, page = place
+    page.tab.keyboard.press("0")
+    page.drag((0.3, 0.2), (0.5, 0.8))
+    deselect = page.tab.get_by_role("button", name="Invert")
+    page.wait("the selection", deselect.count)
+    before = page.camera()["world_to_camera"]
+    page.tab.locator("#stage").press("ArrowLeft")
+    page.wait("that it is elsewhere", lambda: page.tab.get_by_text("The selection is of another view").count())
+    assert deselect.count() == 0
+    rows = {"all": 0, "selected": 0}
+    page.tab.get_by_role("tab", name="Look").click()
+    for name in rows:
+        page.tab.get_by_label("Only the selected area").set_checked(name == "selected")
+        page.tab.get_by_role("textbox", name="Exposure, number").fill("-1")
+        page.tab.get_by_role("textbox", name="Exposure, number").press("Enter")
+        page.tab.get_by_role("button", name="Apply as layer").click()
+        page.wait("the look", lambda name=name: len(page.names()) == 1 + list(rows).index(name))
+        rows[name] = page.state()["layers"][-1]["rows_touched"]
+    assert 0 < rows["selected"] < 0.6 * rows["all"]
+    page.tab.get_by_role("button", name="Go there").click()
+    page.wait("the selection again", deselect.count)
+    assert page.camera()["world_to_camera"] == before
+
+
+def test_two_windows_agree_and_a_lost_connection_comes_back(
+    browser: Any, place: tuple[studio_scenes.Live, Page]
+) -> None:
+    live, page = place
+    other = Page(browser, live.url)
+    try:
+        other.ask("window.studio.link.lose()")
+        page.drag((0.45, 0.5), (0.55, 0.5))
+        page.wait("the layer", lambda: page.names() == ["Brush"])
+        page.settled()
+        other.wait("the layer in the other window", lambda: other.names() == ["Brush"])
+        assert np.array_equal(other.pixels(), page.pixels())
+    finally:
+        other.tab.close()
+
+
+def test_nothing_serious_for_those_who_cannot_see_or_point(place: tuple[studio_scenes.Live, Page]) -> None:
+    axe = WEB / "node_modules/axe-core/axe.min.js"
+    if not axe.is_file():
+        pytest.skip(f"axe is not installed: run `npm ci` in {WEB.name}/")
+    _, page = place
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.ask(axe.read_text(encoding="utf-8"))
+    for name in ("History", "Look", "Pictures", "Views", "Receipt"):
+        page.tab.get_by_role("tab", name=name).click()
+        found = page.ask("axe.run().then((result) => result.violations)")
+        serious = [
+            f"{one['id']}: {one['nodes'][0]['html']}" for one in found if one["impact"] in ("serious", "critical")
+        ]
+        assert serious == [], name
+
+
+def png(pixels: np.ndarray, camera: Camera) -> bytes:
+    """With its camera inside."""
+    from PIL.PngImagePlugin import PngInfo
+
+    info = PngInfo()
+    info.add_text("splatpainter", camera.to_json())
+    file = io.BytesIO()
+    Image.fromarray(np.round(pixels * 255).astype(np.uint8)).save(file, "png", pnginfo=info)
+    return file.getvalue()
+
+
+def test_one_click_turns_the_asset_over(place: tuple[studio_scenes.Live, Page]) -> None:
+    """What was up is down, in the picture and in the project; no row changes; a second click undoes it."""
+    live, page = place
+
+    def down() -> float:
+        """How much of the world's y the picture's downward axis is."""
+        camera = page.camera()
+        return camera["world_to_camera"][1][1] if camera else 0.0
+
+    before = live.studio.session.splats
+    page.wait("-y above", lambda: down() > 0.9)
+    button = page.tab.get_by_role("button", name="Upside down?")
+    button.click()
+    page.wait("+y above", lambda: down() < -0.9)
+    assert page.state()["asset"]["up"] == [0, 1, 0] and live.studio.session.up == "+y"
+    assert live.studio.session.splats is before and len(page.state()["history"]) == 1
+    page.open()
+    page.wait("+y above, still", lambda: down() < -0.9)
+    button.click()
+    page.wait("-y above again", lambda: down() > 0.9)
+    assert live.studio.session.up == "-y"

@@ -1,0 +1,97 @@
+"""Binary frames of rows, against bytes written out by hand."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatpainter.server import frames
+from splatpainter.splats import Splats
+from tests.support.studio_scenes import ball
+
+
+def two_rows() -> Splats:
+    return Splats(
+        np.array([[1, 2, 3], [4, 5, 6]], np.float32),
+        np.array([[2, 0, 0, 0], [0, 3, 0, 4]], np.float32),
+        np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], np.float32),
+        np.array([0.5, 1], np.float32),
+        np.array([[[0.1, 0.2, 0.3]], [[0.4, 0.5, 0.6]]], np.float32),
+    )
+
+
+def test_a_delta_is_these_bytes() -> None:
+    header = struct.pack("<8I", 0x53504C44, 1, 0, 7, 9, 2, 1, 1)
+    row = struct.pack("<I", 1)
+    geometry = struct.pack("<10f", 4, 5, 6, 0.4, 0.5, 0.6, 0, 0.6, 0, 0.8)
+    look = struct.pack("<4f", 1, 0.4, 0.5, 0.6)
+    assert frames.delta(two_rows(), np.array([1]), 7, 9) == header + row + geometry + look
+
+
+def test_a_snapshot_has_no_indices_and_a_preview_no_geometry() -> None:
+    whole = frames.snapshot(two_rows(), 4)
+    assert struct.unpack_from("<8I", whole) == (0x53504C44, 1, 1, 4, 4, 2, 2, 1)
+    assert len(whole) == 32 + 2 * 4 * (3 + 3 + 4 + 1 + 3)
+    look = frames.preview(two_rows(), np.array([5, 8]), 20, 4)
+    assert struct.unpack_from("<8I", look) == (0x53504C44, 1, 2 | 4, 4, 4, 20, 2, 1)
+    assert len(look) == 32 + 2 * 4 * (1 + 1 + 3)
+
+
+def test_what_was_packed_comes_out() -> None:
+    splats = ball(50)
+    rows = np.array([3, 17, 49])
+    frame = frames.unpack(frames.delta(splats, rows, 1, 2))
+    assert (frame.version_from, frame.version_to, frame.rows_total) == (1, 2, 50)
+    assert np.array_equal(frame.rows, rows)
+    assert np.array_equal(frame.splats.sh, splats.sh[rows])
+    assert np.array_equal(frame.splats.means, splats.means[rows])
+    unit = splats.quats[rows] / np.linalg.norm(splats.quats[rows], axis=1, keepdims=True)
+    assert np.allclose(frame.splats.quats, unit, atol=1e-6)
+    everything = frames.unpack(frames.snapshot(splats, 3))
+    assert np.array_equal(everything.rows, np.arange(50))
+    assert np.array_equal(everything.splats.opacities, splats.opacities)
+
+
+def test_tints_are_what_a_screen_holds() -> None:
+    sh = np.array([[[0.3, -1.2, 0], [0.75, -0.3, 0.1], [1e-9, 0, 0], [-0.01, 0.02, 0.004]]], np.float32)
+    # the same numbers as in web/test/splats.test.ts
+    colors = struct.pack("<3Hxx3I", 0x38AD, 0x312B, 0x3800, 0x7A1A4DBF, 0, 0x5121A352)
+    head = struct.pack("<8I", 0x53504C44, 1, 2 | 8, 6, 6, 9, 1, 4)
+    assert frames.tints(sh, np.array([7]), 9, 6) == head + struct.pack("<I", 7) + colors
+    whole = frames.tints(sh, np.array([0]), 1, 6)
+    assert whole[32:] == colors  # all rows: none is named
+    assert frames.tints(sh[:, :1], np.array([0]), 1, 6)[32:] == colors[:8]
+    assert frames.tints(np.full((1, 1, 3), np.nan, np.float32), np.array([0]), 1, 6)[32:] == bytes(8)
+
+
+@pytest.mark.parametrize(("count", "bands"), [(7, 4), (8, 1), (3, 16)])
+def test_tints_are_as_near_as_their_bits(count: int, bands: int) -> None:
+    rng = np.random.default_rng(3)
+    sh = (rng.normal(size=(count, bands, 3)) * 2.0 ** rng.integers(-9, 2, (count, bands, 1))).astype(np.float32)
+    rows = np.sort(rng.choice(20, count, replace=False))
+    frame = frames.unpack(frames.tints(sh, rows, 20, 2))
+    assert np.array_equal(frame.rows, rows) and frame.rows_total == 20
+    back = frame.splats.sh
+    np.testing.assert_allclose(back[:, 0], sh[:, 0], atol=2e-3, rtol=1e-3)  # 11 bits of 0.5 + Y sh
+    step = 2.0 ** np.ceil(np.log2(np.abs(sh[:, 1:]).max(2, keepdims=True))) / 255
+    assert (np.abs(back[:, 1:] - sh[:, 1:]) <= 0.501 * step).all()
+    with pytest.raises(ValueError, match="frame: expected"):
+        frames.unpack(frames.tints(sh, rows, 20, 2)[:-1])
+
+
+def test_rows_that_no_screen_can_show_are_hidden() -> None:
+    splats = ball(5)
+    means, quats = splats.means.copy(), splats.quats.copy()
+    means[1, 0], quats[3] = np.nan, 0
+    frame = frames.unpack(frames.snapshot(replace(splats, means=means, quats=quats), 1))
+    assert frame.splats.opacities.tolist() == pytest.approx([0.95, 0, 0.95, 0, 0.95])
+    assert np.isfinite(frame.splats.means).all() and np.isfinite(frame.splats.quats).all()
+
+
+@pytest.mark.parametrize("broken", [b"", b"\0" * 40, struct.pack("<8I", frames.MAGIC, 1, 0, 0, 0, 9, 9, 1)])
+def test_what_is_no_frame_is_refused(broken: bytes) -> None:
+    with pytest.raises(ValueError, match="frame: expected"):
+        frames.unpack(broken)

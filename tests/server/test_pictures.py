@@ -1,0 +1,224 @@
+"""Pictures from elsewhere: their camera is found, moves are taken back, changes and side effects are told apart."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatpainter.rendering import render
+from splatpainter.server import crops, pictures
+from splatpainter.server.pictures import png_bytes
+from splatpainter.server.watch import saved_picture
+from tests.support.studio_scenes import Live, ball, live_with_folder, view, wire
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Live]:
+    with live_with_folder(tmp_path) as own:
+        yield own
+
+
+def fetch(studio: Live, blob: str) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{blob}").content)))
+
+
+def shot(size: int = 96, angle: float = 0) -> np.ndarray:
+    return np.clip(render(ball(), view(size, angle)).colors[0], 0, 1)
+
+
+def painted(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    out, mask = image.copy(), np.zeros(image.shape[:2], bool)
+    mask[40:56, 30:60] = True
+    out[mask] = (0.9, 0.8, 0.1)
+    return out, mask
+
+
+def test_a_painted_export_comes_back_with_its_camera_and_mask(studio: Live) -> None:
+    given = studio.post("view.export", camera=wire(view()))
+    image, mask = painted(fetch(studio, given["picture"]) / 255)
+    found = studio.post("picture.check", picture=studio.send(png_bytes(image, view())))
+    assert found["found"] == "chunk" and found["warnings"] == [] and found["shift"] == [0, 0]
+    assert np.allclose(found["camera"]["world_to_camera"], view().world_to_camera)
+    seen = fetch(studio, found["mask"]) > 127
+    assert (seen & mask).sum() > 0.95 * mask.sum() and (seen & ~mask).sum() < 0.2 * mask.sum()
+    assert found["share"] == pytest.approx(seen.mean())
+
+
+def test_cameras_are_found_in_the_sidecar_the_exports_and_by_resemblance(studio: Live, tmp_path: Path) -> None:
+    for angle in (0, 90, 180):
+        studio.post("view.export", camera=wire(view(96, angle)), name=f"from {angle}", to="folder")
+    assert sorted(p.name for p in (tmp_path / "shared").iterdir())[:2] == ["from 0.json", "from 0.png"]
+    image, _ = painted(shot(96, 90))
+    found = studio.post("picture.check", picture=studio.send(png_bytes(image), "anything.png"))
+    assert found["found"] == "export" and np.allclose(found["camera"]["world_to_camera"], view(96, 90).world_to_camera)
+    found = studio.post("picture.check", picture=studio.send(png_bytes(image)), name="from 180.jpg")
+    assert found["found"] == "sidecar"
+    assert np.allclose(found["camera"]["world_to_camera"], view(96, 180).world_to_camera)
+    (tmp_path / "shared" / "from 0.json").unlink()
+    found = studio.post("picture.check", picture=studio.send(png_bytes(image)), name="from 0.png")
+    assert found["found"] == "export" and np.allclose(found["camera"]["world_to_camera"], view().world_to_camera)
+    noise = np.random.default_rng(0).uniform(size=(96, 96, 3))
+    lost = studio.http.post("/api/do/picture.check", json={"picture": studio.send(png_bytes(noise))})
+    assert lost.status_code == 400 and "turn to its view" in lost.json()["error"]["hint"]
+    given = studio.post("picture.check", picture=studio.send(png_bytes(noise)), camera=wire(view()))
+    assert given["found"] == "given" and "use it as a look" in given["warnings"][0]["message"]
+
+
+def test_resized_and_moved_pictures_are_put_straight(studio: Live) -> None:
+    image, mask = painted(shot())
+    big = Image.fromarray((image * 255).astype(np.uint8)).resize((240, 240), Image.Resampling.BICUBIC)
+    file = io.BytesIO()
+    big.save(file, "PNG")
+    found = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
+    assert found["notes"] == ["resampled from 240x240 to its camera's 96x96"]
+    assert fetch(studio, found["picture"]).shape == (96, 96, 3)
+    rolled = np.roll(image, (2, -3), (0, 1))
+    found = studio.post("picture.check", picture=studio.send(png_bytes(rolled)), camera=wire(view()))
+    assert found["shift"] == [-3, 2]
+    seen = fetch(studio, found["mask"]) > 127
+    assert (seen & mask).sum() > 0.9 * mask.sum() and (seen & ~mask).mean() < 0.03
+    wide = studio.http.post(
+        "/api/do/picture.check",
+        json={"picture": studio.send(png_bytes(image[:60, ::-1])), "camera": wire(view())},
+    )
+    assert wide.json()["error"]["hint"] == "resize without cropping"
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_part_of_a_view_is_put_where_it_was_cut_out(studio: Live, scale: int) -> None:
+    image, mask = painted(shot(192))
+    part = image[31:140, 20:171]
+    file = io.BytesIO()
+    cut = Image.fromarray((part * 255).astype(np.uint8))
+    cut.resize((scale * cut.width, scale * cut.height), Image.Resampling.BICUBIC).save(file, "PNG")
+    found = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view(192)))
+    assert found["notes"][-1] == "a part of its view: 151x109 at 20, 31; the rest is as it was"
+    back = fetch(studio, found["picture"]) / 255
+    assert back.shape == (192, 192, 3) and np.abs(back - image).mean() < 0.01
+    seen = fetch(studio, found["mask"]) > 127
+    assert (seen & mask).sum() > 0.95 * mask.sum() and not seen[:25].any() and not seen[:, 177:].any()
+    lost = studio.http.post("/api/do/picture.check", json={"picture": studio.send(file.getvalue())})
+    assert "like no exported view" in lost.json()["error"]["message"]
+    for angle in (90, 0):
+        studio.post("view.export", camera=wire(view(192, angle)), name=f"from {angle}")
+    known = studio.post("picture.check", picture=studio.send(file.getvalue()))
+    assert known["found"] == "export" and known["notes"] == found["notes"]
+    assert np.allclose(known["camera"]["world_to_camera"], view(192).world_to_camera)
+
+
+def test_parts_are_found_where_much_was_painted_over_and_not_where_nothing_agrees() -> None:
+    rng = np.random.default_rng(5)
+    whole = shot(400)
+    cut = whole[87:287, 61:361].copy()
+    cut[50:120, 90:160] = rng.uniform(size=(70, 70, 3))  # what was painted, busier than all the rest
+    cut[120:, 90:180] = 0.5
+    crop = crops.find_crop(cut, whole)
+    assert crop is not None and (crop.x, crop.y, crop.width, crop.height) == (61, 87, 300, 200)
+    assert np.array_equal(whole[crop.window].shape, cut.shape)
+    noisy = np.clip(whole[13:213, 61:361] + rng.normal(0, 0.01, (200, 300, 3)), 0, 1)
+    crop = crops.find_crop(noisy, whole)
+    assert crop is not None and (crop.x, crop.y) == (61, 13) and 0 < crop.error < 0.02
+    assert crops.find_crop(rng.uniform(size=(200, 300, 3)), whole) is None
+    assert crops.find_crop(whole[:30, :30], whole) is None  # bare background
+    assert crops.find_crop(shot(400, 180)[87:287, 61:361], whole) is None
+    assert crops.find_crop(np.zeros((500, 300, 3)), whole) is None  # larger than the view
+    assert crops.error_at(whole, whole) == 0
+
+
+def test_a_part_of_the_views_own_shape_is_no_smaller_copy(studio: Live) -> None:
+    image = shot(192)
+    found = studio.post("picture.check", picture=studio.send(png_bytes(image[40:136, 60:156])), camera=wire(view(192)))
+    assert found["notes"] == ["a part of its view: 96x96 at 60, 40; the rest is as it was"]
+    assert found["share"] < 0.01
+    small = Image.fromarray((image * 255).astype(np.uint8)).resize((96, 96), Image.Resampling.LANCZOS)
+    file = io.BytesIO()
+    small.save(file, "PNG")
+    found = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view(192)))
+    assert found["notes"] == ["resampled from 96x96 to its camera's 192x192"]
+
+
+def test_side_effects_outside_the_edit_are_shown(studio: Live) -> None:
+    image, mask = painted(shot())
+    drifted = image.copy()
+    drifted[:, :48] = np.where(mask[:, :48, None], image[:, :48], image[:, :48] + 3 / 255)
+    found = studio.post("picture.check", picture=studio.send(png_bytes(drifted)), camera=wire(view()))
+    assert "outside the edit" in found["warnings"][0]["message"]
+    red = fetch(studio, found["warnings"][0]["picture"])
+    assert red.shape == (96, 96, 4) and red[10, 10, 3] > 0 and red[10, 90, 3] == 0
+
+
+def test_the_threshold_moves_the_mask(studio: Live) -> None:
+    image = shot()
+    image[20:40, 20:40] = np.clip(image[20:40, 20:40] + 0.1, 0, 1)
+    picture = studio.send(png_bytes(image))
+    shares = [
+        studio.post("picture.check", picture=picture, camera=wire(view()), threshold=t)["share"] for t in (0.01, 0.2)
+    ]
+    assert shares[0] > 0.03 and shares[1] == 0
+
+
+def test_a_picture_of_another_asset_is_warned_of(studio: Live) -> None:
+    from dataclasses import replace
+
+    image, _ = painted(shot())
+    other = replace(view(), asset_sha256="0" * 64)
+    found = studio.post("picture.check", picture=studio.send(png_bytes(image, other)))
+    assert "another asset" in found["warnings"][0]["message"]
+
+
+@pytest.mark.parametrize(("right", "down"), [(0, 0), (1, 0), (-2, 3), (3, -3)])
+def test_whole_pixel_moves_are_measured(right: int, down: int) -> None:
+    image, _ = painted(shot())
+    assert pictures.shift_of(np.roll(image, (down, right), (0, 1)), shot()) == (right, down)
+    back = pictures.moved_back(np.roll(image, (down, right), (0, 1)), shot(), right, down)
+    assert np.array_equal(back[8:-8, 8:-8], image[8:-8, 8:-8])
+
+
+def test_a_regraded_or_foreign_picture_is_not_taken_for_a_moved_one() -> None:
+    assert pictures.shift_of(shot() ** 2, shot()) == (0, 0)
+    assert pictures.shift_of(np.random.default_rng(0).uniform(size=(96, 96, 3)), shot()) == (0, 0)
+
+
+def test_saved_pictures_are_offered_once_and_whole(studio: Live, tmp_path: Path) -> None:
+    shared, own = tmp_path / "shared", studio.studio
+    studio.post("view.export", camera=wire(view()), name="export", to="folder")
+    assert saved_picture(own, "export.png") is None  # the studio's own writing
+    data = png_bytes(painted(shot())[0], view())
+    (shared / "export.png").write_bytes(data[: len(data) // 2])
+    with pytest.raises(ValueError, match="export.png: damaged picture"):
+        saved_picture(own, "export.png")  # half a file
+    (shared / "export.png").write_bytes(data)
+    blob = saved_picture(own, "export.png")
+    assert blob is not None and blob.path.read_bytes() == data
+    assert saved_picture(own, "export.png") is None  # offered before
+    (shared / "page.png").write_bytes(b"<html>")
+    (shared / "rows.splat").write_bytes(b"\1" * 32)
+    for name in ("rows.splat", "../own.splatproj"):
+        assert saved_picture(own, name) is None
+    with pytest.raises(ValueError, match="page.png: expected a picture"):
+        saved_picture(own, "page.png")
+    with pytest.raises(FileNotFoundError):
+        saved_picture(own, "missing.png")
+
+
+def test_the_folder_is_watched(studio: Live, tmp_path: Path) -> None:
+    data = png_bytes(painted(shot())[0], view())
+    with studio.greeted() as browser:
+        event = None
+        for attempt in range(40):  # the watch may begin after the file was written
+            (tmp_path / "shared" / f"saved{attempt}.png").write_bytes(data + bytes([attempt]))
+            time.sleep(0.4)
+            browser.do("conflicts")
+            event = next((e for e in browser.events if e["event"] == "picture"), None)
+            if event:
+                break
+        assert event is not None and event["name"].startswith("saved")
+        found = browser.do("picture.check", picture=event["picture"], name=event["name"])
+        assert found["found"] == "chunk" and json.dumps(found["camera"])

@@ -1,0 +1,64 @@
+"""The protocol is defined once: TypeScript is generated from it, every command is carried out and described."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from splatpainter.server import schema
+from splatpainter.server.actions import load
+from splatpainter.server.messages import COMMANDS, EVENTS, Answer
+from splatpainter.server.messages.connection import Cancel, Hello, Sync
+from splatpainter.server.messages.looks import Look
+from splatpainter.server.messages.painting import PaintDab
+
+WEB = Path(__file__).resolve().parents[2] / "web" / "src" / "messages.ts"
+
+
+def test_the_committed_typescript_is_what_the_messages_say() -> None:
+    if not WEB.exists():
+        pytest.skip("no front end beside the package")
+    assert WEB.read_text(encoding="utf-8") == schema.typescript(), "run python -m splatpainter.server.schema FILE"
+
+
+def test_every_command_is_carried_out_by_something() -> None:
+    handled = {*load(), Hello, Sync, Cancel}
+    assert {kind.__name__ for kind in COMMANDS.values()} == {kind.__name__ for kind in handled}
+
+
+def test_what_the_generator_makes_of_each_kind_of_field() -> None:
+    text = schema.typescript()
+    for line in (
+        "export interface PaintDab {",
+        "  rgba: string;",
+        '  kind?: "paint" | "clone" | "erase";',  # has a default: a client may leave it out
+        "  curve?: ([number, number])[];",
+        "  hues?: HueBand[];",
+        "  world_to_camera: number[][];",
+        "  parameters: Record<string, unknown>;",
+        "  next_view: Camera | null;",
+        "export interface LayerMade extends Answer {",
+        '  event: "state";',  # a default of what is received is always there
+        '  "paint.dab": [PaintDab, Previewed];',
+        "export type Event = StateEvent | ToastEvent | PictureEvent;",
+        f'export const SCHEMA_HASH = "{schema.schema_hash()}";',
+    ):
+        assert line in text, line
+
+
+def test_the_hash_changes_with_a_command_and_with_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = schema.schema_hash()
+    monkeypatch.setitem(schema.FRAME, "FRAME_FORMAT", 2)
+    changed = schema.schema_hash()
+    monkeypatch.undo()
+    monkeypatch.setitem(COMMANDS, "again", COMMANDS["undo"])
+    assert len({before, changed, schema.schema_hash()}) == 3
+
+
+def test_fields_are_described_and_strict() -> None:
+    described = [name for name, field in Look.model_fields.items() if field.description]
+    assert "exposure" in described and "strength" not in described
+    assert PaintDab.model_fields["rgba"].description
+    for kind in (*COMMANDS.values(), *EVENTS, Answer):
+        assert kind.model_config.get("extra") == "forbid"

@@ -1,0 +1,440 @@
+"""Clients over the socket are sent what the session shows: in order, all of them, also after a break."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from splatbench import studio_client
+from splatbench.studio_client import Browser, after
+
+from splatpainter.io import write
+from splatpainter.server import visitors
+from splatpainter.server.actions import HANDLERS, Call, Handler
+from splatpainter.server.hub import WAITING, Client, Hub
+from splatpainter.server.messages import Answer
+from splatpainter.server.messages.files import Receipt
+from splatpainter.server.messages.layers import Conflicts, Redo
+from splatpainter.server.socket import AHEAD
+from splatpainter.session import project
+from splatpainter.splats import rows_sha256
+from tests.support.studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
+
+RED, BLUE = (230, 20, 20, 255), (20, 20, 230, 255)
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Live]:
+    with live(make_studio(tmp_path)) as own:
+        yield own
+
+
+def test_a_stroke_is_previewed_committed_and_undone_bit_for_bit(studio: Live) -> None:
+    session = studio.studio.session
+    before = rows_sha256(session.splats)
+    with studio.greeted() as browser:
+        assert browser.mirror.agrees(session.splats)
+        started = browser.do("paint.begin", camera=wire(view()))
+        place = {"x": 36, "y": 36, "width": 24, "height": 24}
+        seen = browser.do("paint.dab", stroke=started["stroke"], rgba=dab(24, RED), **place)
+        assert seen["rows"] > 0 and browser.order == ["frame", "answer"] and browser.mirror.previews == 1
+        assert rows_sha256(session.splats) == before and not browser.mirror.agrees(session.splats)
+        made = browser.do("paint.end", stroke=started["stroke"], name="red square")
+        assert browser.order[-1] == "answer" and browser.order.count("frame") >= 1
+        assert made["version"] == session.version == browser.mirror.version == 2
+        assert made["python"].startswith("session.add('paint', [sp.Edit(picture, camera, mask)], name='red square'")
+        assert made["layer"]["rows_touched"] > 0 and browser.mirror.agrees(session.splats)
+        score = made["layer"]["views"][0]
+        assert score["psnr_after"] > score["psnr_before"] + 5
+        browser.do("undo")
+        assert browser.mirror.agrees(session.splats) and rows_sha256(session.splats) == before
+        browser.do("redo")
+        assert browser.mirror.agrees(session.splats) and len(session.splats) == browser.mirror.total
+
+
+def test_a_cancelled_stroke_leaves_no_trace_on_the_screen(studio: Live) -> None:
+    with studio.greeted() as browser:
+        started = browser.do("paint.begin", camera=wire(view()))
+        rectangle = {"x": 30, "y": 30, "width": 20, "height": 20}
+        for color in (RED, BLUE):
+            browser.do("paint.dab", stroke=started["stroke"], rgba=dab(20, color), **rectangle)
+        assert not browser.mirror.agrees(studio.studio.session.splats)
+        browser.do("paint.cancel", stroke=started["stroke"])
+        assert browser.mirror.agrees(studio.studio.session.splats)
+        assert "no such stroke" in browser.ask("paint.end", stroke=started["stroke"])["error"]["message"]
+
+
+def test_two_windows_see_the_same(studio: Live) -> None:
+    with studio.greeted() as one, studio.greeted() as two:
+        made = one.stroke(view(), (30, 30), 20, RED)
+        two.do("layer.set", layer=made["layer"]["id"], opacity=0.5)
+        one.do("look.commit", look={"exposure": 0.5}, name="brighter")
+        for browser in (one, two):
+            browser.do("receipt")  # an answer comes after all rows
+            assert browser.mirror.agrees(studio.studio.session.splats)
+            state = browser.state
+            assert [layer["name"] for layer in state["layers"]] == ["Stroke", "brighter"]
+            assert state["layers"][0]["opacity"] == 0.5 and state["clients"] == 2
+            assert state["version"] == studio.studio.session.version == browser.mirror.version
+
+
+def test_of_the_long_lists_only_what_is_new_is_told(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(project, "STEPS", 6)  # so that old steps go
+
+    def told(browser: Browser) -> dict[str, Any]:
+        browser.do("receipt")
+        state = studio.http.get("/api/state").json()
+        assert browser.state == state
+        return state
+
+    with studio.greeted() as one, studio.greeted() as two:
+        marks = [one.do("bookmark.add", name=f"{k}", camera=wire(view(48)))["bookmark"] for k in range(3)]
+        assert [mark["name"] for mark in told(two)["bookmarks"]] == ["0", "1", "2"]
+        for k in range(8):
+            one.do("look.commit", look={"exposure": 0.1 * (k + 1)}, name=f"look {k}")
+            assert told(two)["history"][-1]["label"] == f"add look {k}"
+        assert len(told(two)["history"]) == 7  # the start of the history and six steps to undo
+        two.do("undo")
+        two.do("undo")
+        told(one)
+        two.do("look.commit", look={"exposure": 0.3}, name="another")  # in place of what was undone
+        assert [step["label"] for step in told(one)["history"][-2:]] == ["add look 5", "add another"]
+        one.do("bookmark.delete", bookmark=marks[1]["id"])
+        assert [mark["name"] for mark in told(two)["bookmarks"]] == ["0", "2"]
+        news: list[dict[str, Any]] = []
+        monkeypatch.setattr(studio_client, "after", lambda state, event: news.append(event) or after(state, event))
+        one.do("layer.set", layer=one.state["layers"][0]["id"], opacity=0.5)
+        two.do("receipt")
+    assert [len(event["history"]["steps"]) for event in news if event["history"]] == [1, 1]
+    assert all(event["bookmarks"] is None for event in news)
+
+
+def test_after_a_break_only_what_is_missing_comes(studio: Live) -> None:
+    mirror = Mirror()
+    with studio.greeted(mirror) as browser:
+        browser.stroke(view(), (30, 30), 16, RED)
+    with studio.greeted() as other:
+        other.stroke(view(96, 120), (40, 40), 16, BLUE)
+    known = mirror.version
+    with studio.browser(mirror) as back:
+        back.hello()
+        assert back.order == ["frame", "answer"] and mirror.version == known + 1
+        assert mirror.agrees(studio.studio.session.splats)
+        mirror.version, mirror.columns = -1, {}
+        back.do("sync", since=None)
+        assert back.order == ["frame", "answer"] and mirror.agrees(studio.studio.session.splats)
+
+
+def test_what_a_client_asked_for_before_it_went_is_done(studio: Live) -> None:
+    with studio.greeted() as browser:
+        started = browser.do("paint.begin", camera=wire(view()))["stroke"]
+        browser.send("paint.dab", stroke=started, x=30, y=30, width=20, height=20, rgba=dab(20, RED))
+        browser.send("paint.end", stroke=started)
+    deadline = time.monotonic() + 20
+    while not studio.studio.session.layers and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert [layer.name for layer in studio.studio.session.layers] == ["Stroke"]
+
+
+@pytest.fixture
+def page() -> str:
+    return "0123456789abcdef" * 2
+
+
+def again(browser: Any, number: int, name: str, /, **fields: Any) -> dict[str, Any]:
+    """The answer of a command under a given number."""
+    browser.number = number - 1
+    return browser.ask(name, **fields)
+
+
+def test_a_command_that_is_sent_again_after_a_break_is_done_once(studio: Live, page: str) -> None:
+    session, mirror = studio.studio.session, Mirror()
+    fields = {"look": {"exposure": 0.5}, "name": "brighter"}
+    with studio.browser(mirror) as browser:
+        assert not browser.hello(page)["known"]
+        browser.number = 10
+        made = browser.do("look.commit", **fields)
+        refused = browser.ask("layer.delete", layer="99")
+    with studio.browser(mirror) as back:
+        assert back.hello(page)["known"]
+        assert again(back, made["re"], "look.commit", **fields) == made
+        assert again(back, refused["re"], "layer.delete", layer="99") == refused
+        assert len(session.layers) == 1 and len(session.history) == 2
+        back.do("look.commit", **fields)  # a number of its own: another layer
+        assert len(session.layers) == 2 and mirror.agrees(session.splats)
+    with studio.browser() as other:
+        assert not other.hello("f" * 32)["known"]
+        again(other, made["re"], "undo")  # another page's numbers are its own
+        assert len(session.layers) == 1
+    with studio.browser() as nameless:
+        assert not nameless.hello()["known"]
+        assert "page" in nameless.ask("hello", schema_hash="", page="../../etc")["error"]["message"]
+
+
+def test_a_command_that_is_still_in_work_is_waited_for(
+    studio: Live, page: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    release, begun, count = threading.Event(), threading.Event(), []
+
+    def slow(call: Call, command: Any) -> Answer:
+        count.append(1)
+        begun.set()
+        while not release.wait(0.02):
+            call.ticket.report(0.5, "working")
+        return Answer(python="slow()")
+
+    monkeypatch.setitem(HANDLERS, Redo, Handler(slow, writes=True, aside=False))
+    with studio.browser() as browser:
+        browser.hello(page)
+        browser.number = 20
+        numbers = [browser.send("redo"), browser.send("look.commit", look={"exposure": 1})]
+        assert begun.wait(20)
+    with studio.browser() as back:  # while the first works, and the second waits
+        back.hello(page)
+        back.number = 20
+        assert [back.send("redo"), back.send("look.commit", look={"exposure": 1})] == numbers
+        while "progress" not in back.order:
+            back.receive()
+        release.set()
+        assert back.answer(numbers[0])["python"] == "slow()"
+        assert back.answer(numbers[1])["ok"]
+        assert len(count) == 1 and len(studio.studio.session.layers) == 1
+    with studio.browser() as back:
+        release.clear()
+        back.hello(page)
+        back.number = 30
+        number = back.send("redo")
+        while "progress" not in back.order:
+            back.receive()
+    with studio.browser() as back:
+        back.hello(page)
+        back.number = 40
+        assert back.do("cancel", of=number)["ok"]  # of the connection before
+        assert again(back, number, "redo")["error"]["kind"] == "cancelled" and len(count) == 2
+
+
+def test_a_stroke_goes_on_after_a_break(studio: Live, page: str) -> None:
+    mirror, session = Mirror(), studio.studio.session
+    with studio.browser(mirror) as browser:
+        browser.hello(page)
+        stroke = browser.do("paint.begin", camera=wire(view()))["stroke"]
+        browser.do("paint.dab", stroke=stroke, x=30, y=30, width=12, height=12, rgba=dab(12, RED))
+        number = browser.number
+    with studio.browser(mirror) as back:
+        back.hello(page)
+        back.number = number
+        back.do("paint.dab", stroke=stroke, x=42, y=30, width=12, height=12, rgba=dab(12, RED))
+        assert not mirror.agrees(session.splats)
+        back.do("paint.cancel", stroke=stroke)
+        assert mirror.agrees(session.splats)  # also what was previewed before the break
+
+
+def test_pages_that_do_not_come_back_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(visitors, "GRACE", 0.05)
+    monkeypatch.setattr(visitors, "MOST", 3)
+
+    async def run() -> None:
+        known, hub = visitors.Visitors(), cast(Hub, None)
+        clients = [Client(hub, cast(Any, None)) for _ in range(6)]
+        for k, client in enumerate(clients):
+            assert not known.enter(client, f"{k:032x}")
+        known.enter(Client(hub, cast(Any, None)), None)
+        assert len(known) == 6
+        for client in clients[:5]:
+            known.leave(client)
+        assert len(known) == 4  # one is here, three are waited for
+        back = Client(hub, cast(Any, None))
+        assert known.enter(back, f"{4:032x}") and back.visitor is clients[4].visitor
+        known.leave(clients[4])  # heard late: it is back already
+        await asyncio.sleep(0.2)
+        assert len(known) == 2
+        done = []
+
+        async def work() -> Answer:
+            done.append(1)
+            return Answer()
+
+        for number in range(visitors.REMEMBERED + 5):
+            await back.visitor.once(number, work)
+        await back.visitor.once(visitors.REMEMBERED, work)
+        assert len(done) == visitors.REMEMBERED + 5 and len(back.visitor._outcomes) == visitors.REMEMBERED
+
+    asyncio.run(run())
+
+
+def test_the_first_message_is_hello_of_the_same_schema(studio: Live) -> None:
+    with studio.browser() as browser:
+        assert "hello" in browser.ask("undo")["error"]["message"]
+        refused = browser.ask("hello", schema_hash="0" * 16)
+        assert refused["error"]["kind"] == "schema" and refused["error"]["hint"] == "Reload the page."
+        assert "hello" in browser.ask("undo")["error"]["message"] and browser.order == ["answer"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("no json", "expected JSON"),
+        ("[" * 100_000, "expected JSON"),
+        ('{"do": "undo"}', "expected {"),
+        ('{"id": 7, "do": "delete everything"}', "unknown command"),
+        ('{"id": 7, "do": "jump"}', "jump: cursor: Field required"),
+        ('{"id": 7, "do": "jump", "cursor": -1}', "greater than or equal to 0"),
+        ('{"id": 7, "do": "undo", "twice": true}', "twice: Extra inputs are not permitted"),
+        ('{"id": 7, "do": "look.commit", "look": {"exposure": NaN}}', "finite number"),
+        ('{"id": 7, "do": "jump", "cursor": 99}', "history: expected a place of 0 to 0"),
+        ('{"id": 7, "do": "layer.delete", "layer": "9"}', "layer: expected one of none, got '9'"),
+    ],
+)
+def test_wrong_messages_are_told_why(studio: Live, text: str, said: str) -> None:
+    with studio.greeted() as browser:
+        browser.socket.send(text)
+        while (data := browser.receive()) is None or "re" not in data or "progress" in data:
+            pass
+        error = data["error"]
+        assert error["kind"] == "input" and said in error["message"] + error["hint"]
+        assert browser.do("undo")["ok"]  # and the connection goes on
+
+
+def test_long_looks_do_not_hold_up_the_next_commands_and_can_be_cancelled(
+    studio: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def endless(call: Call, command: Any) -> Answer:
+        while True:
+            call.ticket.report(0.25, "thinking")
+            time.sleep(0.01)
+
+    monkeypatch.setitem(HANDLERS, Receipt, Handler(endless, writes=False, aside=True))
+    with studio.greeted() as browser:
+        number = browser.send("receipt")
+        while "progress" not in browser.order:
+            browser.receive()
+        browser.do("bookmark.add", name="front", camera=wire(view()))
+        assert browser.do("cancel", of=number)["ok"]
+        data = browser.answer(number)
+        assert data["error"]["kind"] == "cancelled"
+
+
+def test_answers_come_in_order_and_too_many_commands_are_refused(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    release = threading.Event()
+
+    def slow(call: Call, command: Any) -> Answer:
+        release.wait(20)
+        return Answer()
+
+    monkeypatch.setitem(HANDLERS, Conflicts, Handler(slow, writes=False, aside=False))
+    with studio.greeted() as browser:
+        numbers = [browser.send("conflicts"), *(browser.send("undo") for _ in range(AHEAD + 20))]
+        refused = [browser.answer(number) for number in numbers[-15:]]  # while the first is still in work
+        assert {data["error"]["kind"] for data in refused} == {"busy"}
+        release.set()
+        done = []
+        while len(done) < AHEAD:
+            data = browser.receive()
+            if data is not None and data.get("ok"):
+                done.append(data["re"])
+        assert done == numbers[: len(done)]
+
+
+def test_others_are_served_while_the_writer_works(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    release = threading.Event()
+
+    def slow(call: Call, command: Any) -> Answer:
+        release.wait(20)
+        return Answer()
+
+    monkeypatch.setitem(HANDLERS, Redo, Handler(slow, writes=True, aside=False))
+    with studio.greeted() as busy, studio.greeted() as other:
+        number = busy.send("redo")
+        other.do("pick", camera=wire(view()), x=48.0, y=48.0)
+        other.do("paint.begin", camera=wire(view()))
+        assert studio.http.get("/api/state").status_code == 200
+        release.set()
+        assert busy.answer(number)["ok"]
+
+
+def test_a_fault_of_ours_is_an_answer_and_changes_nothing(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(call: Call, command: Any) -> Answer:
+        raise KeyError("oh")
+
+    monkeypatch.setitem(HANDLERS, Redo, Handler(broken, writes=True, aside=False))
+    with studio.greeted() as browser:
+        error = browser.ask("redo")["error"]
+        assert error["kind"] == "fault" and "KeyError" in error["message"]
+        browser.stroke(view(), (30, 30), 16, RED)
+        assert browser.mirror.agrees(studio.studio.session.splats)
+
+
+def test_another_asset_replaces_the_session_for_everybody(studio: Live, tmp_path: Path) -> None:
+    write(tmp_path / "other.ply", ball(200, seed=3))
+    with studio.greeted() as one, studio.greeted() as two:
+        one.stroke(view(), (30, 30), 16, RED)
+        old = studio.studio.session
+        sent = studio.http.post("/api/blobs?name=other.ply", content=(tmp_path / "other.ply").read_bytes()).json()
+        assert (sent["kind"], sent["rows"]) == ("asset", 200)
+        one.do("asset.open", blob=sent["blob"])
+        session = studio.studio.session
+        assert session is not old and len(session.splats) == 200
+        for browser in (one, two):
+            browser.do("project.recent")
+            assert browser.mirror.agrees(session.splats)
+            assert browser.state["asset"]["name"] == "other.ply"
+            assert browser.state["session"] == studio.studio.session_id
+        toasts = [[e["message"] for e in browser.events if e["event"] == "toast"] for browser in (one, two)]
+        assert toasts == [[], ["Another window opened other.ply."]]
+        broken = studio.http.post("/api/blobs?name=bad.ply", content=b"ply\nformat ascii 1.0\nend_header\n").json()
+        assert not one.ask("asset.open", blob=broken.get("blob", "0" * 64))["ok"]
+        assert studio.studio.session is session
+
+
+def test_looks_are_previewed_on_every_row_and_taken_back(studio: Live) -> None:
+    session = studio.studio.session
+    with studio.greeted() as browser:
+        for exposure in (0.5, 1.0):
+            assert browser.do("look.preview", look={"exposure": exposure})["rows"] == len(session.splats)
+        assert not browser.mirror.agrees(session.splats)
+        browser.do("look.preview", look={"exposure": 0.0})
+        assert browser.mirror.agrees(session.splats)
+        browser.do("look.preview", look={"saturation": -1})
+        shown, previewed = browser.mirror.columns["sh"], browser.received
+        browser.do("look.commit", look={"saturation": -1})
+        assert browser.mirror.agrees(session.splats) and np.abs(shown - session.splats.sh).max() < 4e-3
+        assert 2.5 * previewed < browser.received < 60 * len(session.splats)  # tints; colours alone as floats
+        layer = session.layers[0]
+        browser.do("layer.set", layer=layer.id, parameters={"saturation": -1, "strength": 0})
+        assert browser.mirror.agrees(session.splats)
+        assert rows_sha256(session.splats) == rows_sha256(session.original)
+        assert "expected" in browser.ask("layer.set", layer=layer.id, parameters={"glow": 1})["error"]["message"]
+
+
+def test_whoever_does_not_read_gets_no_more_work_done(studio: Live) -> None:
+    class Stuck:
+        def __init__(self) -> None:
+            self.go = asyncio.Event()
+
+        async def send_text(self, data: str) -> None:
+            await self.go.wait()
+
+        async def send_bytes(self, data: bytes) -> None:
+            await self.go.wait()
+
+    async def run() -> None:
+        socket = Stuck()
+        client = Client(Hub(studio.studio), socket)
+        sender = asyncio.create_task(client.send_all())
+        for number in range(WAITING + 1):
+            client.say(Answer(re=number))
+            await asyncio.sleep(0)
+        waiting = asyncio.create_task(client.room())
+        await asyncio.sleep(0.05)
+        assert not waiting.done()
+        socket.go.set()
+        await asyncio.wait_for(waiting, 5)
+        sender.cancel()
+
+    asyncio.run(run())

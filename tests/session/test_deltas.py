@@ -1,0 +1,142 @@
+"""Sparse deltas: what goes in comes out, damage is noticed, and a viewer that follows them has the asset."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import zstandard
+
+from splatpainter.receipts import changed_rows
+from splatpainter.session.changes import REMEMBERED, AssetDelta, Changes
+from splatpainter.session.deltas import PART, between, decode, encode, no_delta
+from splatpainter.splats import Splats
+from tests.support.lift_scenes import same_bits
+from tests.support.session_scenes import asset
+
+
+def edited(splats: Splats, seed: int) -> Splats:
+    rng = np.random.default_rng(seed)
+    rows = rng.choice(len(splats), 5, replace=False)
+    sh, means = splats.sh.copy(), splats.means.copy()
+    sh[rows] = rng.normal(size=sh[rows].shape)
+    means[rows[:2]] += 1
+    result = replace(splats, sh=sh, means=means)
+    return result.append(result.take(rng.choice(len(splats), int(rng.integers(0, 4)))))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("seed", range(3))
+def test_round_trip(degree, seed):
+    before = asset(6, degree)
+    before.means[2] = np.nan  # equals itself
+    after = edited(before, seed)
+    parents = np.arange(len(after) - len(before)) - 1
+    delta = between(before, after, parents)
+    again = decode(encode(delta))
+    assert same_bits(again.apply(before), after) and same_bits(delta.apply(before), after)
+    np.testing.assert_array_equal(again.parents, parents)
+    np.testing.assert_array_equal(again.rows, delta.rows)
+
+
+def test_minus_zero_and_nan_payloads_survive():
+    before = asset(3)
+    after = replace(before, sh=before.sh.copy())
+    after.sh[1, 0] = np.array([-0.0, 0.0, 1], np.float32)
+    before = replace(before, sh=before.sh.copy())
+    before.sh[1, 0] = np.array([0.0, 0.0, 1], np.float32)
+    odd = np.array([0x7FC00123], np.uint32).view(np.float32)
+    after.sh[2, 1, 0] = odd[0]
+    assert same_bits(decode(encode(between(before, after))).apply(before), after)
+
+
+def test_what_did_not_change_is_shared():
+    before = asset()
+    after = replace(before, sh=before.sh + 1)
+    result = between(before, after).apply(before)
+    assert result.means is before.means and result.sh is not before.sh
+    assert no_delta(before).apply(before) is before
+
+
+def test_children_carry_the_origin_of_their_parents():
+    before = replace(asset(4), origin=np.arange(16))
+    after = before.append(before.take(np.array([5, 9])))
+    once = between(before, after, np.array([5, 9])).apply(before)
+    assert once.origin is not None and once.origin[16:].tolist() == [5, 9]
+    twice = between(once, once.append(once.take(np.array([16]))), np.array([17])).apply(once)
+    assert twice.origin is not None and twice.origin[18:].tolist() == [9]
+
+
+def test_large_deltas_travel_in_bounded_parts():
+    before = asset(90, 3)
+    delta = between(before, replace(before, sh=before.sh + 1))
+    parts = list(encode(delta))
+    assert len(parts) > 4
+    unpack = zstandard.ZstdDecompressor()
+    assert max(len(unpack.decompress(part)) for part in parts) <= PART
+    assert same_bits(decode(iter(parts)).apply(before), replace(before, sh=before.sh + 1))
+
+
+def test_damage_is_one_line():
+    before = asset(5)
+    parts = list(encode(between(before, edited(before, 1))))
+    flipped = parts[-1][:-3] + bytes([parts[-1][-3] ^ 1]) + parts[-1][-2:]
+    head = zstandard.compress(b'{"version": 1, "count": 1000000000000, "rows": 5, "appended": 0, "coefficients": 4}')
+    wrong_rows = zstandard.compress(np.array([30, -4, 1, 1, 1], "<i8").tobytes())
+    bomb = zstandard.compress(bytes(64 * PART))
+    cases = [
+        parts[:-1],
+        [bomb],
+        [parts[0], bomb],
+        [*parts, parts[-1]],
+        [*parts[:-1], flipped],
+        [head, *parts[1:]],
+        [b"x"],
+        [],
+    ]
+    cases.append([parts[0], wrong_rows, *parts[2:]])
+    for case in cases:
+        with pytest.raises(ValueError, match=r"^here: damaged \(.*\)$"):
+            decode(case, "here")
+
+
+def followed(known: Splats, delta: AssetDelta) -> Splats:
+    """What a viewer makes of it."""
+    arrays = {}
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        kept = getattr(known, name)[: delta.kept].copy()
+        kept[delta.rows] = getattr(delta.values, name)
+        arrays[name] = np.concatenate([kept, getattr(delta.appended, name)])
+    return Splats(**arrays)
+
+
+def test_viewers_of_any_version_catch_up():
+    rng = np.random.default_rng(0)
+    changes, versions = Changes(), [asset(6)]
+    for version in range(2, 40):
+        now = versions[-1]
+        after = edited(versions[int(rng.integers(0, len(versions)))], version) if rng.random() < 0.5 else edited(now, 1)
+        changes.note(version, now, after)
+        versions.append(after)
+    for since in range(1, 40):
+        delta = changes.since(since, 39, versions[-1])
+        assert delta.since == since
+        assert same_bits(followed(versions[since - 1], delta), versions[-1])
+
+
+def test_only_what_changed_travels_and_strangers_get_everything():
+    changes, now = Changes(), asset(6)
+    for version in range(2, REMEMBERED + 10):
+        after = replace(now, sh=now.sh.copy())
+        after.sh[version % 36] += 1
+        changes.note(version, now, after)
+        now = after
+    last = REMEMBERED + 9
+    near = changes.since(last - 3, last, now)
+    assert near.since == last - 3 and len(near.rows) == 3 and len(near.appended) == 0 and near.kept == 36
+    assert len(changes.since(last, last, now).rows) == 0
+    for unknown in (None, 1, last + 5, -4):
+        whole = changes.since(unknown, last, now)
+        assert whole.since is None and whole.kept == 0 and len(whole.appended) == 36
+    assert not len(changed_rows(now, now))

@@ -1,0 +1,29 @@
+"""kill -9 at any moment loses nothing that was acknowledged, and the file opens again."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="writers are forked, which this system cannot do")
+def test_killed_writers_lose_nothing(tmp_path: Path) -> None:
+    script = Path(__file__).parents[1] / "support" / "session_killer.py"
+    # A process of its own: forking this one, with its threads, would not be sound.
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(script.parents[2]), os.environ.get("PYTHONPATH", "")]),
+    }
+    command = [sys.executable, str(script), str(tmp_path), "105", "7"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["wrong"] is None, found
+    assert found["problems"] == []
+    assert found["kills"] >= 100 and found["acknowledged"] >= 100, found
+    assert found["files"] == ["killed.splatproj"]

@@ -1,0 +1,117 @@
+"""Sessions over a painter with networks: the same rows and fast weights as painting straight, after any detour."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from splatpainter.painter import Asset, Edit, Painter
+from splatpainter.session import Session
+from tests.support.lift_scenes import same_bits
+from tests.support.painter_scenes import BLUE, COPY, GREEN, LIFT, OWN, RED, built, dab, thing
+
+SPLATS = thing()
+
+
+def eight_bits(edit: Edit) -> Edit:
+    """As a layer keeps it."""
+    return replace(edit, image=np.floor(np.clip(np.nan_to_num(edit.image), 0, 1) * 255 + 0.5).astype(np.uint8))
+
+
+EDITS = [eight_bits(dab(SPLATS, RED, 26)), eight_bits(dab(SPLATS, BLUE, 38)), eight_bits(dab(SPLATS, GREEN, 32, 38))]
+
+
+def straight(painter: Painter, edits: list[Edit]) -> Asset:
+    asset = painter.encode(replace(SPLATS, origin=np.arange(len(SPLATS))))
+    for edit in edits:
+        asset = painter.apply(asset, [edit])
+    return asset
+
+
+def same_state(state: Any, asset: Asset) -> bool:
+    assert asset.learnt is not None and asset.learnt.state is not None
+    one, two = (
+        [weight for memory in (*own.blocks, own.detail or ()) for weight in memory]
+        for own in (state, asset.learnt.state)
+    )
+    return len(one) == len(two) and all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
+
+
+@pytest.mark.parametrize("config", [OWN, LIFT], ids=["own", "lift"])
+def test_layers_are_the_painter_applied_again_and_again(config, tmp_path: Path):
+    painter, path = Painter(model=built(config, awake=0.02)), tmp_path / "a.splatproj"
+    with Session(SPLATS, path, painter=painter) as session:
+        for edit in EDITS[:2]:
+            layer = session.add("paint", [edit])
+        expected = straight(painter, EDITS[:2])
+        assert layer.method == "ttt" and session.facts(layer.id)["method"] == "ttt"
+        assert same_bits(session.splats, expected.splats)
+        assert same_state(session.shown.level.state, expected)
+    with Session.load(path, painter=painter) as session:
+        # From the stored state, which went through the file.
+        session.add("paint", [EDITS[2]])
+        expected = straight(painter, EDITS)
+        assert same_bits(session.splats, expected.splats) and same_state(session.shown.level.state, expected)
+        session.set("1", visible=False)
+        expected = straight(painter, EDITS[1:])
+        assert same_bits(session.splats, expected.splats) and same_state(session.shown.level.state, expected)
+        session.undo()
+        assert session.verify(repaint=True) == []
+
+
+def test_without_the_weights_results_stay_and_only_new_ones_are_missing(tmp_path: Path):
+    path = tmp_path / "a.splatproj"
+    with Session(SPLATS, path, painter=Painter(model=built(awake=0.02))) as session:
+        for edit in EDITS[:2]:
+            session.add("paint", [edit])
+        shown = session.splats
+    with Session.load(path, painter=Painter()) as session:
+        assert same_bits(session.splats, shown)
+        session.set("1", visible=False)
+        assert "needs a preset with trained weights" in session.facts("2")["problem"]
+        session.undo()
+        assert same_bits(session.splats, shown)
+        assert session.set("2", method="lift").method == "lift"
+        assert session.facts("2")["method"] == "lift" and "note" in session.facts("2")
+        assert "another painter" not in session.facts("2")["note"]
+
+
+def test_other_weights_are_said(tmp_path: Path):
+    path = tmp_path / "a.splatproj"
+    with Session(SPLATS, path, painter=Painter(model=built(awake=0.02))) as session:
+        for edit in EDITS[:2]:
+            session.add("paint", [edit])
+    with Session.load(path, painter=Painter(model=built(awake=0.02, seed=8))) as session:
+        assert "another painter" not in session.facts("2")["note"]
+        session.set("1", visible=False)
+        assert "computed by another painter than it was made with" in session.facts("2")["note"]
+
+
+def test_the_precision_of_layers_is_in_the_receipt_and_another_one_is_said(tmp_path: Path):
+    path, net = tmp_path / "a.splatproj", built(awake=0.02)
+    with Session(SPLATS, path, painter=Painter(model=net, precision="bfloat16")) as session:
+        session.add("paint", [EDITS[0]], method="lift")
+        assert session.receipt().precision == ""
+        session.add("paint", [EDITS[1]], method="ttt")
+        assert session.facts("2")["precision"] == "bfloat16" and "precision" not in session.facts("1")
+        assert session.receipt().precision == "bfloat16"
+        shown = session.splats
+    with Session.load(path, painter=Painter(model=net, precision="float32")) as session:
+        assert same_bits(session.splats, shown) and session.receipt().precision == "bfloat16"
+        session.set("1", visible=False)
+        assert session.facts("2")["precision"] == session.receipt().precision == "float32"
+        assert "computed by another painter than it was made with" in session.facts("2")["note"]
+        session.set("2", visible=False)
+        assert session.receipt().precision == ""
+
+
+def test_painters_that_replace_all_rows_are_refused():
+    with Session(SPLATS, painter=Painter(model=built(COPY, awake=0.02))) as session:
+        with pytest.raises(ValueError, match="representation 'copy'"):
+            session.add("paint", EDITS[:1])
+        session.add("paint", EDITS[:1], method="lift")

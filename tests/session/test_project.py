@@ -1,0 +1,441 @@
+"""The project file: what was acknowledged is in it, one writer at a time, and no file is harmed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splatpainter as sp
+from splatpainter.session import Session
+from splatpainter.session.lock import ProjectLock
+from splatpainter.session.schema import APPLICATION, VERSION
+from tests.support.lift_scenes import same_bits
+from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, FlatPainter, asset, dab, flat, print_of
+
+V1 = Path(__file__).with_name("session_v1.sql")
+V1_ROWS = "eea52c5e8cbffa235c1d457ff74fe8467a2fade2847df9f6b1e5a405e874d52c"
+"""Hash of the rows that the version 1 project showed when it was written."""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "work.splatproj"
+
+
+def load(path: Path, **how) -> Session:
+    return Session.load(path, painter=FlatPainter(), **how)  # type: ignore[arg-type]
+
+
+def filled(path: Path) -> str:
+    """A project with two layers and one undone step; the hash of what it shows."""
+    with flat(project=path) as session:
+        session.add("paint", [dab(RED)], name="red")
+        session.add("paint", [dab(BLUE, 19)], name="blue", opacity=0.5)
+        session.add("paint", [dab(GREEN)], name="green")
+        session.undo()
+        return print_of(session)
+
+
+def test_everything_is_there_again(path):
+    with flat(project=path) as session:
+        first = session.add("paint", [dab(RED)], name="red")
+        session.add("paint", [dab(BLUE, 19)], opacity=0.5, blend="lighten")
+        session.set(first.id, visible=False)
+        session.settle("1", "2", "first")
+        session.undo()
+        mark = session.add_bookmark("front", CAMERA)
+        session.add_bookmark("gone", CAMERA)
+        session.delete_bookmark("2")
+        layers, history, cursor, shown = session.layers, session.history, session.cursor, print_of(session)
+        picture = session.blob(first.views[0].picture or "")
+        small = session.blob(first.thumbnail or "")
+    assert [own.name for own in path.parent.iterdir()] == [path.name]  # one file
+    with load(path) as session:
+        assert (session.layers, session.history, session.cursor) == (layers, history, cursor)
+        assert print_of(session) == shown and session.painter.calls == []  # type: ignore[attr-defined]
+        (bookmark,) = session.bookmarks()
+        assert (bookmark.id, bookmark.name) == (mark, "front")
+        np.testing.assert_array_equal(bookmark.camera.world_to_camera, CAMERA.world_to_camera)
+        assert session.blob(first.views[0].picture or "") == picture and small[:4] == b"\x89PNG"
+        assert session.redo() and not session.redo()
+        session.jump(0)
+        assert same_bits(session.splats, asset())
+        assert session.verify() == []
+        with pytest.raises(ValueError, match="bookmark: there is none with id '9'"):
+            session.delete_bookmark("9")
+
+
+def test_a_session_without_a_project_leaves_nothing(path):
+    with flat() as session:
+        session.add("paint", [dab()])
+        assert session.path is None
+        temporary = session._project.path
+        session.save_as(path)
+        assert session.path == path and not temporary.exists()
+        session.add("paint", [dab(BLUE)])
+        shown = print_of(session)
+    with load(path) as session:
+        assert print_of(session) == shown and len(session.layers) == 2
+
+
+def test_save_as_leaves_the_old_file_as_it_is(path):
+    filled(path)
+    other = path.with_name("other.splatproj")
+    with load(path) as session:
+        session.save_copy(other)
+        with pytest.raises(ValueError, match="already exists"):
+            session.save_as(other)
+        session.save_as(other, overwrite=True)
+        session.add("paint", [dab(GREEN)])
+    with load(path) as old, load(other) as new:
+        assert len(old.layers) == 2 and len(new.layers) == 3
+        with pytest.raises(ValueError, match="open elsewhere"):
+            old.save_as(other, overwrite=True)
+    with pytest.raises(ValueError, match=r"ending in \.splatproj"):
+        flat(project=path.with_suffix(".db"))
+    with pytest.raises(ValueError, match="no such folder"):
+        flat(project=path.parent / "none" / "a.splatproj")
+    with pytest.raises(ValueError, match="is a project already"):
+        Session(path, other)
+
+
+def test_an_asset_that_cannot_be_drawn_leaves_no_file(path):
+    splats = asset(3)
+    splats.means[:] = np.nan
+    with pytest.raises(ValueError, match="^asset: none of the 9 rows can be drawn"):
+        flat(splats, path)
+    assert not list(path.parent.iterdir())
+
+
+# The original
+
+
+def test_the_original_file_is_kept_byte_for_byte(tmp_path, path):
+    ply = tmp_path / "vase.ply"
+    sp.write(ply, asset(8))
+    data = ply.read_bytes()
+    with flat(ply, path) as session:
+        session.add("paint", [dab()])
+        assert session.original.sha256 == sp.read(ply).sha256
+    ply.unlink()
+    with load(path) as session:
+        session.export(tmp_path / "again.ply")
+        session.undo()
+        session.export(tmp_path / "same.ply")
+    assert (tmp_path / "same.ply").read_bytes() == data
+    assert (tmp_path / "again.ply").read_bytes() != data
+
+
+def test_a_folder_of_planes_is_kept_too(tmp_path, path):
+    folder = tmp_path / "sog"
+    folder.mkdir()
+    sp.write(folder / "meta.json", asset(8, 0))
+    for k, source in enumerate((folder, folder / "meta.json", sp.read(folder))):
+        place = tmp_path / f"{k}.splatproj"
+        with flat(source, place) as session:
+            rows = session.splats
+        with load(place) as session:
+            assert same_bits(session.splats, rows) and session.original.source is not None
+
+
+def test_only_the_path_of_the_original(tmp_path, path):
+    ply, moved = tmp_path / "vase.ply", tmp_path / "moved.ply"
+    sp.write(ply, asset(40))
+    with flat(ply, path, embed=False) as session:
+        session.add("paint", [dab()])
+        shown = print_of(session)
+    assert path.stat().st_size < ply.stat().st_size
+    with load(path) as session:
+        assert print_of(session) == shown
+    ply.rename(moved)
+    with pytest.raises(ValueError, match=r"its original .*vase\.ply is gone; load with original=PATH if it moved"):
+        load(path)
+    with load(path, original=moved) as session:
+        assert print_of(session) == shown and session.verify() != []  # verify looks at the place it knows
+    sp.write(moved, asset(39), overwrite=True)
+    with pytest.raises(ValueError, match="the original is not the one that the project was made from"):
+        load(path, original=moved)
+    with pytest.raises(ValueError, match="embed=False needs an asset that was read from a file"):
+        flat(asset(), path, embed=False, overwrite=True)
+
+
+def test_rows_that_are_no_file_any_more_are_kept_as_rows(tmp_path, path):
+    ply = tmp_path / "vase.ply"
+    sp.write(ply, asset(6))
+    splats = sp.read(ply)
+    ply.write_bytes(b"something else")
+    with flat(splats, path) as session:
+        assert session._project.fact("format") == "rows"
+    with load(path) as session:
+        assert same_bits(session.splats, splats)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["massa.v2.spz", "playbot_lod4.glb", "massa.compressed.ply", "playbot_lod3.sog"])
+def test_real_files_come_back_byte_for_byte(shared, tmp_path, path, name):
+    source = shared / "data" / "splats" / name
+    with flat(source, path) as session:
+        session.add("look", parameters={"look": "gain", "gain": [1.2, 1, 1]})
+        session.undo()
+    with load(path) as session:
+        session.export(tmp_path / name)
+    assert (tmp_path / name).read_bytes() == source.read_bytes()
+
+
+# One writer
+
+
+def test_the_second_opener_may_look_but_not_touch(path):
+    filled(path)
+    with load(path) as writer, load(path) as reader:
+        assert writer.read_only == "" and reader.read_only.startswith("open elsewhere")
+        assert print_of(reader) == print_of(writer)
+        for attempt in (
+            lambda: reader.add("paint", [dab()]),
+            lambda: reader.set("1", name="mine"),
+            reader.undo,
+            lambda: reader.add_bookmark("b", CAMERA),
+        ):
+            with pytest.raises(ValueError, match="open elsewhere"):
+                attempt()
+        with pytest.raises(ValueError, match="open elsewhere"):
+            load(path, readonly=False)
+        writer.add("paint", [dab(GREEN)])
+        assert reader.refresh() and print_of(reader) == print_of(writer) and not reader.refresh()
+        reader.save_as(path.with_name("mine.splatproj"))
+        reader.add("paint", [dab(GREEN)])
+    with load(path) as session:
+        assert session.read_only == ""
+    assert sorted(own.name for own in path.parent.iterdir()) == ["mine.splatproj", path.name]
+
+
+def test_other_processes_are_kept_out_until_this_one_is_gone(path):
+    filled(path)
+    code = f"""
+import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from pathlib import Path
+from splatpainter.session.lock import ProjectLock
+print("free" if ProjectLock.take(Path({str(path)!r})) else "taken")
+"""
+
+    def other() -> str:
+        return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+    with load(path):
+        assert other() == "taken"
+    assert other() == "free"  # and died holding it
+    lock = ProjectLock.take(path)
+    assert lock is not None and ProjectLock.take(path) is None
+    lock.release()
+
+
+def test_reading_only_touches_nothing(path):
+    shown = filled(path)
+    before = path.read_bytes()
+    with load(path, readonly=True) as session:
+        assert print_of(session) == shown and session.read_only == "opened for reading only"
+    assert path.read_bytes() == before and len(list(path.parent.iterdir())) == 1
+
+
+# Other files
+
+
+def test_a_newer_file_is_refused_and_untouched(path):
+    filled(path)
+    database = sqlite3.connect(path)
+    database.execute(f"PRAGMA user_version={VERSION + 1}")
+    database.close()
+    before = path.read_bytes()
+    for readonly in (None, True, False):
+        with pytest.raises(
+            ValueError, match=r"was written by a newer splatpainter .*; update splatpainter to open it$"
+        ):
+            load(path, readonly=readonly)
+    assert path.read_bytes() == before and len(list(path.parent.iterdir())) == 1
+
+
+def test_files_that_are_no_projects(path):
+    with pytest.raises(ValueError, match="no such file"):
+        load(path)
+    path.write_bytes(b"ply\n" * 100)
+    with pytest.raises(ValueError, match="got another kind of file"):
+        load(path)
+    path.unlink()
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE t (a)")
+    database.close()
+    with pytest.raises(ValueError, match="database of another program"):
+        load(path)
+    assert APPLICATION == int.from_bytes(b"SPLP", "big")
+
+
+def test_damage_is_one_clear_line_and_leaves_no_lock(path):
+    filled(path)
+    whole = path.read_bytes()
+    cases = {"cut": whole[: len(whole) // 2], "head": whole[:100] + b"\xff" * 4000 + whole[4100:]}
+    for name, data in cases.items():
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match=r"damaged project file \(.*\)$") as said:
+            load(path)
+        assert "\n" not in str(said.value) and path.read_bytes() == data, name
+        assert len(list(path.parent.iterdir())) == 1
+    rng = np.random.default_rng(5)
+    for _ in range(25):  # anywhere: it opens, or says that it cannot
+        broken = bytearray(whole)
+        for at in rng.integers(100, len(whole), 40):
+            broken[at] ^= int(rng.integers(1, 256))
+        path.write_bytes(bytes(broken))
+        try:
+            load(path).close()
+        except ValueError as error:
+            assert "\n" not in str(error) and str(path) in str(error)
+        for leftover in path.parent.iterdir():
+            leftover.unlink()
+
+
+def test_verify_finds_changed_bytes(path):
+    filled(path)
+    for statement, said in (
+        ("UPDATE blobs SET bytes = x'00' WHERE rowid = 1", "picture .* is missing or wrong"),
+        ("UPDATE deltas SET bytes = x'00' WHERE part = 2", "damaged"),
+    ):
+        copy = path.with_name("copy.splatproj")
+        shutil.copy(path, copy)
+        with load(path) as session:
+            assert session.verify() == []
+        with load(copy) as session:
+            session._project._db.execute(statement)
+            found = session.verify()
+            assert len(found) >= 1 and any(said.split(" ")[0] in line for line in found)
+
+
+def test_version_1_is_brought_up(path):
+    database = sqlite3.connect(path)
+    database.executescript(V1.read_text(encoding="utf-8"))
+    database.close()
+    with pytest.raises(ValueError, match="must be opened for writing once"):
+        load(path, readonly=True)
+    with load(path) as session:
+        assert print_of(session) == V1_ROWS and session.painter.calls == []  # type: ignore[attr-defined]
+        assert [(layer.name, layer.blend, layer.opacity) for layer in session.layers] == [
+            ("red", "normal", 1.0),
+            ("blue", "color", 0.75),
+        ]
+        assert [step.label for step in session.history] == ["open", "add red", "add blue", "set opacity blue"]
+        assert session.bookmarks()[0].name == "front"
+        assert session.undo() and session.layers[1].opacity == 1
+        session.set("2", gesture="drag", opacity=0.25)
+        assert session.verify(repaint=True) == []
+    with load(path, readonly=True) as session:
+        assert session._project.rows("PRAGMA user_version") == [(VERSION,)]
+        assert session.layers[1].opacity == 0.25
+
+
+def test_a_failed_migration_leaves_version_1(path, monkeypatch):
+    from splatpainter.session import schema
+
+    database = sqlite3.connect(path)
+    database.executescript(V1.read_text(encoding="utf-8"))
+    database.execute("UPDATE layers SET content = '{' WHERE id = 2")
+    database.commit()
+    database.close()
+    with pytest.raises(ValueError):
+        load(path)
+    database = sqlite3.connect(path)
+    assert database.execute("PRAGMA user_version").fetchone() == (1,)
+    assert "gesture" not in str(database.execute("SELECT sql FROM sqlite_master WHERE name = 'steps'").fetchone())
+    database.close()
+    assert schema.VERSION == 2
+
+
+# Out of it
+
+
+def test_export_proves_what_it_wrote(tmp_path, path):
+    ply = tmp_path / "vase.ply"
+    sp.write(ply, asset(8))
+    with flat(ply, path) as session:
+        session.add("paint", [dab()])
+        for name in ("out.ply", "out.spz"):
+            receipt, found = session.export(tmp_path / name)
+            assert found.ok and receipt.asset_sha256 == sp.read(ply).sha256
+            stored = sp.Receipt.from_json((tmp_path / f"{name}.receipt.json").read_text())
+            assert stored.output_sha256 == sp.read(tmp_path / name).sha256 and stored.mode == "session"
+        assert sp.verify(
+            ply, tmp_path / "out.ply", sp.Receipt.from_json((tmp_path / "out.ply.receipt.json").read_text())
+        ).ok
+        for name, said in (
+            ("out.ply", "already exists"),
+            ("x.ksplat", "name ending in"),
+            ("none/x.ply", "no such folder"),
+        ):
+            with pytest.raises(ValueError, match=said):
+                session.export(tmp_path / name)
+        session.export(tmp_path / "out.ply", overwrite=True)
+    assert not [own for own in tmp_path.iterdir() if own.name.startswith(".")]
+
+
+def test_one_layer_travels_alone(tmp_path, path):
+    file = tmp_path / "red.splatlayer"
+    with flat() as session:
+        session.add("paint", [dab(RED)], name="red", opacity=0.5)
+        session.add("paint", [dab(BLUE, 19)], name="blue")
+        shown = print_of(session)
+        merged = session.merge(["1", "2"], "both")
+        session.export_layer(merged.id, file)
+        with pytest.raises(ValueError, match="already exists"):
+            session.export_layer(merged.id, file)
+    with flat() as other:
+        other.add("paint", [dab(GREEN)])
+        other.set("1", visible=False)
+        new = other.import_layer(file)
+        assert new.name == "both" and print_of(other) == shown
+        assert len({new.id, *(inner.id for inner in new.layers), "1"}) == 4
+        assert other.verify() == []
+        data = file.read_bytes()
+        for wrong in (b"no zip", data[:-30], data.replace(b'"version": 1', b'"version": 7')):
+            file.write_bytes(wrong)
+            with pytest.raises(ValueError, match=r"red\.splatlayer: expected a \.splatlayer file|damaged"):
+                other.import_layer(file)
+
+
+def test_history_is_bounded(path, monkeypatch):
+    monkeypatch.setattr("splatpainter.session.project.STEPS", 5)
+    with flat(project=path) as session:
+        for k in range(12):
+            session.add("look", parameters={"look": "gain", "gain": [1, 1, 1 + k / 100]})
+        assert len(session.history) <= 6 and session.cursor == len(session.history) - 1
+        session.undo()
+        session.redo()
+        assert session.verify() == []
+
+
+def test_undone_work_does_not_pile_up(path):
+    with flat(project=path) as session:
+        sizes = []
+        for k in range(40):
+            session.add("paint", [dab(RED, 10 + k % 12)])
+            session.undo()
+            sizes.append(
+                session._project.rows("SELECT (SELECT count(*) FROM results), (SELECT count(*) FROM blobs)")[0]
+            )
+        assert max(sizes) == sizes[0]
+    assert path.stat().st_size < 200_000
+
+
+def test_parameters_of_layers_are_json(path):
+    with flat(project=path) as session:
+        layer = session.add("paint", [dab()], parameters={"brush": {"size": 3.5}, "seeds": [1, 2]})
+        assert json.loads(json.dumps(layer.parameters)) == {"brush": {"size": 3.5}, "seeds": [1, 2]}
+        for wrong in ({"when": {1, 2}}, {"size": float("nan")}):
+            with pytest.raises(ValueError, match="^layer 'Paint': expected parameters that JSON can hold"):
+                session.set(layer.id, parameters=wrong)
+    with load(path) as session:
+        assert session.layers[0].parameters == {"brush": {"size": 3.5}, "seeds": [1, 2]}

@@ -1,0 +1,164 @@
+"""Layers above a change are moved where they read nothing of it, and painted anew where they did: both bit for bit what
+a session makes that paints everything."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatpainter.cameras import Camera, look_at
+from splatpainter.painter import Edit, Painter
+from splatpainter.session import Session
+from splatpainter.session.deltas import Delta
+from splatpainter.session.read_set import Read, moved, read_of
+from splatpainter.splats import Splats
+from splatpainter.voxels.grid import voxelize
+from tests.support.lift_scenes import disk, same_bits, sheet
+from tests.support.session_scenes import BLUE, GREEN, RED
+
+SIZE = 160
+CAMERA = look_at((0, 0, 2.6), (0, 0, 0), width=SIZE, height=SIZE, fov=42)
+
+
+def dab(color: tuple[float, float, float], x: float, y: float, radius: float = 9, camera: Camera = CAMERA) -> Edit:
+    image = np.broadcast_to(np.array(color, np.float32), (camera.height, camera.width, 3)).copy()
+    return Edit(image, camera, disk(camera, x, y, radius))
+
+
+def ground() -> Splats:
+    """Rows so fine that no dab's rows reach into another one's tiles."""
+    return sheet(40, degree=1, opacity=0.95)
+
+
+def counted(session: Session) -> list[str]:
+    """Names of the layers that are painted from now on."""
+    names: list[str] = []
+    paint = session._replay.paint
+
+    def noted(below, layer):
+        names.append(layer.name)
+        return paint(below, layer)
+
+    session._replay.paint = noted  # type: ignore[method-assign]
+    return names
+
+
+def painted_anew(session: Session) -> Splats:
+    """What another session, which has no results, makes of the same original and layers."""
+    with Session(session.original, painter=Painter.load("lift")) as other:
+        for layer in session.layers:
+            edits = [
+                Edit(session._replay._edit(view, layer).image, view.camera, session._replay.mask(view))
+                for view in layer.views
+            ]
+            made = other.add(layer.kind, edits, parameters=layer.parameters)
+            other.set(made.id, opacity=layer.opacity, blend=layer.blend)
+            other.set(made.id, visible=layer.visible)
+        names = [layer.id for layer in other.layers]
+        assert len(names) == len(session.layers)
+        return other.splats
+
+
+def four() -> tuple[Session, dict[str, str]]:
+    """Three dabs far from each other, and one over the first."""
+    session = Session(ground(), painter=Painter.load("lift"))
+    places = {"a": (30, 30, RED), "b": (130, 32, BLUE), "c": (126, 128, GREEN), "over a": (34, 34, BLUE)}
+    ids = {name: session.add("paint", [dab(color, x, y)], name=name).id for name, (x, y, color) in places.items()}
+    assert len(session.splats) > len(session.original) + 20
+    return session, ids
+
+
+@pytest.mark.parametrize(
+    ("change", "again"),
+    [
+        (lambda s, i: s.set(i["a"], visible=False), ["over a"]),
+        (lambda s, i: s.set(i["a"], opacity=0.4), ["over a"]),
+        (lambda s, i: s.set(i["a"], blend="color"), ["over a"]),
+        (lambda s, i: s.set(i["b"], visible=False), []),
+        (lambda s, i: s.move(i["b"], 3), []),
+        (lambda s, i: s.move(i["b"], 2), []),
+        (lambda s, i: s.move(i["a"], 3), ["over a", "a"]),
+        (lambda s, i: s.delete(i["c"]), []),
+        (lambda s, i: s.merge([i["b"], i["c"]]), []),
+    ],
+    ids=["hide", "opacity", "blend", "hide aside", "top", "within", "over", "delete", "merge"],
+)
+def test_only_what_read_something_else_is_painted_again(change, again) -> None:
+    session, ids = four()
+    with session:
+        names = counted(session)
+        change(session, ids)
+        assert names == again
+        if not any(layer.kind == "merged" for layer in session.layers):
+            assert same_bits(session.splats, painted_anew(session))
+        assert session.verify(repaint=True) == []
+
+
+def test_again_and_again_after_the_project_was_closed(tmp_path) -> None:
+    session, ids = four()
+    with session:
+        session.save_as(tmp_path / "own.splatproj")
+    with Session.load(tmp_path / "own.splatproj", painter=Painter.load("lift")) as session:
+        names = counted(session)
+        whole = session.splats
+        session.set(ids["b"], visible=False)
+        session.set(ids["c"], visible=False)
+        session.set(ids["b"], visible=True)
+        assert names == [] and same_bits(session.splats, painted_anew(session))
+        session.set(ids["c"], visible=True)
+        assert same_bits(session.splats, whole) and session.verify(repaint=True) == []
+
+
+def test_conflicts_name_the_rows_where_they_are_now() -> None:
+    side = look_at((1.2, 0, 2.3), (0, 0, 0), width=SIZE, height=SIZE, fov=42)
+    with Session(ground(), painter=Painter.load("lift")) as session:
+        low = session.add("paint", [dab(RED, 30, 30)])
+        session.add("paint", [dab(BLUE, 110, 116)])
+        session.add("paint", [dab(GREEN, 108, 116, camera=side)])
+        names = counted(session)
+        before, shown = session.conflicts(), session.splats
+        session.set(low.id, visible=False)
+        assert names == [] and len(before) == 1
+        (now,) = session.conflicts()
+        assert now.share == before[0].share and len(now.rows) == len(before[0].rows) > 0
+        assert session.verify(repaint=True) == []
+        assert same_bits(session.splats.take(now.rows), shown.take(before[0].rows))
+        assert (now.rows != before[0].rows).any()
+
+
+def test_what_a_lift_reads_holds_all_that_it_writes() -> None:
+    splats = ground()
+    edit = dab(RED, 30, 40)
+    assert edit.mask is not None
+    read = read_of(splats, voxelize(splats), CAMERA, edit.mask)
+    assert read is not None and 0 < len(read.rows) < len(splats) / 2
+    painter = Painter.load("lift")
+    done = painter.apply(painter.encode(splats), [edit])
+    assert done.receipt is not None and np.isin(done.receipt.touched, read.rows).all()
+    elsewhere = replace(splats, sh=splats.sh.copy())
+    elsewhere.sh[np.setdiff1d(np.arange(len(splats)), read.rows)] += 0.3
+    again = painter.apply(painter.encode(elsewhere), [edit])
+    changed = np.append(done.receipt.touched, np.arange(len(splats), len(done.splats)))
+    assert same_bits(done.splats.take(changed), again.splats.take(changed))
+    here = replace(splats, sh=splats.sh.copy())
+    here.sh[read.rows[0]] += 1e-3
+    other = read_of(here, voxelize(here), CAMERA, edit.mask)
+    assert other is not None and other.digest != read.digest
+    nowhere = np.zeros((SIZE, SIZE), bool)
+    nowhere[0, 0] = True
+    aside = look_at((0, 0, 2.6), (1.6, 0, 0), width=SIZE, height=SIZE, fov=42)
+    assert read_of(splats, voxelize(splats), aside, nowhere[:, ::-1]) is None  # beside the sheet
+
+
+def test_a_delta_moves_only_where_all_its_rows_do() -> None:
+    rows, none = ground().take(np.arange(2)), ground().take(np.zeros(0, np.int64))
+    delta = Delta(9, np.array([2, 5]), rows, rows, np.array([5, -1]))
+    old, new = Read(np.array([2, 3, 5], np.int32), "x"), Read(np.array([0, 4, 7], np.int32), "x")
+    found = moved(delta, old, new, 8)
+    assert found is not None and found.count == 8
+    assert found.rows.tolist() == [0, 7] and found.parents.tolist() == [7, -1]
+    assert moved(replace(delta, rows=np.array([2, 4])), old, new, 8) is None
+    assert moved(replace(delta, rows=np.array([2, 9])), old, new, 8) is None
+    assert moved(Delta(9, np.zeros(0, np.int64), none, none, np.zeros(0, np.int64)), old, new, 8) is not None

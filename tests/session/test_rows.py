@@ -1,0 +1,181 @@
+"""What layers do to rows: the eraser, looks, conflicts between layers, and coverage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import splatpainter as sp
+from splatpainter.cameras import look_at
+from splatpainter.painter import Edit
+from splatpainter.session import Session
+from tests.support.lift_scenes import differing, disk, same_bits, sheet
+from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, SIZE, dab, flat
+
+SIDE = look_at((1.5, 0, 2.6), (0, 0, 0), width=SIZE, height=SIZE, fov=42)
+
+
+# The eraser
+
+
+@pytest.mark.parametrize("side", [10, 24])
+def test_erasing_all_of_it_brings_the_original_back(side):
+    with Session(sheet(side, degree=1, opacity=0.95)) as session:
+        session.add("paint", [dab(RED, radius=6)])
+        session.add("paint", [dab(BLUE, 18, radius=4)])
+        rows = len(session.splats)
+        assert rows > side * side
+        session.add("erase", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 16, 16, 14))])
+        assert len(session.splats) == rows
+        assert not differing(session.original, session.splats).any()
+        assert (session.splats.opacities[side * side :] == 0).all()
+        assert not session.coverage().any()
+        np.testing.assert_array_equal(
+            sp.render(session.splats, CAMERA).colors, sp.render(session.original, CAMERA).colors
+        )
+
+
+def test_erasing_a_part_leaves_the_rest_and_no_holes():
+    camera = CAMERA.resized(64, 64)
+    with Session(sheet(12, degree=1, opacity=0.95)) as session:
+        session.add("paint", [dab(RED, 32, 32, 16, camera)])
+        before = sp.render(session.splats, camera)
+        painted, alpha = before.colors[0], before.alphas[0]
+        left = disk(camera, 32, 32, 20)
+        left[:, 32:] = False
+        session.add("erase", [Edit(np.zeros((64, 64, 3)), camera, left)])
+        after = sp.render(session.splats, camera)
+        original = sp.render(session.original, camera).colors[0]
+        assert (after.alphas[0] > alpha - 0.1).all()
+        inside, outside = disk(camera, 24, 32, 6), disk(camera, 42, 32, 6)
+        gone = np.abs(after.colors[0] - original)[inside].mean() / np.abs(painted - original)[inside].mean()
+        kept = np.abs(after.colors[0] - painted)[outside].mean() / np.abs(painted - original)[outside].mean()
+        assert gone < 0.1 and kept < 0.1
+
+
+def test_erasing_can_be_partial_and_needs_a_mask():
+    with Session(sheet(24, degree=1, opacity=0.95)) as session:
+        session.add("paint", [dab(RED, radius=6)])
+        painted = session.splats
+        layer = session.add("erase", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 16, 16, 14))], opacity=0.5)
+        rows = np.flatnonzero(differing(session.original, painted))
+        same_place = rows[(painted.scales[rows] == session.original.scales[rows]).all(1)]
+        middle = (session.original.sh[same_place].astype(np.float64) + painted.sh[same_place]) / 2
+        np.testing.assert_allclose(session.splats.sh[same_place], middle, atol=1e-6)
+        np.testing.assert_allclose(session.splats.opacities[24 * 24 :], painted.opacities[24 * 24 :] / 2, rtol=1e-6)
+        session.set(layer.id, visible=False)
+        assert same_bits(session.splats, painted)
+        with pytest.raises(ValueError, match="expected a mask for a view of kind erase"):
+            session.add("erase", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA)])
+        with pytest.raises(ValueError, match="the mask is empty"):
+            session.add("erase", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, np.zeros((SIZE, SIZE), bool))])
+
+
+# Looks, conflicts, coverage
+
+
+def test_looks_are_functions_of_each_row():
+    y0 = 0.28209479177387814
+    with flat(looks={"grey": lambda sh, parameters: sh.mean(2, keepdims=True).repeat(3, 2)}) as session:
+        old = session.splats
+        layer = session.add("look", parameters={"look": "gain", "gain": [2, 1, 0.5], "offset": [0, 0.1, 0]})
+        wanted = (0.5 + y0 * old.sh[:, 0].astype(np.float64)) * [2, 1, 0.5] + [0, 0.1, 0]
+        np.testing.assert_allclose(0.5 + y0 * session.splats.sh[:, 0], wanted, atol=1e-6)
+        np.testing.assert_allclose(session.splats.sh[:, 1:], old.sh[:, 1:] * [2, 1, 0.5], atol=1e-6)
+        session.set(layer.id, parameters={"look": "grey"})
+        np.testing.assert_allclose(session.splats.sh.std(2), 0, atol=1e-6)
+        assert session._project.rows("SELECT count(*) FROM results") == [(0,)]
+        for wrong in ({"look": "sepia"}, {"look": "gain", "gain": [1, 2]}):
+            with pytest.raises(ValueError, match="^look: expected "):
+                session.add("look", parameters=wrong)
+        half = disk(CAMERA, 16, 16, 40)
+        half[:, :16] = False
+        session.delete(layer.id)
+        session.add("look", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, half)], parameters={"look": "grey"})
+        changed = differing(old, session.splats)
+        assert changed[old.means[:, 0] > 0.2].all() and not changed[old.means[:, 0] < -0.2].any()
+
+
+def test_regraded_pictures_can_stay_within_masks():
+    half = disk(CAMERA, 16, 16, 40)
+    half[:, :16] = False
+    redder = Edit(np.broadcast_to(np.array(RED, np.float32), (SIZE, SIZE, 3)), CAMERA, half)
+    with Session(sheet(16, degree=1, opacity=0.95)) as session:
+        old = session.splats
+        whole = session.add("look", [redder])
+        everywhere = session.splats
+        assert differing(old, everywhere).mean() > 0.9
+        session.set(whole.id, visible=False)
+        within = session.add("look", [redder], parameters={"within": True})
+        changed = differing(old, session.splats)
+        assert changed[old.means[:, 0] > 0.2].all() and not changed[old.means[:, 0] < -0.2].any()
+        assert same_bits(session.splats.take(np.flatnonzero(changed)), everywhere.take(np.flatnonzero(changed)))
+        assert within.mode == "global" and session.coverage()[~changed].max() == 0
+        assert session.verify(repaint=True) == []
+        with pytest.raises(ValueError, match="expected a mask in one of its views to stay within"):
+            session.add("look", [replace(redder, mask=None)], parameters={"within": True})
+
+
+def conflicting(policy: Any) -> tuple[Session, str, str]:
+    session = flat()
+    a = session.add("paint", [dab(RED)])
+    b = session.add("paint", [dab(BLUE, 20, camera=SIDE)])
+    if policy:
+        session.settle(a.id, b.id, policy)
+    return session, a.id, b.id
+
+
+def test_conflicts_are_reported():
+    session, a, b = conflicting(None)
+    with session:
+        (found,) = session.conflicts()
+        below = session._replay.compose(replace(session.shown.document, layers=session.layers[:1])).splats
+        first = np.flatnonzero(differing(session.original, below))
+        second = np.flatnonzero(differing(below, session.splats))
+        expected = np.intersect1d(np.append(first, 100), second)
+        assert (found.lower, found.upper, found.policy, found.winner) == (a, b, "latest", b)
+        np.testing.assert_array_equal(found.rows, expected)
+        assert found.share == pytest.approx(len(expected) / (len(first) + 1))
+        session.add("paint", [dab(GREEN, 17)])  # from where the first one was painted, not the second
+        assert {(own.lower, own.upper) for own in session.conflicts()} == {(a, b), (b, "3")}
+        session.add("look", parameters={"look": "gain"})
+        assert len(session.conflicts()) == 2
+
+
+def test_policies_decide_conflicts():
+    latest, a, b = conflicting("latest")
+    first, *_ = conflicting("first")
+    blend, *_ = conflicting("blend")
+    with latest, first, blend:
+        (found,) = latest.conflicts()
+        rows = found.rows[found.rows < 100]
+        assert len(rows)
+        red = latest._replay.compose(replace(latest.shown.document, layers=latest.layers[:1])).splats
+        for name in ("means", "scales", "sh"):
+            np.testing.assert_array_equal(getattr(first.splats, name)[rows], getattr(red, name)[rows])
+        middle = (red.sh[rows].astype(np.float64) + latest.splats.sh[rows]) / 2
+        np.testing.assert_allclose(blend.splats.sh[rows], middle, atol=1e-6)
+        others = np.setdiff1d(np.flatnonzero(differing(red, latest.splats)), found.rows)
+        assert len(others)
+        np.testing.assert_array_equal(first.splats.sh[others], latest.splats.sh[others])
+        assert first.conflicts()[0].winner == a and blend.conflicts()[0].winner is None
+        assert first.undo() and same_bits(first.splats, latest.splats)
+        with pytest.raises(ValueError, match="^conflict: expected "):
+            latest.settle(a, "77", "first")
+        with pytest.raises(ValueError, match="^conflict: expected latest, first or blend"):
+            latest.settle(a, b, "loudest")  # type: ignore[arg-type]
+
+
+def test_coverage_says_what_was_seen():
+    with flat() as session:
+        regraded = session.add("look", [Edit(np.full((SIZE, SIZE, 3), 0.9, np.float32), CAMERA)])
+        x = session.original.means[:, 0]
+        np.testing.assert_array_equal(session.coverage(), np.where(x > 0, 1, 2))
+        session.set(regraded.id, visible=False)
+        assert not session.coverage().any()
+        session.add("paint", [dab()])
+        touched = np.flatnonzero(differing(session.original, session.splats))
+        assert np.flatnonzero(session.coverage()).tolist() == [*touched, 100]

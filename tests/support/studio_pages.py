@@ -1,0 +1,159 @@
+"""Driving the studio's page in a real headless Chromium, for the browser tests.
+
+Where there is no Chromium or no Playwright the tests are skipped with a line; with SPLATPAINTER_REQUIRE_BROWSER set
+(as in CI) that is a failure. Debian's package has no graphics card to draw on: SwiftShader draws, slowly, so views
+are small here.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+FLAGS = (
+    "--no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update "
+    "--disable-sync --use-angle=swiftshader --enable-unsafe-swiftshader"
+).split()
+STATIC = Path(__file__).resolve().parents[2] / "src/splatpainter/server/static"
+WEB = Path(__file__).resolve().parents[2] / "web"
+PATIENCE = 90.0
+"""Seconds until something that must happen is taken as not happening."""
+
+
+def chromium() -> str:
+    """The browser's program; skips, or fails where it must be there."""
+    found = os.environ.get("SPLATPAINTER_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    missing = "no Chromium (apt install chromium, or set SPLATPAINTER_CHROMIUM)" if found is None else ""
+    try:
+        import playwright.sync_api as _  # noqa: F401
+    except ImportError:
+        missing = "no Playwright (pip install playwright)"
+    if missing and os.environ.get("SPLATPAINTER_REQUIRE_BROWSER"):
+        pytest.fail(f"browser tests must run here, but there is {missing}")
+    if missing:
+        pytest.skip(f"browser tests: {missing}")
+    assert found is not None
+    return found
+
+
+@contextlib.contextmanager
+def browsing() -> Iterator[Any]:
+    """A Playwright browser."""
+    program = chromium()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+READ = """async () => {
+  const image = await window.studio.viewer.read();
+  let text = "";
+  for (let k = 0; k < image.data.length; k += 8192)
+    text += String.fromCharCode(...image.data.subarray(k, k + 8192));
+  return [image.width, image.height, btoa(text)];
+}"""
+DROP = """([name, text, kind]) => {
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([bytes], name, { type: kind }));
+  const drop = new DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true });
+  document.querySelector(".app").dispatchEvent(drop);
+}"""
+
+POINTER = """([type, id, kind, x, y, pressure]) => {
+  const stage = document.getElementById("stage");
+  const box = stage.getBoundingClientRect();
+  stage.setPointerCapture = () => {};  // there is no such pointer to capture
+  stage.dispatchEvent(new PointerEvent(type, {
+    pointerId: id, pointerType: kind, pressure, button: type === "pointermove" ? -1 : 0, buttons: 1,
+    clientX: box.left + x * box.width, clientY: box.top + y * box.height, bubbles: true, cancelable: true,
+  }));
+}"""
+
+
+class Page:
+    """The studio in one browser window."""
+
+    def __init__(self, browser: Any, url: str, width: int = 900, height: int = 520) -> None:
+        self.problems: list[str] = []
+        """What the page's console complained of."""
+        self.requests: list[str] = []
+        self.tab = browser.new_page(viewport={"width": width, "height": height})
+        self.tab.on("console", lambda said: said.type in ("error", "warning") and self.problems.append(said.text))
+        self.tab.on("pageerror", lambda error: self.problems.append(str(error)))
+        self.tab.on("request", lambda request: self.requests.append(request.url))
+        self.url = url
+        self.open()
+
+    def open(self) -> None:
+        """(Re)load and wait for the rows."""
+        self.tab.goto(self.url)
+        self.wait("rows", lambda: self.ask("window.studio?.viewer.rows ?? 0") > 0)
+        if self.tab.get_by_label("Pixels").input_value() != "0.5":
+            self.tab.get_by_label("Pixels").select_option("0.5")
+
+    def ask(self, script: str, value: Any = None) -> Any:
+        """Evaluate JavaScript."""
+        return self.tab.evaluate(script, value)
+
+    def state(self) -> dict[str, Any]:
+        """What the server last said."""
+        return self.ask("window.studio.state.value")
+
+    def names(self) -> list[str]:
+        """The layers, from the lowest."""
+        return [layer["name"] for layer in self.state()["layers"]]
+
+    def wait(self, what: str, ready: Callable[[], Any]) -> Any:
+        """Until `ready` says something true, which is returned."""
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            if answer := ready():
+                return answer
+            self.tab.wait_for_timeout(40)
+        raise AssertionError(f"the page did not get: {what}; it said {self.problems}")
+
+    def pixels(self) -> np.ndarray:
+        """[H, W, 3] float 0..1: the view as it is drawn."""
+        width, height, text = self.ask(READ)
+        return np.frombuffer(base64.b64decode(text), np.uint8).reshape(height, width, 4)[..., :3] / 255
+
+    def camera(self) -> dict[str, Any]:
+        """Of the view."""
+        return self.ask("window.studio.camera.value")
+
+    def drag(self, *points: tuple[float, float], button: str = "left") -> None:
+        """With the mouse over the view; points are shares of its width and height."""
+        box = self.tab.locator("#stage").bounding_box()
+        places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in points]
+        self.tab.mouse.move(*places[0])
+        self.tab.mouse.down(button=button)
+        for place in places[1:]:
+            self.tab.mouse.move(*place, steps=5)
+        self.tab.mouse.up(button=button)
+
+    def pointer(self, event: str, number: int, kind: str, x: float, y: float, pressure: float = 0.5) -> None:
+        """A pen ("pen") or finger ("touch"), which Playwright has no hands for; x and y are shares of the view."""
+        self.ask(POINTER, [f"pointer{event}", number, kind, x, y, pressure])
+
+    def settled(self) -> None:
+        """Until every stroke is a layer and the overlay is gone."""
+        self.wait("saved strokes", lambda: self.tab.locator(".connection").inner_text().strip() == "Saved")
+
+    def drop(self, name: str, data: bytes, kind: str) -> None:
+        """Drop a file on the window."""
+        self.ask(DROP, [name, base64.b64encode(data).decode(), kind])
