@@ -219,7 +219,8 @@ def test_interrupting_and_resuming_gives_the_same_table(asked: Asked, number: in
         f"out = Path({str(asked.out)!r}); setup = Setup(objects=2, truth='surfels')\n"
         "runner.run(runner.Asked('toy', setup, ('grow',), Budget(), out), print)\n"
     )
-    variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(STUBS.parents[3]), os.environ.get("PYTHONPATH", "")])}
+    path = os.pathsep.join([str(STUBS.parents[3]), os.environ.get("PYTHONPATH", "")])
+    variables = {**os.environ, "PYTHONPATH": path}
     parent = subprocess.Popen([sys.executable, "-c", program], env=variables, stdout=-3, stderr=-3)
     _wait_for(lambda: counted("grow") > 0)  # the method's process is in its long sleep
     (child,) = _children(parent.pid)

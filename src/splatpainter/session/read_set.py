@@ -2,9 +2,9 @@
 
 A local lift of one view (lift/local_edit.py) looks at the rows of the tiles under its mask, finds those that it
 reaches, and works on all rows of the tiles that these touch. `read_of` takes that set, or a larger one. Two
-arrangements of layers that give it the same rows, in the same order, give the lift's arithmetic the same numbers, so its result is the same
-bit for bit; only the places of the rows in the asset may differ, and `moved` puts it there. Rows behind the surface
-count: splitting may let them through. Knows no layers and no cache.
+arrangements of layers that give it the same rows, in the same order, give the lift's arithmetic the same numbers, so
+its result is the same bit for bit; only the places of the rows in the asset may differ, and `moved` puts it there. Rows
+behind the surface count: splitting may let them through. Knows no layers and no cache.
 """
 
 from __future__ import annotations
