@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -304,3 +306,9 @@ def test_on_a_real_capture_the_near_side_is_editable_and_the_far_side_is_not(sha
     rows = editable_rows(grid, splats, camera, mask)
     assert near.sum() > 10 and rows[near].mean() > 0.95
     assert far.sum() > 30 and rows[far].mean() < 0.05
+
+
+def test_a_camera_of_absurd_focal_length_gives_no_warning() -> None:
+    splats = make(np.concatenate([plate(0.0), [[30.0, 1.0, 60.0], [9.0, 0, -3.0]]]), FLAT, 0.95)
+    camera = replace(CAMERA, fx=1e308, fy=1e308)
+    assert not editable_rows(voxelize(splats, 64), splats, camera, np.ones((64, 64), bool))[-2:].any()

@@ -64,7 +64,8 @@ def drop_stale() -> None:
     only caches beside the sources are looked at.
     """
     now, before = _sources(), _read_stamp().get("sources", {})
-    changed = [path for path, state in now.items() if before.get(path) != state]
+    edited = {path for path, state in now.items() if before.get(path) != state}
+    changed = sorted({path for paths in WARMUPS.values() if edited.intersection(paths) for path in paths})
     if not changed:
         return
     for path in changed:
@@ -129,7 +130,7 @@ def _machine() -> str:
 def _places() -> list[Path]:
     """Where the stamp may lie: beside the cached kernels, so that both vanish together, else in the user's folder."""
     own = hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:16]
-    return [PACKAGE / "render" / "cpu" / "__pycache__" / STAMP, cache_folder() / own / STAMP]
+    return [PACKAGE / "rendering" / "cpu" / "__pycache__" / STAMP, cache_folder() / own / STAMP]
 
 
 def _read_stamp() -> dict:

@@ -155,7 +155,8 @@ def _strays_seen(
 
     def edges(offset: np.ndarray, focal: float, centre: float, pixels: int) -> tuple[np.ndarray, np.ndarray]:
         ends = np.stack([(offset + sign * radius) / depth for sign in (-1, 1) for depth in (near, np.maximum(z, near))])
-        ends = np.clip(ends * focal + centre, 0, pixels)
+        with np.errstate(over="ignore"):  # beyond the range of float64 is beyond the picture
+            ends = np.clip(ends * focal + centre, 0, pixels)
         return np.floor(ends.min(0)).astype(int), np.ceil(ends.max(0)).astype(int)
 
     left, right = edges(local[:, 0], view.fx, view.cx, view.width)
