@@ -28,7 +28,7 @@ MODULES = (
     "oracle",
     "stage_one",
     "ablations",
-    "adapters",
+    "external",
 )
 """Files of this folder, in the order of the tables."""
 

@@ -16,8 +16,17 @@ from typing import Any, Protocol
 from splatbench.cases import Case
 from splatbench.methods import Done
 
-NAMES = ("refine", "relight", "creative", "compress", "sequence", "ablate")
-"""Files of this folder; each has a function `protocol() -> Table`."""
+MODULES = {
+    "refine": "local_refinement",
+    "relight": "relighting",
+    "creative": "creative_editing",
+    "compress": "compression",
+    "sequence": "sequential_edits",
+    "ablate": "ablation",
+}
+"""Name of a table, as the command line, its folder and its records have it -> file of this folder, which has a function
+`protocol() -> Table`."""
+NAMES = tuple(MODULES)
 
 
 @dataclass(frozen=True)
@@ -131,4 +140,4 @@ class Table(Protocol):
 
 def table(name: str) -> Table:
     """The protocol of a name of NAMES."""
-    return import_module(f"{__name__}.{name}").protocol()
+    return import_module(f"{__name__}.{MODULES[name]}").protocol()
