@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,18 +23,19 @@ from splatbench import tables as protocols
 from splatbench import timing
 from splatbench.methods import Budget, Method
 from splatbench.notes import Told, complete, lines
+from splatbench.process import WorkerJob, Workers, one_line
 from splatbench.records import Record, records
 from splatbench.report import runs, tables
 from splatbench.report.names import Names
 from splatbench.report.summary import SummaryRow, summarize
 from splatbench.tables import Key, Setup
 from splatbench.worker import SETUP_PATHS, to_json
-from splatbench.workers import Children, Plan, last_line
 from splatpainter.io import files
 from splatpainter.kernels.parallel import threads
 
 Redo = Literal["nothing", "errors", "all"]
 """Which records that are up to date are made anew."""
+COMMAND: tuple[str, ...] = (sys.executable, "-m", "splatbench.worker")
 SETUP = "setup.json"
 """In OUT/PROTOCOL: what its cases were made with."""
 
@@ -91,7 +93,7 @@ def run(asked: Asked, say: Callable[[str], None]) -> Finished:
     folder = asked.out / asked.protocol
     machine = timing.machine()
     _claim(asked, folder)
-    with Children() as children:
+    with Workers(COMMAND) as children:
         _make(asked, own, children, say)
         made = [key for key in own if _made(asked, key)]
         _answer(asked, made, chosen, machine, children, say)
@@ -181,7 +183,7 @@ def _made(asked: Asked, key: Key) -> bool:
     return stock.is_made(folder, stock.stamp(asked.protocol, key, asked.setup))
 
 
-def _make(asked: Asked, keys: Sequence[Key], children: Children, say: Callable[[str], None]) -> None:
+def _make(asked: Asked, keys: Sequence[Key], children: Workers, say: Callable[[str], None]) -> None:
     wanted: dict[str, list[dict[str, Any]]] = {}
     for key in keys:
         if not _made(asked, key):
@@ -200,13 +202,15 @@ def _make(asked: Asked, keys: Sequence[Key], children: Children, say: Callable[[
     share = None if count == 1 else max(1, threads() // count)
     log = asked.out / asked.protocol / "logs"
     plans = [
-        Plan(f"cases {k}", job, tuple(item for items in objects[k::count] for item in items), log / f"cases-{k}.log")
+        WorkerJob(
+            f"cases {k}", job, tuple(item for items in objects[k::count] for item in items), log / f"cases-{k}.log"
+        )
         for k in range(count)
     ]
     plans = [replace(plan, threads=share) for plan in plans]
     names = {item["label"]: item["name"] for items in objects for item in items}
     for number, event in enumerate(children.run(plans, count), 1):
-        reason = event.said or event.died
+        reason = event.message or event.crash
         if reason:
             stock.fail(asked.out, asked.protocol, event.label, names[event.label], reason)
         say(f"{asked.protocol}: case {number} of {len(names)}: {event.label}" + (f": {reason}" if reason else ""))
@@ -217,7 +221,7 @@ def _answer(
     keys: Sequence[Key],
     chosen: Sequence[Method],
     machine: str,
-    children: Children,
+    children: Workers,
     say: Callable[[str], None],
 ) -> None:
     cases = []
@@ -243,16 +247,16 @@ def _answer(
         if own:
             plans.append(_plan(asked, method, version, own, where, side_by_side))
     for number, event in enumerate(children.run(plans, asked.processes if side_by_side else 1), 1):
-        if event.died:
-            _write(asked, replace(blanks[event.plan.name, event.label], error=event.died))
-        reason = event.died or event.said
-        line = f"{asked.protocol}: {number} of {len(blanks)}: {event.plan.name} on {event.label}"
+        if event.crash:
+            _write(asked, replace(blanks[event.job.name, event.label], error=event.crash))
+        reason = event.crash or event.message
+        line = f"{asked.protocol}: {number} of {len(blanks)}: {event.job.name} on {event.label}"
         say(line + (f": {reason}" if reason else ""))
 
 
 def _plan(
     asked: Asked, method: Method, version: str, blanks: Iterable[Record], machine: str, side_by_side: bool
-) -> Plan:
+) -> WorkerJob:
     logs = asked.out / asked.protocol / "logs"
     budget = asked.budget if asked.budget.scratch else replace(asked.budget, scratch=logs)
     job = {
@@ -267,7 +271,9 @@ def _plan(
     }
     items = [{k: getattr(blank, k) for k in ("label", "name", "fingerprint", "facts")} for blank in blanks]
     log = logs / f"{method.name}.log"
-    return Plan(method.name, job, tuple(items), log, max(1, threads() // asked.processes) if side_by_side else None)
+    return WorkerJob(
+        method.name, job, tuple(items), log, max(1, threads() // asked.processes) if side_by_side else None
+    )
 
 
 def _record_path(asked: Asked, record: Record) -> Path:
@@ -302,11 +308,11 @@ def _missing(method: Method, budget: Budget) -> str:
     try:
         return method.missing(budget)
     except ValueError as error:  # e.g. a file of adapters that cannot be read
-        return f"cannot run: {last_line(error)}"
+        return f"cannot run: {one_line(error)}"
 
 
 def _version(method: Method, budget: Budget) -> str:
     try:
         return method.version(budget)
     except ValueError as error:
-        return f"none: {last_line(error)}"
+        return f"none: {one_line(error)}"

@@ -4,32 +4,29 @@
 `edit`: {"task", "protocol", "method", "version", "budget", "out", "perceptual", "machine", "items": [{"label",
         "name", "fingerprint", "facts"}]}
 
-Answers as children.py says. What fails is said in the record (edit) or in the answer (make), and the next case begins.
+Answers as process.py says. What fails is said in the record (edit) or in the answer (make), and the next case begins.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import json
 import math
-import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
 from splatbench import case_store as stock
-from splatbench import methods, timing
+from splatbench import methods
 from splatbench import tables as protocols
 from splatbench.cases import Case
 from splatbench.methods import Budget, Done, Method, Work
+from splatbench.process import answer_jobs, forget_peak, one_line, peak_mib
 from splatbench.records import Record
 from splatbench.tables import Key, Setup, Table
-from splatbench.workers import last_line, stop_with_parent
 from splatpainter.cameras import write_png
 from splatpainter.splats import Splats, rows_sha256
 
@@ -39,15 +36,14 @@ BUDGET_PATHS = ("adapters", "scratch")
 
 def main(ready: Callable[[], None] | None = None) -> None:
     """Do the job on stdin. ready: called before the first edit, so that no method pays for loading what all share."""
-    job = json.loads(sys.stdin.readline())
-    stop_with_parent()
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as channel:
-        os.dup2(2, 1)  # what methods print goes to the log
+
+    def begin(job: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
         if job["task"] == "make":
-            _make(job, channel)
-        else:
-            (load_kernels if ready is None else ready)()
-            _edit(job, channel)
+            return _maker(job)
+        (load_kernels if ready is None else ready)()
+        return _editor(job)
+
+    answer_jobs(begin)
 
 
 def load_kernels() -> None:
@@ -75,22 +71,23 @@ def _with_paths(told: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
     return {k: Path(v) if k in names and v is not None else v for k, v in told.items()}
 
 
-def _make(job: dict[str, Any], channel: TextIO) -> None:
+def _maker(job: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
     table, setup, out = protocols.table(job["protocol"]), setup_from(job["setup"]), Path(job["out"])
-    for item in job["items"]:
-        _say(channel, begin=item["label"])
-        said = ""
+
+    def make(item: dict[str, Any]) -> str:
         try:
             case = table.make(Key(item["label"], item["name"], item["settings"]), setup)
             unedited = [Done(case.asset, 0.0, 0.0)] * len(case.steps)
             stock.keep(case, out, item["stamp"], table.pictures(case, unedited))
         except Exception as error:
             _log(item["label"])
-            said = last_line(error)
-        _say(channel, end=item["label"], said=said)
+            return one_line(error)
+        return ""
+
+    return make
 
 
-def _edit(job: dict[str, Any], channel: TextIO) -> None:
+def _editor(job: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
     table, budget, out = protocols.table(job["protocol"]), budget_from(job["budget"]), Path(job["out"])
     method = methods.all_methods()[job["method"]]
     perceptual = None
@@ -99,8 +96,8 @@ def _edit(job: dict[str, Any], channel: TextIO) -> None:
 
         perceptual = Lpips.load("alex", job["perceptual"])
     machine = job["machine"] + _gpu(budget)
-    for item in job["items"]:
-        _say(channel, begin=item["label"])
+
+    def edit(item: dict[str, Any]) -> str:
         record = Record(
             protocol=job["protocol"],
             method=method.name,
@@ -121,16 +118,18 @@ def _edit(job: dict[str, Any], channel: TextIO) -> None:
             write_png(folder / f"{item['label']}.png", np.asarray(table.pictures(case, done)["result"]))
         except Exception as error:
             _log(item["label"])
-            record = dataclasses.replace(record, error=last_line(error), figures={}, curve=[])
+            record = dataclasses.replace(record, error=one_line(error), figures={}, curve=[])
         record.write(folder / f"{item['label']}.json")
-        _say(channel, end=item["label"], said=record.error)
+        return record.error
+
+    return edit
 
 
 def edited(case: Case, method: Method, budget: Budget) -> tuple[list[Done], float]:
     """(what the method made of each step, each begun from the one before, peak memory in MiB meanwhile or NaN).
 
     Raises what the method raises, and ValueError where it wrote into the asset that it was given."""
-    _forget_peak()
+    forget_peak()  # scoring the case before is not the method's
     done: list[Done] = []
     asset, memory = case.asset, None
     for step in case.steps:
@@ -142,7 +141,7 @@ def edited(case: Case, method: Method, budget: Budget) -> tuple[list[Done], floa
         made = dataclasses.replace(made, splats=made.splats.numpy())
         done.append(made)
         asset, memory = made.splats, made.memory
-    return done, timing.peak_mib()
+    return done, peak_mib()
 
 
 def measured(
@@ -184,23 +183,12 @@ def _figures(told: dict[str, float | None]) -> dict[str, float | None]:
     return {k: None if v is None or math.isnan(v) else float(v) for k, v in told.items()}
 
 
-def _forget_peak() -> None:
-    """Start the peak of resident memory anew, where the system can: scoring the case before is not the method's."""
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-
-
 def _gpu(budget: Budget) -> str:
     if budget.device != "cuda":
         return ""
     import torch
 
     return f"; {torch.cuda.get_device_name()}" if torch.cuda.is_available() else ""
-
-
-def _say(channel: TextIO, **told: str) -> None:
-    channel.write(json.dumps(told) + "\n")
-    channel.flush()
 
 
 def _log(label: str) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 from splatbench import command as bench
+from splatbench import runner
 from splatbench import table_commands as bench_paper
 from splatbench import tables as protocols
-from splatbench import workers as children
 from splatbench.table_commands import Config
 
 from benchmarks.tests.support import stubs as paper_stubs
@@ -25,7 +25,7 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "trouble").mkdir()
     monkeypatch.setenv(paper_stubs.VARIABLE, str(tmp_path / "trouble"))
     monkeypatch.delenv("SPLATPAINTER_PERCEPTUAL", raising=False)
-    monkeypatch.setattr(children, "COMMAND", (sys.executable, paper_stubs.__file__))
+    monkeypatch.setattr(runner, "COMMAND", (sys.executable, paper_stubs.__file__))
     monkeypatch.setattr(warmup, "ensure_compiled", lambda progress: None)
     monkeypatch.setattr(protocols, "NAMES", ("toy",))
     monkeypatch.setitem(bench.PAPER, "toy", "for the tests")

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from splatbench import runner, worker
-from splatbench import workers as children
 from splatbench.methods import Budget
 from splatbench.records import Record, records
 from splatbench.runner import Asked, Finished
@@ -33,7 +32,7 @@ def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Asked:
     """Two objects, the method that works."""
     (tmp_path / "trouble").mkdir()
     monkeypatch.setenv(paper_stubs.VARIABLE, str(tmp_path / "trouble"))
-    monkeypatch.setattr(children, "COMMAND", (sys.executable, str(STUBS)))
+    monkeypatch.setattr(runner, "COMMAND", (sys.executable, str(STUBS)))
     paper_stubs.register(monkeypatch)
     return Asked("toy", Setup(objects=2, truth="surfels"), ("grow",), Budget(), tmp_path / "out")
 
@@ -131,7 +130,7 @@ def test_methods_files_lie_beside_the_logs(asked: Asked) -> None:
     for scratch in (None, asked.out / "own"):
         own = replace(asked, budget=replace(asked.budget, scratch=scratch))
         plan = runner._plan(own, paper_stubs.METHODS[0], "1", [blank], "", False)
-        told[scratch] = worker.budget_from(plan.job["budget"]).scratch
+        told[scratch] = worker.budget_from(plan.values["budget"]).scratch
         assert plan.log == logs / "grow.log"
     assert told == {None: logs, asked.out / "own": asked.out / "own"}
 
@@ -212,10 +211,10 @@ def test_interrupting_and_resuming_gives_the_same_table(asked: Asked, number: in
     program = (
         "import signal, sys; from pathlib import Path; import benchmarks.tests.support.stubs as paper_stubs\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs ignore it
-        "from splatbench import workers as children, runner\n"
+        "from splatbench import runner\n"
         "from splatbench.methods import Budget\n"
         "from splatbench.tables import Setup\n"
-        "paper_stubs.register(); children.COMMAND = (sys.executable, paper_stubs.__file__)\n"
+        "paper_stubs.register(); runner.COMMAND = (sys.executable, paper_stubs.__file__)\n"
         f"out = Path({str(asked.out)!r}); setup = Setup(objects=2, truth='surfels')\n"
         "runner.run(runner.Asked('toy', setup, ('grow',), Budget(), out), print)\n"
     )
