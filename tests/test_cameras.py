@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -409,3 +410,32 @@ def test_a_failed_write_leaves_the_old_picture(tmp_path):
 def test_replace_keeps_the_checks():
     with pytest.raises(ValueError, match="camera"):
         replace(skewed(), fx=-1.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_points_are_projected_and_come_back(seed: int) -> None:
+    camera = skewed(seed)
+    points = np.random.default_rng(seed).normal(0, 2, (4, 6, 3))
+    pixels, depths = camera.project(points)
+    expected = project(camera, points)
+    np.testing.assert_array_equal(pixels, expected[..., :2])
+    np.testing.assert_array_equal(depths, expected[..., 2])
+    np.testing.assert_allclose(camera.unproject(depths, pixels), points, atol=1e-12)
+    tensor = torch.from_numpy(points.astype(np.float32))
+    for got, values in zip(camera.project(tensor), (pixels, depths), strict=True):
+        assert got.dtype == torch.float32
+        np.testing.assert_allclose(got.numpy(), values, rtol=1e-3, atol=1e-2)
+    np.testing.assert_allclose(camera.camera_to_world @ camera.world_to_camera, np.eye(4), atol=1e-14)
+    np.testing.assert_allclose(camera.camera_to_world[:3, 3], camera.position, atol=1e-14)
+
+
+def test_depth_maps_are_points_on_the_rays_of_their_pixels() -> None:
+    camera = skewed()
+    depth = np.random.default_rng(0).uniform(1, 3, (camera.height, camera.width))
+    points = camera.unproject(depth)
+    origin, directions = camera.rays()
+    away = points - origin
+    np.testing.assert_allclose(away / np.linalg.norm(away, axis=-1, keepdims=True), directions, atol=1e-6)
+    np.testing.assert_allclose(camera.project(points)[1], depth, atol=1e-12)
+    with np.errstate(all="raise"):
+        camera.project(np.zeros((2, 3)) + camera.position)  # at the eye: no pixel, no warning

@@ -13,9 +13,8 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "splatpainter"
 ORDER = (
     ("atomic", "user_folders", "processes"),
     ("splats",),
-    ("image_files",),
+    ("transforms", "color", "image_files"),
     ("cameras",),
-    ("framing",),
     ("kernels",),
     ("io",),
     ("text_tables", "contact_sheet"),

@@ -1,4 +1,4 @@
-"""The light that reaches rows: closed forms where there are any, and turns of the world."""
+"""The light that reaches Gaussians: closed forms where there are any."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splatpainter.lift.global_edit import outward_normals
-from splatpainter.lighting import basis, fibonacci, open_transfer, row_transfer, turning
+from splatpainter.lighting import open_transfer, row_transfer
 from tests.lift.test_global import ball
 
 C0 = 0.28209479177387814
@@ -46,12 +46,3 @@ def test_rows_without_a_normal_count_for_nothing() -> None:
     np.testing.assert_array_equal(held[:-2], row_transfer(splats.means, normals))
     assert not held[-2:].any() and not row_transfer(odd, np.zeros_like(odd)).any()
     assert row_transfer(odd[:1], normals[:1]).shape == (1, 10)
-
-
-def test_turning_the_world_turns_the_coefficients() -> None:
-    rng = np.random.default_rng(1)
-    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    rotation *= np.sign(np.linalg.det(rotation))
-    directions = fibonacci(50)
-    np.testing.assert_allclose(basis(directions @ rotation.T), basis(directions) @ turning(rotation).T, atol=1e-12)
-    np.testing.assert_allclose(turning(rotation) @ turning(rotation).T, np.eye(9), atol=1e-12)

@@ -15,8 +15,7 @@ from PIL import Image
 import splatpainter as sp
 from splatpainter import image_files
 from splatpainter.aovs import draw_passes, normals_of
-from splatpainter.cameras import Camera, find_camera, look_at
-from splatpainter.framing import around
+from splatpainter.cameras import Camera, find_camera, look_at, orbit_cameras
 from splatpainter.image_files import encode_png, quantized, read_deep
 from splatpainter.rendering import reference
 from splatpainter.rendering.cpu.heaviest import heaviest_rows
@@ -115,7 +114,7 @@ def test_passes_are_weighted_means() -> None:
 
 def test_normals_of_a_ball_point_at_the_viewer_in_world_axes() -> None:
     asset = ball()
-    camera = around(asset, 3, size=64)[1]
+    camera = orbit_cameras(asset, 3, size=64)[1]
     passes = draw_passes(asset, camera, ("normal",))
     solid = passes.alpha > 0.99
     origin, rays = camera.rays()
@@ -160,7 +159,7 @@ def test_transparent_pictures_over_a_background_are_the_opaque_render(
     """In the space in which the asset's colours are blended."""
     from splatpainter.sources.color import from_display
 
-    camera = replace(around(asset, 1, size=48)[0], background=(0.9, 0.3, 0.1))
+    camera = replace(orbit_cameras(asset, 1, size=48)[0], background=(0.9, 0.3, 0.1))
     made = view_files(asset, camera, "v", PictureOptions(bits=bits, transparent=kind))  # type: ignore[arg-type]
     stored = pixels_of(made["v.png"], tmp_path / "v.png")
     alpha = stored[..., 3:]
@@ -178,7 +177,7 @@ def test_transparent_pictures_over_a_background_are_the_opaque_render(
 @deep
 def test_exr_is_light_times_alpha(tmp_path: Path) -> None:
     asset = soft()
-    camera = around(asset, 1, size=48)[0]
+    camera = orbit_cameras(asset, 1, size=48)[0]
     options = PictureOptions("exr", 32, "premultiplied", ("alpha", "depth", "normal", "gaussian-ids"))
     made = view_files(asset, camera, "v", options)
     assert list(made) == options.file_names("v")
@@ -207,7 +206,7 @@ def test_exr_is_light_times_alpha(tmp_path: Path) -> None:
 def test_png_aovs_read_as_the_sidecar_says(tmp_path: Path) -> None:
     """Depth and ids need no extra."""
     asset = ball(3000)
-    camera = around(asset, 1, size=64)[0]
+    camera = orbit_cameras(asset, 1, size=64)[0]
     kinds = np.arange(3000) % 3
     options = PictureOptions(aovs=("alpha", "depth", "normal", "gaussian-ids", "coverage"))
     made = view_files(asset, camera, "v", options, coverage=(kinds == 1, kinds == 2))

@@ -1,6 +1,6 @@
-"""Pinhole cameras: the frozen type, look-at and orbit helpers, and the JSON that travels with every rendered picture.
+"""Pinhole cameras: the frozen type, where to stand, and the JSON that travels with every rendered picture.
 
-OpenCV axes (x right, y down, z forward); pixel centres at +0.5; depth is z. Knows no splats and no renderer.
+OpenCV axes (x right, y down, z forward); pixel centres at +0.5; depth is z. Knows no renderer.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 from splatpainter.atomic import writing
 from splatpainter.image_files import encode_png, exr_text, is_exr, quantized
+from splatpainter.splats import Array, Splats
 
 CHUNK = "splatpainter"
 """Keyword of the PNG tEXt chunk, or name of the OpenEXR header attribute, that carries a camera."""
@@ -27,6 +28,14 @@ Alpha = Literal["straight", "premultiplied"]
 """How a picture that was rendered without a background keeps its colours: as they are, or multiplied by alpha."""
 ALPHA = "alpha"
 """Key beside the camera's own that says it."""
+MIN_FRAMED_OPACITY = 0.1
+"""Fainter Gaussians are haze and floaters; they do not decide where the asset is."""
+FRAME_MARGIN = 1.08
+"""Room around an asset in a picture of all of it, as a factor of its radius."""
+UPS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+AUTO_UP = "-y"
+"""Up of every asset in memory unless its maker thought otherwise: structure from motion has y down, so do INRIA's PLY
+files, and the readers of formats with y up (SPZ, GLB) turn what they read into that frame (io/frames.py)."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +63,8 @@ class Camera:
         matrix = np.array(self.world_to_camera, np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise ValueError(f"camera: expected a finite 4x4 world_to_camera, got shape {matrix.shape}")
-        turn = matrix[:3, :3]
-        if abs(turn @ turn.T - np.eye(3)).max() > 0.01 or np.linalg.det(turn) < 0 or (matrix[3] != (0, 0, 0, 1)).any():
+        r = matrix[:3, :3]
+        if abs(r @ r.T - np.eye(3)).max() > 0.01 or np.linalg.det(r) < 0 or (matrix[3] != (0, 0, 0, 1)).any():
             raise ValueError("camera: expected a rotation and a translation as world_to_camera (last row 0 0 0 1)")
         if not (self.width > 0 and self.height > 0 and self.fx > 0 and self.fy > 0):
             raise ValueError(
@@ -77,9 +86,46 @@ class Camera:
         return -rotation.T @ translation
 
     @property
+    def camera_to_world(self) -> np.ndarray:
+        """[4, 4] float64 inverse of `world_to_camera`."""
+        return np.linalg.inv(self.world_to_camera)
+
+    @property
     def forward(self) -> np.ndarray:
         """[3] unit viewing direction in world axes."""
         return self.world_to_camera[2, :3] / np.linalg.norm(self.world_to_camera[2, :3])
+
+    def to_camera(self, points: Array) -> Array:
+        """World points [..., 3] in camera axes; float64 of numpy arrays, the dtype and device of tensors."""
+        if isinstance(points, np.ndarray):
+            return points.astype(np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        import torch
+
+        matrix = torch.as_tensor(self.world_to_camera, dtype=points.dtype, device=points.device)
+        return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """(pixels x, y [..., 2], depths z [...]) of world points [..., 3]; numbers as of `to_camera`. Pixels mean
+        something where z > 0 only."""
+        local = self.to_camera(points)
+        x, y, z = local[..., 0], local[..., 1], local[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            u, v = self.fx * x / z + self.cx, self.fy * y / z + self.cy
+        if isinstance(local, np.ndarray):
+            return np.stack([u, v], -1), z
+        import torch
+
+        return torch.stack([u, v], -1), z
+
+    def unproject(self, depth: np.ndarray, pixels: np.ndarray | None = None) -> np.ndarray:
+        """World points [..., 3], float64, of `pixels` [..., 2] at z-depths [...], the inverse of `project`; without
+        pixels of all pixel centres, at depths [H, W]."""
+        if pixels is None:
+            assert depth.shape == (self.height, self.width)
+            pixels = np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), -1)
+        x, y = (pixels[..., 0] - self.cx) / self.fx, (pixels[..., 1] - self.cy) / self.fy
+        local = np.stack([x * depth, y * depth, depth], -1)
+        return (local - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view at another resolution (aspect ratio may differ by rounding only)."""
@@ -215,6 +261,48 @@ def orbit(
         eye = np.asarray(center) + radius * (math.cos(tilt) * flat + math.sin(tilt) * axis)
         cameras.append(look_at(eye, center, axis, width=width, height=height, fov=fov, background=background))
     return cameras
+
+
+def bounding_sphere(splats: Splats) -> tuple[np.ndarray, float]:
+    """([3] centre, radius) of a ball around nearly all opaque Gaussians; one in three may be a floater, however far.
+
+    (0, 0, 0) and 1 where none can be drawn. Those beyond three median distances from the median centre are left out;
+    of the others the middle of the central 98 % per axis is the centre, and 98 % lie within the radius."""
+    arrays = splats.numpy()
+    drawable = splats.finite
+    opaque = drawable & (arrays.opacities > MIN_FRAMED_OPACITY)
+    means = arrays.means[opaque if opaque.any() else drawable].astype(np.float64)
+    if not len(means):
+        return np.zeros(3), 1.0
+    distances = np.linalg.norm(means - np.median(means, axis=0), axis=1)
+    core = means[distances <= 3 * np.median(distances)] if np.median(distances) > 0 else means
+    low, high = np.quantile(core, [0.01, 0.99], axis=0)
+    center = (low + high) / 2
+    radius = float(np.quantile(np.linalg.norm(core - center, axis=1), 0.98))
+    typical = float(np.median(arrays.scales[drawable].max(1)))
+    return center, max(radius, 3 * typical, 1e-6)  # one Gaussian, or all at one point, is still something to look at
+
+
+def orbit_cameras(
+    splats: Splats,
+    count: int,
+    *,
+    size: int,
+    up: str = "auto",
+    elevation: float = 15.0,
+    fov: float = 40.0,
+    distance: float | None = None,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> list[Camera]:
+    """`count` square views around the asset. up: "auto" or a key of UPS; fov: vertical, degrees; distance: of the eye
+    from the centre, world units, by default so that the asset fills the picture."""
+    center, radius = bounding_sphere(splats)
+    if distance is None:
+        distance = FRAME_MARGIN * radius / math.sin(math.radians(fov / 2))
+    axis = UPS[AUTO_UP if up == "auto" else up]
+    return orbit(
+        center, distance, count, elevation=elevation, up=axis, width=size, height=size, fov=fov, background=background
+    )
 
 
 def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None) -> None:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from splatpainter.transforms import fibonacci_sphere, sh_basis
+
 BANDS = np.array([np.pi, *[2 * np.pi / 3] * 3, *[np.pi / 4] * 5])
 """[9] what the clamped cosine does to each SH coefficient (Ramamoorthi and Hanrahan 2001)."""
 
@@ -30,41 +32,9 @@ class Visibility:
     """[N, 9]."""
 
 
-def turning(rotation: np.ndarray) -> np.ndarray:
-    """[9, 9] D of a rotation [3, 3]: `basis(d @ rotation.T) == basis(d) @ D.T` for unit directions d."""
-    directions = fibonacci(64)
-    return np.linalg.lstsq(basis(directions), basis(directions @ rotation.T), rcond=None)[0].T
-
-
-def basis(directions: np.ndarray) -> np.ndarray:
-    """[..., 9] real SH of degree 2 of unit directions [..., 3], INRIA's order and signs."""
-    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
-    terms = [
-        np.full_like(x, 0.28209479177387814),
-        -0.4886025119029199 * y,
-        0.4886025119029199 * z,
-        -0.4886025119029199 * x,
-        1.0925484305920792 * x * y,
-        -1.0925484305920792 * y * z,
-        0.31539156525252005 * (3 * z * z - 1),
-        -1.0925484305920792 * x * z,
-        0.5462742152960396 * (x * x - y * y),
-    ]
-    return np.stack(terms, -1)
-
-
 def open_transfer(normals: np.ndarray) -> np.ndarray:
     """[N, 9] float32 transfer of points that see their whole hemisphere."""
-    return (basis(normals) * BANDS).astype(np.float32)
-
-
-def fibonacci(count: int) -> np.ndarray:
-    """[count, 3] float64 unit directions spread evenly over the sphere."""
-    i = np.arange(count) + 0.5
-    z = 1 - 2 * i / count
-    angle = i * (np.pi * (3 - np.sqrt(5)))
-    ring = np.sqrt(1 - z * z)
-    return np.stack([ring * np.cos(angle), z, ring * np.sin(angle)], 1)
+    return (sh_basis(normals, 2) * BANDS).astype(np.float32)
 
 
 SAMPLE = 256
@@ -102,7 +72,7 @@ def _spacing(points: np.ndarray) -> float:
 def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directions: int = 48) -> Visibility:
     """What each point [N, 3] of a surface sees past all the others, which stand for the surface: typical distance
     `spacing`. normals [N, 3]: geometric, unit. One shadow map per direction; detail below 3 * spacing is not seen."""
-    towards = fibonacci(directions).astype(np.float32)
+    towards = fibonacci_sphere(directions).astype(np.float32)
     helper = np.where(np.abs(towards[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(helper, towards)
     side = (side / np.linalg.norm(side, axis=1, keepdims=True)).astype(np.float32)
@@ -113,7 +83,7 @@ def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directio
     pixel = np.float32(max(1.25 * spacing, span / 900))  # a map of at most 900 pixels a side
     center = ((points.min(0) + points.max(0)) / 2).astype(np.float32)
     size = int(np.ceil(span / pixel)) + 8
-    folded = (basis(towards.astype(np.float64)) * (4 * np.pi / directions)).astype(np.float32)
+    folded = (sh_basis(towards.astype(np.float64), 2) * (4 * np.pi / directions)).astype(np.float32)
     lost_front = np.zeros((len(points), 9), np.float32)
     lost_back = np.zeros((len(points), 9), np.float32)
     shade = np.zeros((len(points), 2), np.float32)

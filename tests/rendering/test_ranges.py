@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import splatpainter as sp
-from splatpainter.framing import reach
+from splatpainter.cameras import bounding_sphere
 from splatpainter.rendering.cpu import projected_view as frames
 from splatpainter.rendering.cpu.geometry import clamped, tile_span
 from splatpainter.rendering.cpu.raster import blocks_hit
@@ -94,7 +94,7 @@ def test_huge_footprints_are_drawn_or_left_out_but_never_overflow():
 def test_framing_and_voxels_leave_them_out_without_a_warning():
     splats = hostile(np.float32)
     sound = splats.take(splats.finite)
-    np.testing.assert_array_equal(reach(splats)[0], reach(sound)[0])
+    np.testing.assert_array_equal(bounding_sphere(splats)[0], bounding_sphere(sound)[0])
     assert (voxelize(splats, 8).index >= 0).sum() == len(sound)
 
 

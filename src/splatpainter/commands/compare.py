@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import CameraFiles
 from splatpainter.commands.render import MOST_VIEWS, color, given_cameras, rgb
 from splatpainter.commands.targets import check_folder, check_target, make_folder, save_text
 from splatpainter.commands.terminal import count, decibels, progress, to_json
-from splatpainter.framing import around
 from splatpainter.io import read
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.rendering.profiles import Profile
@@ -110,7 +109,7 @@ def run(config: Config) -> Outcome:
         for name in (*names, "sheet.png", "compare.json"):
             check_target(config.out / name, config.overwrite, untouchable=[config.first, config.second])
     first, second = read(config.first), read(config.second)
-    cameras = given or around(
+    cameras = given or orbit_cameras(
         first,
         config.views,
         size=config.size or 512,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import FRAME_MARGIN, Camera
 from splatpainter.commands.terminal import reason
 from splatpainter.io import files
 from splatpainter.splats import Splats
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 FOV = 40.0
 """Degrees, of rendered views."""
-MARGIN = 1.08
-"""Room around the object in them."""
 BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 """In turn behind rendered views and transparent pictures: over one colour alone, rows of that colour may as well be
 holes, and holes rows. The demo asset (96 px, 600 steps) lost 0.059 of its alpha over its own dark background and the
@@ -31,7 +29,7 @@ MESHES = (".glb", ".gltf", ".obj")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 TRANSFORMS = ("transforms.json", "transforms_train.json")
 MESH_FRAME = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Meshes have y up, assets in memory y down (framing.AUTO_UP)."""
+"""Meshes have y up, assets in memory y down (cameras.AUTO_UP)."""
 TRIES = 20
 """Random points per first row that carving may throw away."""
 
@@ -84,7 +82,7 @@ def is_mesh(path: Path) -> bool:
 
 
 def _from_asset(source: Path, wish: Wish) -> Material:
-    from splatpainter.framing import AUTO_UP, UPS, reach
+    from splatpainter.cameras import AUTO_UP, UPS, bounding_sphere
     from splatpainter.io import read
     from splatpainter.kernels.compile import ensure_compiled
     from splatpainter.rendering import render
@@ -93,7 +91,7 @@ def _from_asset(source: Path, wish: Wish) -> Material:
     if not splats.finite.any():
         raise ValueError(f"{source}: none of its {len(splats):,} rows can be drawn; there is nothing to fit to")
     ensure_compiled()
-    center, radius = reach(splats)
+    center, radius = bounding_sphere(splats)
 
     def shoot(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
         drawn = render(splats, list(cameras))
@@ -161,7 +159,7 @@ def _rendered(
     from splatpainter.fit.spread import spread
     from splatpainter.fit.start import from_depths
 
-    distance = MARGIN * radius / math.sin(math.radians(FOV / 2))
+    distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))
     kinds: dict[str, Any] = {"size": wish.size or 256, "fov": FOV, "up": up}
     cameras = spread(center, distance, wish.views, backgrounds=BACKGROUNDS, **kinds)
     held = spread(center, distance, wish.held, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.cameras import bounding_sphere
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import AssetFile, FrameOption
 from splatpainter.commands.terminal import count, size, stages
-from splatpainter.framing import reach
 from splatpainter.io import FORMATS, frame_line, read
 from splatpainter.splats import Splats
 
@@ -48,7 +48,7 @@ def describe(splats: Splats, path: Path) -> dict:
     with np.errstate(all="ignore"):  # of extreme or damaged rows, which are counted below
         drawable = splats.finite
         placed = splats.means[np.isfinite(splats.means).all(1)]
-        center, radius = reach(splats)
+        center, radius = bounding_sphere(splats)
     return {
         "file": path,
         "bytes": file_size(path),

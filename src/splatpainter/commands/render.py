@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.targets import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, progress
-from splatpainter.framing import around
 from splatpainter.io import files, frame_is_news, frame_line, read
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.rendering.profiles import Profile
@@ -146,7 +145,7 @@ def _ring(config: Config, splats: Splats) -> list[Camera]:
     size = config.size or 800
     width, height = config.width or size, config.height or size
     short = min(width, height)
-    cameras = around(
+    cameras = orbit_cameras(
         splats,
         config.views,
         size=short,

@@ -62,9 +62,9 @@ def make_light(environment: Any, name: str = "", stops: float = 0.0) -> Light:
 
 def auto_exposure(coefficients: Any) -> Any:
     """[] exposure that gives WHITE to the luminance of a white diffuse sphere's brightest tenth under SH [9, 3]."""
-    from splatpainter.lighting import fibonacci
+    from splatpainter.transforms import fibonacci_sphere
 
-    normals = torch.as_tensor(fibonacci(128), dtype=coefficients.dtype, device=coefficients.device)
+    normals = torch.as_tensor(fibonacci_sphere(128), dtype=coefficients.dtype, device=coefficients.device)
     luminance = irradiance(coefficients, normals) @ _luminance(coefficients)
     return WHITE * torch.pi / torch.quantile(luminance, 0.9).clamp_min(1e-8)
 

@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 import torch
+from scipy.linalg import block_diag
 from torch import Tensor
 
 from splatpainter.data import edits
@@ -27,9 +28,10 @@ from splatpainter.data.samples import SampleStream
 from splatpainter.data.surfels import Surfels, to_splats
 from splatpainter.data.viewpoints import Optics, ring
 from splatpainter.lift.global_edit import SEEN, outward_normals, seen_change
-from splatpainter.lighting import row_transfer, turning
+from splatpainter.lighting import row_transfer
 from splatpainter.sources.looks import random_look
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.transforms import sh_rotations
 
 RINGS = 3
 """Rings of views per object."""
@@ -135,7 +137,7 @@ class RowStream:
             ((before - 0.5) / SH_C0)[:, None],
         )
         transfer = known.transfer[some].copy()
-        transfer[:, :9] = transfer[:, :9] @ _turning(tuple(turn.ravel().tolist())).T
+        transfer[:, :9] = transfer[:, :9] @ _sh_rotation(tuple(turn.ravel().tolist())).T
         counts = known.shown.sum((0, 1))[some]
         normals = (known.normals[some] @ turn.T).astype(np.float32)
         numbers = (told.astype(np.float32), weight, change, counts)
@@ -217,5 +219,6 @@ def _small(picture: Tensor) -> Tensor:
 
 
 @cache
-def _turning(turn: tuple[float, ...]) -> np.ndarray:
-    return turning(np.array(turn).reshape(3, 3))
+def _sh_rotation(turn: tuple[float, ...]) -> np.ndarray:
+    """[9, 9] for coefficients of degree 2."""
+    return block_diag(*sh_rotations(np.array(turn).reshape(3, 3), 2))

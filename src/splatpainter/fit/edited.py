@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.fit.optimize import FitOptions, View, optimize
-from splatpainter.framing import around
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import TILE, project
 from splatpainter.splats import Splats
@@ -85,7 +84,7 @@ def _held(before: Splats, lifted: Splats, like: Camera, options: EditFitOptions)
     size = min(options.size, like.width, like.height)
     held = []
     for elevation, background in ELEVATIONS.items():
-        cameras = around(before, options.views, size=size, elevation=elevation, background=background)
+        cameras = orbit_cameras(before, options.views, size=size, elevation=elevation, background=background)
         was, now = (render(splats, cameras).colors for splats in (before, lifted))
         same = (np.abs(now - was).max(-1) < options.same)[..., None]
         pictures = np.where(same, was, now)

@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from splatpainter.cameras import Camera
-from splatpainter.framing import AUTO_UP
+from splatpainter.cameras import AUTO_UP, Camera
 from splatpainter.io import files
 from splatpainter.server import describe
 from splatpainter.server.blobs import Blobs, Limits

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter import cameras
-from splatpainter.framing import MARGIN, UPS, reach
+from splatpainter.cameras import FRAME_MARGIN, UPS, bounding_sphere
 from splatpainter.io import FORMATS, frame_line
 from splatpainter.receipts import changed_rows
 from splatpainter.server.messages import state
@@ -46,8 +46,8 @@ def up_axis(session: Session) -> tuple[int, int, int]:
 
 def home(splats: Splats, up: tuple[int, int, int]) -> tuple[np.ndarray, float, cameras.Camera]:
     """([3] middle, radius of nearly all opaque rows, a view of them)."""
-    center, radius = reach(splats)
-    distance = MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
+    center, radius = bounding_sphere(splats)
+    distance = FRAME_MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
     # An asset that is upside down is mostly half a turn about x away: then this is its front again.
     start = 180.0 if up == UPS["+y"] else 0.0
     view = cameras.orbit(center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME)[

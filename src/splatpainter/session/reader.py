@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.aovs import Aov
-from splatpainter.cameras import Alpha, Camera
-from splatpainter.framing import AUTO_UP, UPS
+from splatpainter.cameras import AUTO_UP, UPS, Alpha, Camera
 from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, Verification
 from splatpainter.rendering.profiles import Profile
@@ -85,7 +84,7 @@ class Reader:
 
     @property
     def up(self) -> str:
-        """Which way of the asset is up on the screen: a key of framing.UPS."""
+        """Which way of the asset is up on the screen: a key of cameras.UPS."""
         up = self._project.fact("up") or AUTO_UP
         return up if up in UPS else AUTO_UP
 

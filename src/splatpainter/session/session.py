@@ -21,8 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from splatpainter.cameras import Camera
-from splatpainter.framing import UPS
+from splatpainter.cameras import UPS, Camera
 from splatpainter.io import read
 from splatpainter.io.files import printable
 from splatpainter.painter import Edit, Method, Mode, Painter
@@ -290,7 +289,7 @@ class Session(Reader):
         self._project.delete_bookmark(bookmark)
 
     def set_up(self, up: str) -> None:
-        """Which way of the asset is up on the screen: a key of framing.UPS. Kept in the project, not part of the
+        """Which way of the asset is up on the screen: a key of cameras.UPS. Kept in the project, not part of the
         history; no row changes. Raises ValueError for another one."""
         if up not in UPS:
             raise ValueError(f"up: expected one of {', '.join(UPS)}, got {str(up)[:20]!r}")

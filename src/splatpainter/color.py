@@ -1,0 +1,48 @@
+"""Colour of the package, each formula once: the sRGB curve, luminance, and the base colour of SH coefficients.
+
+Functions of `Array` take numpy (any dtype, kept) or torch. Pure.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from splatpainter.splats import SH_C0, Array
+
+LUMA = (0.2126, 0.7152, 0.0722)
+"""Weights of Rec. 709: the luminance of linear colours, and near enough the luma of display colours."""
+
+
+def srgb_to_linear(display: Array) -> Array:
+    """Display sRGB >= 0 -> linear light (IEC 61966-2-1); the curve goes on beyond white."""
+    high = ((display.clip(0.04045, None) + 0.055) / 1.055) ** 2.4
+    return _where(display <= 0.04045, display / 12.92, high)
+
+
+def linear_to_srgb(linear: Array) -> Array:
+    """Linear light >= 0 -> display sRGB, the inverse of `srgb_to_linear`."""
+    high = 1.055 * linear.clip(0.0031308, None) ** (1 / 2.4) - 0.055
+    return _where(linear <= 0.0031308, 12.92 * linear, high)
+
+
+def luminance(colors: Array) -> Array:
+    """[..., 3] -> [...] Rec. 709 weighted sum."""
+    return LUMA[0] * colors[..., 0] + LUMA[1] * colors[..., 1] + LUMA[2] * colors[..., 2]
+
+
+def base_color(sh: Array) -> Array:
+    """[..., K, 3] SH coefficients -> [..., 3] colour without its dependence on the view, not clipped."""
+    return 0.5 + SH_C0 * sh[..., 0, :]
+
+
+def sh_from_color(colors: Array) -> Array:
+    """Base colours -> SH coefficients of band 0, the inverse of `base_color`."""
+    return (colors - 0.5) / SH_C0
+
+
+def _where(condition: Array, one: Array, other: Array) -> Array:
+    if isinstance(one, np.ndarray | np.generic):
+        return np.where(condition, one, other)
+    import torch
+
+    return torch.where(condition, one, other)

@@ -1,0 +1,123 @@
+"""Rotations, directions and real spherical harmonics, each once. Knows no files, no cameras and no Gaussians.
+
+Quaternions are w, x, y, z. Spherical harmonics have the order and signs of 3D Gaussian Splatting: with the
+Condon-Shortley phase, as INRIA and KHR_gaussian_splatting have them; functions of `Array` take numpy or torch.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from splatpainter.splats import MIN_QUAT, SH_C0, Array
+
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+"""Between neighbours of a Fibonacci lattice, radians."""
+
+
+def quat_to_matrix(quats: Array) -> Array:
+    """[N, 4] quaternions of any non-zero norm -> [N, 3, 3] rotation matrices; their columns are the rotated axes."""
+    if isinstance(quats, np.ndarray):
+        unit = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), MIN_QUAT)
+    else:
+        unit = quats / quats.norm(dim=1, keepdim=True)
+    w, x, y, z = unit.T
+    entries = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return _stacked(entries, quats).reshape(-1, 3, 3)
+
+
+def matrix_to_quat(matrices: np.ndarray) -> np.ndarray:
+    """[N, 3, 3] rotation matrices -> [N, 4] unit quaternions whose largest component is positive.
+
+    4 q q^T is linear in the matrix; its row with the largest diagonal gives q without cancellation (Shepperd 1978).
+    """
+    m = matrices
+    d0, d1, d2 = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
+    squares = np.stack([1 + d0 + d1 + d2, 1 + d0 - d1 - d2, 1 - d0 + d1 - d2, 1 - d0 - d1 + d2], 1)
+    wx, wy, wz = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    xy, xz, yz = m[:, 0, 1] + m[:, 1, 0], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 2] + m[:, 2, 1]
+    outer = [squares[:, 0], wx, wy, wz, wx, squares[:, 1], xy, xz, wy, xy, squares[:, 2], yz, wz, xz, yz, squares[:, 3]]
+    quats = np.stack(outer, 1).reshape(-1, 4, 4)[np.arange(len(m)), squares.argmax(1)]
+    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
+
+
+def fibonacci_sphere(count: int, offset: float = 0.5) -> np.ndarray:
+    """[count, 3] float64 unit directions spread evenly over the sphere, from +y down. offset: turn of the lattice about
+    y in steps of GOLDEN_ANGLE."""
+    i = np.arange(count)
+    y = 1 - 2 * (i + 0.5) / count
+    angle = (i + offset) * GOLDEN_ANGLE
+    ring = np.sqrt(1 - y * y)
+    return np.stack([ring * np.cos(angle), y, ring * np.sin(angle)], 1)
+
+
+def sh_basis(directions: Array, degree: int) -> Array:
+    """[..., (degree + 1)^2] of unit directions [..., 3], in their dtype. degree: 0 to 4."""
+    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+    basis = [np.full_like(x, SH_C0) if isinstance(x, np.ndarray) else x.new_full(x.shape, SH_C0)]
+    if degree >= 1:
+        basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
+    if degree >= 2:
+        basis += [
+            1.0925484305920792 * x * y,
+            -1.0925484305920792 * y * z,
+            0.31539156525252005 * (3 * z * z - 1),
+            -1.0925484305920792 * x * z,
+            0.5462742152960396 * (x * x - y * y),
+        ]
+    xx, yy, zz = x * x, y * y, z * z
+    if degree >= 3:
+        basis += [
+            -0.5900435899266435 * y * (3 * xx - yy),
+            2.890611442640554 * x * y * z,
+            -0.4570457994644658 * y * (4 * zz - xx - yy),
+            0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+            -0.4570457994644658 * x * (4 * zz - xx - yy),
+            1.445305721320277 * z * (xx - yy),
+            -0.5900435899266435 * x * (xx - 3 * yy),
+        ]
+    if degree >= 4:
+        basis += [
+            2.5033429417967046 * x * y * (xx - yy),
+            -1.7701307697799304 * y * z * (3 * xx - yy),
+            0.9461746957575601 * x * y * (7 * zz - 1),
+            -0.6690465435572892 * y * z * (7 * zz - 3),
+            0.10578554691520431 * (zz * (35 * zz - 30) + 3),
+            -0.6690465435572892 * x * z * (7 * zz - 3),
+            0.47308734787878004 * (xx - yy) * (7 * zz - 1),
+            -1.7701307697799304 * x * z * (xx - 3 * yy),
+            0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+        ]
+    return _stacked(basis, directions)
+
+
+def sh_rotations(matrix: np.ndarray, degree: int) -> list[np.ndarray]:
+    """For every band l, the [2l+1, 2l+1] matrix that turns its coefficients with the object: c'(d) = c(matrix^T d).
+
+    Solved from the basis functions at more directions than unknowns; exact to float64 rounding.
+    """
+    directions = fibonacci_sphere(64, 0)
+    before, after = sh_basis(directions @ np.asarray(matrix, np.float64), degree), sh_basis(directions, degree)
+    bands = [slice(l * l, (l + 1) * (l + 1)) for l in range(degree + 1)]
+    return [snapped(np.linalg.lstsq(after[:, band], before[:, band], rcond=None)[0]) for band in bands]
+
+
+def snapped(values: np.ndarray) -> np.ndarray:
+    """float64 values without the rounding noise around -1, 0 and 1: turns by multiples of 90 degrees stay clean."""
+    values = np.asarray(values, np.float64)
+    nearest = np.round(values)
+    return np.where(np.abs(values - nearest) < 1e-12, nearest, values)
+
+
+def _stacked(values: list[Any], like: Array) -> Array:
+    """Along a new last axis."""
+    if isinstance(like, np.ndarray):
+        return np.stack(values, -1)
+    import torch
+
+    return torch.stack(values, -1)
