@@ -48,7 +48,7 @@ def glazed(splats: Splats) -> np.ndarray:
 def test_what_the_docstring_promises(splats: Splats) -> None:
     assert 60_000 <= len(splats) <= 90_000
     assert splats.sh_degree == 3
-    assert splats.finite.all()
+    assert splats.drawable.all()
     for name in ("means", "quats", "scales", "opacities", "sh"):
         assert getattr(splats, name).dtype == np.float32
     assert (splats.scales > 0).all()

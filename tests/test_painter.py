@@ -254,7 +254,7 @@ def test_fitted_rows_stay_valid_and_the_others_keep_their_bits():
     fitted = fit_edited(splats, splats, [(CAMERA, target)], rows, EditFitOptions(steps=4))
     others = np.delete(np.arange(len(splats)), rows)
     assert not differing(splats, fitted)[others].any() and differing(splats, fitted)[rows].any()
-    assert fitted.finite[rows].all() and (fitted.opacities[rows] >= 0).all() and (fitted.opacities[rows] <= 1).all()
+    assert fitted.drawable[rows].all() and (fitted.opacities[rows] >= 0).all() and (fitted.opacities[rows] <= 1).all()
     assert all(getattr(fitted, name).dtype == np.float32 for name in NAMES)
 
 

@@ -158,7 +158,7 @@ def test_rows_outside_the_selection_keep_their_bits(config: ModelConfig, precisi
     assert receipt.appended_rows == children == len(result.splats) - len(SPLATS)
     if config is OWN:
         assert changed.tolist() == own.tolist()
-    assert result.splats.finite[:DRAWABLE].all() and result.splats.finite[len(SPLATS) :].all()
+    assert result.splats.drawable[:DRAWABLE].all() and result.splats.drawable[len(SPLATS) :].all()
 
 
 def test_a_global_edit_leaves_rows_that_cannot_be_drawn() -> None:

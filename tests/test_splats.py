@@ -115,7 +115,7 @@ def test_rows_that_cannot_be_drawn(case, kind):
     own = splats()
     getattr(own, name)[(2, *place) if isinstance(place, tuple) else 2] = value
     own = own if kind == "numpy" else own.torch()
-    assert own.finite.tolist() == [True, True, False, True, True, True]
+    assert own.drawable.tolist() == [True, True, False, True, True, True]
 
 
 def test_tiny_rows_and_unnormalised_rotations_can_be_drawn():
@@ -124,7 +124,7 @@ def test_tiny_rows_and_unnormalised_rotations_can_be_drawn():
     own.scales[1] = 1e-30
     own.opacities[2:4] = 0, 1
     own.means[4], own.scales[4], own.sh[4] = 1e15, 1e15, -1e13
-    assert own.finite.all()
+    assert own.drawable.all()
 
 
 def test_the_hash_is_that_of_the_values_one_attribute_after_the_other():

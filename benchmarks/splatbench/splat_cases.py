@@ -94,7 +94,7 @@ def load(name: str, setup: Setup) -> SplatSubject:
 
     assert setup.data is not None
     own = SplatFolder(setup.data, [name]).splats(0).numpy()
-    kept = own if own.finite.all() else own.take(np.flatnonzero(own.finite))
+    kept = own if own.drawable.all() else own.take(np.flatnonzero(own.drawable))
     if not len(kept):
         raise ValueError(f"{name}: none of its rows can be drawn")
     opaque = kept.opacities > OPAQUE

@@ -40,7 +40,7 @@ class Passes:
 
 def normals_of(splats: Splats) -> np.ndarray:
     """[N, 3] float32 outward unit normals; zeros for rows that cannot be drawn."""
-    return outward_normals(splats) if splats.finite.any() else np.zeros((len(splats), 3), np.float32)
+    return outward_normals(splats) if splats.drawable.any() else np.zeros((len(splats), 3), np.float32)
 
 
 def draw_passes(

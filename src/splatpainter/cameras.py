@@ -269,7 +269,7 @@ def bounding_sphere(splats: Splats) -> tuple[np.ndarray, float]:
     (0, 0, 0) and 1 where none can be drawn. Those beyond three median distances from the median centre are left out;
     of the others the middle of the central 98 % per axis is the centre, and 98 % lie within the radius."""
     arrays = splats.numpy()
-    drawable = splats.finite
+    drawable = splats.drawable
     opaque = drawable & (arrays.opacities > MIN_FRAMED_OPACITY)
     means = arrays.means[opaque if opaque.any() else drawable].astype(np.float64)
     if not len(means):

@@ -185,7 +185,7 @@ class Painter:
         needed (`encodes`). In `copy` representation the asset's rows are then Stage I's. Raises ValueError when it has
         no row that can be drawn."""
         own = splats.numpy()
-        if not own.finite.any():
+        if not own.drawable.any():
             raise ValueError(f"asset: none of the {len(own)} rows can be drawn (NaN, zero scale or zero quaternion)")
         asset = Asset(own)
         wanted = any(self.encodes(self.choose(method, mode)[0], mode) for mode in modes)

@@ -23,7 +23,7 @@ what the file says, else what its format has by default."""
 SH_COUNTS = {1: 0, 4: 1, 9: 2, 16: 3, 25: 4}
 """Number of SH coefficients -> degree."""
 MAX_MAGNITUDE = 1e15
-"""Rows whose means, scales, quaternions or SH coefficients go beyond this are not drawn: their squares, summed over a
+"""Gaussians whose means, scales, quaternions or SH coefficients go beyond this are not drawn: their squares, summed over a
 hundred million rows or pixels, would not fit into float32."""
 MIN_QUAT = 1e-15
 """A quaternion whose largest component is below this counts as zero: its squares vanish in float32."""
@@ -33,7 +33,7 @@ SH_C0 = 0.28209479177387814
 
 @dataclass(frozen=True)
 class Splats:
-    """N Gaussians (rows). Immutable: edits return new objects that share the arrays they did not change."""
+    """N Gaussians. Immutable: edits return new objects that share the arrays they did not change."""
 
     means: Array
     """[N, 3] centres, world units, each coordinate within MAX_MAGNITUDE."""
@@ -46,15 +46,15 @@ class Splats:
     """[N] peak alpha, 0..1 (not logit)."""
     sh: Array
     """[N, K, 3] spherical harmonics, K = (degree + 1)^2, 1 to 25; colour(d) = max(0.5 + sum_k Y_k(d) sh_k, 0).
-    Magnitudes of a row sum to at most MAX_MAGNITUDE."""
+    Magnitudes of one Gaussian sum to at most MAX_MAGNITUDE."""
     antialiased: bool = False
     """True: trained with Mip-Splatting's 2D filter; the renderer compensates opacity for the 0.3 px blur."""
     color_space: ColorSpace = "srgb"
     """What colours mean: "srgb" display values (the 3DGS habit) or "linear"."""
     source: Source | None = field(default=None, repr=False, compare=False)
-    """The file these rows were read from, kept so that untouched rows are written back byte for byte."""
+    """The file they were read from, so that untouched Gaussians are written back byte for byte."""
     origin: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """[N] int64 source row whose bytes each row carries (of a child: its parent), -1: none; None without source."""
+    """[N] int64 row of the source whose bytes each carries (of a child: its parent's), -1: none; None without source."""
 
     def __len__(self) -> int:
         return int(self.means.shape[0])
@@ -63,18 +63,18 @@ class Splats:
     def sh_degree(self) -> int:
         return SH_COUNTS[int(self.sh.shape[1])]
 
-    def take(self, rows: Array) -> Splats:
-        """The given rows, in the given order. rows: [M] int indices or [N] bool mask."""
-        origin = None if self.origin is None else self.origin[np.asarray(rows)]
-        return replace(self, **{k: getattr(self, k)[rows] for k in ATTRIBUTES}, origin=origin)
+    def take(self, ids: Array) -> Splats:
+        """The given Gaussians, in the given order. ids: [M] int indices or [N] bool mask."""
+        origin = None if self.origin is None else self.origin[np.asarray(ids)]
+        return replace(self, **{k: getattr(self, k)[ids] for k in ATTRIBUTES}, origin=origin)
 
     def append(self, more: Splats) -> Splats:
-        """These rows followed by `more` (of the same SH degree); row indices of self stay what they are."""
+        """These followed by `more` (of the same SH degree); indices of self stay what they are."""
         assert more.sh.shape[1] == self.sh.shape[1], "append: SH degrees differ"
         origin = None
         if self.origin is not None:
-            known = more.origin if more.source is self.source else None
-            tail = np.full(len(more), -1, np.int64) if known is None else known
+            tail = more.origin if more.source is self.source else None
+            tail = np.full(len(more), -1, np.int64) if tail is None else tail
             origin = np.concatenate([self.origin, tail])
         if isinstance(self.means, np.ndarray):
             joined = {k: np.concatenate([getattr(self, k), getattr(more, k)]) for k in ATTRIBUTES}
@@ -85,13 +85,13 @@ class Splats:
         return replace(self, **joined, origin=origin)
 
     def numpy(self) -> Splats:
-        """The same rows with numpy attributes: float32 from torch, as they are if they are numpy already."""
+        """The same with numpy attributes: float32 from torch, as they are if they are numpy already."""
         if isinstance(self.means, np.ndarray):
             return self
         return replace(self, **{k: getattr(self, k).detach().cpu().float().numpy() for k in ATTRIBUTES})
 
     def torch(self, device: str = "cpu", dtype: Any = None) -> Splats:
-        """The same rows with torch attributes (default float32); shares memory with numpy where possible."""
+        """The same with torch attributes (default float32); shares memory with numpy where possible."""
         import torch
 
         dtype = torch.float32 if dtype is None else dtype
@@ -102,27 +102,27 @@ class Splats:
         return replace(self, **{k: torch.as_tensor(array).to(device, dtype) for k, array in values.items()})
 
     @cached_property
-    def finite(self) -> np.ndarray:
-        """[N] bool: rows that can be drawn (every attribute finite and in its range, as said at each above). The others
-        are counted by `info` and `render`, keep their bytes, and are drawn by no renderer of this package."""
-        own = self.numpy()
-        ok = np.ones(len(own), bool)
+    def drawable(self) -> np.ndarray:
+        """[N] bool: Gaussians that can be drawn (every attribute finite and in its range, as said at each above). The
+        others are counted by `info` and `render`, keep their bytes, and are drawn by no renderer of this package."""
+        arrays = self.numpy()
+        ok = np.ones(len(arrays), bool)
         with np.errstate(invalid="ignore"):
-            for name, least, most in (
+            for name, low, high in (
                 ("means", -MAX_MAGNITUDE, MAX_MAGNITUDE),
                 ("quats", -MAX_MAGNITUDE, MAX_MAGNITUDE),
                 ("scales", 0, MAX_MAGNITUDE),
                 ("opacities", 0, 1),
             ):
-                values = getattr(own, name)
-                # The extremes of all rows first: one pass without a temporary, which is all that most assets need.
-                if values.size and not (values.min() >= least and values.max() <= most):
-                    ok &= ((values >= least) & (values <= most)).all(tuple(range(1, values.ndim)))
-            # As a sum, which kernels take many at a time. No row of values below a hundredth can exceed it.
-            if own.sh.size and not max(-own.sh.min(), own.sh.max()) <= MAX_MAGNITUDE / 100:
+                values = getattr(arrays, name)
+                # The extremes of all first: one pass without a temporary, which is all that most assets need.
+                if values.size and not (values.min() >= low and values.max() <= high):
+                    ok &= ((values >= low) & (values <= high)).all(tuple(range(1, values.ndim)))
+            # As a sum, which kernels take many at a time. No sum of values below a hundredth can exceed it.
+            if arrays.sh.size and not max(-arrays.sh.min(), arrays.sh.max()) <= MAX_MAGNITUDE / 100:
                 with np.errstate(over="ignore"):
-                    ok &= np.abs(own.sh).sum((1, 2)) <= MAX_MAGNITUDE
-            return ok & (own.scales > 0).all(1) & (np.abs(own.quats) >= MIN_QUAT).any(1)
+                    ok &= np.abs(arrays.sh).sum((1, 2)) <= MAX_MAGNITUDE
+            return ok & (arrays.scales > 0).all(1) & (np.abs(arrays.quats) >= MIN_QUAT).any(1)
 
     @cached_property
     def sha256(self) -> str:
@@ -143,7 +143,7 @@ class Source:
     format: str
     """Key of io.FORMATS, e.g. "ply"."""
     splats: Splats = field(repr=False)
-    """The rows as first decoded (without source): a row's column is untouched if it still equals this, bit for bit."""
+    """As first decoded (without source): an attribute of a Gaussian is untouched if it equals this, bit for bit."""
     sha256: str
     """Hex SHA-256 of the file (of a folder: of its files' names and bytes, in name order)."""
     detail: Any = field(default=None, repr=False)
@@ -151,19 +151,19 @@ class Source:
     problems: tuple[str, ...] = ()
     """What the reader found odd, one line each, for `info`."""
     frame: str = "rdf"
-    """Axes of the file's numbers, three letters as in io.frames.AXES; rows in memory are always "rdf"."""
+    """Axes of the file's numbers, three letters as in io.frames.AXES; in memory it is always "rdf"."""
     frame_from: Literal["file", "format", "choice"] = "format"
     """Who says so: the file itself, its format by default, or whoever opened it."""
     flips: tuple[int, int, int] = (1, 1, 1)
     """Axes reversed (-1) since the reader of the format had its say, because a frame was chosen."""
 
 
-def rows_sha256(splats: Splats, rows: Array | None = None) -> str:
-    """SHA-256 over the float32 little-endian attributes of the given rows (default: all), attribute after attribute."""
-    own = splats.numpy()
+def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
+    """SHA-256 over the float32 little-endian attributes of the given Gaussians (default: all), one after the other."""
+    arrays = splats.numpy()
     digest = hashlib.sha256()
     for name in ATTRIBUTES:
-        values = getattr(own, name)
-        values = values if rows is None else values[rows]
+        values = getattr(arrays, name)
+        values = values if ids is None else values[ids]
         digest.update(np.ascontiguousarray(values, dtype="<f4").data)
     return digest.hexdigest()

@@ -120,7 +120,7 @@ def test_the_loss_falls_and_rows_are_added_where_they_are_needed() -> None:
     rows = np.bincount(done.parents, minlength=len(start))
     striped, plain = rows[start.means[:, 0] > 0.05].mean(), rows[start.means[:, 0] < -0.05].mean()
     assert striped > 1.5 * plain and len(done.splats) > 1.5 * len(start)
-    assert done.steps == 60 and len(done.losses) == 60 and done.splats.finite.all()
+    assert done.steps == 60 and len(done.losses) == 60 and done.splats.drawable.all()
 
 
 def test_rows_that_are_not_named_keep_their_bits() -> None:

@@ -40,7 +40,7 @@ def test_points_of_a_lattice() -> None:
     points = np.stack(np.meshgrid(*[np.arange(4) * 0.5] * 3), -1).reshape(-1, 3)
     colors = np.tile([0.2, 0.5, 1.0], (len(points), 1))
     rows = from_points(points, colors, sh_degree=2, opacity=0.3)
-    assert len(rows) == 64 and rows.sh_degree == 2 and rows.finite.all()
+    assert len(rows) == 64 and rows.sh_degree == 2 and rows.drawable.all()
     np.testing.assert_allclose(rows.scales, 0.5, rtol=1e-6)
     np.testing.assert_allclose(0.5 + SH_C0 * rows.sh[:, 0], colors, atol=1e-6)
     assert not rows.sh[:, 1:].any() and np.all(rows.opacities == np.float32(0.3))
@@ -54,7 +54,7 @@ def test_strays_and_repeated_points_get_sizes_within_reason() -> None:
     rows = from_points(points, np.zeros_like(points))
     typical = np.median(rows.scales)
     assert rows.scales.max() <= 16.01 * typical and rows.scales.min() >= typical / 16.01
-    assert from_points(np.zeros((1, 3)), np.zeros((1, 3))).finite.all()
+    assert from_points(np.zeros((1, 3)), np.zeros((1, 3))).drawable.all()
 
 
 def test_depths_of_a_plane_become_points_of_the_plane() -> None:

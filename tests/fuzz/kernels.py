@@ -84,12 +84,12 @@ def drawing(rng: np.random.Generator, dtype: type) -> None:
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
     profile = "playcanvas" if rng.random() < 0.3 else "inria"
     drawn = draw_views(splats, [camera], True, keep_frames=profile == "inria", profile=profile)
-    sound = splats.take(splats.finite)
+    sound = splats.take(splats.drawable)
     again = draw_views(sound, [camera], True, keep_frames=False, profile=profile)
     for name in ("colors", "alphas", "depths"):
         assert np.isfinite(getattr(drawn, name)).all(), f"{name}: a value that is not finite"
         assert getattr(drawn, name).tobytes() == getattr(again, name).tobytes(), f"{name}: rows out of range were drawn"
-    assert drawn.contributions is not None and not drawn.contributions[:, ~splats.finite].any()
+    assert drawn.contributions is not None and not drawn.contributions[:, ~splats.drawable].any()
     if profile == "inria":
         slopes = [extreme(rng, np.ones_like(a), 0.05) for a in (drawn.colors, drawn.alphas, drawn.depths)]
         views_back(splats, drawn, *slopes)
@@ -101,7 +101,7 @@ def forward(rng: np.random.Generator, dtype: type) -> None:
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
     frame = project(splats, camera)
-    assert splats.finite[frame.rows].all(), "rows out of range were drawn"
+    assert splats.drawable[frame.rows].all(), "rows out of range were drawn"
     assert all(np.isfinite(picture).all() for picture in frame.draw()), "a value that is not finite"
 
 
@@ -142,7 +142,7 @@ def cubes(rng: np.random.Generator, dtype: type) -> None:
     from splatpainter.voxels import raycast
 
     splats, camera = rows(rng, np.float32, rng.choice([0, 0.01, 0.1])), view(rng)
-    if not splats.finite.any():
+    if not splats.drawable.any():
         return
     grid = voxels.voxelize(splats, int(rng.integers(1, 17)))
     origin = extreme(rng, camera.position, 0.1)

@@ -77,8 +77,8 @@ def check_rows(splats: Splats) -> None:
         values = getattr(splats, name)
         if values.shape != shape or values.dtype != np.float32:
             raise Fault(f"{name}: {values.dtype} {values.shape}, expected float32 {shape}")
-    if not splats.finite.all() and not splats.source.problems:
-        raise Fault(f"{int((~splats.finite).sum())} rows cannot be drawn, and nothing says so")
+    if not splats.drawable.all() and not splats.source.problems:
+        raise Fault(f"{int((~splats.drawable).sum())} rows cannot be drawn, and nothing says so")
     for line in splats.source.problems:
         if not line.isprintable() or len(line) > 600:
             raise Fault(f"a problem that is not one printable line: {line[:200]!r}")

@@ -249,7 +249,7 @@ def test_rows_that_cannot_be_drawn(tmp_path: Path) -> None:
     io.write(tmp_path / "a.compressed.ply", splats)
     again = io.read(tmp_path / "a.compressed.ply")
     bad = np.isin(np.arange(40), [3, 4, 5])
-    assert again.finite.all() and (again.opacities[bad] == 0).all()
+    assert again.drawable.all() and (again.opacities[bad] == 0).all()
     assert np.abs(again.means - splats.means)[~bad].max() < np.ptp(splats.means[~bad]) / 1023
 
 

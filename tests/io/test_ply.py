@@ -177,7 +177,7 @@ def test_odd_rows_are_counted(tmp_path: Path) -> None:
         "2 rows with NaN or infinite values (kept, not drawn)",
         "1 row with a zero rotation quaternion (kept, not drawn)",
     )
-    assert splats.finite.tolist() == [True, False, False, False]
+    assert splats.drawable.tolist() == [True, False, False, False]
 
 
 @pytest.mark.parametrize("opacity", [0.0, 1.0, -3.0, 7.0])
@@ -187,7 +187,7 @@ def test_written_values_are_finite(tmp_path: Path, opacity: float) -> None:
     )
     io.write(tmp_path / "a.ply", splats)
     again = io.read(tmp_path / "a.ply")
-    assert again.finite.all()
+    assert again.drawable.all()
     np.testing.assert_allclose(again.opacities, np.clip(opacity, 0, 1), atol=1e-7)
 
 

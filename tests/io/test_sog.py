@@ -322,7 +322,7 @@ def test_rows_that_cannot_be_drawn(tmp_path: Path) -> None:
     write_sog(tmp_path / "a.sog", splats)
     back = read_sog(tmp_path / "a.sog")
     others = np.delete(np.arange(50), [3, 4, 5, 6])
-    assert back.finite.all() and not back.opacities[3:7].any()
+    assert back.drawable.all() and not back.opacities[3:7].any()
     assert np.abs(back.means - splats.means)[others].max() < 1e-3 and np.abs(back.sh - splats.sh)[others].max() < 0.01
 
 

@@ -100,7 +100,7 @@ def test_nan_cannot_be_said_in_bytes(tmp_path: Path) -> None:
     sh[0, 0, 1], quats[1] = np.nan, 0
     io.write(tmp_path / "a.splat", replace(splats, sh=sh, quats=quats))
     again = io.read(tmp_path / "a.splat")
-    assert again.finite.tolist() == [True, False, True]
+    assert again.drawable.tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("data", [b"", ROW[:31]])

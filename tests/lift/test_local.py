@@ -67,7 +67,7 @@ def check_bookkeeping(before: Splats, lifted: Lifted, camera: Camera) -> None:
         assert lifted.appended.min() >= 0 and lifted.appended.max() < n
     parents = np.concatenate([lifted.touched, lifted.appended])
     children = after.take(np.concatenate([lifted.touched, np.arange(n, len(after))]))
-    assert children.finite.all() and (children.opacities > 0).all() and (children.opacities <= 1).all()
+    assert children.drawable.all() and (children.opacities > 0).all() and (children.opacities <= 1).all()
     (old, reach), (new, size) = project_by_hand(before.take(parents), camera), project_by_hand(children, camera)
     assert (np.hypot(*(new - old).T) < 5 * (reach + 1)).all()
     smaller = children.scales.max(1) <= 1.0001 * before.scales[parents].max(1)
@@ -208,7 +208,7 @@ def test_odd_rows_keep_their_bits():
     camera = cameras(96, 96)[0]
     mask = disk(camera, 50, 40, 15)
     lifted = lift_local(splats, camera, painted(splats, camera, mask), mask)
-    assert not differing(splats, lifted.splats)[~splats.finite].any()
+    assert not differing(splats, lifted.splats)[~splats.drawable].any()
     check_bookkeeping(splats, lifted, camera)
     assert db(draw(lifted.splats, camera), painted(splats, camera, mask), mask) > 8 + db(
         draw(splats, camera), painted(splats, camera, mask), mask

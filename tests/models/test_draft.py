@@ -98,9 +98,9 @@ def test_a_lifted_draft_is_the_lift_with_everything_that_it_changed() -> None:
     assert draft.owners(len(SPLATS)).tolist() == [*range(len(SPLATS)), *lifted.appended]
     np.testing.assert_allclose(draft.lift[:, :3], base_colors(SPLATS)[draft.parents].clip(0, 1), atol=1e-5)
     np.testing.assert_allclose(draft.lift[:, 3:6], base_colors(lifted.splats)[draft.rows].clip(0, 1), atol=1e-5)
-    weights, _ = dense_weights(lifted.splats.take(lifted.splats.finite), CAMERA)
+    weights, _ = dense_weights(lifted.splats.take(lifted.splats.drawable), CAMERA)
     total = np.zeros(len(lifted.splats))
-    total[lifted.splats.finite] = weights[:, view.mask.ravel()].sum(1)
+    total[lifted.splats.drawable] = weights[:, view.mask.ravel()].sum(1)
     np.testing.assert_allclose(draft.lift[:, 6], (total / (total + 2))[draft.rows], rtol=2e-2, atol=2e-3)
 
 

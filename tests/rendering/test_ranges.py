@@ -46,14 +46,14 @@ def hostile(dtype: type) -> Splats:
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_rows_out_of_range_are_invisible_and_counted(dtype, size):
     splats, views = hostile(dtype), cameras(*size)
-    assert (~splats.finite).sum() == 2 * sum(map(len, EXTREME.values()))
-    sound = splats.take(splats.finite)
+    assert (~splats.drawable).sum() == 2 * sum(map(len, EXTREME.values()))
+    sound = splats.take(splats.drawable)
     for profile in ("inria", "playcanvas"):
         with_them = sp.render(splats, views, contributions=True, profile=profile)
         without = sp.render(sound, views, contributions=True, profile=profile)
         for name in ("colors", "alphas", "depths"):
             np.testing.assert_array_equal(getattr(with_them, name), getattr(without, name))
-        assert not with_them.contributions[:, ~splats.finite].any()
+        assert not with_them.contributions[:, ~splats.drawable].any()
 
 
 def test_the_reference_leaves_the_same_rows_out():
@@ -71,7 +71,7 @@ def test_rows_out_of_range_have_no_gradient():
     (picture.colors.sum() + picture.depths.sum()).backward()
     for name, leaf in leaves.items():
         assert leaf.grad is not None and leaf.grad.isfinite().all(), name
-        assert not leaf.grad[torch.from_numpy(~splats.finite)].any(), name
+        assert not leaf.grad[torch.from_numpy(~splats.drawable)].any(), name
 
 
 @pytest.mark.parametrize("eye", [1e-3, 1e9, 1e30, 1e100])
@@ -88,12 +88,12 @@ def test_huge_footprints_are_drawn_or_left_out_but_never_overflow():
     splats.scales[:] = np.geomspace(1e-30, 1e15, 180).reshape(60, 3)
     splats.means[:20] *= 1e14
     picture = sp.render(splats, cameras(40, 40), contributions=True)
-    assert np.isfinite(picture.colors).all() and splats.finite.all()
+    assert np.isfinite(picture.colors).all() and splats.drawable.all()
 
 
 def test_framing_and_voxels_leave_them_out_without_a_warning():
     splats = hostile(np.float32)
-    sound = splats.take(splats.finite)
+    sound = splats.take(splats.drawable)
     np.testing.assert_array_equal(bounding_sphere(splats)[0], bounding_sphere(sound)[0])
     assert (voxelize(splats, 8).index >= 0).sum() == len(sound)
 

@@ -183,7 +183,7 @@ def upright(volume: np.ndarray) -> np.ndarray:
 
 def _points(splats: Splats, most: int) -> tuple[np.ndarray, np.ndarray]:
     """(means [P, 3] float32, colours [P, 3] uint8) of at most `most` rows, the more opaque first."""
-    rows = np.flatnonzero(splats.finite)
+    rows = np.flatnonzero(splats.drawable)
     rows = np.sort(rows[np.argsort(-splats.opacities[rows], kind="stable")[:most]])
     return splats.means[rows], to_uint8(0.5 + SH_C0 * splats.sh[rows, 0])
 

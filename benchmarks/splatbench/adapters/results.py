@@ -37,7 +37,7 @@ def read(path: Path, frame: Frame, seed: int = 0) -> Splats:
     rows = frame.rows_back(rows)
     # A result is an asset of its own: what its file held beyond the rows means nothing in another frame.
     rows = Splats(rows.means, rows.quats, rows.scales, rows.opacities, rows.sh, rows.antialiased, rows.color_space)
-    if not rows.finite.any():
+    if not rows.drawable.any():
         raise ValueError(f"{path}: holds no row that can be drawn ({len(rows)} rows)")
     return rows
 

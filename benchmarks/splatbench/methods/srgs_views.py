@@ -89,7 +89,7 @@ class _Known(torch.autograd.Function):
 
 def around(splats: Splats, base: Pictures, count: int) -> tuple[Camera, ...]:
     """`count` square cameras evenly around the asset, as far from it and with the same optics as the base views."""
-    means = splats.means[splats.finite]
+    means = splats.means[splats.drawable]
     low, high = np.quantile(means, [0.01, 0.99], axis=0)
     center = (low + high) / 2
     distance = float(np.median([np.linalg.norm(c.position - center) for c in base.cameras]))

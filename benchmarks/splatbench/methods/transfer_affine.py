@@ -83,7 +83,7 @@ def recolored(splats: Splats, maps: np.ndarray, labels: np.ndarray | None = None
     sh = np.einsum("nki,nij->nkj", splats.sh.astype(np.float64), linear)
     base = np.einsum("ni,nij->nj", 0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64), linear) + shift
     sh[:, 0] = (base - 0.5) / SH_C0
-    return replace(splats, sh=np.where(splats.finite[:, None, None], sh, splats.sh).astype(splats.sh.dtype))
+    return replace(splats, sh=np.where(splats.drawable[:, None, None], sh, splats.sh).astype(splats.sh.dtype))
 
 
 def _normal(views: Sequence[Shown], labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

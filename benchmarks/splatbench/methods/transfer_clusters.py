@@ -16,7 +16,7 @@ BLOCK = 1 << 14
 def row_features(splats: Splats, ring: int = 8) -> np.ndarray:
     """[N, 9] float32 base colour, position and outward normal, each group of three centred and scaled to a variance of
     1 in all. Rows that cannot be drawn get zeros (the middle). ring: views that decide which side is outside."""
-    drawable = splats.finite
+    drawable = splats.drawable
     own = splats.take(drawable)
     groups = (np.clip(0.5 + SH_C0 * own.sh[:, 0], 0, 1), own.means, outward_normals(own, ring))
     out = np.zeros((len(splats), 9), np.float32)

@@ -101,7 +101,7 @@ def losses(before: Splats, after: Splats) -> list[str]:
         lines.append("the mark that says: trained antialiased")
     if before.color_space != after.color_space:
         lines.append(f"colour space {before.color_space} became {after.color_space}")
-    hidden = int((~before.finite).sum()) - int((~after.finite).sum())
+    hidden = int((~before.drawable).sum()) - int((~after.drawable).sum())
     if hidden > 0:
         lines.append(f"{count(hidden, 'row')} with NaN or zero scale became transparent")
     return lines

@@ -88,7 +88,7 @@ def _from_asset(source: Path, wish: Wish) -> Material:
     from splatpainter.rendering import render
 
     splats = read(source)
-    if not splats.finite.any():
+    if not splats.drawable.any():
         raise ValueError(f"{source}: none of its {len(splats):,} rows can be drawn; there is nothing to fit to")
     ensure_compiled()
     center, radius = bounding_sphere(splats)

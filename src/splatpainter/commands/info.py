@@ -46,7 +46,7 @@ def describe(splats: Splats, path: Path) -> dict:
     assert splats.source is not None
     entry = FORMATS[splats.source.format]
     with np.errstate(all="ignore"):  # of extreme or damaged rows, which are counted below
-        drawable = splats.finite
+        drawable = splats.drawable
         placed = splats.means[np.isfinite(splats.means).all(1)]
         center, radius = bounding_sphere(splats)
     return {

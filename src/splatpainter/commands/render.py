@@ -102,7 +102,7 @@ def run(config: Config) -> Outcome:
     make_folder(config.out)
     for _ in progress(_save_all(splats, cameras, stems, config.out, options), len(cameras), "rendering"):
         pass
-    hidden = int((~splats.finite).sum())
+    hidden = int((~splats.drawable).sum())
     record = {
         "asset": {"file": config.asset, "sha256": splats.sha256, "rows": len(splats), "rows_not_drawn": hidden},
         "views": [_files(config.out, stem, camera, options) for stem, camera in zip(stems, cameras, strict=True)],

@@ -94,7 +94,7 @@ def splat_subject(source: SplatSource, i: int, device: str) -> Subject:
     """Asset i of a source of splats, as its own truth: centred, scaled into -1..1, turned from y down to y up, without
     view dependence. Rows that cannot be drawn are left out. Raises ValueError when none are left."""
     own = source.splats(i)
-    kept = own.take(np.flatnonzero(own.finite)).torch(device)
+    kept = own.take(np.flatnonzero(own.drawable)).torch(device)
     if len(kept) == 0:
         raise ValueError(f"{source.name(i)}: none of its rows can be drawn")
     low, high = kept.means.quantile(0.01, 0), kept.means.quantile(0.99, 0)  # captures have stray rows

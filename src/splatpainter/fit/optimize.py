@@ -238,11 +238,11 @@ def short_run_rate(steps: int, way: float) -> float:
 def extent(splats: Splats) -> float:
     """The longest side of the box around the middle 98 % of the rows that can be drawn, world units; 1 for none."""
     own = splats.numpy()
-    means = own.means[splats.finite]
+    means = own.means[splats.drawable]
     if not len(means):
         return 1.0
     low, high = np.quantile(means, [0.01, 0.99], axis=0)
-    return max(float((high - low).max()), float(np.median(own.scales[splats.finite].max(1))), 1e-6)
+    return max(float((high - low).max()), float(np.median(own.scales[splats.drawable].max(1))), 1e-6)
 
 
 def _unshared(splats: Splats, names: tuple[str, ...]) -> Splats:

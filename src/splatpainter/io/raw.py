@@ -84,7 +84,7 @@ def oddities(splats: Splats) -> list[str]:
             ((splats.scales <= 0).any(1), "with a scale that is not positive"),
             ((splats.opacities < 0) | (splats.opacities > 1), "with an opacity outside 0..1"),
         )
-        beyond = ~splats.finite & ~np.any([rows for rows, _ in hidden], 0)
+        beyond = ~splats.drawable & ~np.any([rows for rows, _ in hidden], 0)
     for rows, text in (*hidden, (beyond, f"with values beyond +-{MAX_MAGNITUDE:g}, or a quaternion near zero")):
         if count := np.count_nonzero(rows):
             lines.append(f"{count} {'row' if count == 1 else 'rows'} {text} (kept, not drawn)")

@@ -74,7 +74,7 @@ def presentable(splats: Splats) -> Splats:
 
     if not len(splats):
         return splats
-    bad = ~splats.finite
+    bad = ~splats.drawable
     opacities = np.clip(np.nan_to_num(splats.opacities, nan=0.0), 0, 1)
     if not bad.any():
         return replace(splats, opacities=opacities)

@@ -72,7 +72,7 @@ def lift_global(
     [N, 3] of `outward_normals`, where they are known already. predict: says what the rows become that no view shows, in
     place of the ridge regression, which then only turns SH bands >= 1. Raises ValueError when the views show no solid
     part of the asset."""
-    drawable = splats.finite
+    drawable = splats.drawable
     normals = outward_normals(splats) if normals is None else normals
     if not drawable.all():  # a NaN would spread through the regression
 
@@ -211,7 +211,7 @@ def outward_normals(splats: Splats, ring: int = RING) -> np.ndarray:
     """[N, 3] float32 unit shortest axes, turned towards the side from which a ring of views sees the row (else away
     from the asset's centre); zeros for rows that cannot be drawn. Colours have no part in them. At least one row must
     be drawable."""
-    drawable = splats.finite
+    drawable = splats.drawable
     if not drawable.all():
         return _spread(outward_normals(splats.take(drawable), ring), drawable)
     n = len(splats)

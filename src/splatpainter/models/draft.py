@@ -149,7 +149,7 @@ def draft_global(
     predict: as in `lift_global`. Raises ValueError, naming the views, where they show no solid part of it."""
     from splatpainter.lift.global_edit import GlobalOptions, lift_global
 
-    rows = np.flatnonzero(splats.finite)
+    rows = np.flatnonzero(splats.drawable)
     if base == "own" and not features:
         return Draft(splats, rows, rows, _nothing(rows))
     with errors_name(", ".join(dict.fromkeys(view.name for view in views))):

@@ -114,7 +114,7 @@ def encode_asset(
         return _copied(model, views, kind)
     tokens = model.encode_views(views)
     # Rows that cannot be drawn contribute nothing; their NaN must not reach the arithmetic.
-    means = np.where(own.finite[:, None], own.means, 0)
+    means = np.where(own.drawable[:, None], own.means, 0)
     links = links_from_views(means, cameras, contributions, config.lrm.patch)
     return Encoded(model.compressor(tokens, rows, links, model.groups(grid), dtype=kind), rows)
 

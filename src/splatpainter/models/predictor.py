@@ -47,7 +47,7 @@ def row_facts(splats: Splats, normals: np.ndarray, transfer: np.ndarray) -> np.n
     """[N, 21] float32: base colour - 0..1 as -1..1 -, normal, place in the asset's ball, opacity, log of the mean scale
     over the ball's radius, transfer and open share. splats: numpy; normals: [N, 3] of `outward_normals`; transfer:
     [N, 10] of `row_transfer`. Rows that cannot be drawn get zeros. At least one row must be drawable."""
-    drawn = splats.finite
+    drawn = splats.drawable
     means = splats.means[drawn]
     middle = np.median(means, 0)
     away = (means - middle).astype(np.float64)

@@ -54,7 +54,7 @@ def render(
     contributions: also return each row's weight per view. profile: whose formula for alpha is used, see profiles.py;
     "playcanvas" shows an asset as that family of tools does.
 
-    Rows with values out of their range (`Splats.finite`: NaN, opacities beyond 0..1, ...) are not drawn, nor is
+    Rows with values out of their range (`Splats.drawable`: NaN, opacities beyond 0..1, ...) are not drawn, nor is
     anything by a camera beyond MAX_MAGNITUDE. In one view, rows are left out whose centre is projected farther than 1e9
     pixels away or whose footprint's squared area exceeds the dtype.
 

@@ -85,7 +85,7 @@ def pack(
 
     Values that the screen cannot show (NaN, infinite) travel as rows of opacity 0."""
     flags |= SNAPSHOT * (rows is None)
-    shown = some.finite
+    shown = some.drawable
     bands = int(some.sh.shape[1])
     parts = [HEADER.pack(MAGIC, FORMAT, flags, version_from, version_to, total, len(some), bands)]
     if rows is not None:

@@ -111,7 +111,7 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
         splats = _unpacked(project, facts["name"], frame)
     if splats.sha256 != facts["sha256"]:
         raise ValueError(f"{project.path}: the original is not the one that the project was made from (sha256 differs)")
-    if not splats.finite.any():
+    if not splats.drawable.any():
         raise ValueError(f"{project.path}: none of the {len(splats)} rows of its original can be drawn")
     return numbered(splats)
 

@@ -86,7 +86,7 @@ class Session(Reader):
             return
         splats = asset if isinstance(asset, Splats) else read(asset, frame=frame)
         splats = original.numbered(splats.numpy())
-        if not splats.finite.any():
+        if not splats.drawable.any():
             raise ValueError(f"asset: none of the {len(splats)} rows can be drawn (NaN, zero scale or zero quaternion)")
         source = original.file_of(splats)
         if source is None:

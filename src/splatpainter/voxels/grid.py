@@ -41,7 +41,7 @@ class VoxelGrid:
     size: float
     """Edge of the cube, world units, > 0."""
     index: np.ndarray = field(repr=False)
-    """[N] int32 key of each row's centre, clamped into the cube; -1 for rows that cannot be drawn (`Splats.finite`)."""
+    """[N] int32 key of each row's centre, clamped into the cube; -1 for rows that cannot be drawn (`Splats.drawable`)."""
     outside: np.ndarray = field(repr=False)
     """[N] bool: the centre lies outside the cube (an outlier), its key is only the nearest one."""
     order: np.ndarray = field(repr=False)
@@ -75,7 +75,7 @@ def voxelize(splats: Splats, resolution: int = 128) -> VoxelGrid:
 
     assert 1 <= resolution <= 1024, "keys are int32"
     own = splats.numpy()
-    drawable = np.flatnonzero(splats.finite)
+    drawable = np.flatnonzero(splats.drawable)
     lo, size = bounding_cube(splats)
     key, outlying = _place(own.means[drawable], lo, size, resolution)
     index = np.full(len(own), -1, np.int32)
@@ -118,7 +118,7 @@ def bounding_cube(splats: Splats) -> tuple[np.ndarray, float]:
     real assets, no row fell outside.
     """
     own = splats.numpy()
-    drawable = splats.finite
+    drawable = splats.drawable
     if not drawable.any():
         raise ValueError(f"voxels: expected at least one row that can be drawn, got none among {len(own)} rows")
     solid = drawable & (own.opacities >= 0.05)

@@ -68,7 +68,7 @@ def look(splats: Splats, cameras: Sequence[Camera], colors: Sequence[np.ndarray]
 def choose(splats: Splats, pull: np.ndarray, config: DensifyConfig) -> np.ndarray:
     """[S] int64 ascending: the `most` rows above min_opacity that views pull at hardest, of equals the first."""
     own = splats.numpy()
-    able = np.flatnonzero(splats.finite & (own.opacities > config.min_opacity) & (pull > 0))
+    able = np.flatnonzero(splats.drawable & (own.opacities > config.min_opacity) & (pull > 0))
     hardest = np.argsort(-pull[able], kind="stable")[: config.most]
     return np.sort(able[hardest])
 

@@ -118,7 +118,7 @@ def project_axes(p00, p01, p02, p10, p11, p12, q):
 
 @strict
 def within_range(means, quats, n):
-    """Whether a row's centre and quaternion are in the ranges of Splats.finite; NaN is not."""
+    """Whether a row's centre and quaternion are in the ranges of Splats.drawable; NaN is not."""
     F = means.dtype.type
     largest = F(MAX_MAGNITUDE)
     norm = max(max(abs(quats[n, 0]), abs(quats[n, 1])), max(abs(quats[n, 2]), abs(quats[n, 3])))

@@ -57,7 +57,7 @@ def project_rows(
         for n in range(block * BLOCK, min(means.shape[0], (block + 1) * BLOCK)):
             if keep.shape[0] > 0 and not keep[n]:
                 continue
-            # Every test is written so that NaN fails it. Ranges are those of Splats.finite, and are tested where they
+            # Every test is written so that NaN fails it. Ranges are those of Splats.drawable, and are tested where they
             # cost least: what is not drawn anyway needs none.
             x, y, z = geo.to_camera(cam, means[n, 0], means[n, 1], means[n, 2])
             opacity = opacities[n]
