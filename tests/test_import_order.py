@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "splatpainter"
 ORDER = (
-    ("atomic", "user_folders", "processes"),
+    ("atomic", "user_folders", "processes", "jsonio"),
     ("splats",),
     ("transforms", "color", "image_files"),
     ("cameras",),

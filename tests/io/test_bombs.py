@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splatpainter import io
-from splatpainter.io import bounded, json_text
+from splatpainter import io, jsonio
+from splatpainter.io import bounded
 from splatpainter.io.bounded import Gunzip, inflate, unzstd
 from splatpainter.io.ply_header import element_size, read_header
 from splatpainter.server.claims import claim_of
@@ -312,12 +312,12 @@ def test_what_is_unpacked_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("bad", [b"\xff{}", b"[]", b"{", b'{"a": NaN}', b'{"a": -1e999}', b"{" * 5000, b"1" * 9000])
 def test_json_that_is_none(bad: bytes) -> None:
     with pytest.raises(ValueError, match="^f: ") as refusal:
-        json_text.load_object(bad, "f", "x")
+        jsonio.load_object(bad, "f", "x")
     assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 200
     deep = b'{"a":' * 63 + b"{}" + b"}" * 63
-    assert json_text.load_object(deep, "f", "x")
+    assert jsonio.load_object(deep, "f", "x")
     with pytest.raises(ValueError, match="nested deeper than 64"):
-        json_text.load_object(b'{"a":' + deep + b"}", "f", "x")
+        jsonio.load_object(b'{"a":' + deep + b"}", "f", "x")
 
 
 @posix_only

@@ -17,7 +17,7 @@ import pytest
 import splatpainter as sp
 from splatpainter import io
 from splatpainter.commands.info import describe
-from splatpainter.io.json_text import brief
+from splatpainter.jsonio import brief
 from splatpainter.session import Session
 from tests.io.test_compressed_ply import CHUNK, compressed
 from tests.io.test_compressed_ply import ROW as PACKED_ROW

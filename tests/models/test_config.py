@@ -50,9 +50,9 @@ def test_the_paper_preset_is_the_papers() -> None:
         (("refine", "inner_loss"), "huber", "expected one of dot, l2 as 'refine.inner_loss', got 'huber'"),
         (("refine", "image_channels"), "edited", "expected a list as 'refine.image_channels'"),
         (("refine", "image_channels"), ["mask"], "expected image_channels with 'edited'"),
-        (("compress", "grouping"), ["x"], "as 'compress.grouping', got ['x']"),
+        (("compress", "grouping"), ["x"], "as 'compress.grouping', got a list of 1"),
         (("compress", "heads"), 7, "expected dim a multiple of heads"),
-        (("compress",), 3, "expected an object as compress, got int"),
+        (("compress",), 3, "expected an object as 'compress', got 3"),
         (("sh_degree",), 5, "expected sh_degree 0..4, got 5"),
     ],
 )

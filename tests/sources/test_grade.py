@@ -107,13 +107,14 @@ def test_overshoot_is_kept() -> None:
 def test_parameters_travel_as_json_and_wrong_ones_are_named() -> None:
     settings = Grade(exposure=0.5, curve=((0.2, 0.3),), hues=(HueBand(10, shift=5),))
     assert Grade.from_dict(json.loads(json.dumps(settings.to_dict()))) == settings
-    for wrong, said in (
-        ({"glow": 1}, "got 'glow'"),
-        ({"exposure": "much"}, "expected numbers"),
+    for wrong, message in (
+        ({"glow": 1}, "look: unknown key 'glow'"),
+        ({"exposure": "much"}, "look: expected float as 'exposure', got 'much'"),
         ({"exposure": float("nan")}, "finite"),
         ({"curve": [[0.5, 0.5], [0.5, 0.7]]}, "left to right"),
-        ({"hues": [{"hue": 1, "glow": 2}]}, "expected numbers"),
-        ({"space": "XYZ"}, "srgb or linear"),
+        ({"hues": [{"hue": 1, "glow": 2}]}, r"look: unknown key 'hues\[0\].glow'"),
+        ({"hues": [{"shift": 1}]}, r"look: missing key 'hues\[0\].hue'"),
+        ({"space": "XYZ"}, "expected one of srgb, linear as 'space', got 'XYZ'"),
     ):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             Grade.from_dict(wrong)

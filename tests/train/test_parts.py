@@ -183,8 +183,8 @@ def test_every_recipe_in_the_package_loads_and_survives_json() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "expected a recipe as JSON"),
-        ("[]", "expected an object as recipe, got list"),
+        ("{", "recipe is not JSON"),
+        ("[]", "expected an object as recipe, found list"),
         ('{"stepz": 1}', "unknown key 'stepz'"),
         ('{"steps": "many"}', "expected int as 'steps', got 'many'"),
         ('{"steps": true}', "expected int as 'steps', got True"),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import parse
+from splatpainter.jsonio import field_types
 from splatpainter.train import recipes
 from splatpainter.train.recipes import Recipe, Stage
 
@@ -196,7 +197,7 @@ def _named(words: Sequence[str]) -> str:
 
 def _with_defaults(recipe: Recipe) -> type:
     """Config whose defaults are the recipe's: so --help shows them, and options change them one by one."""
-    types = recipes.field_types(Recipe)  # resolved: this module does not know their names
+    types = field_types(Recipe)  # resolved: this module does not know their names
     space: dict[str, Any] = {"__annotations__": types, "__doc__": Config.__doc__, "__module__": Config.__module__}
     for name in types:
         value = getattr(recipe, name)

@@ -30,7 +30,7 @@ import numpy as np
 
 from splatpainter.io import files, frames, gltf, raw
 from splatpainter.io.bounded import allow_rows
-from splatpainter.io.json_text import brief
+from splatpainter.jsonio import brief
 from splatpainter.splats import ATTRIBUTES, SH_C0, Source, Splats
 
 EXTENSION = "KHR_gaussian_splatting"

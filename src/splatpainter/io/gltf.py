@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import files, json_text
-from splatpainter.io.json_text import brief, objects_at
+from splatpainter import jsonio
+from splatpainter.io import files
+from splatpainter.jsonio import brief, objects_at
 
 MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
@@ -62,7 +63,7 @@ def parse(data: bytes, path: Path) -> Glb:
         at += 8 + size
     if not chunks or chunks[0][0] != JSON_CHUNK:
         raise ValueError(f"{path}: expected JSON as the first GLB chunk")
-    doc = json_text.load_object(chunks[0][1], path, "the JSON chunk")
+    doc = jsonio.load_object(chunks[0][1], path, "the JSON chunk")
     _check(doc, path)
     binary = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == BIN_CHUNK else b""
     others = chunks[2:] if binary else chunks[1:]
@@ -77,10 +78,10 @@ def declared_rows(path: Path) -> int:
             f"{path}: truncated: the GLB header and the head of its JSON need 20 bytes, it has {len(head)}"
         )
     (size,) = struct.unpack_from("<I", head, 12)
-    text = files.read_head(path, 20 + min(size, json_text.MAX_JSON_BYTES + 1))[20:]
-    if len(text) < min(size, json_text.MAX_JSON_BYTES + 1):
+    text = files.read_head(path, 20 + min(size, jsonio.MAX_JSON_BYTES + 1))[20:]
+    if len(text) < min(size, jsonio.MAX_JSON_BYTES + 1):
         raise ValueError(f"{path}: truncated: its JSON chunk is cut off")
-    doc = json_text.load_object(text, path, "the JSON chunk")
+    doc = jsonio.load_object(text, path, "the JSON chunk")
     return max((whole(item, "count", path, 0) for item in objects_at(doc, "accessors", path)), default=0)
 
 
@@ -122,7 +123,7 @@ def entry(doc: dict[str, Any], kind: str, index: Any, path: Path) -> dict[str, A
 
 def whole(item: dict[str, Any], key: str, path: Path, default: int | None = None) -> int:
     """A non-negative integer property."""
-    return json_text.integer(item.get(key, default), path, f"glTF {key!r}")
+    return jsonio.integer(item.get(key, default), path, f"glTF {key!r}")
 
 
 def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.ndarray:

@@ -25,9 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import json_text, planes, raw, sog_files
+from splatpainter import jsonio
+from splatpainter.io import planes, raw, sog_files
 from splatpainter.io.bounded import allow, allow_rows
-from splatpainter.io.json_text import brief, integer, object_at
+from splatpainter.jsonio import brief, integer, object_at
 from splatpainter.splats import Source, Splats
 
 BANDS = {1: 3, 2: 8, 3: 15}
@@ -151,7 +152,7 @@ def _plane_size(container: sog_files.Container, key: str, name: str, count: int,
 
 
 def _numbers(values: Any, what: str, path: Path) -> np.ndarray:
-    return json_text.numbers(values, path, f"{what} in meta.json")
+    return jsonio.finite_numbers(values, path, f"{what} in meta.json")
 
 
 def _codebook(meta: dict[str, Any], part: str, path: Path, problems: list[str]) -> np.ndarray:

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splatpainter.io import files, json_text
+from splatpainter import jsonio
+from splatpainter.io import files
 from splatpainter.io.bounded import allow, inflate, zip_directory
-from splatpainter.io.json_text import brief
+from splatpainter.jsonio import brief
 
 META = "meta.json"
 _LOCAL = struct.Struct("<4s5H3I2H")
@@ -94,7 +95,7 @@ def named_files(meta: dict[str, Any], where: Path | str) -> list[str]:
 
 def parse(data: bytes, where: Path | str) -> dict[str, Any]:
     """meta.json as a dict. Raises ValueError where it is not one."""
-    return json_text.load_object(data, where, META)
+    return jsonio.load_object(data, where, META)
 
 
 def declared_rows(path: Path) -> int:
@@ -103,9 +104,9 @@ def declared_rows(path: Path) -> int:
     entry = next((entry for entry in _entries(data, path) if entry.filename == META), None)
     if entry is None:
         raise ValueError(f"{path}: expected {META} in the bundle")
-    if entry.file_size > json_text.MAX_JSON_BYTES:
-        raise ValueError(f"{path}: {META} claims {entry.file_size} bytes; expected {json_text.MAX_JSON_BYTES} at most")
-    return json_text.integer(parse(_unpacked(data, entry, path), path).get("count"), path, "count")
+    if entry.file_size > jsonio.MAX_JSON_BYTES:
+        raise ValueError(f"{path}: {META} claims {entry.file_size} bytes; expected {jsonio.MAX_JSON_BYTES} at most")
+    return jsonio.integer(parse(_unpacked(data, entry, path), path).get("count"), path, "count")
 
 
 def _load_folder(path: Path) -> tuple[Container, dict[str, Any]]:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar, overload
 
 from splatpainter.io.files import read_all, writing
-from splatpainter.models.config import LARGEST, ModelConfig
+from splatpainter.models.config import MAX_CONFIG_BYTES, ModelConfig
 
 if TYPE_CHECKING:
     import torch
@@ -202,8 +202,8 @@ def _index(folder: Path, wanted: str = "") -> dict[str, Any]:
     path = folder / INDEX
     if not path.is_file():
         raise ValueError(f"{folder}: no weights there; expected a folder with {INDEX} and its shards")
-    if path.stat().st_size > 4 * LARGEST:
-        raise ValueError(f"{path}: expected at most {4 * LARGEST} bytes")
+    if path.stat().st_size > 4 * MAX_CONFIG_BYTES:
+        raise ValueError(f"{path}: expected at most {4 * MAX_CONFIG_BYTES} bytes")
     try:
         data = json.loads(read_all(path))
     except (ValueError, RecursionError) as error:

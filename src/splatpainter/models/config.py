@@ -9,7 +9,9 @@ from __future__ import annotations
 import dataclasses
 import json
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Literal, TypeVar
+
+from splatpainter import jsonio
 
 Grouping = Literal["feats_query", "latent_query", "voxel_mean"]
 Mixer = Literal["ttt", "cross_attention"]
@@ -22,9 +24,9 @@ _Config = TypeVar("_Config")
 
 CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1, "normals": 3}
 """Channels per pixel of each group that an image token of an edit can hold."""
-LATER: dict[str, Any] = {"predict": {"features": 0, "hidden": 128, "alone": False}}
+OLDER: dict[str, Any] = {"predict": {"features": 0, "hidden": 128, "alone": False}}
 """Keys that older checkpoints lack, and what they mean there."""
-LARGEST = 1 << 20
+MAX_CONFIG_BYTES = 1 << 20
 """Bytes; no honest config is longer."""
 
 
@@ -236,54 +238,8 @@ class ModelConfig:
 def read_json(kind: type[_Config], text: str, where: str) -> _Config:
     """A config of this dataclass, every field of which is in the JSON text. Raises ValueError as
     ModelConfig.from_json."""
-    if len(text) > LARGEST:
-        raise ValueError(f"{where}: expected a model config of at most {LARGEST} characters, got {len(text)}")
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{where}: expected a model config as JSON ({error})") from None
-    return _build(kind, data, where, "")
-
-
-def _build(kind: type, data: Any, where: str, path: str) -> Any:
-    """An instance of the dataclass `kind` from a JSON object. path: dotted, for errors."""
-    if not isinstance(data, dict):
-        raise ValueError(f"{where}: expected an object as {path or 'model config'}, got {type(data).__name__}")
-    hints = get_type_hints(kind)
-    names = [f.name for f in dataclasses.fields(kind)]
-    prefix = f"{path}." if path else ""
-    for name in data:
-        if name not in names:
-            raise ValueError(f"{where}: unknown key '{prefix}{name}'; known there: {', '.join(names)}")
-    data = {name: LATER[name] for name in names if name in LATER} | data
-    for name in names:
-        if name not in data:
-            raise ValueError(f"{where}: missing key '{prefix}{name}'")
-    values = {name: _value(hints[name], data[name], where, prefix + name) for name in names}
-    try:
-        return kind(**values)
-    except ValueError as error:
-        raise ValueError(f"{where}: {path or 'model config'}: {error}") from None
-
-
-def _value(hint: Any, value: Any, where: str, path: str) -> Any:
-    """`value` from JSON as what the annotation `hint` wants."""
-    if dataclasses.is_dataclass(hint):
-        assert isinstance(hint, type)
-        return _build(hint, value, where, path)
-    if get_origin(hint) is tuple:
-        if not isinstance(value, list):
-            raise ValueError(f"{where}: expected a list as '{path}', got {value!r}")
-        return tuple(_value(get_args(hint)[0], item, where, path) for item in value)
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise ValueError(f"{where}: expected one of {', '.join(get_args(hint))} as '{path}', got {value!r}")
-        return value
-    accepted = (int, float) if hint is float else hint
-    # bool is an int to Python, and a config that says layers: true is broken.
-    if not isinstance(value, accepted) or (isinstance(value, bool) and hint is not bool):
-        raise ValueError(f"{where}: expected {hint.__name__} as '{path}', got {value!r}")
-    return float(value) if hint is float else value
+    values = jsonio.load_object(text, where, "model config", MAX_CONFIG_BYTES)
+    return jsonio.build(kind, values, where, what="model config", older=OLDER)
 
 
 def _positive(config: Any, *names: str, least: int = 1) -> None:

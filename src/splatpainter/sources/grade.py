@@ -7,14 +7,15 @@ there (first order), so that highlights are regraded with the surface they lie o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from splatpainter import jsonio
 from splatpainter.kernels.parallel import each
 from splatpainter.sources.looks import MIN_CURVE_STEP, Look, apply_look, luminance, to_display, to_linear
-from splatpainter.splats import SH_C0
+from splatpainter.splats import SH_C0, ColorSpace
 
 NAME = "grade"
 """What a layer's parameters call it ({"look": "grade", ...})."""
@@ -61,7 +62,7 @@ class Grade:
     hues: tuple[HueBand, ...] = ()
     strength: float = 1.0
     """0..1: how much of the change is taken."""
-    space: str = "srgb"
+    space: ColorSpace = "srgb"
     """What the rows' colours mean: "srgb" (display) or "linear"; the sliders act on display colours either way."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -71,25 +72,13 @@ class Grade:
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Grade:
         """The inverse of `to_dict`. Raises ValueError: unknown fields, no finite numbers, a curve not in order."""
-        known = {field.name for field in fields(Grade)}
-        strange = sorted(set(data) - known - {"look"})
-        if strange:
-            raise ValueError(f"look: expected {', '.join(sorted(known))}, got {strange[0]!r}")
-        if data.get("space", "srgb") not in ("srgb", "linear"):
-            raise ValueError(f"look: expected the space srgb or linear, got {data['space']!r}")
-        try:
-            curve = tuple((float(x), float(y)) for x, y in data.get("curve", ()))
-            hues = tuple(HueBand(**{k: float(v) for k, v in dict(band).items()}) for band in data.get("hues", ()))
-            rest = {k: float(v) for k, v in data.items() if k not in ("look", "curve", "hues", "space")}
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(f"look: expected numbers, got {error}") from None
-        numbers = [*rest.values(), *(v for band in hues for v in asdict(band).values()), *(v for p in curve for v in p)]
-        if not np.isfinite(numbers).all():
-            raise ValueError("look: expected finite numbers")
+        values = {key: value for key, value in data.items() if key != "look"}
+        settings = jsonio.build(Grade, values, "look", base=Grade())
+        curve = settings.curve
         if any(b[0] - a[0] < MIN_CURVE_STEP for a, b in zip(curve, curve[1:], strict=False)):
             line = f"points from left to right, {MIN_CURVE_STEP:g} apart"
             raise ValueError(f"look: expected a curve of {line}, got {list(curve)}")
-        return Grade(**rest, curve=curve, hues=hues, space=data.get("space", "srgb"))
+        return settings
 
     @property
     def neutral(self) -> bool:

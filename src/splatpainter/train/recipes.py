@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args
 
+from splatpainter import jsonio
 from splatpainter.data.samples import KINDS, SampleRecipe
 from splatpainter.io.files import read_all
 from splatpainter.models.config import COMPACT, PRESETS, ModelConfig
@@ -133,7 +132,7 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain values, as in the JSON; of the two models the one that the stage trains."""
-        values = json.loads(json.dumps(dataclasses.asdict(self)))
+        values = jsonio.plain(self)
         del values["model" if self.stage == "densify" else "densifier"]
         return values
 
@@ -158,72 +157,14 @@ def load(name: str | Path, stage: Stage) -> Recipe:
 
 
 def parse(text: str, stage: Stage, where: str = "recipe") -> Recipe:
-    """A recipe from JSON: the defaults with what the text says. "model": "compact" or "paper" may stand for a whole
-    model. Raises ValueError naming `where` and the key."""
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{where}: expected a recipe as JSON ({error})") from None
-    if not isinstance(data, dict):
-        raise ValueError(f"{where}: expected an object as recipe, got {type(data).__name__}")
+    """A recipe from JSON: the defaults with what the text says. A "preset" ("compact", "paper") in "model" or
+    "densifier" stands for the other values of that model. Raises ValueError naming `where` and the key."""
+    data = jsonio.load_object(text, where, "recipe")
     if data.get("stage", stage) != stage:
-        raise ValueError(f"{where}: is a recipe of stage '{data['stage']}', not of '{stage}'")
-    return merged(Recipe(stage=stage), data, where)
-
-
-def merged(base: Any, data: Mapping[str, Any], where: str, path: str = "") -> Any:
-    """The dataclass instance `base` with the values of nested JSON objects. Raises ValueError naming the key."""
-    hints, changes = field_types(type(base)), {}
-    for key, value in data.items():
-        name = f"{path}.{key}" if path else key
-        if key not in hints:
-            raise ValueError(f"{where}: unknown key '{name}'; known there: {', '.join(hints)}")
-        own = getattr(base, key)
-        if dataclasses.is_dataclass(own):
-            if isinstance(own, ModelConfig | DensifyConfig) and isinstance(value, dict) and "preset" in value:
-                presets = PRESETS if isinstance(own, ModelConfig) else DENSIFIERS
-                own = presets.get(str(value["preset"]), own)
-            if not isinstance(value, dict):
-                raise ValueError(f"{where}: expected an object as '{name}', got {value!r}")
-            changes[key] = merged(own, value, where, name)
-        else:
-            changes[key] = _value(hints[key], value, where, name)
-    try:
-        return dataclasses.replace(base, **changes)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
-
-
-@cache
-def field_types(kind: type) -> dict[str, Any]:
-    """Field name -> type of a dataclass."""
-    known = get_type_hints(kind)
-    return {f.name: known[f.name] for f in dataclasses.fields(kind)}
-
-
-def _value(hint: Any, value: Any, where: str, name: str) -> Any:
-    """`value` from JSON as what an annotation wants: plain types, Literal, X | None, tuples and dicts of these."""
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin is tuple:
-        if not isinstance(value, list):
-            raise ValueError(f"{where}: expected a list as '{name}', got {value!r}")
-        if len(arguments) == 2 and arguments[1] is ...:
-            return tuple(_value(arguments[0], item, where, name) for item in value)
-        if len(arguments) != len(value):
-            raise ValueError(f"{where}: expected {len(arguments)} values as '{name}', got {value!r}")
-        return tuple(_value(a, item, where, name) for a, item in zip(arguments, value, strict=True))
-    if origin is Literal:
-        if value not in arguments:
-            raise ValueError(f"{where}: expected one of {', '.join(map(str, arguments))} as '{name}', got {value!r}")
-        return value
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise ValueError(f"{where}: expected an object as '{name}', got {value!r}")
-        return {str(key): _value(arguments[1], item, where, f"{name}.{key}") for key, item in value.items()}
-    if type(None) in arguments:
-        return None if value is None else _value(next(a for a in arguments if a is not type(None)), value, where, name)
-    accepted = (int, float) if hint is float else hint
-    # bool is an int to Python, and a recipe that says steps: true is broken.
-    if not isinstance(value, accepted) or (isinstance(value, bool) and hint is not bool):
-        raise ValueError(f"{where}: expected {hint.__name__} as '{name}', got {value!r}")
-    return float(value) if hint is float else value
+        raise ValueError(f"{where}: is a recipe of stage {jsonio.brief(data['stage'])}, not of '{stage}'")
+    base = Recipe(stage=stage)
+    for key, presets in (("model", PRESETS), ("densifier", DENSIFIERS)):
+        model = data.get(key)
+        if isinstance(model, dict) and str(model.get("preset")) in presets:
+            base = dataclasses.replace(base, **{key: presets[model["preset"]]})
+    return jsonio.build(Recipe, data, where, what="recipe", base=base)
