@@ -8,9 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from splatbench import published
 from splatbench.records import Record
-from splatbench.report import curves, summary
+from splatbench.report import published, summary
 from splatbench.report.tables import seconds
 from splatbench.tables import Setup, Table
 
@@ -180,8 +179,8 @@ def _curves(told: Told) -> Iterable[str]:
             part = f"{told.table.split_by} {block}" if block else ""
             rows = summary.summarize(within)
             for column in summary.leading(told.table.columns, rows):
-                way = curves.points(within, method, column.key)
-                best, end = curves.best(way, column.better), rows[0].figures.get(column.key)
+                way = summary.curve_points(within, method, column.key)
+                best, end = summary.best_point(way, column.better), rows[0].figures.get(column.key)
                 if best is None or end is None or rows[0].edit_seconds is None:
                     continue
                 where = ", ".join(filter(None, [column.group[:1].lower() + column.group[1:], part]))

@@ -25,9 +25,8 @@ from splatbench.methods import Budget, Method
 from splatbench.notes import Told, complete, lines
 from splatbench.process import WorkerJob, Workers, one_line
 from splatbench.records import Record, records
-from splatbench.report import runs, tables
-from splatbench.report.names import Names
-from splatbench.report.summary import SummaryRow, summarize
+from splatbench.report import tables
+from splatbench.report.summary import RUN_FILE, MethodNames, SummaryRow, summarize
 from splatbench.tables import Key, Setup
 from splatbench.worker import SETUP_PATHS, to_json
 from splatpainter.io import files
@@ -133,11 +132,12 @@ def report(
         labels={name: method.label for name, method in known.items()},
     )
     rows = summarize(current, table.split_by, tuple(known))
-    names = Names.of(known, (r.method for r in current))
+    names = MethodNames.of(known, (r.method for r in current))
     layout = tables.grid(asked.protocol, table.columns, rows, names, table.split_by)
     notes = lines(told)
     folder.mkdir(parents=True, exist_ok=True)
-    tables.write(folder, table.title, layout, tables.figures(current), tables.means(asked.protocol, rows), notes)
+    figures, means = tables.case_figures(current), tables.mean_figures(asked.protocol, rows)
+    tables.write_tables(folder, table.title, layout, figures, means, notes)
     about = {
         "protocol": asked.protocol,
         "title": table.title,
@@ -148,7 +148,7 @@ def report(
         "machine": machine,
         "notes": notes,
     }
-    with files.writing(folder / runs.ABOUT) as file:
+    with files.writing(folder / RUN_FILE) as file:
         file.write(json.dumps(about, indent=1).encode())
     return Finished(folder, rows, tables.markdown(layout), notes, complete(told))
 
@@ -171,7 +171,7 @@ def _claim(asked: Asked, folder: Path) -> None:
 
 def _claimed(folder: Path) -> dict[str, Any]:
     """The setup that was noted; of folders without a note, that of the last run that ended; {}: none is known."""
-    for path, inside in ((folder / SETUP, False), (folder / runs.ABOUT, True)):
+    for path, inside in ((folder / SETUP, False), (folder / RUN_FILE, True)):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             told = json.loads(path.read_bytes())
             return dict(told["setup"] if inside else told)

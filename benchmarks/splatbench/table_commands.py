@@ -175,7 +175,7 @@ def bench(name: str, words: Sequence[str]) -> Outcome:
     chosen = own if not config.methods else tuple(known) if "all" in config.methods else config.methods
     if unknown := [method for method in chosen if method not in known]:
         raise ValueError(f"{program}: expected --methods of {', '.join(known)}, got {unknown[0]!r}")
-    from splatbench.report.sheets import write_contact_sheet
+    from splatbench.report.gallery import write_contact_sheet
     from splatbench.runner import Asked, run
     from splatpainter.kernels.compile import ensure_compiled
 
@@ -218,11 +218,11 @@ def report(words: Sequence[str]) -> Outcome:
 
     record, lines = {"page": write_page(folders, config.out), "folders": folders}, []
     if config.markdown is not None:
-        from splatbench.report.results import write_results
+        from splatbench.report.page import write_markdown
         from splatpainter.io.files import read_all
 
         about = "" if config.about is None else read_all(config.about).decode(errors="replace")
-        record["markdown"] = write_results(folders, config.markdown, about)
+        record["markdown"] = write_markdown(folders, config.markdown, about)
         lines.append(f"-> {config.markdown}")
     return _shown(record, [*lines, f"-> {record['page']}"], 0, config.json)
 

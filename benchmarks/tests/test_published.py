@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from splatbench import published
-from splatbench.published import EDITED, OUTSIDE
+from splatbench.report import published
+from splatbench.report.published import EDITED, OUTSIDE
 
 
 def figures(protocol: str, label: str, group: str = "") -> tuple[float, ...]:
@@ -32,11 +32,11 @@ def test_figures_are_the_papers(protocol: str, label: str, group: str, copied: t
 
 
 def test_seconds_are_the_papers() -> None:
-    told = {(row.protocol, row.label): row.seconds for row in published.ROWS}
-    assert told["refine", "GS-LRM"] == "0.92" and told["refine", "SRGS"] == "495"
-    assert told["refine", "Ours (stage II)"] == "1.54 + 0.64"
-    assert told["relight", "RelitLRM"] == "22.1" and told["relight", "Ours (1 view)"] == "1.54 + 0.08"
-    assert told["creative", "Ours"] == told["compress", "VoxelAtt"] == ""
+    seconds = {(row.protocol, row.label): row.seconds for row in published.ROWS}
+    assert seconds["refine", "GS-LRM"] == "0.92" and seconds["refine", "SRGS"] == "495"
+    assert seconds["refine", "Ours (stage II)"] == "1.54 + 0.64"
+    assert seconds["relight", "RelitLRM"] == "22.1" and seconds["relight", "Ours (1 view)"] == "1.54 + 0.08"
+    assert seconds["creative", "Ours"] == seconds["compress", "VoxelAtt"] == ""
 
 
 def test_every_row_of_the_four_tables_is_there() -> None:
@@ -54,6 +54,6 @@ def test_rows_stand_beside_the_method_that_they_are() -> None:
     assert {method: row.label for method, row in one.items()} == {"ttt": "Ours (1 view)", "3dgs": "3DGS"}
     both = published.beside("relight", ["3dgs", "3dgs-colors"], 2)
     assert list(both) == ["3dgs-colors"], "the closest, and once"
-    left = [row.label for row in published.others("relight", ["ttt", "3dgs"], 4)]
+    left = [row.label for row in published.unmatched("relight", ["ttt", "3dgs"], 4)]
     assert left == ["RelitLRM", "GS-LRM + CrossAtt"]
     assert published.beside("relight", ["ttt"], 3) == {}

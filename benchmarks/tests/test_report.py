@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import json
 import math
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,16 +16,15 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy import stats
-from splatbench.report import pictures, runs, sheets
-from splatbench.report.grid import best_of
-from splatbench.report.names import Names
+from splatbench.report import gallery
 from splatbench.report.page import write_page
-from splatbench.report.summary import blocks, summarize
+from splatbench.report.summary import MethodNames, best_methods, blocks, read_run, summarize
 
 from benchmarks.tests.support.runs import COLUMNS, METHODS, FakeTable, plain_run, record, write
 from splatpainter.metrics.bootstrap import interval
 
-VOID = {"meta", "link", "img", "input", "br"}
+VOID = {"meta", "link", "img", "input", "br", "source"}
+TABLES = {"refine": FakeTable(), "relight": FakeTable()}
 
 
 class Page(HTMLParser):
@@ -115,17 +116,17 @@ def test_blocks_are_in_order_of_numbers():
 def test_methods_keep_the_order_of_the_tables():
     told = [record(m, "a", 1) for m in ("new", "3dgs", "nothing")]
     assert [row.method for row in summarize(told, "", tuple(METHODS))] == ["nothing", "3dgs", "new"]
-    names = Names.of(METHODS, {"new", "3dgs", "oracle"})
-    assert names.order == ("3dgs", "oracle", "new") and names.labels["new"] == "new" and "oracle" in names.unmarked
+    names = MethodNames.of(METHODS, {"new", "3dgs", "oracle"})
+    assert names.order == ("3dgs", "oracle", "new") and names.labels["new"] == "new" and "oracle" in names.unranked
 
 
 def test_best_is_among_those_that_answered_everything_and_are_no_bound():
     told = [record("ttt", "a", 20), record("ttt", "b", 20), record("3dgs", "a", 40), record("3dgs", "b", error="x")]
     told += [record("oracle", n, 50) for n in "ab"] + [record("srgs", n, 10) for n in "ab"]
-    names = Names.of(METHODS, {r.method for r in told})
-    assert best_of(summarize(told), COLUMNS[0], names) == {"ttt"}
-    assert best_of(summarize(told), replace(COLUMNS[0], better="lower"), names) == {"srgs"}
-    assert best_of(summarize(told[:2]), COLUMNS[0], names) == set()
+    names = MethodNames.of(METHODS, {r.method for r in told})
+    assert best_methods(summarize(told), COLUMNS[0], names) == {"ttt"}
+    assert best_methods(summarize(told), replace(COLUMNS[0], better="lower"), names) == {"srgs"}
+    assert best_methods(summarize(told[:2]), COLUMNS[0], names) == set()
 
 
 # ---- the page
@@ -141,8 +142,8 @@ def test_page_needs_no_network(plain):
     page, path = plain
     for _, attributes in page.elements:
         for name in ("src", "href", "srcset", "action", "data"):
-            link = attributes.get(name) or "#"
-            assert link.startswith(("#", "pictures/")) or link == "data:,", link
+            assert (attributes.get(name) or "#").startswith(("#", "data:")), name
+    assert [file.name for file in path.parent.iterdir()] == ["index.html"]
     text = path.read_text()
     assert "http:" not in text and "https:" not in text and "url(" not in text and "@import" not in text
     policy = next(m["content"] for m in page.all("meta") if m.get("http-equiv") == "Content-Security-Policy")
@@ -153,48 +154,52 @@ def test_page_needs_no_network(plain):
         assert f"{tag}-src 'sha256-{digest}'" in policy
 
 
+def picture_of(image: dict[str, str | None]) -> Image.Image:
+    kind, _, data = (image["src"] or "").partition(";base64,")
+    assert kind == "data:image/webp"
+    return Image.open(io.BytesIO(base64.b64decode(data)))
+
+
 def test_every_picture_is_there_and_described(plain):
-    page, path = plain
-    shown = page.all("img")
+    page, _ = plain
+    pictures = [image for image in page.all("img") if "width" in image]
     # three cases of input, four or five answers and truth; every answer with its error
-    assert len(shown) == 2 * (2 + 2 * 5) + (2 + 2 * 4)
-    for image in shown:
-        file = path.parent / (image["src"] or "")
-        with Image.open(file) as opened:
+    assert len(pictures) == 2 * (2 + 2 * 5) + (2 + 2 * 4)
+    for image in pictures:
+        with picture_of(image) as opened:
             assert opened.format == "WEBP" and [str(v) for v in opened.size] == [image["width"], image["height"]]
         assert image["alt"] and image["alt"].split(", ")[-1] in ("ant", "bee", "cat")
-    linked = {path.parent / (a["href"] or "") for a in page.all("a") if (a["href"] or "").startswith("pictures/")}
-    assert linked and all(file.is_file() for file in linked)
     ids = [a["id"] for _, a in page.elements if "id" in a]
     assert len(ids) == len(set(ids)) and {a["href"] for a in page.all("a")} >= {"#refine"}
+
+
+def test_plots_are_described_files_of_their_own_for_both_widths(plain):
+    page, _ = plain
+    [plot] = [image for image in page.all("img") if (image.get("src") or "").startswith("data:image/svg+xml")]
+    assert plot["alt"] == "Plot: PSNR against seconds; its figures are in the table"
+    sizes = []
+    for uri in (plot["src"], page.all("source")[0]["srcset"]):
+        root = ET.fromstring(base64.b64decode((uri or "").partition(";base64,")[2]))
+        sizes.append(root.get("width"))
+    assert sizes == ["720", "372"]
 
 
 def test_page_says_what_was_measured_and_what_was_not(plain):
     page, path = plain
     said = page.said()
     assert "Made up (Tab. 1)" in said and "3 objects, 3 cases." in said and "two cores" in said and "load" not in said
-    assert "not installed: no path in the adapters' file" in said and "2 of 3 cases" in said
+    assert "not installed: no path in the adapters' file" in said and "3DGS (2 of 3)" in said
     assert "3DGS: error: ValueError: no splats left (1 of 3 cases)" in said and "Ours (TTT): eight views" in said
-    assert "99.99" in said and "22.00–24.00" in said  # never rounded up to 100; the interval of 22, 23, 24
+    assert "99.99" in said and "[22.00, 24.00]" in said  # never rounded up to 100; the interval of 22, 23, 24
     text = path.read_text()
     assert '<b>23.00</b><span class="unseen"> best</span>' in text  # not the upper bound's 31
     assert "as published, other data" in said and "21.07" in said and "1.54 + 0.64" in said
     assert text.index("GenDen") > text.index("VoxHammer")  # rows that only the paper has, below the measured ones
-    measured, own = text[text.index('<table class="results">') :].split('<table class="results paper">')
-    assert "21.07" not in measured and "21.07" in own
+    assert '<td class="published" data-value="">21.07</td>' in text, "the paper's figures are set apart"
 
 
-def test_page_is_the_same_again_and_forgets_old_pictures(tmp_path):
-    folder = plain_run(tmp_path / "refine")
-    first = page_of(folder, tmp_path / "a")[1]
-    again = page_of(folder, tmp_path / "b")[1]
-    stale = tmp_path / "a" / "pictures" / "refine" / "stale.webp"
-    stale.write_bytes(b"")
-    page_of(folder, tmp_path / "a")
-    assert not stale.exists() and first.read_bytes() == again.read_bytes()
-    listed = [sorted(p.relative_to(r).as_posix() for p in r.rglob("*")) for r in (tmp_path / "a", tmp_path / "b")]
-    assert listed[0] == listed[1]
-    assert all((tmp_path / "a" / n).read_bytes() == (tmp_path / "b" / n).read_bytes() for n in listed[0] if "." in n)
+def test_page_is_the_same_again(plain, tmp_path):
+    assert page_of(plain_run(tmp_path / "refine"), tmp_path / "a")[1].read_bytes() == plain[1].read_bytes()
 
 
 def test_hostile_text_stays_text(tmp_path):
@@ -206,11 +211,11 @@ def test_hostile_text_stays_text(tmp_path):
     ]
     table = FakeTable(title=evil, columns=(replace(COLUMNS[0], label=evil, group=evil),), split_by="views")
     folder = write(tmp_path / "refine", told, places={evil: "evil", "../../../etc": "etc"})
-    page, path = page_of(folder, tmp_path / "out", table)
+    page, _ = page_of(folder, tmp_path / "out", table)
     assert len(page.all("script")) == 1 and not [name for _, a in page.elements for name in a if name.startswith("on")]
-    assert all((image["src"] or "").startswith("pictures/refine/") for image in page.all("img"))
-    assert page.said().count(evil) >= 6 and any(a.get("data-m") == evil for _, a in page.elements)
-    assert {p.parent for p in tmp_path.rglob("*.webp")} == {path.parent / "pictures" / "refine"}
+    assert all((image.get("src") or "data:").startswith("data:") for image in page.all("img"))
+    assert page.said().count(evil) >= 6 and any(a.get("aria-label") == f"Table: {evil}" for _, a in page.elements)
+    assert [path.name for path in (tmp_path / "out").rglob("*")] == ["index.html"]
 
 
 def test_page_takes_only_what_the_last_run_asked_for(tmp_path):
@@ -247,11 +252,11 @@ def test_cases_are_the_easiest_the_middle_and_the_hardest(tmp_path):
         for k, m in enumerate(("ttt", "3dgs"))
         for n, p in zip("abcde", (3, 9, 1, 7, 5), strict=True)
     ]
-    assert pictures.ranked(told, "psnr", 3) == [("b", "easiest"), ("e", "middle"), ("c", "hardest")]
-    assert pictures.ranked(told, "psnr", 2) == [("b", "easiest"), ("c", "hardest")]
-    assert pictures.ranked(told, "psnr", 1) == [("e", "middle")]
-    assert pictures.ranked(told[:2], "psnr", 3) == [("b", ""), ("a", "")]
-    rows = pictures.picture_rows(write(tmp_path, told), told, Names.of(METHODS, {"ttt", "3dgs"}), FakeTable())
+    assert gallery.ranked(told, "psnr", 3) == [("b", "easiest"), ("e", "middle"), ("c", "hardest")]
+    assert gallery.ranked(told, "psnr", 2) == [("b", "easiest"), ("c", "hardest")]
+    assert gallery.ranked(told, "psnr", 1) == [("e", "middle")]
+    assert gallery.ranked(told[:2], "psnr", 3) == [("b", ""), ("a", "")]
+    rows = gallery.picture_rows(write(tmp_path, told), told, MethodNames.of(METHODS, {"ttt", "3dgs"}), FakeTable())
     labels = [[tile.label for tile in row.tiles] for row in rows]
     assert labels == [["Input edit", "Asset before", "Ours (TTT)", "3DGS", "Truth"]] * 3
     assert [tile.figure for tile in rows[0].tiles] == [None, None, 9, 10, None]
@@ -259,23 +264,23 @@ def test_cases_are_the_easiest_the_middle_and_the_hardest(tmp_path):
 
 def test_errors_only_against_a_truth_of_the_same_size(tmp_path):
     folder = write(tmp_path / "refine", [record("ttt", "ant", 20)])
-    rows = pictures.picture_rows(folder, runs.read(folder).records, Names.of(METHODS, {"ttt"}), FakeTable())
+    rows = gallery.picture_rows(folder, read_run(folder).records, MethodNames.of(METHODS, {"ttt"}), FakeTable())
     tile = next(tile for tile in rows[0].tiles if tile.method)
-    wrong = np.abs(pictures.read(tile.path) - pictures.read(rows[0].tiles[-1].path)).max(-1)
-    found = sheets.error_of(tile, pictures.read(rows[0].tiles[-1].path))
+    wrong = np.abs(gallery.read_picture(tile.path) - gallery.read_picture(rows[0].tiles[-1].path)).max(-1)
+    found = gallery.error_of(tile, gallery.read_picture(rows[0].tiles[-1].path))
     assert found is not None and np.array_equal(found.sum(-1) == 3, wrong >= 0.25)
-    assert sheets.error_of(tile, np.zeros((5, 5, 3), np.float32)) is None
-    assert sheets.error_of(rows[0].tiles[-1], pictures.read(tile.path)) is None
+    assert gallery.error_of(tile, np.zeros((5, 5, 3), np.float32)) is None
+    assert gallery.error_of(rows[0].tiles[-1], gallery.read_picture(tile.path)) is None
 
 
 def test_contact_sheet_wraps_many_methods(tmp_path):
     told = [record(f"method-{k:02}", "ant", 20 + k) for k in range(12)]
-    path = sheets.write_contact_sheet(write(tmp_path / "refine", told), tmp_path / "s" / "a.png", FakeTable(), METHODS)
+    path = gallery.write_contact_sheet(write(tmp_path / "refine", told), tmp_path / "s" / "a.png", TABLES, METHODS)
     assert path is not None
     with Image.open(path) as image:
         # 15 pictures in two lines, each with a line of errors
-        assert image.width == 8 * (sheets.CELL + 6) + 6 and 4 * sheets.CELL < image.height < 6 * sheets.CELL
+        assert image.width == 8 * (gallery.CELL_PX + 6) + 6 and 4 * gallery.CELL_PX < image.height < 6 * gallery.CELL_PX
     (tmp_path / "relight").mkdir()
-    assert sheets.write_contact_sheet(tmp_path / "relight", tmp_path / "b.png", FakeTable(), METHODS) is None
+    assert gallery.write_contact_sheet(tmp_path / "relight", tmp_path / "b.png", TABLES, METHODS) is None
     with pytest.raises(ValueError, match="expected the folder of one of refine, relight"):
-        sheets.write_contact_sheet(tmp_path / "s", tmp_path / "b.png")
+        gallery.write_contact_sheet(tmp_path / "s", tmp_path / "b.png")

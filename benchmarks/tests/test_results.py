@@ -7,14 +7,14 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from splatbench.report.results import write_results
+from splatbench.report.page import write_markdown
 
 from benchmarks.tests.support.runs import METHODS, FakeTable, plain_run, record, write
 
 
 def test_holds_tables_plots_and_sheets_that_are_there(tmp_path: Path) -> None:
     folder = plain_run(tmp_path / "refine")
-    out = write_results([folder], tmp_path / "docs" / "RESULTS.md", "# Results\n\nFive objects.", _tables(), METHODS)
+    out = write_markdown([folder], tmp_path / "docs" / "RESULTS.md", "# Results\n\nFive objects.", _tables(), METHODS)
     text = out.read_text()
     assert text.startswith("# Results\n\nFive objects.\n\nMeasured on:\n\n- two cores\n")
     assert "## Made up (Tab. 1)" in text and "3 objects, 3 cases" in text
@@ -27,17 +27,17 @@ def test_holds_tables_plots_and_sheets_that_are_there(tmp_path: Path) -> None:
             assert ET.parse(out.parent / link).getroot().tag.endswith("svg")
     assert text.count("\n\n*PSNR against seconds*\n") == 1, "a caption: pictures do not show their titles"
     (out.parent / "results" / "refine-of-an-earlier-run.svg").write_text("<svg/>")
-    again = write_results([folder], tmp_path / "docs" / "RESULTS.md", "# Results\n\nFive objects.", _tables(), METHODS)
+    again = write_markdown([folder], tmp_path / "docs" / "RESULTS.md", "# Results\n\nFive objects.", _tables(), METHODS)
     assert again.read_text() == text
     assert not (out.parent / "results" / "refine-of-an-earlier-run.svg").exists()
 
 
 def test_folders_without_records_are_left_out_and_none_at_all_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="^report: expected records of `splatpainter bench`, found none$"):
-        write_results([tmp_path], tmp_path / "RESULTS.md", "", _tables(), METHODS)
+    with pytest.raises(ValueError, match=r"^report: expected records of .* in .*relight, found none$"):
+        write_markdown([tmp_path / "relight"], tmp_path / "RESULTS.md", "", _tables(), METHODS)
     folder = write(tmp_path / "refine", [record("lift", "ant", 20.0)])
     (tmp_path / "relight").mkdir()
-    out = write_results([tmp_path / "relight", folder], tmp_path / "R.md", "", _tables(), METHODS)
+    out = write_markdown([tmp_path / "relight", folder], tmp_path / "R.md", "", _tables(), METHODS)
     assert out.read_text().count("## ") == 1
 
 

@@ -12,8 +12,7 @@ import pytest
 from splatbench.methods import Budget, Done, Method, Work
 from splatbench.records import Record
 from splatbench.report import tables
-from splatbench.report.names import Names
-from splatbench.report.summary import summarize
+from splatbench.report.summary import MethodNames, summarize
 from splatbench.tables import Column
 
 COLUMNS = (Column("psnr", "PSNR", "On the object", "higher"), Column("lpips", "LPIPS", "On the object", "lower", 4))
@@ -65,7 +64,7 @@ METHODS = {name: Method(name, label, edit, (), oracle=name == "bound") for name,
 @pytest.fixture()
 def grid() -> tables.Grid:
     rows = summarize(RECORDS, "views", tuple(METHODS))
-    return tables.grid("relight", COLUMNS, rows, Names.of(METHODS, LABELS), "views")
+    return tables.grid("relight", COLUMNS, rows, MethodNames.of(METHODS, LABELS), "views")
 
 
 def cells(text: str, label: str, nth: int = 0) -> list[str]:
@@ -77,7 +76,7 @@ def test_markdown(grid: tables.Grid) -> None:
     text = tables.markdown(grid)
     heads = [cell.strip() for cell in text.splitlines()[0].split("|")[1:-1]]
     assert heads[:3] == ["Method", "On the object PSNR ↑", "On the object LPIPS ↓"]
-    assert heads[3:7] == ["Seconds (set-up + edit)", "Peak MiB", "Rows", "Rows kept %"]
+    assert heads[3:7] == ["Seconds (set-up + edit)", "Peak MiB", "Gaussians", "Kept %"]
     assert heads[7] == "*as published, other data:* PSNR"
     ours = cells(text, "Ours & theirs")
     # Two objects: the bootstrap draws (20, 20), (20, 23), (23, 23), so that its ends are the two.
@@ -120,8 +119,8 @@ def test_latex(grid: tables.Grid, tmp_path: Path) -> None:
 
 def test_csv_has_one_line_per_object_method_and_metric(grid: tables.Grid, tmp_path: Path) -> None:
     rows = summarize(RECORDS, "views", tuple(METHODS))
-    told, summed = tables.figures(RECORDS), tables.means("relight", rows)
-    tables.write(tmp_path, "A title", grid, told, summed, ["one note", "of two\nlines"])
+    figures, means_of_rows = tables.case_figures(RECORDS), tables.mean_figures("relight", rows)
+    tables.write_tables(tmp_path, "A title", grid, figures, means_of_rows, ["one note", "of two\nlines"])
     with open(tmp_path / "results.csv", newline="") as file:
         assert file.readline() == "# A title\n"
         lines = list(csv.DictReader(file))
@@ -142,8 +141,8 @@ def test_csv_has_one_line_per_object_method_and_metric(grid: tables.Grid, tmp_pa
 
 
 def test_seconds_for_people() -> None:
-    told = {0.0: "0", 0.00002: "< 0.01", 0.0149: "0.01", 1.5: "1.50", 9.994: "9.99", 9.996: "10.0", 99.96: "100"}
-    assert {value: tables.seconds(value) for value in told} == told and tables.seconds(1234.5) == "1,234"
+    texts = {0.0: "0", 0.00002: "< 0.01", 0.0149: "0.01", 1.5: "1.50", 9.994: "9.99", 9.996: "10.0", 99.96: "100"}
+    assert {value: tables.seconds(value) for value in texts} == texts and tables.seconds(1234.5) == "1,234"
 
 
 def test_states_in_cells() -> None:

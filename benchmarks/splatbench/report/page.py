@@ -1,204 +1,263 @@
-"""One static HTML page of all tables, plots and pictures of a run. Needs no network; every text from files is escaped.
+"""A run for people: one HTML page of all tables, plots and pictures, or a Markdown file with pictures beside it.
 
-OUT/index.html holds style and script, OUT/pictures/PROTOCOL/ the pictures. Equal records give equal bytes.
+The page is a single file that needs no network: page.html.j2 with page.css and page.js in it, every picture as a data
+URI. Text from records is escaped by Jinja2. Equal records give equal bytes.
 """
 
 from __future__ import annotations
 
 import base64
 import hashlib
+import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
+import numpy as np
+
 from splatbench.notes import LOAD, SIDE_BY_SIDE
-from splatbench.records import Record
-from splatbench.report import runs, svg
-from splatbench.report.gallery import Store, gallery
-from splatbench.report.grid import grid
-from splatbench.report.names import Layout, Named, Names
-from splatbench.report.page_script import SCRIPT
-from splatbench.report.page_style import STYLE
-from splatbench.report.paper_grid import paper_grid
-from splatbench.report.pictures import picture_rows
-from splatbench.report.plots import charts
-from splatbench.report.summary import SummaryRow, summarize
+from splatbench.report.gallery import (
+    WHITE_ERROR,
+    PictureRow,
+    error_of,
+    picture_rows,
+    read_picture,
+    write_contact_sheet,
+)
+from splatbench.report.plots import COLORS, MARKERS, charts, draw
+from splatbench.report.summary import (
+    MethodLabel,
+    MethodNames,
+    Run,
+    SummaryRow,
+    TableLayout,
+    method_names,
+    read_run,
+    summarize,
+    table_layout,
+)
+from splatbench.report.tables import Grid, grid, head_groups, markdown
+from splatpainter.cameras import to_uint8
 from splatpainter.io import files
 
-WIDE, NARROW = 720, 372
-"""Pixels of plots, on large and on small screens: text keeps its size."""
+TEMPLATES = Path(__file__).parent
+WIDE_PX, NARROW_PX = 720, 372
+"""Widths of plots on large and on small screens: text keeps its size."""
+WEBP_QUALITY = 92
+"""Figures are always of the pictures as they were rendered."""
+NOTES_PER_METHOD = 3
 
 
 @dataclass(frozen=True)
-class Part:
-    """One protocol's share of the page."""
+class Section:
+    """One table's share of a report."""
 
     name: str
     folder: Path
-    table: Layout
-    run: runs.Run
+    table: TableLayout
+    run: Run
+    names: MethodNames
+    """Of the whole report, so that a method has one mark on all of the page."""
 
     @property
-    def records(self) -> tuple[Record, ...]:
-        return self.run.records
+    def count(self) -> str:
+        """Its size in words."""
+        objects, cases = len({r.name for r in self.run.records}), len({r.label for r in self.run.records})
+        return f"{objects} object{'s'[: objects != 1]}, {cases} case{'s'[: cases != 1]}"
+
+    def rows(self) -> list[SummaryRow]:
+        return summarize(self.run.records, self.table.split_by, self.names.order)
+
+    def grid(self) -> Grid:
+        return grid(self.name, self.table.columns, self.rows(), self.names, self.table.split_by)
+
+    def notes(self) -> Sequence[str]:
+        """Of the runner, where it has finished."""
+        return notes(self.rows(), self.table, self.names) if self.run.notes is None else self.run.notes
 
 
 def write_page(
     folders: Sequence[Path],
     out: Path,
-    tables: Mapping[str, Layout] | None = None,
-    methods: Mapping[str, Named] | None = None,
+    tables: Mapping[str, TableLayout] | None = None,
+    methods: Mapping[str, MethodLabel] | None = None,
     title: str = "SplatPainter: the paper's tables",
 ) -> Path:
-    """OUT/index.html of the protocols whose results lie in `folders` (each OUT/PROTOCOL, as the runner leaves them).
+    """OUT/index.html of the tables whose results lie in `folders` (each OUT/TABLE, as the runner leaves them).
 
-    tables: by protocol; methods: by name, in order; None: those of this package. Folders without a record are left out.
-    Raises ValueError where no folder has a record, where a record cannot be read, and for a folder that is no
-    protocol's.
+    tables, methods: by name, in order; None: those of this package. Folders without a record are left out. Raises
+    ValueError where no folder has a record, where a record cannot be read, and for a folder that is no table's.
     """
-    parts = [part for folder in folders if (part := _part(folder, tables)).records]
-    if not parts:
-        told = ", ".join(str(folder) for folder in folders) or "no folder"
-        raise ValueError(f"report: expected records of `splatpainter bench` in {told}, found none")
-    if methods is None:
-        from splatbench.methods import all_methods
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-        methods = all_methods()
-    names = Names.of(methods, (r.method for part in parts for r in part.records))
-    sections = [_section(part, names, out) for part in parts]
+    sections = _sections(folders, tables, methods)
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals |= {"head_groups": head_groups, "markers": [*MARKERS.values()], "colors": len(COLORS)}
+    css, script = ((TEMPLATES / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    html = environment.get_template("page.html.j2").render(
+        title=title,
+        machines=machines(sections),
+        sections=[_section_view(section) for section in sections],
+        css=css,
+        script=script,
+        policy=f"default-src 'none'; img-src data:; style-src '{_digest(css)}'; script-src '{_digest(script)}'; "
+        "base-uri 'none'; form-action 'none'",
+    )
     out.mkdir(parents=True, exist_ok=True)
     with files.writing(out / "index.html") as file:
-        file.write(_document(title, machines([r for p in parts for r in p.records]), parts, sections).encode())
+        file.write(html.encode())
     return out / "index.html"
 
 
-def notes(rows: Sequence[SummaryRow], table: Layout, names: Names) -> list[str]:
+def write_markdown(
+    folders: Sequence[Path],
+    out: Path,
+    about: str = "",
+    tables: Mapping[str, TableLayout] | None = None,
+    methods: Mapping[str, MethodLabel] | None = None,
+) -> Path:
+    """`out` (a .md file, e.g. docs/RESULTS.md) with plots and contact sheets in a folder of its name beside it. about:
+    Markdown that stands first. tables, methods, errors: as write_page has them."""
+    sections = _sections(folders, tables, methods)
+    beside = out.with_name(out.stem.lower())
+    beside.mkdir(parents=True, exist_ok=True)
+    parts = [about.strip(), "Measured on:", "\n".join(f"- {machine}" for machine in machines(sections))]
+    for section in sections:
+        names = method_names(section.run.records, methods)
+        parts += [f"## {section.table.title}", f"`splatpainter bench {section.name}`: {section.count}."]
+        parts.append(markdown(section.grid()))
+        stale = set(beside.glob(f"{section.name}-*.svg"))
+        for chart in charts(section.run.records, section.table, names):
+            slug = re.sub(r"[^a-z0-9]+", "-", chart.title.lower()).strip("-")[:60]
+            path = beside / f"{section.name}-{slug}.svg"
+            with files.writing(path) as file:
+                file.write(draw(chart, WIDE_PX).encode())
+            parts.append(f"![{chart.title}]({beside.name}/{path.name})\n\n*{chart.title}*")
+            stale.discard(path)
+        for path in stale:  # of an earlier run
+            path.unlink()
+        sheet = write_contact_sheet(section.folder, beside / f"{section.name}.webp", tables, methods)
+        if sheet is not None:
+            parts.append(f"![Input, answers with their errors, and truth of some cases]({beside.name}/{sheet.name})")
+        if section.notes():
+            listed = "\n".join(f"- {note}" for note in section.notes())
+            parts.append(f"<details><summary>Notes</summary>\n\n{listed}\n\n</details>")
+    with files.writing(out) as file:
+        file.write(("\n\n".join(part for part in parts if part) + "\n").encode())
+    return out
+
+
+def notes(rows: Sequence[SummaryRow], table: TableLayout, names: MethodNames) -> list[str]:
     """What a reader must know beside the figures, where the runner has not said it: what failed, what is not installed,
     what was not measured."""
-    told: dict[str, None] = {}
+    lines = []
     for row in rows:
-        where = f", {table.split_by} {row.block}" if table.split_by and row.block else ""
-        for said, count in row.errors:
-            told[f"{names.labels[row.method]}{where}: {said} ({count} of {row.asked} cases)"] = None
+        block = f", {table.split_by} {row.block}" if table.split_by and row.block else ""
+        for reason, count in row.errors:
+            lines.append(f"{names.labels[row.method]}{block}: {reason} ({count} of {row.asked} cases)")
     for row in rows:
-        for note in row.notes[:3]:
-            told[f"{names.labels[row.method]}: {note}"] = None
-        if len(row.notes) > 3:
-            told[f"{names.labels[row.method]}: {len(row.notes) - 3} further notes in its records"] = None
+        lines += [f"{names.labels[row.method]}: {note}" for note in row.notes[:NOTES_PER_METHOD]]
+        if (further := len(row.notes) - NOTES_PER_METHOD) > 0:
+            lines.append(f"{names.labels[row.method]}: {further} further notes in its records")
     for column in table.columns:
         if not any(column.key in row.figures for row in rows):
-            told[f"{column.label}{f' ({column.group.lower()})' if column.group else ''}: not measured"] = None
-    return list(told)
+            lines.append(f"{column.label}{f' ({column.group.lower()})' if column.group else ''}: not measured")
+    return list(dict.fromkeys(lines))
 
 
-def _part(folder: Path, tables: Mapping[str, Layout] | None) -> Part:
-    name = folder.name
-    if tables is None:
-        from splatbench import tables as protocols
-
-        if name not in protocols.NAMES:
-            raise ValueError(f"{folder}: expected the folder of one of {', '.join(protocols.NAMES)}")
-        return Part(name, folder, protocols.table(name), runs.read(folder))
-    if name not in tables:
-        raise ValueError(f"{folder}: expected the folder of one of {', '.join(tables)}")
-    return Part(name, folder, tables[name], runs.read(folder))
+def machines(sections: Sequence[Section]) -> list[str]:
+    """Every machine that rows were measured on, without how busy it was."""
+    lines = (r.machine for section in sections for r in section.run.records if r.whole and r.machine)
+    return list(dict.fromkeys(SIDE_BY_SIDE.sub("", LOAD.sub("", line)) for line in lines))
 
 
-def _section(part: Part, names: Names, out: Path) -> str:
-    table = part.table
-    rows = summarize(part.records, table.split_by, names.order)
-    anchor = escape(part.name, quote=True)
-    cases, objects = len({r.label for r in part.records}), len({r.name for r in part.records})
-    body = [
-        f'<section id="{anchor}"><h2>{escape(table.title)}</h2>',
-        f'<p class="about">{_count(objects, "object")}, {_count(cases, "case")}. {_legend(rows)}</p>',
-        f'<div class="scroller" tabindex="0" role="region" aria-label="Table: {escape(table.title, quote=True)}">',
-        grid(rows, table, names),
-        "</div>",
-    ]
-    if own := paper_grid(part.name, {row.method for row in rows}, names):
-        body += [
-            '<div class="scroller own" tabindex="0" role="region" aria-label="The paper\'s own table">',
-            own,
-            "</div>",
-        ]
-    if said := part.run.notes if part.run.notes is not None else notes(rows, table, names):
-        body += ['<details class="notes"><summary>', f"{_count(len(said), 'note')}</summary><ul>"]
-        body += [f"<li>{escape(note)}</li>" for note in said]
-        body += ["</ul></details>"]
-    if drawn := charts(part.records, table, names):
-        body += ['<div class="plots">', *map(_figure, drawn), "</div>"]
-    store = Store(out, part.name)
-    shown = picture_rows(part.folder, part.records, names, table)
-    body += [gallery(shown, store, names, table.split_by, anchor), "</section>"]
-    store.prune()
-    return "\n".join(body)
+def _sections(
+    folders: Sequence[Path],
+    tables: Mapping[str, TableLayout] | None,
+    methods: Mapping[str, MethodLabel] | None,
+) -> list[Section]:
+    runs = [(folder, table_layout(folder, tables), read_run(folder)) for folder in folders]
+    runs = [(folder, table, run) for folder, table, run in runs if run.records]
+    if not runs:
+        listed = ", ".join(map(str, folders)) or "no folder"
+        raise ValueError(f"report: expected records of `splatpainter bench` in {listed}, found none")
+    names = method_names((r for _, _, run in runs for r in run.records), methods)
+    return [Section(folder.name, folder, table, run, names) for folder, table, run in runs]
 
 
-def _figure(chart: svg.Chart) -> str:
-    wide, narrow = svg.draw(chart, WIDE), svg.draw(chart, NARROW)
-    return (
-        f'<figure><figcaption>{escape(chart.title)}</figcaption><div class="wide">{wide}</div>'
-        f'<div class="narrow">{narrow}</div></figure>'
-    )
+# ---- what the template shows
 
 
-def _legend(rows: Sequence[SummaryRow]) -> str:
-    said = "Means over objects"
-    if any(found.low is not None for row in rows for found in row.figures.values()):
-        said += ", with 95 % bootstrap intervals below"
-    return said + "; seconds are medians. Bold: the best of a block; upper bounds do not compete."
+def _section_view(section: Section) -> dict[str, object]:
+    rows = picture_rows(section.folder, section.run.records, section.names, section.table)
+    intervals = any(figure.low is not None for row in section.rows() for figure in row.figures.values())
+    return {
+        "name": section.name,
+        "title": section.table.title,
+        "count": section.count,
+        "intervals": intervals,
+        "grid": section.grid(),
+        "notes": section.notes(),
+        "marks": {name: (section.names.style(name), name in section.names.unranked) for name in section.names.order},
+        "charts": [
+            {"title": chart.title, "wide": _svg_uri(draw(chart, WIDE_PX)), "narrow": _svg_uri(draw(chart, NARROW_PX))}
+            for chart in charts(section.run.records, section.table, section.names)
+        ],
+        "cases": [_case_view(row) for row in rows],
+        "figures": _figures_shown(rows),
+        "ranks": list(dict.fromkeys(row.rank for row in rows if row.rank)),
+        "white_error": f"{WHITE_ERROR:g}",
+    }
 
 
-def machines(records: Sequence[Record]) -> list[str]:
-    """Every machine that rows were measured on; more than one is said, for their seconds do not compare."""
-    told = (r.machine for r in records if r.whole and r.machine)
-    return list(dict.fromkeys(SIDE_BY_SIDE.sub("", LOAD.sub("", machine)) for machine in told))
+def _figures_shown(rows: Sequence[PictureRow]) -> str:
+    """Which figures stand beside names of pictures."""
+    columns = list(dict.fromkeys(row.column for row in rows))
+    if len(columns) != 1:
+        return "the first figure of the table that the case has"
+    group = columns[0].group
+    return f"{columns[0].label}{f', {group[:1].lower()}{group[1:]}' if group else ''}"
 
 
-def _document(title: str, machines: Sequence[str], parts: Sequence[Part], sections: Sequence[str]) -> str:
-    style = STYLE + svg.STYLE
-    links = "".join(f'<a href="#{escape(p.name, quote=True)}">{escape(p.name.capitalize())}</a>' for p in parts)
-    told = "".join(f"<li>{escape(machine)}</li>" for machine in machines)
-    warning = (
-        "<p>Rows were measured on several machines: their seconds do not compare.</p>" if len(machines) > 1 else ""
-    )
-    policy = f"default-src 'none'; img-src 'self' file: data:; style-src '{_digest(style)}'; "
-    policy += f"script-src '{_digest(SCRIPT)}'; base-uri 'none'; form-action 'none'"
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<title>{escape(title)}</title>
-<link rel="icon" href="data:,">
-<style>{style}</style>
-</head>
-<body>
-<a class="skip" href="#main">To the tables</a>
-<header class="top">
-<h1>{escape(title)}</h1>
-<p class="about">Every method gets the same cases, cameras, metrics and machine. Figures of the paper (arXiv 2512.05354)
-stand in grey; they were taken on other data and compare with no measured row.</p>
-<ul class="machines" aria-label="Measured on">{told}</ul>{warning}
-</header>
-<nav aria-label="Tables">{links}</nav>
-<main id="main">
-{chr(10).join(sections)}
-</main>
-<script>{SCRIPT}</script>
-</body>
-</html>
-"""
+def _case_view(row: PictureRow) -> dict[str, object]:
+    truth = read_picture(row.truth) if row.truth else None
+    tiles = []
+    for tile in row.tiles:
+        picture, error = read_picture(tile.path), error_of(tile, truth)
+        tiles.append(
+            {
+                "label": tile.label,
+                "method": tile.method,
+                "figure": "" if tile.figure is None else f"{tile.figure:,.{row.column.digits}f}",
+                "width": picture.shape[1],
+                "height": picture.shape[0],
+                "picture": _webp_uri(picture),
+                "error": "" if error is None else _webp_uri(error),
+            }
+        )
+    return {"title": row.title, "tiles": tiles}
+
+
+def _webp_uri(picture: np.ndarray) -> str:
+    """picture: [H, W, 3] float 0..1."""
+    from PIL import Image
+
+    data = io.BytesIO()
+    Image.fromarray(to_uint8(picture)).save(data, "WEBP", quality=WEBP_QUALITY, method=5)
+    return "data:image/webp;base64," + base64.b64encode(data.getvalue()).decode()
+
+
+def _svg_uri(text: str) -> str:
+    return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode()
 
 
 def _digest(text: str) -> str:
     """As a content security policy names it."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-def _count(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"

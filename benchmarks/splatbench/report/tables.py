@@ -1,8 +1,7 @@
-"""A table's rows as CSV, Markdown and LaTeX, in the paper's layout, with the paper's own figures in a group apart.
+"""One table as CSV, Markdown and LaTeX, in the paper's layout, with the paper's own figures in a group apart.
 
 One line of the table per method and block; what did not run is said in words and never printed as a number. Best
-figures are bold among rows that answered every case, upper bounds and "nothing" left out. Knows no files but those it
-writes.
+figures are bold among rows that answered every case, upper bounds and "nothing" left out. page.py shows the same Grid.
 """
 
 from __future__ import annotations
@@ -10,27 +9,30 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
-from splatbench import published
-from splatbench.published import MARK
 from splatbench.records import Record
-from splatbench.report.names import Names
-from splatbench.report.summary import MEASURED, Estimate, SummaryRow
+from splatbench.report import published
+from splatbench.report.published import MARK
+from splatbench.report.summary import MEASURED, Estimate, MethodNames, SummaryRow, best_methods
 from splatpainter.io import files
 from splatpainter.text_tables import shown, write_csv
 
 NONE = "–"
 ARROWS = {"higher": " ↑", "lower": " ↓", "": ""}
 NOT_RUN = "not run"
-SHORTEST = 0.01
-"""Seconds; less is not told apart."""
+MIN_SECONDS = 0.01
+"""Shorter times are not told apart."""
+COSTS = ("setup_seconds", "edit_seconds", "peak_mib", "rows", "rows_equal", "appended")
+"""Fields of records and of rows that every table has besides its figures."""
 _TEX = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--"}
 _TEX |= {c: "\\" + c for c in "&%$#_{}"} | {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "<": "$<$", ">": "$>$"}
 
 
 @dataclass(frozen=True)
-class Figure:
+class CaseFigure:
     """One line of results.csv: one metric of one method on one case."""
 
     protocol: str
@@ -43,7 +45,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Mean:
+class MeanFigure:
     """One line of summary.csv."""
 
     protocol: str
@@ -65,6 +67,18 @@ class Head:
     group: str
     label: str
     published: bool = False
+    better: str = ""
+    """"higher", "lower" or "" (neither)."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    text: str = NONE
+    interval: str = ""
+    value: float | None = None
+    """What rows are sorted by."""
+    best: bool = False
+    """Of its block."""
 
 
 @dataclass(frozen=True)
@@ -74,84 +88,81 @@ class Line:
     label: str
     state: str
     """Why there are no figures; "": there are."""
-    cells: tuple[tuple[str, str], ...]
-    """(figure, its interval or "") per column."""
-    best: frozenset[int] = frozenset()
-    """Columns in which it is the best of its block."""
+    cells: tuple[Cell, ...]
+    """One per column."""
+    method: str = ""
+    """Name; "" for a row that only the paper has."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A table as text, before it is Markdown or LaTeX."""
+    """A table as text, before it is Markdown, LaTeX or HTML."""
 
     heads: tuple[Head, ...]
     blocks: tuple[tuple[str, tuple[Line, ...]], ...]
     """(name, "" where the table is not split; its rows)."""
 
 
-def figures(records: Iterable[Record]) -> list[Figure]:
+def case_figures(records: Iterable[Record]) -> list[CaseFigure]:
     """Every number of every record, in full; of a record without figures, its error or why it is missing."""
-    found = []
+    lines = []
     for r in records:
-        told: dict[str, float | str | None]
+        values: dict[str, float | str | None]
         if r.whole:
-            own = ("setup_seconds", "edit_seconds", "peak_mib", "rows", "rows_equal", "appended")
-            told = {**r.figures, **{name: getattr(r, name) for name in own}}
-            told |= {f"numbers.{name}": value for name, value in r.numbers.items()}
+            values = {**r.figures, **{name: getattr(r, name) for name in COSTS}}
+            values |= {f"numbers.{name}": value for name, value in r.numbers.items()}
         else:
-            told = {"missing": r.missing} if r.missing else {"error": r.error}
-        found += [Figure(r.protocol, r.name, r.label, r.method, metric, value) for metric, value in told.items()]
-    return found
+            values = {"missing": r.missing} if r.missing else {"error": r.error}
+        lines += [CaseFigure(r.protocol, r.name, r.label, r.method, metric, value) for metric, value in values.items()]
+    return lines
 
 
-def means(protocol: str, rows: Iterable[SummaryRow]) -> list[Mean]:
+def mean_figures(protocol: str, rows: Iterable[SummaryRow]) -> list[MeanFigure]:
     """Rows in long form; one line with its state for a row that has no figures."""
-    found = []
+    lines = []
     for row in rows:
         start = protocol, row.block, row.method
         for key, one in row.figures.items():
-            found.append(Mean(*start, key, one.mean, one.low, one.high, one.cases, one.objects, row.state))
-        own = ("setup_seconds", "edit_seconds", "peak_mib", "rows", "rows_equal", "appended")
-        for name in own if row.state == MEASURED else ():
+            lines.append(MeanFigure(*start, key, one.mean, one.low, one.high, one.cases, one.objects, row.state))
+        for name in COSTS if row.state == MEASURED else ():
             value = getattr(row, name)
             if value is not None:
-                found.append(Mean(*start, name, float(value), None, None, row.cases, row.objects, row.state))
+                lines.append(MeanFigure(*start, name, float(value), None, None, row.cases, row.objects, row.state))
         if row.state != MEASURED:
-            found.append(Mean(*start, "", None, None, None, 0, 0, row.state))
-    return found
+            lines.append(MeanFigure(*start, "", None, None, None, 0, 0, row.state))
+    return lines
 
 
-def grid(protocol: str, columns: Sequence, rows: Sequence[SummaryRow], names: Names, split_by: str = "") -> Grid:
-    """The table. columns: of protocols.Column; rows: of `summarize`, block by block."""
+def grid(protocol: str, columns: Sequence, rows: Sequence[SummaryRow], names: MethodNames, split_by: str = "") -> Grid:
+    """The table. columns: of tables.Column; rows: of `summarize`, block by block."""
     paper = published.rows(protocol)
-    theirs = list(dict.fromkeys(key for row in paper for key in row.figures))
+    paper_keys = list(dict.fromkeys(key for row in paper for key in row.figures))
     timed = any(row.seconds for row in paper)
-    heads = [Head(c.group, c.label + ARROWS[c.better]) for c in columns]
-    costs = {"Seconds (set-up + edit)": _seconds, "Peak MiB": _memory, "Rows": _rows, "Rows kept %": _kept}
+    heads = [Head(c.group, c.label + ARROWS[c.better], better=c.better) for c in columns]
+    costs = {"Seconds (set-up + edit)": _seconds, "Peak MiB": _memory, "Gaussians": _gaussians, "Kept %": _kept}
     if any(c.key == "equal" for c in columns):  # the table says it itself
-        del costs["Rows kept %"]
-    heads += [Head("", label) for label in costs]
-    heads += [Head(MARK, f"{group} {label}".strip(), True) for group, label in theirs]
+        del costs["Kept %"]
+    heads += [Head("", label, better="higher" if label == "Kept %" else "lower") for label in costs]
+    heads += [Head(MARK, f"{group} {label}".strip(), True) for group, label in paper_keys]
     heads += [Head(MARK, "Seconds", True)] if timed else []
     blocks = []
     for block in dict.fromkeys(row.block for row in rows):
-        own = [row for row in rows if row.block == block]
+        within = [row for row in rows if row.block == block]
+        methods = [row.method for row in within]
         views = int(block) if split_by == "views" and block.isdecimal() else None
-        beside = published.beside(protocol, [row.method for row in own], views)
-        best = {k: _best(own, c.key, c.better, names) for k, c in enumerate(columns)}
+        beside = published.beside(protocol, methods, views)
+        best = {c.key: best_methods(within, c, names) for c in columns}
         lines = []
-        for row in own:
-            cells = [_estimate(row.figures.get(c.key), c.digits, row.state) for c in columns]
-            cells += [(cost(row), "") for cost in costs.values()]
-            cells += _paper(beside.get(row.method), theirs, timed)
+        for row in within:
+            cells = [_mean(row, c, row.method in best[c.key]) for c in columns]
+            cells += [cost(row) for cost in costs.values()]
+            cells += _published(beside.get(row.method), paper_keys, timed)
             label = names.labels.get(row.method, row.method)
             if 0 < row.cases < row.asked:
                 label += f" ({row.cases} of {row.asked})"
-            marked = frozenset(k for k, methods in best.items() if row.method in methods)
-            lines.append(Line(label, "" if row.state == MEASURED else short(row.state), tuple(cells), marked))
-        blank = (NONE, "")
-        for other in published.others(protocol, [row.method for row in own], views):
-            cells = [blank] * (len(columns) + len(costs)) + _paper(other, theirs, timed)
+            lines.append(Line(label, "" if row.state == MEASURED else short(row.state), tuple(cells), row.method))
+        for other in published.unmatched(protocol, methods, views):
+            cells = [Cell()] * (len(columns) + len(costs)) + _published(other, paper_keys, timed)
             lines.append(Line(other.label, NOT_RUN, tuple(cells)))
         blocks.append((f"{split_by}: {block}" if split_by and block else "", tuple(lines)))
     return Grid(tuple(heads), tuple(blocks))
@@ -165,33 +176,31 @@ def markdown(table: Grid) -> str:
     lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * len(table.heads)]
     for name, rows in table.blocks:
         if name:
-            lines.append("| **" + _plain(name) + "** |" + " |" * len(table.heads))
+            lines.append("| **" + shown(name) + "** |" + " |" * len(table.heads))
         for row in rows:
             cells = []
-            for k, (text, interval) in enumerate(row.cells):
-                text = f"**{text}**" if k in row.best else text
-                if table.heads[k].published and text != NONE:
+            for head, cell in zip(table.heads, row.cells, strict=True):
+                text = f"**{cell.text}**" if cell.best else cell.text
+                if head.published and text != NONE:
                     text = f"*{text}*"
-                cells.append(f"{text} {interval}".strip())
+                cells.append(f"{text} {cell.interval}".strip())
             if row.state:
-                cells[0] = _plain(row.state)
-            lines.append("| " + " | ".join([_plain(row.label), *cells]) + " |")
+                cells[0] = shown(row.state)
+            lines.append("| " + " | ".join([shown(row.label), *cells]) + " |")
     return "\n".join(lines)
 
 
 def latex(table: Grid, caption: str, label: str) -> str:
     r"""A table environment, as wide as the page; needs the packages booktabs, graphicx and xcolor."""
     heads = table.heads
-    ours = sum(not h.published for h in heads)
-    groups, spans, place = [], [], 2
-    while place < len(heads) + 2:
-        group = heads[place - 2].group
-        width = next((k for k, h in enumerate(heads[place - 2 :]) if h.group != group), len(heads) - place + 2)
-        text = tex(group) if place - 2 < ours else rf"\textcolor{{gray}}{{{tex(group)}}}"
-        groups.append(rf"\multicolumn{{{width}}}{{c}}{{{text if group else ''}}}")
-        spans += [rf"\cmidrule(lr){{{place}-{place + width - 1}}}"] if group else []
-        place += width
-    titles = [_grey(tex(h.label)) if h.published else tex(h.label) for h in heads]
+    measured = sum(not h.published for h in heads)
+    groups, spans, column = [], [], 2
+    for group, width in head_groups(heads):
+        title = _gray(tex(group)) if group == MARK else tex(group)
+        groups.append(rf"\multicolumn{{{width}}}{{c}}{{{title}}}")
+        spans += [rf"\cmidrule(lr){{{column}-{column + width - 1}}}"] if group else []
+        column += width
+    titles = [_gray(tex(h.label)) if h.published else tex(h.label) for h in heads]
     lines = [
         r"\begin{table}",
         r"\centering",
@@ -210,21 +219,29 @@ def latex(table: Grid, caption: str, label: str) -> str:
             lines.append(rf"\multicolumn{{{len(heads) + 1}}}{{l}}{{\textit{{{tex(name)}}}}} \\")
         for row in rows:
             cells = []
-            for k, (text, interval) in enumerate(row.cells):
-                cell = rf"\textbf{{{tex(text)}}}" if k in row.best else tex(text)
-                cell = _grey(cell) if heads[k].published else cell
-                cells.append(cell + (rf" {{\tiny {tex(interval)}}}" if interval else ""))
+            for head, cell in zip(heads, row.cells, strict=True):
+                text = rf"\textbf{{{tex(cell.text)}}}" if cell.best else tex(cell.text)
+                text = _gray(text) if head.published else text
+                cells.append(text + (rf" {{\tiny {tex(cell.interval)}}}" if cell.interval else ""))
             if row.state:
-                cells[:ours] = [rf"\multicolumn{{{ours}}}{{l}}{{\textit{{{tex(row.state)}}}}}"]
+                cells[:measured] = [rf"\multicolumn{{{measured}}}{{l}}{{\textit{{{tex(row.state)}}}}}"]
             lines.append(" & ".join([tex(row.label), *cells]) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}}", r"\end{table}"]) + "\n"
 
 
-def write(folder: Path, title: str, table: Grid, told: Sequence[Figure], summed: Sequence[Mean], notes: Sequence[str]):
+def write_tables(
+    folder: Path,
+    title: str,
+    table: Grid,
+    figures: Sequence[CaseFigure],
+    means: Sequence[MeanFigure],
+    notes: Sequence[str],
+) -> None:
     """results.csv, summary.csv, table.md and table.tex in a folder. notes: lines below the table."""
-    write_csv(folder / "results.csv", told, title)
-    write_csv(folder / "summary.csv", summed, title)
-    text = "\n\n".join([f"# {title}", markdown(table), *([_bullets(notes)] if notes else [])]) + "\n"
+    write_csv(folder / "results.csv", figures, title)
+    write_csv(folder / "summary.csv", means, title)
+    bullets = "\n".join(f"- {' '.join(note.split())}" for note in notes)
+    text = "\n\n".join([f"# {title}", markdown(table), *([bullets] if notes else [])]) + "\n"
     with files.writing(folder / "table.md") as file:
         file.write(text.encode())
     caption = f"{title}. Means and bootstrap 95 % intervals over objects; gray: {MARK}."
@@ -242,8 +259,8 @@ def short(state: str) -> str:
 
 def seconds(value: float) -> str:
     """For people: hundredths, tenths from 10 s on, whole ones from 100 s on."""
-    if 0 < value < SHORTEST:
-        return f"< {SHORTEST:g}"
+    if 0 < value < MIN_SECONDS:
+        return f"< {MIN_SECONDS:g}"
     return f"{value:,.{2 if 0 < value < 9.995 else 1 if 0 < value < 99.95 else 0}f}"
 
 
@@ -252,69 +269,56 @@ def tex(text: str) -> str:
     return "".join(_TEX.get(letter, letter) for letter in text)
 
 
-def _best(rows: Sequence[SummaryRow], key: str, better: str, names: Names) -> set[str]:
-    """Methods with the best mean; none where fewer than two can be compared."""
-    known = {
-        row.method: row.figures[key].mean
-        for row in rows
-        if key in row.figures and row.cases == row.asked and row.method not in names.unmarked
-    }
-    if not better or len(known) < 2:
-        return set()
-    top = max(known.values()) if better == "higher" else min(known.values())
-    return {method for method, value in known.items() if value == top}
+def head_groups(heads: Sequence[Head]) -> list[tuple[str, int]]:
+    """(group, number of columns) of each run of columns with the same group."""
+    runs = []
+    for group, same in groupby(heads, key=lambda head: head.group):
+        runs.append((group, len(list(same))))
+    return runs
 
 
-def _estimate(one: Estimate | None, digits: int, state: str) -> tuple[str, str]:
-    if one is None:
-        return ("n/a" if state == MEASURED else NONE), ""
-    interval = ""
-    if one.low is not None and one.high is not None and math.isfinite(one.mean):
-        interval = f"[{one.low:,.{digits}f}, {one.high:,.{digits}f}]"
-    return f"{one.mean:,.{digits}f}", interval
+def _mean(row: SummaryRow, column: Any, best: bool) -> Cell:
+    figure: Estimate | None = row.figures.get(column.key)
+    if figure is None:
+        return Cell("n/a" if row.state == MEASURED else NONE)
+    interval, digits = "", column.digits
+    if figure.low is not None and figure.high is not None and math.isfinite(figure.mean):
+        interval = f"[{figure.low:,.{digits}f}, {figure.high:,.{digits}f}]"
+    return Cell(f"{figure.mean:,.{digits}f}", interval, figure.mean, best)
 
 
-def _seconds(row: SummaryRow) -> str:
+def _seconds(row: SummaryRow) -> Cell:
     """As the paper prints them; set-up is left out where there is none."""
     if row.edit_seconds is None:
-        return NONE
-    edit = seconds(row.edit_seconds)
-    return f"{seconds(row.setup_seconds)} + {edit}" if row.setup_seconds and row.setup_seconds >= SHORTEST else edit
+        return Cell()
+    text, setup = seconds(row.edit_seconds), row.setup_seconds or 0.0
+    return Cell(f"{seconds(setup)} + {text}" if setup >= MIN_SECONDS else text, value=setup + row.edit_seconds)
 
 
-def _memory(row: SummaryRow) -> str:
-    return NONE if row.peak_mib is None else f"{row.peak_mib:,.0f}"
+def _memory(row: SummaryRow) -> Cell:
+    return Cell() if row.peak_mib is None else Cell(f"{row.peak_mib:,.0f}", value=row.peak_mib)
 
 
-def _rows(row: SummaryRow) -> str:
-    return NONE if row.rows is None else f"{row.rows:,}"
+def _gaussians(row: SummaryRow) -> Cell:
+    return Cell() if row.rows is None else Cell(f"{row.rows:,}", value=float(row.rows))
 
 
-def _kept(row: SummaryRow) -> str:
-    """Percent; never rounded up to all."""
+def _kept(row: SummaryRow) -> Cell:
+    """Percent of the Gaussians; never rounded up to all."""
     if row.rows_equal is None:
-        return NONE
-    return "100" if row.rows_equal == 1 else f"{math.floor(row.rows_equal * 1e4) / 100:.2f}"
+        return Cell()
+    text = "100" if row.rows_equal == 1 else f"{math.floor(row.rows_equal * 1e4) / 100:.2f}"
+    return Cell(text, value=row.rows_equal)
 
 
-def _paper(row: published.Published | None, keys: Sequence[tuple[str, str]], timed: bool) -> list[tuple[str, str]]:
+def _published(row: published.Published | None, keys: Sequence[tuple[str, str]], timed: bool) -> list[Cell]:
+    """The paper's figures, with the digits that it prints."""
     if row is None:
-        return [(NONE, "")] * (len(keys) + timed)
-    cells = [(_as_printed(label, row.figures[group, label]), "") for group, label in keys]
-    return cells + ([(row.seconds or NONE, "")] if timed else [])
+        return [Cell()] * (len(keys) + timed)
+    values = [(label, row.figures[group, label]) for group, label in keys]
+    cells = [Cell(f"{value:.2f}" if label == "PSNR" else f"{value:.4f}") for label, value in values]
+    return cells + ([Cell(row.seconds or NONE)] if timed else [])
 
 
-def _as_printed(label: str, value: float) -> str:
-    return f"{value:.2f}" if label == "PSNR" else f"{value:.4f}"
-
-
-def _plain(text: str) -> str:
-    return shown(text)
-
-
-def _grey(text: str) -> str:
+def _gray(text: str) -> str:
     return rf"\textcolor{{gray}}{{{text}}}"
-
-
-def _bullets(notes: Sequence[str]) -> str:
-    return "\n".join(f"- {' '.join(note.split())}" for note in notes)

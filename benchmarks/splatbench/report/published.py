@@ -34,8 +34,8 @@ class Published:
     @property
     def seconds(self) -> str:
         """As the paper prints them: "1.54 + 0.64", "323", or ""."""
-        told = [f"{value:g}" for value in (self.setup_seconds, self.edit_seconds) if value is not None]
-        return " + ".join(told)
+        parts = [f"{value:g}" for value in (self.setup_seconds, self.edit_seconds) if value is not None]
+        return " + ".join(parts)
 
 
 def _three(psnr: float, ssim: float, lpips: float, group: str = "") -> dict[tuple[str, str], float]:
@@ -93,16 +93,16 @@ def rows(protocol: str) -> tuple[Published, ...]:
 def beside(protocol: str, methods: Sequence[str], views: int | None = None) -> dict[str, Published]:
     """Method -> the paper's row that stands beside it in a block, each at most once. methods: those of the block.
     views: number of edited views of the block; rows for which the paper states none stand in every block."""
-    found: dict[str, Published] = {}
+    matches: dict[str, Published] = {}
     for row in rows(protocol):
         if row.views in (None, views):
-            method = next((name for name in row.methods if name in methods and name not in found), None)
+            method = next((name for name in row.methods if name in methods and name not in matches), None)
             if method is not None:
-                found[method] = row
-    return found
+                matches[method] = row
+    return matches
 
 
-def others(protocol: str, methods: Sequence[str], views: int | None = None) -> tuple[Published, ...]:
+def unmatched(protocol: str, methods: Sequence[str], views: int | None = None) -> tuple[Published, ...]:
     """The paper's rows that stand beside no method of a block."""
-    placed = {row.label for row in beside(protocol, methods, views).values()}
-    return tuple(row for row in rows(protocol) if row.views in (None, views) and row.label not in placed)
+    matched = {row.label for row in beside(protocol, methods, views).values()}
+    return tuple(row for row in rows(protocol) if row.views in (None, views) and row.label not in matched)
