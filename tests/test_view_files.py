@@ -18,7 +18,6 @@ from splatpainter.aovs import draw_passes, normals_of
 from splatpainter.cameras import Camera, find_camera, look_at, orbit_cameras
 from splatpainter.image_files import encode_png, quantized, read_deep
 from splatpainter.rendering import reference
-from splatpainter.rendering.cpu.heaviest import heaviest_rows
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.sources import edit_from_files
 from splatpainter.sources.files import over_render
@@ -56,12 +55,12 @@ def weights(splats: Splats, camera: Camera, profile: str) -> tuple[np.ndarray, n
 
 def reference_free(splats: Splats, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
     """(o e^-s [V, P], o [V, 1]) without cap and threshold."""
-    cap, threshold = reference.CAP, reference.THRESHOLD
+    cap, threshold = reference.MAX_ALPHA, reference.MIN_ALPHA
     try:
-        reference.CAP, reference.THRESHOLD = np.inf, 0.0
+        reference.MAX_ALPHA, reference.MIN_ALPHA = np.inf, 0.0
         free, *_, rows = reference.project(splats.torch(dtype=torch.float64), camera)
     finally:
-        reference.CAP, reference.THRESHOLD = cap, threshold
+        reference.MAX_ALPHA, reference.MIN_ALPHA = cap, threshold
     return free, torch.as_tensor(splats.opacities, dtype=torch.float64)[rows][:, None]
 
 
@@ -71,7 +70,7 @@ def test_the_row_with_the_largest_weight(name: str, profile: str) -> None:
     splats, views = SCENES[name]
     for camera in views:
         weight, rows = weights(splats, camera, profile)
-        ids = heaviest_rows(project(splats, camera), profile)  # type: ignore[arg-type]
+        ids = project(splats, camera).heaviest_gaussians(profile)  # type: ignore[arg-type]
         assert ids.shape == (camera.height, camera.width)
         if not len(rows):
             assert (ids == -1).all()
@@ -200,7 +199,7 @@ def test_exr_is_light_times_alpha(tmp_path: Path) -> None:
     source = oiio.ImageInput.open(str(tmp_path / "i.exr"))
     assert source is not None
     ids = np.asarray(source.read_image("uint")).astype(int).reshape(48, 48) - 1
-    assert np.array_equal(ids, heaviest_rows(project(asset, camera)))
+    assert np.array_equal(ids, project(asset, camera).heaviest_gaussians())
 
 
 def test_png_aovs_read_as_the_sidecar_says(tmp_path: Path) -> None:
@@ -229,7 +228,7 @@ def test_png_aovs_read_as_the_sidecar_says(tmp_path: Path) -> None:
     packed = stored("gaussian-ids")
     assert packed.max() > 8  # the second byte is in use
     ids = packed[..., 0] + 256 * packed[..., 1] + 65536 * packed[..., 2] - 1
-    assert np.array_equal(ids, heaviest_rows(project(asset, camera))) and ids.max() > 255
+    assert np.array_equal(ids, project(asset, camera).heaviest_gaussians()) and ids.max() > 255
     assert np.abs(stored("coverage") / 255 - passes.coverage).max() <= 0.51 / 255
     assert Camera.from_json(made["v.json"].decode()) == camera
     assert encode_png(quantized(np.zeros((2, 2)))) not in made.values()

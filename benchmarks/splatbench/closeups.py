@@ -106,7 +106,7 @@ class _Overview:
         self.camera = camera
         low, self.edge = bounding_cube(splats)
         self.frame = project(splats, camera)
-        self.image, self.alpha, self.depth = self.frame.draw()
+        self.image, self.alpha, self.depth = self.frame.rasterize()
         x, y = np.meshgrid(np.arange(SIZE) + 0.5 - camera.cx, np.arange(SIZE) + 0.5 - camera.cy)
         local = np.stack([x / camera.fx, y / camera.fy, np.ones_like(x)], -1) * self.depth[..., None]
         self.points = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]  # [H, W, 3] world
@@ -127,9 +127,9 @@ class _Overview:
     @cached_property
     def rows(self) -> np.ndarray:
         """[H, W] centres of rows that are not hidden, per pixel."""
-        sums = self.frame.accumulate(self.image, np.ones_like(self.alpha))
+        sums = self.frame.backproject(self.image, np.ones_like(self.alpha))
         shown = sums.weight > 0.25 * sums.alpha
-        x, y = np.clip(self.frame.centers[shown].astype(int), 0, SIZE - 1).T
+        x, y = np.clip(self.frame.means2d[shown].astype(int), 0, SIZE - 1).T
         counts = np.zeros((SIZE, SIZE))
         np.add.at(counts, (y, x), 1)
         return counts
@@ -175,7 +175,7 @@ def _means(values: np.ndarray, side: int) -> np.ndarray:
 def _filled(splats: Splats, camera: Camera) -> float:
     from splatpainter.rendering.cpu.projected_view import project
 
-    return float((project(splats, camera).draw()[1] > 0.9).mean())
+    return float((project(splats, camera).rasterize()[1] > 0.9).mean())
 
 
 def _aimed(eye: np.ndarray, target: np.ndarray, up: np.ndarray, size: int, background: tuple) -> Camera:

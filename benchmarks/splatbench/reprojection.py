@@ -50,14 +50,14 @@ def surface_depth(splats: Splats, camera: Camera) -> np.ndarray:
 
     frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
     shape = (camera.height, camera.width)
-    weight = frame.accumulate(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32)).weight
+    weight = frame.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32)).weight
     share = np.cumsum(weight) / max(float(weight.sum()), 1e-9)  # the frame's rows come front to back
     slices = np.minimum((share * SLICES).astype(int), SLICES - 1)
-    alpha = frame.draw()[1]
+    alpha = frame.rasterize()[1]
     depth, reached = np.zeros(shape), np.zeros(shape)
     for k in range(SLICES):
         here = (slices == k).astype(np.float32)
-        sums = frame.draw(np.stack([here, here * frame.depths, here], 1))[0]
+        sums = frame.rasterize(np.stack([here, here * frame.depths, here], 1))[0]
         crossed = (reached <= alpha / 2) & (reached + sums[..., 0] > alpha / 2)
         depth = np.where(crossed, sums[..., 1] / np.maximum(sums[..., 0], 1e-9), depth)
         reached += sums[..., 0]

@@ -203,11 +203,11 @@ def _preview(scene: Scene) -> tuple[Callable[[], Any], Callable[[Any], np.ndarra
     frame = _projection(scene)()
     picture, mask = scene.edited("dab")
     target, weights = picture.astype(np.float32) / 255, mask.astype(np.float32)
-    total = np.maximum(frame.accumulate(target, weights).weight, 1e-6)[:, None]
+    total = np.maximum(frame.backproject(target, weights).weight, 1e-6)[:, None]
 
     def advance(frame: Any) -> np.ndarray:
-        gain, _ = frame.residual_round(target, weights)
-        return np.clip(frame.raw_colors + gain / total, 0, 1)
+        gain, _ = frame.sirt_step(target, weights)
+        return np.clip(frame.unclamped_colors + gain / total, 0, 1)
 
     return lambda: frame, advance
 

@@ -54,7 +54,7 @@ def test_one_affine_map_is_found_again_and_acts_on_every_direction() -> None:
     np.testing.assert_allclose(done.splats.sh, truth.sh, atol=1e-3 / SH_C0)
     other = look_at((-1.5, 1, 2), (0, 0, 0), width=64, height=64)
     seen, new = (project(splats, other) for splats in (asset, done.splats))
-    np.testing.assert_allclose(new.raw_colors, seen.raw_colors @ WARM[:3] + WARM[3], atol=2e-3)
+    np.testing.assert_allclose(new.unclamped_colors, seen.unclamped_colors @ WARM[:3] + WARM[3], atol=2e-3)
     assert done.setup_seconds == 0 and done.edit_seconds > 0 and done.keeps_rows
 
 
@@ -85,8 +85,10 @@ def test_each_cluster_has_its_own_map_and_one_out_of_view_the_common_one() -> No
     truth = mapped(mapped(asset, WARM, labels == 0), COLD, labels == 1)
     far = front()
     views = shown(asset, step(truth, [far]))
-    hidden = project(asset, far).accumulate(views[0].target, views[0].use.astype(np.float32))
-    assert hidden.weight[project(asset, far).rows >= 900].sum() > 0  # it shines through: then it is no exception
+    hidden = project(asset, far).backproject(views[0].target, views[0].use.astype(np.float32))
+    assert (
+        hidden.weight[project(asset, far).gaussian_ids >= 900].sum() > 0
+    )  # it shines through: then it is no exception
     maps, _ = fit_clusters(views, labels, 1e-9)
     np.testing.assert_allclose(maps[0], WARM, atol=5e-3)
     np.testing.assert_allclose(maps[1], COLD, atol=5e-3)

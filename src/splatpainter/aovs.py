@@ -58,7 +58,6 @@ def draw_passes(
     wanted and not given (the same for all views of an asset). coverage: [N] bool rows predicted and [N] bool rows seen,
     both False for rows as they were. Raises ValueError as `render`, and for "coverage" without one."""
     from splatpainter.rendering import render
-    from splatpainter.rendering.cpu.heaviest import heaviest_rows
     from splatpainter.rendering.cpu.projected_view import project
 
     if "coverage" in aovs and coverage is None:
@@ -73,7 +72,7 @@ def draw_passes(
     def blend(values: np.ndarray) -> np.ndarray:
         """[H, W, 3] sum_i w_i v_i of values [N, 3]."""
         image, weight, distance = np.empty_like(colors), np.empty_like(alpha), np.empty_like(depth)
-        frame.draw_into(image, weight, distance, values[frame.rows].astype(colors.dtype), profile)
+        frame.rasterize_into(image, weight, distance, values[frame.gaussian_ids].astype(colors.dtype), profile)
         return image
 
     if "normal" in aovs:
@@ -81,7 +80,7 @@ def draw_passes(
         length = np.linalg.norm(summed, axis=-1, keepdims=True)
         normal = np.where(length > 1e-6, summed / np.maximum(length, 1e-6), 0).astype(np.float32)
     if "gaussian-ids" in aovs:
-        gaussian_ids = heaviest_rows(frame, profile)
+        gaussian_ids = frame.heaviest_gaussians(profile)
     if "coverage" in aovs and coverage is not None:
         predicted, seen = coverage
         parts = blend(np.stack([predicted, seen, ~(predicted | seen)], -1))

@@ -79,20 +79,20 @@ def view(rng: np.random.Generator):
 
 def drawing(rng: np.random.Generator, dtype: type) -> None:
     """render, forward and backward, in both profiles."""
-    from splatpainter.rendering.cpu.views import draw_views, views_back
+    from splatpainter.rendering.cpu.views import render_views, render_views_backward
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
     profile = "playcanvas" if rng.random() < 0.3 else "inria"
-    drawn = draw_views(splats, [camera], True, keep_frames=profile == "inria", profile=profile)
+    drawn = render_views(splats, [camera], True, keep_views=profile == "inria", profile=profile)
     sound = splats.take(splats.drawable)
-    again = draw_views(sound, [camera], True, keep_frames=False, profile=profile)
+    again = render_views(sound, [camera], True, keep_views=False, profile=profile)
     for name in ("colors", "alphas", "depths"):
         assert np.isfinite(getattr(drawn, name)).all(), f"{name}: a value that is not finite"
         assert getattr(drawn, name).tobytes() == getattr(again, name).tobytes(), f"{name}: rows out of range were drawn"
     assert drawn.contributions is not None and not drawn.contributions[:, ~splats.drawable].any()
     if profile == "inria":
         slopes = [extreme(rng, np.ones_like(a), 0.05) for a in (drawn.colors, drawn.alphas, drawn.depths)]
-        views_back(splats, drawn, *slopes)
+        render_views_backward(splats, drawn, *slopes)
 
 
 def forward(rng: np.random.Generator, dtype: type) -> None:
@@ -101,38 +101,37 @@ def forward(rng: np.random.Generator, dtype: type) -> None:
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1, 0.5])), view(rng)
     frame = project(splats, camera)
-    assert splats.drawable[frame.rows].all(), "rows out of range were drawn"
-    assert all(np.isfinite(picture).all() for picture in frame.draw()), "a value that is not finite"
+    assert splats.drawable[frame.gaussian_ids].all(), "rows out of range were drawn"
+    assert all(np.isfinite(picture).all() for picture in frame.rasterize()), "a value that is not finite"
 
 
 def frames(rng: np.random.Generator, dtype: type) -> None:
     """What the lifts call on a frame."""
     from splatpainter.lift.detail import surface
-    from splatpainter.rendering.cpu.heaviest import heaviest_rows
     from splatpainter.rendering.cpu.projected_view import project, tile_shape
-    from splatpainter.rendering.cpu.sirt import Kept
+    from splatpainter.rendering.cpu.sirt import CachedWeights
 
     splats, camera = rows(rng, dtype, rng.choice([0, 0.01, 0.1])), view(rng)
     shape = (camera.height, camera.width)
     tiles = rng.random(tile_shape(camera)) < 0.7 if rng.random() < 0.5 else None
     keep = rng.random(len(splats)) < 0.8 if rng.random() < 0.5 else None
-    frame = project(splats, camera, rows=keep, tiles=tiles)
-    m, p = len(frame), len(frame.members)
+    frame = project(splats, camera, gaussian_mask=keep, tiles=tiles)
+    m, p = len(frame), len(frame.flatten_ids)
     # Some operations index past numba's checks: what they are given must be sound.
-    assert frame.starts[-1] == frame.offsets[-1] == p and (np.diff(frame.starts) >= 0).all()
-    assert np.array_equal(np.sort(frame.homes), np.arange(p))
-    assert p == 0 or (0 <= frame.members.min() and frame.members.max() < m)
+    assert frame.isect_offsets[-1] == frame.pair_offsets[-1] == p and (np.diff(frame.isect_offsets) >= 0).all()
+    assert np.array_equal(np.sort(frame.pair_ids), np.arange(p))
+    assert p == 0 or (0 <= frame.flatten_ids.min() and frame.flatten_ids.max() < m)
     target = extreme(rng, rng.random((*shape, 3)).astype(dtype), rng.choice([0, 0.1]))
     mask = extreme(rng, rng.random(shape).astype(dtype), rng.choice([0, 0.1]))
-    frame.draw(extreme(rng, frame.colors, 0.1))
-    frame.accumulate(target, mask)
-    ids = heaviest_rows(frame, rng.choice(["inria", "playcanvas"]))
+    frame.rasterize(extreme(rng, frame.colors, 0.1))
+    frame.backproject(target, mask)
+    ids = frame.heaviest_gaussians(rng.choice(["inria", "playcanvas"]))
     assert ids.min() >= -1 and ids.max() < len(splats)
-    frame.residual_round(target, mask)
+    frame.sirt_step(target, mask)
     chosen = rng.random(m) < 0.5
-    rounds = Kept.of(frame, target, mask, chosen)
-    if rounds is not None:
-        rounds.gain(extreme(rng, frame.colors[chosen], 0.1))
+    cached = CachedWeights.of(frame, target, mask, chosen)
+    if cached is not None:
+        cached.residual(extreme(rng, frame.colors[chosen], 0.1))
     surface(frame, rng.random(shape) < 0.7)
 
 
@@ -193,7 +192,7 @@ def lifting(rng: np.random.Generator, dtype: type) -> None:
 
     splats, camera = rows(rng, np.float32, rng.choice([0, 0.01, 0.05])), view(rng)
     shape = (camera.height, camera.width)
-    target = np.clip(project(splats, camera).draw()[0] + rng.random(3).astype(np.float32), 0, 1)
+    target = np.clip(project(splats, camera).rasterize()[0] + rng.random(3).astype(np.float32), 0, 1)
     lift_local(splats, camera, target, rng.random(shape) < 0.3)
 
 

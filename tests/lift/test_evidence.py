@@ -6,7 +6,7 @@ import numpy as np
 
 from splatpainter.cameras import look_at
 from splatpainter.lift.evidence import Evidence, footprints
-from splatpainter.rendering.cpu.projected_view import Frame, project
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
 
 SIZE = 64
@@ -14,7 +14,7 @@ CAMERA = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=SIZE
 EVERYWHERE = np.ones((SIZE, SIZE), bool)
 
 
-def seen(*x: float, z: tuple[float, ...] = (), opacity: float = 0.8) -> tuple[Splats, Frame]:
+def seen(*x: float, z: tuple[float, ...] = (), opacity: float = 0.8) -> tuple[Splats, ProjectedView]:
     """Round rows of 0.2 at x, and the frame of CAMERA."""
     n = len(x)
     means = np.zeros((n, 3), np.float32)
@@ -43,7 +43,7 @@ def test_a_flat_change_is_followed_and_a_checkerboard_is_not() -> None:
 
 def test_footprints_are_the_sum_of_alpha_over_an_unbounded_picture() -> None:
     _, frame = seen(0.0, opacity=0.8)
-    _, alpha, _ = frame.draw()
+    _, alpha, _ = frame.rasterize()
     # The kernel leaves out alpha below 1/255, a share of 1 / (255 * 0.8) of the integral.
     np.testing.assert_allclose(footprints(frame)[0] * (1 - 1 / (255 * 0.8)), alpha.sum(), rtol=0.01)
 

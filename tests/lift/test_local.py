@@ -319,9 +319,9 @@ def test_colour_rounds_are_sirt_on_the_matrix_of_weights(rounds):
         colors = np.clip(colors + step * (w @ residual), 0, ceiling)
 
     frame = project(splats, camera)
-    found = lift_colors(frame, target, m, editable[frame.rows], rounds)
+    found = lift_colors(frame, target, m, editable[frame.gaussian_ids], rounds)
     assert len(frame) > 50
-    np.testing.assert_allclose(found, colors[frame.rows], atol=1e-4)
+    np.testing.assert_allclose(found, colors[frame.gaussian_ids], atol=1e-4)
     if rounds == 6:
         assert (found == 0).any() and (found == BRIGHTEST).any()  # both clamps were met
 
@@ -339,7 +339,7 @@ def test_every_round_lessens_the_error():
     for rounds in range(12):
         colors = lift_colors(frame, target, m, np.ones(len(frame), bool), rounds)
         assert 0 < colors.min() and colors.max() < BRIGHTEST
-        picture = w[frame.rows].T @ colors + left[:, None] * camera.background
+        picture = w[frame.gaussian_ids].T @ colors + left[:, None] * camera.background
         errors.append(float((m.ravel()[:, None] * (picture - target.reshape(-1, 3)) ** 2).sum()))
     assert (np.diff(errors) < 0).all() and errors[-1] < 0.8 * errors[0]
 

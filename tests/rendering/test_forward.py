@@ -50,7 +50,7 @@ def test_cases_exercise_what_they_name():
     splats, views = CASES["opaque"]
     alpha, *_ = reference.project(splats.torch(dtype=torch.float64), views[0])
     weight, _ = reference.composite(alpha)
-    assert ((alpha > 0) & (weight == 0)).any() and alpha.max() == reference.CAP
+    assert ((alpha > 0) & (weight == 0)).any() and alpha.max() == reference.MAX_ALPHA
     splats, views = CASES["odd rows"]
     drawn = sp.render(splats, views, contributions=True).contributions
     assert drawn is not None

@@ -10,7 +10,7 @@ import torch
 
 import splatpainter as sp
 from splatpainter.cameras import bounding_sphere
-from splatpainter.rendering.cpu import projected_view as frames
+from splatpainter.rendering.cpu import projected_view
 from splatpainter.rendering.cpu.geometry import clamped, tile_span
 from splatpainter.rendering.cpu.raster import blocks_hit
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -110,10 +110,12 @@ def test_spans_are_within_their_bounds_whatever_comes_in(value, dtype):
         assert 0 <= begin <= end <= 4 or end == 0
 
 
-def test_more_row_and_tile_pairs_than_indices_reach_are_refused_in_one_line(monkeypatch: pytest.MonkeyPatch):
+def test_more_gaussian_and_tile_pairs_than_indices_reach_are_refused_in_one_line(monkeypatch: pytest.MonkeyPatch):
     splats, view = scene(40, 0, dtype=np.float32), cameras(64, 64)[0]
-    pairs = len(frames.project(splats, view).members)
-    monkeypatch.setattr(frames, "MAX_PAIRS", pairs - 1)
-    with pytest.raises(ValueError, match="rows that touch at most .* tiles of 16 x 16 pixels in all, got") as error:
+    pairs = len(projected_view.project(splats, view).flatten_ids)
+    monkeypatch.setattr(projected_view, "MAX_PAIRS", pairs - 1)
+    with pytest.raises(
+        ValueError, match="Gaussians that touch at most .* tiles of 16 x 16 pixels in all, got"
+    ) as error:
         sp.render(splats, view)
     assert "\n" not in str(error.value)

@@ -139,7 +139,7 @@ def share_of(asset: Splats, camera: Camera, rows: np.ndarray) -> np.ndarray:
     from splatpainter.rendering.cpu.projected_view import project
 
     frame = project(asset, replace(camera, background=(0.0, 0.0, 0.0)))
-    return frame.draw(np.repeat(rows[frame.rows, None].astype(np.float32), 3, 1))[0][..., 0]
+    return frame.rasterize(np.repeat(rows[frame.gaussian_ids, None].astype(np.float32), 3, 1))[0][..., 0]
 
 
 def _all(pictures: Pictures) -> list[View]:

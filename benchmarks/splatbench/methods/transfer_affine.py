@@ -15,7 +15,7 @@ import numpy as np
 
 from splatbench.cases import Step
 from splatpainter.cameras import Camera
-from splatpainter.rendering.cpu.projected_view import Frame, project
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import SH_C0, Splats
 
 SOLID = 0.9
@@ -30,7 +30,7 @@ IDENTITY = np.eye(4)[:, :3]
 class Shown:
     """An edited view beside what the asset shows there."""
 
-    frame: Frame
+    frame: ProjectedView
     """The asset, projected: M rows."""
     target: np.ndarray
     """[H, W, 3] float32 the edited view."""
@@ -43,7 +43,7 @@ def shown(splats: Splats, step: Step) -> list[Shown]:
     out = []
     for camera, target, mask in zip(step.edited.cameras, step.edited.colors, step.masks, strict=True):
         frame = project(splats, camera)
-        use = mask & (frame.draw()[1] > SOLID)
+        use = mask & (frame.rasterize()[1] > SOLID)
         out.append(Shown(frame, np.ascontiguousarray(target, np.float32), use))
     if not any(view.use.any() for view in out):
         raise ValueError(
@@ -54,7 +54,7 @@ def shown(splats: Splats, step: Step) -> list[Shown]:
 
 def fit_affine(views: Sequence[Shown]) -> np.ndarray:
     """[4, 3] float64 M of the new colours (r, g, b, 1) @ M, fitted on all used pixels."""
-    gram, rhs, _ = _normal(views, np.zeros(views[0].frame.count, np.int64), 1)
+    gram, rhs, _ = _normal(views, np.zeros(views[0].frame.num_gaussians, np.int64), 1)
     penalty = TINY * _pixels(views)
     return np.linalg.solve(gram + penalty * np.eye(4), rhs + penalty * IDENTITY)
 
@@ -92,7 +92,7 @@ def _normal(views: Sequence[Shown], labels: np.ndarray, count: int) -> tuple[np.
     for view in views:
         if not view.use.any():
             continue
-        image, alpha, _ = view.frame.draw()
+        image, alpha, _ = view.frame.rasterize()
         behind = np.asarray(view.frame.camera.background)
         wanted = (view.target - (1 - alpha[..., None]) * behind)[view.use].astype(np.float64)
         features = _features(view, labels, count).astype(np.float64)
@@ -105,20 +105,20 @@ def _normal(views: Sequence[Shown], labels: np.ndarray, count: int) -> tuple[np.
 def _features(view: Shown, labels: np.ndarray, count: int) -> np.ndarray:
     """[P, 4K] of the used pixels: per cluster its composite over black and its alpha."""
     frame = on_black(view.frame)
-    member = labels[frame.rows]  # [M]
+    member = labels[frame.gaussian_ids]  # [M]
     out = np.empty((int(view.use.sum()), count, 4), np.float32)
     for k in range(count):
         here = (member == k)[:, None].astype(np.float32)
-        out[:, k, :3] = frame.draw(frame.colors * here)[0][view.use]
+        out[:, k, :3] = frame.rasterize(frame.colors * here)[0][view.use]
     for first in range(0, count, 3):  # the alphas of three clusters at a time, as red, green and blue
         some = np.stack([member == k for k in range(first, first + 3)], 1).astype(np.float32)
-        alphas = frame.draw(some)[0][view.use]
+        alphas = frame.rasterize(some)[0][view.use]
         width = min(3, count - first)
         out[:, first : first + width, 3] = alphas[:, :width]
     return out.reshape(len(out), 4 * count)
 
 
-def on_black(frame: Frame) -> Frame:
+def on_black(frame: ProjectedView) -> ProjectedView:
     """The same view over a black background."""
     camera: Camera = replace(frame.camera, background=(0.0, 0.0, 0.0))
     return replace(frame, camera=camera)

@@ -36,10 +36,10 @@ def fit_rows(
     total = np.zeros(len(splats))
     parts = []  # (view, [M, K] basis, [M] weight)
     for view in views:
-        basis = sh_basis(splats.means[view.frame.rows], view.frame.camera.position, splats.sh.shape[1])
-        weight = view.frame.accumulate(view.target, view.use.astype(np.float32)).weight.astype(np.float64)
+        basis = sh_basis(splats.means[view.frame.gaussian_ids], view.frame.camera.position, splats.sh.shape[1])
+        weight = view.frame.backproject(view.target, view.use.astype(np.float32)).weight.astype(np.float64)
         parts.append((view, basis, weight))
-        total[view.frame.rows] += weight
+        total[view.frame.gaussian_ids] += weight
     seen = total > SEEN
     place = np.cumsum(seen) - 1  # row -> among the S seen ones
     start = splats.sh[seen].astype(np.float64)  # [S, K, 3]
@@ -47,21 +47,21 @@ def fit_rows(
     penalty[0] = 0
     gram = np.zeros((len(start), count, count))
     for view, basis, weight in parts:
-        own = seen[view.frame.rows]
+        own = seen[view.frame.gaussian_ids]
         b = basis[own][:, :count]
-        gram[place[view.frame.rows[own]]] += weight[own][:, None, None] * b[:, :, None] * b[:, None, :]
+        gram[place[view.frame.gaussian_ids[own]]] += weight[own][:, None, None] * b[:, :, None] * b[:, None, :]
     gram[:, range(count), range(count)] += total[seen][:, None] * penalty
     sh = start.copy()
     low, high = np.minimum(0.5 + SH_C0 * start[:, 0], 0), np.maximum(0.5 + SH_C0 * start[:, 0], BRIGHTEST)
     for _ in range(rounds):
         rhs = -total[seen][:, None, None] * penalty[:, None] * (sh - start)[:, :count]
         for view, basis, _ in parts:
-            rows = view.frame.rows
+            rows = view.frame.gaussian_ids
             own = seen[rows]
-            colors = view.frame.raw_colors.astype(np.float64).copy()
+            colors = view.frame.unclamped_colors.astype(np.float64).copy()
             colors[own] = 0.5 + np.einsum("mk,mkj->mj", basis[own], sh[place[rows[own]]])
-            painted = np.maximum(colors, 0).astype(view.frame.records.dtype)
-            gain, _ = view.frame.residual_round(view.target, view.use.astype(np.float32), painted)
+            painted = np.maximum(colors, 0).astype(view.frame.projected.dtype)
+            gain, _ = view.frame.sirt_step(view.target, view.use.astype(np.float32), painted)
             rhs[place[rows[own]]] += basis[own][:, :count, None] * gain[own][:, None].astype(np.float64)
         sh[:, :count] += _solved(gram, rhs)
         sh[:, 0] = (np.clip(0.5 + SH_C0 * sh[:, 0], low, high) - 0.5) / SH_C0

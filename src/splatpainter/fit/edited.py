@@ -68,7 +68,7 @@ def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, rows: np.ndarr
     they draw nothing."""
     chosen = np.zeros(len(splats), bool)
     chosen[rows] = True
-    ys, xs = np.nonzero(project(splats, camera, rows=chosen).tiles_of(chosen))
+    ys, xs = np.nonzero(project(splats, camera, gaussian_mask=chosen).tiles_of(chosen))
     if not len(ys):
         return None
     left, top = max(int(xs.min()) * TILE - ROOM, 0), max(int(ys.min()) * TILE - ROOM, 0)

@@ -17,8 +17,7 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.fit.loss import picture_loss, torch_loss
-from splatpainter.rendering.cpu.projected_view import Frame, project, tiles_of_mask
-from splatpainter.rendering.cpu.views import pixels_back, rows_back
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 
 OwnLoss = Callable[[Tensor], Tensor]
@@ -83,13 +82,13 @@ class CpuPasses:
         frame = project(rows, target.camera, tiles=target.tiles if own is None else None)
         shape = (target.camera.height, target.camera.width)
         image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
-        ends = frame.draw_into(image, alpha, depth)
+        ends = frame.rasterize_into(image, alpha, depth)
         loss, slope = _image_loss(image, target, own)
         nothing = np.zeros(shape, np.float32)
-        sums = pixels_back(frame, ends, image, alpha, depth, slope, nothing, nothing)
+        sums = frame.rasterize_backward(ends, image, alpha, depth, slope, nothing, nothing)
         if not self._out or self._out[0].shape != rows.means.shape or self._out[4].shape != rows.sh.shape:
             self._out = tuple(np.empty_like(getattr(rows, name)) for name in ATTRIBUTES)
-        rows_back(rows, frame, sums, True, self._out)
+        frame.project_backward(rows, sums, self._out)
         gradients: dict[str, Tensor] = dict(zip(ATTRIBUTES, map(torch.from_numpy, self._out), strict=True))
         return Pass(loss, gradients, _pull(frame, sums, absolute) if pull else None)
 
@@ -135,23 +134,23 @@ def _image_loss(image: np.ndarray, target: Target, own: OwnLoss | None) -> tuple
     return float(value.detach()), np.ascontiguousarray(leaf.grad.numpy(), np.float32)
 
 
-def _pull(frame: Frame, sums: np.ndarray, absolute: bool) -> Pull:
+def _pull(frame: ProjectedView, sums: np.ndarray, absolute: bool) -> Pull:
     """From the sums of backward.py. absolute: magnitudes are summed over 16 x 16 tiles, so that pulls in opposite
     directions at the two ends of a large row do not cancel (Ye et al. 2024, "AbsGS", sum them over pixels)."""
     extent = frame.extents.max(1)
     if not len(frame):
-        return Pull(frame.rows, np.zeros((0, 2), np.float32), extent)
+        return Pull(frame.gaussian_ids, np.zeros((0, 2), np.float32), extent)
     a, b, c = frame.conics.T
     pairs = sums[:, 1:3]
-    counts = np.diff(frame.offsets)
+    counts = np.diff(frame.pair_offsets)
     if absolute:
         owner = np.repeat(np.arange(len(frame)), counts)
         pairs = np.abs(_towards(pairs, a[owner], b[owner], c[owner]))
     total = np.zeros((len(frame), 2), np.float32)
     some = counts > 0
-    total[some] = np.add.reduceat(pairs, frame.offsets[:-1][some], axis=0)
+    total[some] = np.add.reduceat(pairs, frame.pair_offsets[:-1][some], axis=0)
     pixels = total if absolute else -_towards(total, a, b, c)
-    return Pull(frame.rows, frame.opacities[:, None] * pixels, extent)
+    return Pull(frame.gaussian_ids, frame.opacities[:, None] * pixels, extent)
 
 
 def _towards(sums: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:

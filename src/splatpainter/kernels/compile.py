@@ -24,8 +24,8 @@ from splatpainter.kernels.parallel import cpus
 from splatpainter.user_folders import cache_folder
 
 WARMUPS: dict[str, tuple[str, ...]] = {
-    "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "kernels/simd.py"),
-    "splatpainter.rendering.cpu.warm:warm_rows": ("rendering/cpu", "kernels/simd.py"),
+    "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
+    "splatpainter.rendering.cpu.warm:warm_projection": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py"),
     "splatpainter.lift.detail:warm": ("lift/detail.py",),
     "splatpainter.lighting:warm": ("lighting.py",),

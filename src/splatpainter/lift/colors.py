@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.rendering.cpu.projected_view import Frame
-from splatpainter.rendering.cpu.sirt import rounds_towards
+from splatpainter.rendering.cpu.projected_view import ProjectedView
+from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import SH_C0
 
 BRIGHTEST = 1.3
@@ -21,7 +21,7 @@ other with colours that are never drawn (measured: 2 dB inside the mask, 0.5 dB 
 
 
 def lift_colors(
-    frame: Frame,
+    frame: ProjectedView,
     target: np.ndarray,
     weights: np.ndarray,
     editable: np.ndarray,
@@ -35,12 +35,12 @@ def lift_colors(
         return out
     first = out[editable]
     colors, ceiling = first, np.maximum(first, BRIGHTEST)
-    towards = rounds_towards(frame, target, weights, editable)
+    towards = sirt_steps(frame, target, weights, editable)
     total = towards.weight
     pull = np.zeros_like(total) if hold is None else hold[editable].astype(total.dtype)
     step = np.where(total > 0, 1 / np.maximum(total + pull, 1e-6), 0).astype(colors.dtype)[:, None]
     for _ in range(rounds):
-        gain = towards.gain(colors)
+        gain = towards.residual(colors)
         colors = np.clip(colors + step * (gain - pull[:, None] * (colors - first)), 0, ceiling)
     out[editable] = colors
     return out

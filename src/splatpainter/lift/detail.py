@@ -15,7 +15,7 @@ from numba import njit
 from splatpainter.cameras import Camera
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.colors import recolor
-from splatpainter.rendering.cpu.projected_view import Frame
+from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import MAX_MAGNITUDE, Splats
 
 DEPTH = 0.4
@@ -43,7 +43,7 @@ class Detail:
     """[A] entries of the frame (0..M) that gave those pixels most of their colour."""
 
 
-def detail_rows(splats: Splats, frame: Frame, pixels: np.ndarray, wanted: np.ndarray) -> Detail | None:
+def detail_rows(splats: Splats, frame: ProjectedView, pixels: np.ndarray, wanted: np.ndarray) -> Detail | None:
     """One row per wanted pixel, of the wanted colour and the host's SH bands >= 1. pixels: [H, W] bool; wanted:
     [H, W, 3]; frame: of `splats`. None when no pixel has a surface."""
     camera = frame.camera
@@ -68,8 +68,8 @@ def detail_rows(splats: Splats, frame: Frame, pixels: np.ndarray, wanted: np.nda
     if not max(np.abs(means).max(), scales.max()) <= MAX_MAGNITUDE:  # seen through a lens beyond all measure
         return None
     entries = host[ys, xs]
-    hosts = splats.take(frame.rows[entries])
-    sh = recolor(hosts.sh, frame.raw_colors[entries], wanted[ys, xs], 1.0)
+    hosts = splats.take(frame.gaussian_ids[entries])
+    sh = recolor(hosts.sh, frame.unclamped_colors[entries], wanted[ys, xs], 1.0)
     kind = splats.means.dtype
     rows = Splats(
         means.astype(kind),
@@ -85,13 +85,23 @@ def detail_rows(splats: Splats, frame: Frame, pixels: np.ndarray, wanted: np.nda
     return Detail(rows, entries)
 
 
-def surface(frame: Frame, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def surface(frame: ProjectedView, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([H, W] float32 smoothed z-depth of the surface, 0 where there is none, [H, W] int32 entry of the frame that
     weighs most in the pixel, -1 for none), for the given pixels ([H, W] bool) of drawn tiles."""
     shape = pixels.shape
     raw, host = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
     chosen = np.ascontiguousarray(pixels)
-    run(_stopped_at, frame.records, frame.members, frame.tile_ids, frame.starts, chosen, np.float32(DEPTH), raw, host)
+    run(
+        _stopped_at,
+        frame.projected,
+        frame.flatten_ids,
+        frame.tile_ids,
+        frame.isect_offsets,
+        chosen,
+        np.float32(DEPTH),
+        raw,
+        host,
+    )
     middle, smooth = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     run(_medians, raw, middle)
     run(_means, middle, smooth)

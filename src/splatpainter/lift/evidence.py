@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.rendering.cpu.projected_view import Frame
+from splatpainter.rendering.cpu.projected_view import ProjectedView
 
 HOLD = 0.1
 """Pull of a row's old colour, per hidden pixel of the row and squared doubt. Two close-ups of 4x zoom of four training
@@ -36,11 +36,11 @@ class Evidence:
     """[M] sum w |wanted - rendered|^2, mean over channels."""
 
     @staticmethod
-    def of(frame: Frame, change: np.ndarray, mask: np.ndarray) -> Evidence:
+    def of(frame: ProjectedView, change: np.ndarray, mask: np.ndarray) -> Evidence:
         """change: [H, W, 3], 0 outside mask [H, W] bool."""
-        everywhere = frame.accumulate(change, np.ones(mask.shape, np.float32))
+        everywhere = frame.backproject(change, np.ones(mask.shape, np.float32))
         energy = np.repeat((change**2).mean(-1, keepdims=True), 3, 2)
-        within = frame.accumulate(energy, mask.astype(np.float32))
+        within = frame.backproject(energy, mask.astype(np.float32))
         return Evidence(everywhere.weight, within.weight, within.peak, everywhere.values, within.values[:, 0])
 
     @property
@@ -63,14 +63,14 @@ class Evidence:
         followed = self.followed
         return (1 - followed) / max(followed, 1e-3)
 
-    def hold(self, frame: Frame) -> np.ndarray:
+    def hold(self, frame: ProjectedView) -> np.ndarray:
         """[M] pixels' worth of pull towards the old colour: what the view does not show of each row (behind others, out
         of the picture), by how much the edit is to be doubted."""
         hidden = np.maximum(footprints(frame) - self.shown, 0)
         return HOLD * min(self.doubt, MOST_DOUBT) ** 2 * hidden
 
 
-def footprints(frame: Frame) -> np.ndarray:
+def footprints(frame: ProjectedView) -> np.ndarray:
     """[M] pixels' worth of each row if nothing were before it and the picture had no borders: the integral of its
     alpha, 2 pi opacity / sqrt(det conic)."""
     a, b, c = frame.conics.astype(np.float64).T

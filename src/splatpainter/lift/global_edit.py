@@ -14,7 +14,7 @@ import numpy as np
 from splatpainter.cameras import Camera, orbit
 from splatpainter.lift.colors import BRIGHTEST
 from splatpainter.lift.split import rotations
-from splatpainter.rendering.cpu.projected_view import Frame, project
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import SH_C0, Splats
 
 
@@ -161,7 +161,7 @@ class _Shown:
     """[H, W] float32: 1 where pixels count."""
     weight: np.ndarray
     """[N] float32 pixels that show each row; 0 where a later view contradicts."""
-    frame: Frame
+    frame: ProjectedView
     """The asset before the edit, in this view."""
 
 
@@ -174,10 +174,10 @@ def _prepared(
     last, decided = np.zeros((n, 3), np.float32), np.zeros(n, bool)
     for camera, target, mask in reversed(views):  # latest first
         frame = project(splats, camera)
-        _, alpha, _ = frame.draw()
+        _, alpha, _ = frame.rasterize()
         use = (mask & (alpha > 0.9)).astype(np.float32)
-        weight, rows = frame.accumulate(target, use).weight, frame.rows
-        gain, _ = frame.residual_round(target, use, np.maximum(frame.raw_colors, 0))
+        weight, rows = frame.backproject(target, use).weight, frame.gaussian_ids
+        gain, _ = frame.sirt_step(target, use, np.maximum(frame.unclamped_colors, 0))
         wish = gain / np.maximum(weight, 1e-6)[:, None]
         weight[decided[rows] & (np.abs(wish - last[rows]).max(1) > CONFLICT)] = 0
         fresh = (weight > 1) & ~decided[rows]
@@ -190,7 +190,7 @@ def _prepared(
 
 
 def _colored(
-    frames: Sequence[Frame], shown: Sequence[_Shown], total: np.ndarray, rounds: int, hold: float = 0.0
+    frames: Sequence[ProjectedView], shown: Sequence[_Shown], total: np.ndarray, rounds: int, hold: float = 0.0
 ) -> np.ndarray:
     """[N, 3] change of base colour that takes all views' error down, all at once. frames: of the asset, per view;
     hold: pixels of weight that pull every row back to no change."""
@@ -198,9 +198,9 @@ def _colored(
     for _ in range(rounds):
         gain = np.zeros_like(change)
         for frame, view in zip(frames, shown, strict=True):
-            rows = frame.rows
-            colors = np.clip(frame.raw_colors + change[rows], 0, np.maximum(frame.raw_colors, BRIGHTEST))
-            own = frame.residual_round(view.target, view.use, colors)[0]
+            rows = frame.gaussian_ids
+            colors = np.clip(frame.unclamped_colors + change[rows], 0, np.maximum(frame.unclamped_colors, BRIGHTEST))
+            own = frame.sirt_step(view.target, view.use, colors)[0]
             gain[rows] += np.where(view.weight[rows, None] > 0, own, 0)
         change += (gain - hold * change) / np.maximum(total + hold, 1e-6)[:, None]
         np.clip(change, -BRIGHTEST, BRIGHTEST, out=change)
@@ -224,11 +224,11 @@ def outward_normals(splats: Splats, ring: int = RING) -> np.ndarray:
         tilt = 35.0 if k % 2 else -20.0
         camera = orbit(center, 2.8 * radius, 1, elevation=tilt, start=360.0 * k / ring, width=160, height=160)[0]
         frame = project(splats, camera)
-        sums = frame.accumulate(np.zeros((160, 160, 3), np.float32), np.ones((160, 160), np.float32))
-        away = camera.position.astype(np.float32) - splats.means[frame.rows]
+        sums = frame.backproject(np.zeros((160, 160, 3), np.float32), np.ones((160, 160), np.float32))
+        away = camera.position.astype(np.float32) - splats.means[frame.gaussian_ids]
         # What shimmers through the far wall is seen from within.
         weight = np.where(sums.weight > 0.1 * sums.alpha, sums.weight, 0)
-        towards[frame.rows] += weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+        towards[frame.gaussian_ids] += weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
     side = np.einsum("ni,ni->n", normal, towards)
     normal = np.where(side[:, None] < 0, -normal, normal)
     return normal.astype(np.float32)

@@ -16,7 +16,7 @@ from splatpainter.lift.colors import lift_colors, recolor
 from splatpainter.lift.detail import detail_rows, grown
 from splatpainter.lift.evidence import Evidence
 from splatpainter.lift.split import Lattice, projected_sizes
-from splatpainter.rendering.cpu.projected_view import TILE, Frame, Sums, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import TILE, Backprojection, ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
@@ -97,8 +97,8 @@ def lift_local(
     frame = project(splats, camera, tiles=tiles_of_mask(mask))
     reached = reached_rows(splats, camera, mask, allowed, frame)
     editable = reached & ~_hopeless(splats, frame, mask, reached, options)
-    area = project(splats, camera, rows=editable).tiles_of(editable)
-    rows = np.sort(project(splats, camera, tiles=area).rows)
+    area = project(splats, camera, gaussian_mask=editable).tiles_of(editable)
+    rows = np.sort(project(splats, camera, tiles=area).gaussian_ids)
     patch = _Patch.start(splats.take(rows), camera, area, target, mask, editable[rows])
     whole = patch
     for _ in range(options.levels):
@@ -115,14 +115,18 @@ def lift_local(
 
 
 def reached_rows(
-    splats: Splats, camera: Camera, mask: np.ndarray, allowed: np.ndarray | None = None, frame: Frame | None = None
+    splats: Splats,
+    camera: Camera,
+    mask: np.ndarray,
+    allowed: np.ndarray | None = None,
+    frame: ProjectedView | None = None,
 ) -> np.ndarray:
     """[N] bool rows that visibly contribute to the masked pixels ([H, W] bool). frame: the splats projected onto the
     mask's tiles, if at hand. Raises ValueError where there is no such row."""
     frame = frame or project(splats, camera, tiles=tiles_of_mask(mask))
     sums = _inside(frame, np.zeros((*mask.shape, 3), np.float32), mask)
-    reached = np.zeros(frame.count, bool)
-    reached[frame.rows[(sums.peak > FAINTEST) & (sums.weight > VISIBLE * sums.alpha)]] = True
+    reached = np.zeros(frame.num_gaussians, bool)
+    reached[frame.gaussian_ids[(sums.peak > FAINTEST) & (sums.weight > VISIBLE * sums.alpha)]] = True
     if allowed is not None:
         reached &= allowed
     if not reached.any():
@@ -132,20 +136,22 @@ def reached_rows(
     return reached
 
 
-def _inside(frame: Frame, values: np.ndarray, mask: np.ndarray) -> Sums:
-    return frame.accumulate(values, mask.astype(np.float32))
+def _inside(frame: ProjectedView, values: np.ndarray, mask: np.ndarray) -> Backprojection:
+    return frame.backproject(values, mask.astype(np.float32))
 
 
-def _hopeless(splats: Splats, frame: Frame, mask: np.ndarray, reached: np.ndarray, options: LocalOptions) -> np.ndarray:
+def _hopeless(
+    splats: Splats, frame: ProjectedView, mask: np.ndarray, reached: np.ndarray, options: LocalOptions
+) -> np.ndarray:
     """[N] bool: reached rows that would be held back in the end (LARGE, too faint to split, mostly outside the mask),
     as far as the mask's own tiles can tell. Without them less of the picture is in work."""
     nothing = np.zeros((*mask.shape, 3), np.float32)
     inside = _inside(frame, nothing, mask)
     whole = _inside(frame, nothing, np.ones(mask.shape, bool)).weight
-    faint = reached[frame.rows] & (inside.peak <= options.share) & (inside.weight < INSIDE * whole)
-    faint[faint] = projected_sizes(splats.take(frame.rows[faint]), frame.camera).max(1) > LARGE * options.goal
+    faint = reached[frame.gaussian_ids] & (inside.peak <= options.share) & (inside.weight < INSIDE * whole)
+    faint[faint] = projected_sizes(splats.take(frame.gaussian_ids[faint]), frame.camera).max(1) > LARGE * options.goal
     out = np.zeros(len(splats), bool)
-    out[frame.rows[faint]] = True
+    out[frame.gaussian_ids[faint]] = True
     return out if (reached & ~out).any() else np.zeros(len(splats), bool)
 
 
@@ -157,7 +163,7 @@ class _Patch:
     """Of S rows."""
     splats: Splats
     """The same, as rows."""
-    frame: Frame
+    frame: ProjectedView
     """Of the tiles that editable rows touch; fewer from split to split."""
     wanted: np.ndarray
     """[H, W, 3] the picture to reach: the edit inside the mask, the first render outside."""
@@ -177,18 +183,18 @@ class _Patch:
         splats: Splats, camera: Camera, area: np.ndarray, target: np.ndarray, mask: np.ndarray, editable: np.ndarray
     ) -> _Patch:
         frame = project(splats, camera, tiles=area)
-        image, alpha, _ = frame.draw()
+        image, alpha, _ = frame.rasterize()
         inside = mask & (alpha > 0.02)  # tiles that are not drawn have none
         change = np.where(inside[..., None], target - image, 0).astype(np.float32)
         evidence = Evidence.of(frame, change, inside)
         share = np.zeros(len(splats), np.float32)
-        share[frame.rows] = evidence.peak
+        share[frame.gaussian_ids] = evidence.peak
         lattice = Lattice.of(splats, camera)
         return _Patch(lattice, splats, frame, image + change, change, inside, editable, share, evidence)
 
     def too_coarse(self, options: LocalOptions) -> np.ndarray:
         """[S] bool rows over whose footprint the wanted change varies too much, if they are large enough to split."""
-        rows, told = self.frame.rows, self.evidence
+        rows, told = self.frame.gaussian_ids, self.evidence
         able = self.editable[rows] & (told.peak > FAINTEST) & (told.spread > options.tolerance**2)
         able &= self.share[rows] > options.share
         able &= self.lattice.widths.max(1)[rows] > SLACK * options.goal
@@ -208,7 +214,7 @@ class _Patch:
         frame = project(splats, self.frame.camera, tiles=self.frame.tiles)
         evidence = Evidence.of(frame, self.change, self.mask)
         painted = np.zeros(len(splats), bool)
-        painted[frame.rows] = evidence.peak > FAINTEST
+        painted[frame.gaussian_ids] = evidence.peak > FAINTEST
         editable = self.editable[source] & painted
         tiles = frame.tiles_of(editable)
         if tiles.sum() < 0.8 * frame.tiles.sum():
@@ -226,7 +232,7 @@ class _Patch:
 
     def movable(self, options: LocalOptions) -> np.ndarray:
         """[M] bool rows of the frame that may take new colours."""
-        rows, told = self.frame.rows, self.evidence
+        rows, told = self.frame.gaussian_ids, self.evidence
         able = self.editable[rows] & (told.peak > FAINTEST)
         large = np.zeros(len(rows), bool)
         large[able] = self.lattice.widths.max(1)[rows[able]] > LARGE * options.goal
@@ -234,12 +240,12 @@ class _Patch:
 
     def colored(self, options: LocalOptions) -> np.ndarray:
         """[S, K, 3] SH after the colour rounds; rows that did not move keep their bits."""
-        frame, rows = self.frame, self.frame.rows
+        frame, rows = self.frame, self.frame.gaussian_ids
         movable = self.movable(options)
         everywhere = np.ones(self.mask.shape, np.float32)
         hold = self.evidence.hold(frame)
         colors = lift_colors(frame, self.wanted, everywhere, movable, options.rounds, hold)
-        seen = frame.raw_colors
+        seen = frame.unclamped_colors
         moved = movable & (np.abs(colors - np.maximum(seen, 0)).max(1) > 1 / 1024)
         sh = self.splats.sh.copy()
         sh[rows[moved]] = recolor(sh[rows[moved]], seen[moved], colors[moved], options.damping)
@@ -251,20 +257,20 @@ class _Patch:
             return None
         camera = self.frame.camera
         frame = project(painted, camera, tiles=self.frame.tiles)
-        image, alpha, _ = frame.draw()
+        image, alpha, _ = frame.rasterize()
         wrong = np.abs(self.wanted - np.clip(image, 0, 1)).max(-1) > options.detail
         beside = (alpha < 0.5) & np.kron(frame.tiles, np.ones((TILE, TILE), bool))[: alpha.shape[0], : alpha.shape[1]]
         pixels = wrong & grown(self.mask, options.rim) & (alpha > SOLID) & ~grown(beside, RIM)
         layer = detail_rows(painted, frame, pixels, self.wanted)
         if layer is None:
             return None
-        host = frame.rows[layer.host]
+        host = frame.gaussian_ids[layer.host]
         both = painted.append(layer.splats)
         frame, count = project(both, camera, tiles=self.frame.tiles), len(painted)
-        added = frame.rows >= count
+        added = frame.gaussian_ids >= count
         colors = lift_colors(frame, self.wanted, np.ones(self.mask.shape, np.float32), added, options.rounds)
-        sh, rows = layer.splats.sh.copy(), frame.rows[added] - count
-        sh[rows] = recolor(sh[rows], frame.raw_colors[added], colors[added], 1.0)
+        sh, rows = layer.splats.sh.copy(), frame.gaussian_ids[added] - count
+        sh[rows] = recolor(sh[rows], frame.unclamped_colors[added], colors[added], 1.0)
         return replace(layer.splats, sh=sh), host
 
 

@@ -24,16 +24,16 @@ def repaint(splats: Splats, camera: Camera, wanted: np.ndarray, rows: np.ndarray
     from splatpainter.lift.colors import lift_colors, recolor
     from splatpainter.rendering.cpu.projected_view import project
 
-    around = project(splats, camera, rows=rows).tiles_of(rows)
+    around = project(splats, camera, gaussian_mask=rows).tiles_of(rows)
     frame = project(splats, camera, tiles=around)
-    movable = rows[frame.rows]
+    movable = rows[frame.gaussian_ids]
     colors = lift_colors(frame, wanted, np.ones(wanted.shape[:2], np.float32), movable, rounds)
-    seen = frame.raw_colors
+    seen = frame.unclamped_colors
     moved = movable & (np.abs(colors - np.maximum(seen, 0)).max(1) > 1 / 1024)
     if not moved.any():
         return splats
     sh = splats.sh.copy()
-    sh[frame.rows[moved]] = recolor(sh[frame.rows[moved]], seen[moved], colors[moved], DAMPING)
+    sh[frame.gaussian_ids[moved]] = recolor(sh[frame.gaussian_ids[moved]], seen[moved], colors[moved], DAMPING)
     return replace(splats, sh=sh)
 
 
@@ -59,15 +59,17 @@ def polish_global(
     total, change = np.zeros(len(splats), np.float32), np.zeros((len(splats), 3), np.float32)
     for camera, target, mask in views:
         frame = project(splats, camera)
-        _, alpha, _ = frame.draw()
+        _, alpha, _ = frame.rasterize()
         use = (mask & (alpha > 0.9)).astype(np.float32)
-        total[frame.rows] += frame.accumulate(target, use).weight
+        total[frame.gaussian_ids] += frame.backproject(target, use).weight
         frames.append((frame, target, use))
     for _ in range(rounds):
         gain = np.zeros_like(change)
         for frame, target, use in frames:
-            colors = np.clip(frame.raw_colors + change[frame.rows], 0, np.maximum(frame.raw_colors, BRIGHTEST))
-            gain[frame.rows] += frame.residual_round(target, use, colors)[0]
+            colors = np.clip(
+                frame.unclamped_colors + change[frame.gaussian_ids], 0, np.maximum(frame.unclamped_colors, BRIGHTEST)
+            )
+            gain[frame.gaussian_ids] += frame.sirt_step(target, use, colors)[0]
         change += gain / np.maximum(total, 1e-6)[:, None]
     moved = (total > 0.05) & (np.abs(change).max(1) > 1 / 1024)
     if not moved.any():

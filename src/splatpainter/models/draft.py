@@ -285,8 +285,8 @@ def _seen(splats: Splats, views: Sequence[EditView]) -> np.ndarray:
     weight = np.zeros(len(splats), np.float32)
     for view in views:
         frame = project(splats, view.camera, tiles=tiles_of_mask(view.mask))
-        sums = frame.accumulate(np.zeros_like(view.target), view.mask.astype(np.float32))
-        weight[frame.rows] += sums.weight
+        sums = frame.backproject(np.zeros_like(view.target), view.mask.astype(np.float32))
+        weight[frame.gaussian_ids] += sums.weight
     return weight / (weight + HALF_SEEN)
 
 

@@ -86,12 +86,12 @@ def render(
 def _render_numpy(
     splats: Splats, views: list[Camera], background: Any, contributions: bool, profile: Profile
 ) -> Render:
-    from splatpainter.rendering.cpu.views import draw_views
+    from splatpainter.rendering.cpu.views import render_views
 
     if background is not None:
         behind = _background_shape(np.asarray(background, np.float64), len(views))
         views = [replace(view, background=tuple(color)) for view, color in zip(views, behind.tolist(), strict=True)]
-    drawn = draw_views(splats, views, contributions, keep_frames=False, profile=profile)
+    drawn = render_views(splats, views, contributions, keep_views=False, profile=profile)
     return Render(drawn.colors, drawn.alphas, drawn.depths, drawn.contributions)
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
-from splatpainter.rendering.cpu.views import draw_views, views_back
+from splatpainter.rendering.cpu.views import render_views, render_views_backward
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, Splats
 
@@ -25,7 +25,7 @@ class DrawViews(torch.autograd.Function):
         splats = Splats(**arrays, antialiased=antialiased)
         behind = background.detach().tolist()
         cameras = [replace(camera, background=tuple(b)) for camera, b in zip(cameras, behind, strict=True)]
-        drawn = draw_views(splats, cameras, contributions, keep_frames=differentiable, profile=profile)
+        drawn = render_views(splats, cameras, contributions, keep_views=differentiable, profile=profile)
         outputs = [torch.from_numpy(a) for a in (drawn.colors, drawn.alphas, drawn.depths)]
         weights = torch.empty(0) if drawn.contributions is None else torch.from_numpy(drawn.contributions)
         ctx.mark_non_differentiable(weights)
@@ -42,7 +42,9 @@ class DrawViews(torch.autograd.Function):
         v_colors, v_alphas, v_depths = (g.contiguous().numpy() for g in gradients[:3])
         grads: list[Any] = [None] * 11
         if any(ctx.needs_input_grad[:5]):
-            grads[:5] = map(torch.from_numpy, views_back(ctx.splats, ctx.drawn, v_colors, v_alphas, v_depths))
+            grads[:5] = map(
+                torch.from_numpy, render_views_backward(ctx.splats, ctx.drawn, v_colors, v_alphas, v_depths)
+            )
         if ctx.needs_input_grad[5]:  # colour = drawn + (1 - alpha) background
             grads[5] = torch.from_numpy((v_colors * (1 - ctx.drawn.alphas)).sum((1, 2)))
         return tuple(grads)

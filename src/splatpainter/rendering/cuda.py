@@ -16,7 +16,7 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.rendering import reference
-from splatpainter.rendering.profiles import Profile
+from splatpainter.rendering.profiles import EPS2D, NEAR_PLANE, Profile
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
@@ -53,8 +53,8 @@ def draw(
         "Ks": stacked([camera.intrinsics for camera in cameras], device),  # [C, 3, 3]
         "width": cameras[0].width,
         "height": cameras[0].height,
-        "near_plane": reference.NEAR,
-        "eps2d": reference.EPS2D,
+        "near_plane": NEAR_PLANE,
+        "eps2d": EPS2D,
         "rasterize_mode": "antialiased" if splats.antialiased else "classic",
         "packed": False,
     }

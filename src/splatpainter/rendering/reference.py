@@ -12,23 +12,26 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
-from splatpainter.rendering.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR, Profile
+from splatpainter.rendering.profiles import (
+    EPS2D,
+    JACOBIAN_MARGIN,
+    MAX_ALPHA,
+    MAX_DISTANCE_PX,
+    MIN_ALPHA,
+    MIN_TRANSMITTANCE,
+    NEAR_PLANE,
+    PLAYCANVAS_FALLOFF,
+    PLAYCANVAS_MAX_ALPHA,
+    Profile,
+)
 from splatpainter.splats import MAX_MAGNITUDE, MIN_QUAT, Splats
-
-NEAR = 0.01  # world units
-EPS2D = 0.3  # px^2, the width of a pixel's own filter
-MARGIN = 0.15  # of the picture, beyond which Jacobians are not taken
-FAR_PX = 1e9  # rows whose centre lies farther from the picture's corner are not drawn
-THRESHOLD = 1 / 255  # least alpha that is drawn
-CAP = 0.999  # largest alpha
-STOP = 1e-4  # a pixel takes no row that would bring its transmittance to this or below
 
 
 def draw(
     splats: Splats, cameras: Sequence[Camera], background: Tensor, contributions: bool, profile: Profile = "inria"
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """background: [C, 3]. Shapes as in `render.Render`."""
-    views = [draw_view(splats, camera, behind, profile) for camera, behind in zip(cameras, background, strict=True)]
+    views = [draw_view(splats, camera, color, profile) for camera, color in zip(cameras, background, strict=True)]
     colors, alphas, depths, weights = (torch.stack(parts) for parts in zip(*views, strict=True))
     return colors, alphas, depths, weights.detach() if contributions else None
 
@@ -59,8 +62,10 @@ def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple
         ok = drawable(splats) & bool(abs(camera.position).max() <= MAX_MAGNITUDE)  # [N]
         z = splats.means @ turn[2] + shift[2]  # [N]
         x, y = splats.means @ turn[0] + shift[0], splats.means @ turn[1] + shift[1]  # [N] each
-        near = torch.stack([camera.fx * (x / z) + camera.cx, camera.fy * (y / z) + camera.cy], 1).abs() <= FAR_PX
-        rows = torch.nonzero(ok & (z >= NEAR) & near.all(1))[:, 0]  # [V]
+        near = (
+            torch.stack([camera.fx * (x / z) + camera.cx, camera.fy * (y / z) + camera.cy], 1).abs() <= MAX_DISTANCE_PX
+        )
+        rows = torch.nonzero(ok & (z >= NEAR_PLANE) & near.all(1))[:, 0]  # [V]
         rows = rows[torch.argsort(z[rows], stable=True)]  # equal depths: by row
     means, scales, sh = splats.means[rows], splats.scales[rows], splats.sh[rows]  # [V, 3], [V, 3], [V, K, 3]
     quats, opacity = splats.quats[rows], splats.opacities[rows]  # [V, 4], [V]
@@ -69,10 +74,9 @@ def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple
     u, v = x / z, y / z  # [V]
     center = torch.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], 1)  # [V, 2] pixels
 
-    u = u.clamp((-camera.cx - MARGIN * camera.width) / camera.fx, (camera.width * (1 + MARGIN) - camera.cx) / camera.fx)
-    v = v.clamp(
-        (-camera.cy - MARGIN * camera.height) / camera.fy, (camera.height * (1 + MARGIN) - camera.cy) / camera.fy
-    )
+    width, height, margin = camera.width, camera.height, JACOBIAN_MARGIN
+    u = u.clamp((-camera.cx - margin * width) / camera.fx, (width * (1 + margin) - camera.cx) / camera.fx)
+    v = v.clamp((-camera.cy - margin * height) / camera.fy, (height * (1 + margin) - camera.cy) / camera.fy)
     zero = torch.zeros_like(z)
     jacobian = torch.stack(
         [
@@ -90,9 +94,9 @@ def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple
     pixels = pixel_centers(camera, **like)  # [P, 2]
     offset = center[:, None, :] - pixels  # [V, P, 2]
     sigma = ((offset @ torch.linalg.inv(covariance)) * offset).sum(2) / 2  # [V, P]
-    floor, cap = (0, CAP) if profile == "inria" else (PLAYCANVAS_FLOOR, PLAYCANVAS_CAP)
+    floor, cap = (0, MAX_ALPHA) if profile == "inria" else (PLAYCANVAS_FALLOFF, PLAYCANVAS_MAX_ALPHA)
     alpha = (opacity[:, None] * (torch.exp(-sigma) - floor)).clamp_max(cap)  # [V, P]
-    alpha = torch.where(alpha >= THRESHOLD, alpha, 0)  # [V, P]
+    alpha = torch.where(alpha >= MIN_ALPHA, alpha, 0)  # [V, P]
 
     position = torch.as_tensor(camera.position, **like)  # [3]
     direction = torch.nn.functional.normalize(means - position, dim=1)  # [V, 3]
@@ -111,13 +115,14 @@ def drawable(splats: Splats) -> Tensor:
 
 def composite(alpha: Tensor, profile: Profile = "inria") -> tuple[Tensor, Tensor]:
     """Front to back: weights w_i = alpha_i prod_{j < i} (1 - alpha_j) of rows that are taken [V, P], and the
-    transmittance that is left [P]. A pixel takes rows until one would bring its transmittance to STOP or below;
-    playcanvas: until its transmittance is below STOP."""
+    transmittance that is left [P]. A pixel takes rows until one would bring its transmittance to MIN_TRANSMITTANCE or
+    below; playcanvas: until its transmittance is below it."""
     after = torch.cumprod(1 - alpha, 0)  # [V, P]
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])[: len(alpha)]  # [V, P]
-    taken = after > STOP if profile == "inria" else before >= STOP  # [V, P]: once false, false for all behind
-    weight = torch.where(taken, alpha * before, 0)  # [V, P]
-    left = torch.where(taken, 1 - alpha, 1).prod(0)  # [P]
+    accepted = after > MIN_TRANSMITTANCE if profile == "inria" else before >= MIN_TRANSMITTANCE
+    # [V, P]: once false, false for all behind
+    weight = torch.where(accepted, alpha * before, 0)  # [V, P]
+    left = torch.where(accepted, 1 - alpha, 1).prod(0)  # [P]
     return weight, left
 
 

@@ -39,14 +39,14 @@ def hit(splats: Splats, camera: Camera, x: float, y: float) -> tuple[np.ndarray,
         raise ValueError(f"pick: expected a pixel of the {camera.width}x{camera.height} view, got {x:g}, {y:g}")
     pixel = camera.cropped(column, line, 1, 1)
     frame = project(splats, pixel)
-    image, alpha, depth = frame.draw()
+    image, alpha, depth = frame.rasterize()
     if alpha[0, 0] < 0.5:
         return image[0, 0], None
-    sums = frame.accumulate(np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.float32))
+    sums = frame.backproject(np.zeros((1, 1, 3), np.float32), np.ones((1, 1), np.float32))
     z = float(depth[0, 0])
     local = np.array([(x - camera.cx) / camera.fx * z, (y - camera.cy) / camera.fy * z, z])
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return image[0, 0], Hit(z, rotation.T @ (local - translation), int(frame.rows[sums.weight.argmax()]))
+    return image[0, 0], Hit(z, rotation.T @ (local - translation), int(frame.gaussian_ids[sums.weight.argmax()]))
 
 
 def coverage_picture(splats: Splats, coverage: np.ndarray, camera: Camera) -> np.ndarray:
@@ -82,6 +82,6 @@ def next_view(
 def _shares(splats: Splats, coverage: np.ndarray, camera: Camera) -> np.ndarray:
     """[H, W, 3] parts of each pixel: rows seen, rows predicted, all others."""
     frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
-    kinds = coverage[frame.rows]
+    kinds = coverage[frame.gaussian_ids]
     colors = np.stack([kinds == SEEN, kinds == PREDICTED, np.ones(len(kinds), bool)], -1)
-    return frame.draw(colors.astype(frame.records.dtype))[0]
+    return frame.rasterize(colors.astype(frame.projected.dtype))[0]

@@ -13,8 +13,8 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.lift.colors import BRIGHTEST, recolor
 from splatpainter.lift.local_edit import FAINTEST, INSIDE_SMALL, VISIBLE
-from splatpainter.rendering.cpu.projected_view import Frame, project
-from splatpainter.rendering.cpu.sirt import rounds_towards
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
+from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.sources.color import from_display, to_display
 from splatpainter.splats import Splats
 
@@ -41,7 +41,7 @@ class _Canvas:
     """What the stroke knows of one version of the asset."""
 
     version: int
-    frame: Frame
+    frame: ProjectedView
     base: np.ndarray
     """[H, W, 3] the render without the stroke."""
     erased: np.ndarray
@@ -71,11 +71,11 @@ class Stroke:
         if self._canvas is not None and self._canvas.version == version:
             return
         frame = project(splats, self.camera)
-        base = frame.draw()[0]
-        erased = project(original, self.camera).draw()[0] if self.erase else base
+        base = frame.rasterize()[0]
+        erased = project(original, self.camera).rasterize()[0] if self.erase else base
         everywhere = np.ones(base.shape[:2], np.float32)
-        whole = frame.accumulate(np.zeros_like(base), everywhere).weight
-        colors = np.maximum(frame.raw_colors, 0)
+        whole = frame.backproject(np.zeros_like(base), everywhere).weight
+        colors = np.maximum(frame.unclamped_colors, 0)
         movable = np.zeros(len(frame), bool)
         self._canvas = _Canvas(version, frame, base, erased, base.copy(), whole, colors.copy(), colors.copy(), movable)
 
@@ -108,34 +108,34 @@ class Stroke:
         entries = self._lift(canvas, splats, _grown(box, self.camera))
         news = entries[np.abs(canvas.colors[entries] - canvas.sent[entries]).max(1) > SEEN]
         canvas.sent[news] = canvas.colors[news]
-        news = news[np.argsort(frame.rows[news])]
-        rows = frame.rows[news]
+        news = news[np.argsort(frame.gaussian_ids[news])]
+        rows = frame.gaussian_ids[news]
         some = splats.take(rows)
-        sh = recolor(some.sh, frame.raw_colors[news], canvas.colors[news])
+        sh = recolor(some.sh, frame.unclamped_colors[news], canvas.colors[news])
         return Preview(rows, replace(some, sh=sh, source=None, origin=None))
 
     def _lift(self, canvas: _Canvas, splats: Splats, box: tuple[int, int, int, int]) -> np.ndarray:
         """Some colour rounds within a window of the view. Returns [E] the frame's entries that it shows."""
         frame, window = canvas.frame, _slices(box)
         left, top, right, bottom = box
-        centers, extents = frame.centers, frame.extents
+        centers, extents = frame.means2d, frame.extents
         near = (np.abs(2 * centers - (left + right, top + bottom)) < 2 * extents + (right - left, bottom - top)).all(1)
         chosen = np.flatnonzero(near)
         camera = self.camera.cropped(left, top, right - left, bottom - top)
-        small = project(splats.take(frame.rows[chosen]), camera)
-        entries = chosen[small.rows]
+        small = project(splats.take(frame.gaussian_ids[chosen]), camera)
+        entries = chosen[small.gaussian_ids]
         target = np.ascontiguousarray(canvas.target[window])
         painted = (self.rgba[window][..., 3] > 0).astype(np.float32)
         everywhere = np.ones_like(painted)
-        sums = small.accumulate(target, painted)
+        sums = small.backproject(target, painted)
         reached = (sums.peak > FAINTEST) & (sums.weight > VISIBLE * sums.alpha)
         canvas.movable[entries] |= reached & (sums.weight > INSIDE_SMALL * canvas.whole[entries])
         movable = canvas.movable[entries]
-        towards = rounds_towards(small, target, everywhere, movable)
+        towards = sirt_steps(small, target, everywhere, movable)
         step, own = 1 / np.maximum(towards.weight, 1e-6)[:, None], entries[movable]
-        colors, ceiling = canvas.colors[own], np.maximum(frame.raw_colors[own], BRIGHTEST)
+        colors, ceiling = canvas.colors[own], np.maximum(frame.unclamped_colors[own], BRIGHTEST)
         for _ in range(ROUNDS):
-            colors = np.clip(colors + step * towards.gain(colors), 0, ceiling).astype(np.float32)
+            colors = np.clip(colors + step * towards.residual(colors), 0, ceiling).astype(np.float32)
         canvas.colors[own] = colors
         return entries
 

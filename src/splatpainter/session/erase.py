@@ -37,12 +37,12 @@ def reached(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]) -> np.nd
         shown = reached_rows(splats, camera, mask, editable_rows(grid, splats, camera, mask))
         frame = project(splats, camera)
         nothing = np.zeros((*mask.shape, 3), np.float32)
-        inside = frame.accumulate(nothing, mask.astype(np.float32))
-        whole = frame.accumulate(nothing, np.ones(mask.shape, np.float32))
+        inside = frame.backproject(nothing, mask.astype(np.float32))
+        whole = frame.backproject(nothing, np.ones(mask.shape, np.float32))
         here = np.zeros(len(splats), bool)
-        here[frame.rows] = shown[frame.rows] & (inside.weight >= INSIDE * whole.weight)
+        here[frame.gaussian_ids] = shown[frame.gaussian_ids] & (inside.weight >= INSIDE * whole.weight)
         if splats.origin is not None:
-            under = frame.rows[(inside.alpha > 0) & (inside.alpha >= INSIDE * whole.alpha)]
+            under = frame.gaussian_ids[(inside.alpha > 0) & (inside.alpha >= INSIDE * whole.alpha)]
             here[under] |= np.isin(splats.origin[under], splats.origin[here]) & (splats.origin[under] >= 0)
         out |= here
     return out

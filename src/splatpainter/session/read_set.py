@@ -45,8 +45,8 @@ def read_of(splats: Splats, grid: VoxelGrid, camera: Camera, mask: np.ndarray) -
         reached = reached_rows(splats, camera, mask, allowed, project(splats, camera, tiles=under))
     except ValueError:
         return None
-    area = under | project(splats, camera, rows=reached).tiles_of(reached)
-    rows = np.sort(project(splats, camera, tiles=area).rows)
+    area = under | project(splats, camera, gaussian_mask=reached).tiles_of(reached)
+    rows = np.sort(project(splats, camera, tiles=area).gaussian_ids)
     found = hashlib.sha256(np.packbits(reached[rows]).tobytes())
     for name in ATTRIBUTES:
         found.update(np.asarray(getattr(splats, name)[rows], "<f4").tobytes())

@@ -24,7 +24,7 @@ from splatpainter.kernels.simd import (
     sum_lanes,
 )
 from splatpainter.rendering.cpu.raster import AHEAD, STATE, blocks_hit, close_blocks, composite, open_tile
-from splatpainter.rendering.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR
+from splatpainter.rendering.profiles import PLAYCANVAS_FALLOFF, PLAYCANVAS_MAX_ALPHA
 
 LANE_SUMS = 6 * LANES
 SUMS = 8
@@ -39,8 +39,8 @@ def give_back(records, members, homes, begin, end, x0, y0, state, closed, hidden
     zero = F(0)
     half = F(0.5)
     threshold = F(THRESHOLD)
-    cap = F(CAP) if profile is None else F(PLAYCANVAS_CAP)
-    floor = F(PLAYCANVAS_FLOOR)
+    cap = F(CAP) if profile is None else F(PLAYCANVAS_MAX_ALPHA)
+    floor = F(PLAYCANVAS_FALLOFF)
     stop = F(STOP)
     cx = F(x0) + half
     cy = F(y0) + half

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numba import carray
 
-from splatpainter.kernels.parallel import run
 from splatpainter.kernels.simd import (
     BLOCKS,
     CAP,
@@ -23,9 +22,8 @@ from splatpainter.kernels.simd import (
     prefetch,
     scratch,
 )
-from splatpainter.rendering.cpu.projected_view import Frame
 from splatpainter.rendering.cpu.raster import AHEAD, blocks_hit, close_blocks, open_tile
-from splatpainter.rendering.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR, Profile
+from splatpainter.rendering.profiles import PLAYCANVAS_FALLOFF, PLAYCANVAS_MAX_ALPHA
 
 STATE = 2 * PIXELS
 
@@ -37,8 +35,8 @@ def weigh(records, members, begin, end, x0, y0, state, best, closed, profile):
     zero = F(0)
     half = F(0.5)
     threshold = F(THRESHOLD)
-    cap = F(CAP) if profile is None else F(PLAYCANVAS_CAP)
-    floor = F(PLAYCANVAS_FLOOR)
+    cap = F(CAP) if profile is None else F(PLAYCANVAS_MAX_ALPHA)
+    floor = F(PLAYCANVAS_FALLOFF)
     stop = F(STOP)
     cx = F(x0) + half
     cy = F(y0) + half
@@ -108,12 +106,3 @@ def weigh_tiles(
                 x = x0 + (b % SIDE) * 4 + (l & 3)
                 if y < height and x < width:
                     entries[y, x] = best[b, l]
-
-
-def heaviest_rows(frame: Frame, profile: Profile = "inria") -> np.ndarray:
-    """[H, W] int64: the row of the splats that gives each pixel most of its colour; -1 where nothing is drawn. The
-    frame has all tiles."""
-    entries = np.full((frame.camera.height, frame.camera.width), -1, np.int32)
-    selector = None if profile == "inria" else True
-    run(weigh_tiles, frame.records, frame.members, frame.tile_ids, frame.starts, entries, selector)
-    return np.append(frame.rows, -1)[entries]

@@ -25,7 +25,7 @@ from splatpainter.kernels.simd import (
     prefetch,
     scratch,
 )
-from splatpainter.rendering.profiles import PLAYCANVAS_CAP, PLAYCANVAS_FLOOR
+from splatpainter.rendering.profiles import PLAYCANVAS_FALLOFF, PLAYCANVAS_MAX_ALPHA
 
 STATE = 5 * PIXELS
 AHEAD = 6
@@ -84,8 +84,8 @@ def composite(records, members, begin, end, x0, y0, state, closed, profile):
     zero = F(0)
     half = F(0.5)
     threshold = F(THRESHOLD)
-    cap = F(CAP) if profile is None else F(PLAYCANVAS_CAP)
-    floor = F(PLAYCANVAS_FLOOR)
+    cap = F(CAP) if profile is None else F(PLAYCANVAS_MAX_ALPHA)
+    floor = F(PLAYCANVAS_FALLOFF)
     stop = F(STOP)
     cx = F(x0) + half
     cy = F(y0) + half

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import carray
 
-from splatpainter.kernels import simd as lanes
+from splatpainter.kernels import simd
 from splatpainter.kernels.parallel import run
 from splatpainter.kernels.simd import (
     BLOCKS,
@@ -30,100 +30,104 @@ from splatpainter.kernels.simd import (
     scratch,
     sum_lanes,
 )
-from splatpainter.rendering.cpu import backproject as gather
+from splatpainter.rendering.cpu import backproject
 from splatpainter.rendering.cpu.backproject import load_mask
-from splatpainter.rendering.cpu.projected_view import Frame
+from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.rendering.cpu.raster import AHEAD, STATE, blocks_hit, close_blocks, open_tile
 
-MOST = 1 << 20
-"""Blocks that may be kept: 64 MiB in float32. A row of 1 px touches about 4, one of 4 px about 30."""
+MAX_CACHED_BLOCKS = 1 << 20
+"""64 MiB in float32. A Gaussian of 1 px touches about 4 blocks, one of 4 px about 30."""
 FIELDS = 4
 """Of a tile between rounds: what the chosen rows are to make up (3), and the pixels' weight m."""
 _TILE, _TOTALS = FIELDS * PIXELS, FIELDS * LANES
 
 
-def rounds_towards(frame: Frame, target: np.ndarray, mask: np.ndarray, chosen: np.ndarray) -> Kept | Walked:
-    """Rounds towards a picture with C chosen rows of a frame's M; the other rows have the frame's colours. chosen: [M]
+def sirt_steps(
+    view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: np.ndarray
+) -> CachedWeights | UncachedWeights:
+    """Steps towards a picture with C movable Gaussians of a view's M; the others have the view's colours. movable: [M]
     bool; target: [H, W, 3]; mask: [H, W] weights m_p >= 0."""
-    return Kept.of(frame, target, mask, chosen) or Walked(frame, target, mask, chosen)
+    return CachedWeights.of(view, target, mask, movable) or UncachedWeights(view, target, mask, movable)
 
 
-class Walked:
-    """Where there would be too much to keep: the tiles are walked in every round."""
+class UncachedWeights:
+    """Where there would be too much to cache: the tiles are walked in every step."""
 
-    def __init__(self, frame: Frame, target: np.ndarray, mask: np.ndarray, chosen: np.ndarray) -> None:
-        self._towards, self._frame, self._chosen = (target, mask), frame, chosen
-        self.weight = frame.accumulate(target, mask).weight[chosen]
+    def __init__(self, view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: np.ndarray) -> None:
+        self._pictures, self._view, self._movable = (target, mask), view, movable
+        self.weight = view.backproject(target, mask).weight[movable]
 
-    def gain(self, colors: np.ndarray) -> np.ndarray:
-        """As Kept.gain."""
-        everywhere = self._frame.colors.copy()
-        everywhere[self._chosen] = colors
-        return self._frame.residual_round(*self._towards, everywhere)[0][self._chosen]
+    def residual(self, colors: np.ndarray) -> np.ndarray:
+        """As CachedWeights.residual."""
+        all_colors = self._view.colors.copy()
+        all_colors[self._movable] = colors
+        return self._view.sirt_step(*self._pictures, all_colors)[0][self._movable]
 
 
 @dataclass(frozen=True)
-class Kept:
-    """What the chosen rows weigh in every pixel, and what the others leave for them to make up."""
+class CachedWeights:
+    """What the movable Gaussians weigh in every pixel, and what the others leave for them to make up."""
 
     weight: np.ndarray
     """[C] sum_p w_ip m_p."""
     _lists: tuple[np.ndarray, ...]
-    _rest: np.ndarray
-    _pairs: int
-    _offsets: np.ndarray
+    _remainder: np.ndarray
+    _num_pairs: int
+    _pair_offsets: np.ndarray
 
     @staticmethod
-    def of(frame: Frame, target: np.ndarray, mask: np.ndarray, chosen: np.ndarray) -> Kept | None:
-        """None where there would be more to keep than MOST."""
-        dtype = frame.records.dtype
-        target, mask = lanes.readonly(target, dtype), lanes.readonly(mask, dtype)
-        pairs = np.flatnonzero(chosen[frame.members])
-        begins = np.searchsorted(pairs, frame.starts)
-        tile = np.repeat(frame.tile_ids, np.diff(begins))
-        boxes = _boxes(frame, frame.members[pairs], tile)
+    def of(view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: np.ndarray) -> CachedWeights | None:
+        """None where there would be more than MAX_CACHED_BLOCKS."""
+        dtype = view.projected.dtype
+        target, mask = simd.readonly(target, dtype), simd.readonly(mask, dtype)
+        pairs = np.flatnonzero(movable[view.flatten_ids])
+        begins = np.searchsorted(pairs, view.isect_offsets)
+        tile = np.repeat(view.tile_ids, np.diff(begins))
+        boxes = _block_boxes(view, view.flatten_ids[pairs], tile)
         hit = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
-        places = np.concatenate([[0], np.cumsum(hit)])
-        if places[-1] > MOST:
+        block_offsets = np.concatenate([[0], np.cumsum(hit)])
+        if block_offsets[-1] > MAX_CACHED_BLOCKS:
             return None
-        kept = lanes.aligned((int(places[-1]), LANES), dtype)
-        rest = lanes.aligned((len(frame.tile_ids), FIELDS, BLOCKS, LANES), dtype)
-        background = lanes.readonly(np.array(frame.camera.background), dtype)
-        own = (pairs, begins, boxes, places)
-        run(fill_tiles, *frame.lists(frame.records), background, target, mask, *own, kept, rest)
-        entries = (np.cumsum(chosen) - 1)[frame.members[pairs]]
-        homes = np.empty(len(pairs), np.int64)
-        homes[np.argsort(entries, kind="stable")] = np.arange(len(pairs))
-        offsets = np.concatenate([[0], np.cumsum(np.bincount(entries, minlength=int(chosen.sum())))])
-        lists = (begins, boxes, places, entries, homes, kept)
-        sums = _sums(lists, rest, len(pairs), offsets, np.zeros((int(chosen.sum()), 3), dtype))
-        return Kept(sums[:, 3], lists, rest, len(pairs), offsets)
+        weights = simd.aligned((int(block_offsets[-1]), LANES), dtype)
+        remainder = simd.aligned((len(view.tile_ids), FIELDS, BLOCKS, LANES), dtype)
+        background = simd.readonly(np.array(view.camera.background), dtype)
+        movable_lists = (pairs, begins, boxes, block_offsets)
+        run(fill_tiles, *view.tile_lists(view.projected), background, target, mask, *movable_lists, weights, remainder)
+        entries = (np.cumsum(movable) - 1)[view.flatten_ids[pairs]]
+        pair_ids = np.empty(len(pairs), np.int64)
+        pair_ids[np.argsort(entries, kind="stable")] = np.arange(len(pairs))
+        num_movable = int(movable.sum())
+        pair_offsets = np.concatenate([[0], np.cumsum(np.bincount(entries, minlength=num_movable))])
+        lists = (begins, boxes, block_offsets, entries, pair_ids, weights)
+        sums = _step_sums(lists, remainder, len(pairs), pair_offsets, np.zeros((num_movable, 3), dtype))
+        return CachedWeights(sums[:, 3], lists, remainder, len(pairs), pair_offsets)
 
-    def gain(self, colors: np.ndarray) -> np.ndarray:
-        """[C, 3] sum_p w_ip m_p (target_p - image_p) with these colours ([C, 3], in the frame's order)."""
-        return _sums(self._lists, self._rest, self._pairs, self._offsets, colors)[:, :3]
+    def residual(self, colors: np.ndarray) -> np.ndarray:
+        """[C, 3] sum_p w_ip m_p (target_p - image_p) with these colours ([C, 3], in the view's order)."""
+        return _step_sums(self._lists, self._remainder, self._num_pairs, self._pair_offsets, colors)[:, :3]
 
 
-def _boxes(frame: Frame, entries: np.ndarray, tile: np.ndarray) -> np.ndarray:
+def _block_boxes(view: ProjectedView, entries: np.ndarray, tile: np.ndarray) -> np.ndarray:
     """[Q, 4] int64 blocks of each pair's tile that its ellipse touches: y from, to, x from, to (raster.blocks_hit)."""
-    records, across = frame.records[entries], frame.tiles.shape[1]
+    projected, across = view.projected[entries], view.tiles.shape[1]
     out = np.empty((len(entries), 4), np.int64)
-    for k, (middle, extent, first) in enumerate(
-        [(lanes.MY, lanes.YE, tile // across * TILE), (lanes.MX, lanes.XE, tile % across * TILE)]
+    for k, (mean, extent, first) in enumerate(
+        [(simd.MY, simd.YE, tile // across * TILE), (simd.MX, simd.XE, tile % across * TILE)]
     ):
-        m, e = records[:, middle] - (first + 0.5).astype(records.dtype), records[:, extent]
+        m, e = projected[:, mean] - (first + 0.5).astype(projected.dtype), projected[:, extent]
         out[:, 2 * k] = np.clip(m - e, 0, TILE - 1).astype(np.int64) >> 2
         out[:, 2 * k + 1] = (np.clip(m + e, 0, TILE - 1).astype(np.int64) >> 2) + 1
     return out
 
 
-def _sums(
-    lists: tuple[np.ndarray, ...], rest: np.ndarray, pairs: int, offsets: np.ndarray, colors: np.ndarray
+def _step_sums(
+    lists: tuple[np.ndarray, ...], remainder: np.ndarray, num_pairs: int, pair_offsets: np.ndarray, colors: np.ndarray
 ) -> np.ndarray:
     """[C, 6]: residuals by weight (3), weights, two unused."""
-    sums, out = lanes.aligned((pairs, gather.SUMS), rest.dtype), np.empty((len(colors), 6), rest.dtype)
-    run(round_tiles, *lists, rest, lanes.readonly(colors, rest.dtype), sums)
-    run(gather.reduce_pairs, offsets, sums, out)
+    dtype = remainder.dtype
+    sums, out = simd.aligned((num_pairs, backproject.SUMS), dtype), np.empty((len(colors), 6), dtype)
+    run(round_tiles, *lists, remainder, simd.readonly(colors, dtype), sums)
+    run(backproject.reduce_pairs, pair_offsets, sums, out)
     return out
 
 

@@ -1,4 +1,4 @@
-"""`Frame`, what the lift is built on: local pictures, sums over pixels, and the fused round."""
+"""`ProjectedView`, what the lift is built on: local pictures, sums over pixels, and the fused round."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import torch
 
 import splatpainter as sp
 from splatpainter.rendering import reference
-from splatpainter.rendering.cpu import sirt as rounds
+from splatpainter.rendering.cpu import sirt
 from splatpainter.rendering.cpu.projected_view import project, tile_shape, tiles_of_mask
-from splatpainter.rendering.cpu.sirt import rounds_towards
-from splatpainter.rendering.cpu.views import draw_views, views_back
+from splatpainter.rendering.cpu.sirt import sirt_steps
+from splatpainter.rendering.cpu.views import render_views, render_views_backward
 from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
 
 
@@ -24,12 +24,12 @@ def pixels_of(tiles: np.ndarray, height: int, width: int) -> np.ndarray:
 
 @pytest.mark.parametrize("splats", [with_odd_rows(scene(60, 1, 1)), opaque_stack()], ids=["odd rows", "opaque"])
 def test_accumulate_is_the_sum_over_the_references_weights(splats):
-    view = cameras(45, 37)[0]
+    camera = cameras(45, 37)[0]
     rng = np.random.default_rng(0)
     values = rng.normal(0, 1, (37, 45, 3))
     mask = rng.uniform(0, 1, (37, 45)) * (rng.uniform(0, 1, (37, 45)) < 0.3)
     mask[:16] = 0  # tiles and blocks without any mask are skipped
-    alpha, _, _, rows = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), view))
+    alpha, _, _, rows = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), camera))
     weight = reference.composite(torch.tensor(alpha))[0].numpy()
     m = mask.ravel()
     expected = {
@@ -38,11 +38,11 @@ def test_accumulate_is_the_sum_over_the_references_weights(splats):
         "alpha": alpha @ m,
         "peak": np.where(m > 0, weight, 0).max(1),
     }
-    frame = project(splats, view)
-    sums = frame.accumulate(values, mask)
+    view = project(splats, camera)
+    sums = view.backproject(values, mask)
     for name, reference_sums in expected.items():
         full = np.zeros((len(splats), *reference_sums.shape[1:]))
-        full[frame.rows] = getattr(sums, name)
+        full[view.gaussian_ids] = getattr(sums, name)
         np.testing.assert_allclose(full[rows], reference_sums, atol=1e-10, err_msg=name)
         full[rows] = 0
         assert not full.any(), name
@@ -50,119 +50,119 @@ def test_accumulate_is_the_sum_over_the_references_weights(splats):
 
 
 def test_a_hidden_row_has_alpha_but_no_weight():
-    splats, view = opaque_stack(), cameras(32, 32)[0]
-    frame = project(splats, view)
-    sums = frame.accumulate(np.zeros((32, 32, 3)), np.ones((32, 32)))
-    last = np.flatnonzero(frame.rows == len(splats) - 1)
+    splats, camera = opaque_stack(), cameras(32, 32)[0]
+    view = project(splats, camera)
+    sums = view.backproject(np.zeros((32, 32, 3)), np.ones((32, 32)))
+    last = np.flatnonzero(view.gaussian_ids == len(splats) - 1)
     assert sums.weight[last] == 0 and sums.alpha[last] > 10
 
 
 def test_a_local_frame_is_a_window_of_the_whole_view():
-    splats, view = with_odd_rows(scene(400, 1, 2, dtype=np.float32)), cameras(90, 70)[0]
-    tiles = np.zeros(tile_shape(view), bool)
+    splats, camera = with_odd_rows(scene(400, 1, 2, dtype=np.float32)), cameras(90, 70)[0]
+    tiles = np.zeros(tile_shape(camera), bool)
     tiles[1:4, 2] = tiles[4, 5] = True
-    whole, local = project(splats, view), project(splats, view, tiles=tiles)
+    whole, local = project(splats, camera), project(splats, camera, tiles=tiles)
     inside = pixels_of(tiles, 70, 90)
-    for all_of_it, window, outside in zip(whole.draw(), local.draw(), (view.background, 0, 0), strict=True):
+    for all_of_it, window, outside in zip(whole.rasterize(), local.rasterize(), (camera.background, 0, 0), strict=True):
         np.testing.assert_array_equal(window[inside], all_of_it[inside])
         assert (window[~inside] == np.asarray(outside, np.float32)).all()
 
     # Its rows are those whose ellipses reach its tiles, in the same order.
     touching = np.zeros(len(splats), bool)
-    for row in whole.rows:
+    for row in whole.gaussian_ids:
         only = np.zeros(len(splats), bool)
         only[row] = True
         touching[row] = (whole.tiles_of(only) & tiles).any()
-    np.testing.assert_array_equal(local.rows, whole.rows[touching[whole.rows]])
-    np.testing.assert_array_equal(local.visible_rows(), touching)
-    np.testing.assert_array_equal(local.records, whole.records[touching[whole.rows]])
+    np.testing.assert_array_equal(local.gaussian_ids, whole.gaussian_ids[touching[whole.gaussian_ids]])
+    np.testing.assert_array_equal(local.visible_gaussians(), touching)
+    np.testing.assert_array_equal(local.projected, whole.projected[touching[whole.gaussian_ids]])
 
     keep = np.random.default_rng(0).uniform(size=len(splats)) < 0.5
-    some = project(splats, view, rows=keep)
-    np.testing.assert_array_equal(np.sort(some.rows), np.flatnonzero(keep & whole.visible_rows()))
-    np.testing.assert_array_equal(some.draw()[0], project(splats.take(keep), view).draw()[0])
+    some = project(splats, camera, gaussian_mask=keep)
+    np.testing.assert_array_equal(np.sort(some.gaussian_ids), np.flatnonzero(keep & whole.visible_gaussians()))
+    np.testing.assert_array_equal(some.rasterize()[0], project(splats.take(keep), camera).rasterize()[0])
 
 
 def test_tiles_of_covers_every_pixel_a_row_draws():
-    splats, view = with_odd_rows(scene(60, 0, 3)), cameras(77, 61)[0]
-    frame = project(splats, view)
-    alpha, _, _, rows = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), view))
+    splats, camera = with_odd_rows(scene(60, 0, 3)), cameras(77, 61)[0]
+    view = project(splats, camera)
+    alpha, _, _, rows = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), camera))
     loose = 0
     for row, drawn in zip(rows, alpha.reshape(-1, 61, 77) > 0, strict=True):
         only = np.arange(len(splats)) == row
-        tiles = frame.tiles_of(only)
+        tiles = view.tiles_of(only)
         assert not drawn[~pixels_of(tiles, 61, 77)].any()
         loose += (tiles & ~tiles_of_mask(drawn)).sum()
     # Exact culling: an ellipse may graze a tile between pixel centres, and hardly more than that.
-    assert loose < 0.15 * len(frame.members)
+    assert loose < 0.15 * len(view.flatten_ids)
 
 
 def test_what_a_frame_exposes():
-    splats, view = scene(30, 2, 4, dtype=np.float32), cameras(40, 30)[0]
-    frame = project(splats, view)
-    m, rows = len(frame), frame.rows
-    assert rows.dtype == np.int64 and frame.centers.shape == (m, 2) and frame.conics.shape == (m, 3)
-    local = splats.means[rows] @ view.world_to_camera[:3, :3].T.astype(np.float32) + view.world_to_camera[:3, 3]
-    np.testing.assert_allclose(frame.depths, local[:, 2], rtol=1e-5)
-    assert (np.diff(frame.depths) >= 0).all()
-    np.testing.assert_allclose(frame.centers[:, 0], view.fx * local[:, 0] / local[:, 2] + view.cx, atol=1e-3)
+    splats, camera = scene(30, 2, 4, dtype=np.float32), cameras(40, 30)[0]
+    view = project(splats, camera)
+    m, rows = len(view), view.gaussian_ids
+    assert rows.dtype == np.int64 and view.means2d.shape == (m, 2) and view.conics.shape == (m, 3)
+    local = splats.means[rows] @ camera.world_to_camera[:3, :3].T.astype(np.float32) + camera.world_to_camera[:3, 3]
+    np.testing.assert_allclose(view.depths, local[:, 2], rtol=1e-5)
+    assert (np.diff(view.depths) >= 0).all()
+    np.testing.assert_allclose(view.means2d[:, 0], camera.fx * local[:, 0] / local[:, 2] + camera.cx, atol=1e-3)
     # The ellipse that is drawn is where alpha falls to 1/255: sigma at its rightmost point.
-    a, b, c = frame.conics.T.astype(np.float64)
-    x = frame.extents[:, 0].astype(np.float64)
+    a, b, c = view.conics.T.astype(np.float64)
+    x = view.extents[:, 0].astype(np.float64)
     sigma = (a - b * b / c) * x * x / 2
-    np.testing.assert_allclose(frame.opacities * np.exp(-sigma), 1 / 255, rtol=5e-3)
-    np.testing.assert_array_equal(frame.colors, np.maximum(frame.raw_colors, 0))
-    assert (frame.raw_colors < 0).any()
+    np.testing.assert_allclose(view.opacities * np.exp(-sigma), 1 / 255, rtol=5e-3)
+    np.testing.assert_array_equal(view.colors, np.maximum(view.unclamped_colors, 0))
+    assert (view.unclamped_colors < 0).any()
     with pytest.raises(ValueError, match="read-only"):
-        frame.records[0, 0] = 1
+        view.projected[0, 0] = 1
 
 
 def test_draw_with_other_colors():
-    splats, view = scene(80, 1, 5, dtype=np.float32), cameras(50, 40)[0]
-    frame = project(splats, view)
-    before = frame.colors.copy()
-    ones = np.ones((len(frame), 3), np.float32)
-    image, alpha, _ = frame.draw(ones * [0.5, 1, -2])
+    splats, camera = scene(80, 1, 5, dtype=np.float32), cameras(50, 40)[0]
+    view = project(splats, camera)
+    before = view.colors.copy()
+    ones = np.ones((len(view), 3), np.float32)
+    image, alpha, _ = view.rasterize(ones * [0.5, 1, -2])
     for channel, color in enumerate([0.5, 1, -2]):
-        expected = color * alpha + (1 - alpha) * np.float32(view.background[channel])
+        expected = color * alpha + (1 - alpha) * np.float32(camera.background[channel])
         np.testing.assert_allclose(image[..., channel], expected, atol=1e-5)
-    np.testing.assert_array_equal(frame.colors, before)
+    np.testing.assert_array_equal(view.colors, before)
 
 
 def test_a_round_is_draw_subtract_accumulate():
-    splats, view = with_odd_rows(scene(300, 1, 6, dtype=np.float32)), cameras(83, 64)[0]
+    splats, camera = with_odd_rows(scene(300, 1, 6, dtype=np.float32)), cameras(83, 64)[0]
     rng = np.random.default_rng(1)
     target = rng.uniform(0, 1, (64, 83, 3)).astype(np.float32)
     mask = np.zeros((64, 83), np.float32)
     mask[20:40, 30:70] = rng.uniform(0, 1, (20, 40))
-    frame = project(splats, view, tiles=tiles_of_mask(mask))
-    colors = rng.uniform(-0.2, 1, (len(frame), 3)).astype(np.float32)
-    image, _, _ = frame.draw(colors)
-    sums, error = frame.residual_round(target, mask, colors)
-    np.testing.assert_allclose(sums, frame.accumulate(target - image, mask).values, atol=1e-5)
+    view = project(splats, camera, tiles=tiles_of_mask(mask))
+    colors = rng.uniform(-0.2, 1, (len(view), 3)).astype(np.float32)
+    image, _, _ = view.rasterize(colors)
+    sums, error = view.sirt_step(target, mask, colors)
+    np.testing.assert_allclose(sums, view.backproject(target - image, mask).values, atol=1e-5)
     assert error == pytest.approx(float((mask[..., None] * (target - image) ** 2).sum()), rel=1e-5)
-    assert frame.residual_round(image, mask, colors)[1] == pytest.approx(0, abs=1e-8)
+    assert view.sirt_step(image, mask, colors)[1] == pytest.approx(0, abs=1e-8)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_rounds_of_some_rows_are_rounds_of_the_picture(share: float, monkeypatch: pytest.MonkeyPatch):
-    splats, view = with_odd_rows(scene(600, 1, 8, dtype=np.float32)), cameras(83, 64)[0]
+    splats, camera = with_odd_rows(scene(600, 1, 8, dtype=np.float32)), cameras(83, 64)[0]
     rng = np.random.default_rng(2)
     target = rng.uniform(0, 1, (64, 83, 3)).astype(np.float32)
     mask = rng.uniform(0, 1, (64, 83)).astype(np.float32)
     mask[:, 30:50] = 0
-    frame = project(splats, view, tiles=tiles_of_mask(mask))
-    chosen = rng.uniform(size=len(frame)) < share
-    colors = frame.colors.copy()
+    view = project(splats, camera, tiles=tiles_of_mask(mask))
+    chosen = rng.uniform(size=len(view)) < share
+    colors = view.colors.copy()
     colors[chosen] = rng.uniform(-0.2, 1, (int(chosen.sum()), 3))
-    gain, weight = frame.residual_round(target, mask, colors)[0], frame.accumulate(target, mask).weight
-    found = rounds_towards(frame, target, mask, chosen)
-    assert isinstance(found, rounds.Kept)
-    monkeypatch.setattr(rounds, "MOST", -1)
-    for way in (found, rounds_towards(frame, target, mask, chosen)):
-        np.testing.assert_allclose(way.gain(colors[chosen]), gain[chosen], atol=2e-5)
+    gain, weight = view.sirt_step(target, mask, colors)[0], view.backproject(target, mask).weight
+    found = sirt_steps(view, target, mask, chosen)
+    assert isinstance(found, sirt.CachedWeights)
+    monkeypatch.setattr(sirt, "MAX_CACHED_BLOCKS", -1)
+    for way in (found, sirt_steps(view, target, mask, chosen)):
+        np.testing.assert_allclose(way.residual(colors[chosen]), gain[chosen], atol=2e-5)
         np.testing.assert_allclose(way.weight, weight[chosen], atol=2e-5)
-    assert isinstance(way, rounds.Walked)
+    assert isinstance(way, sirt.UncachedWeights)
 
 
 def test_no_row_lists_more_tiles_than_its_bounding_box():
@@ -177,36 +177,36 @@ def test_no_row_lists_more_tiles_than_its_bounding_box():
     }
     for name, values in row.items():
         getattr(splats, name)[7] = values
-    frame = project(splats, cameras(512, 512)[0])
-    assert 7 in frame.rows and len(frame) > 2500
-    low = np.clip((frame.centers - frame.extents) / np.float32(16), 0, 32).astype(int)
-    high = np.clip((frame.centers + frame.extents) / np.float32(16) + np.float32(1), 0, 32).astype(int)
-    assert (np.diff(frame.offsets) <= (high - low).prod(1)).all()
+    view = project(splats, cameras(512, 512)[0])
+    assert 7 in view.gaussian_ids and len(view) > 2500
+    low = np.clip((view.means2d - view.extents) / np.float32(16), 0, 32).astype(int)
+    high = np.clip((view.means2d + view.extents) / np.float32(16) + np.float32(1), 0, 32).astype(int)
+    assert (np.diff(view.pair_offsets) <= (high - low).prod(1)).all()
     # Every pair is listed once: `homes` is a permutation, and each tile's rows ascend, front to back.
-    np.testing.assert_array_equal(np.sort(frame.homes), np.arange(len(frame.members)))
-    inside = np.ones(len(frame.members), bool)
-    inside[frame.starts[:-1][np.diff(frame.starts) > 0]] = False
-    assert (np.diff(frame.members)[inside[1:]] > 0).all()
+    np.testing.assert_array_equal(np.sort(view.pair_ids), np.arange(len(view.flatten_ids)))
+    inside = np.ones(len(view.flatten_ids), bool)
+    inside[view.isect_offsets[:-1][np.diff(view.isect_offsets) > 0]] = False
+    assert (np.diff(view.flatten_ids)[inside[1:]] > 0).all()
 
 
-def everything(splats, view):
+def everything(splats, camera):
     """Every output of every kernel, as one list of arrays."""
-    frame = project(splats, view)
+    view = project(splats, camera)
     rng = np.random.default_rng(0)
-    values = rng.normal(0, 1, (view.height, view.width, 3)).astype(np.float32)
-    mask = rng.uniform(0, 1, (view.height, view.width)).astype(np.float32)
-    sums, error = frame.residual_round(values, mask)
-    drawn = draw_views(splats, [view], contributions=True, keep_frames=True)
-    back = views_back(splats, drawn, values[None], mask[None, ..., None], mask[None, ..., None])
-    total = frame.accumulate(values, mask)
-    chosen = np.arange(len(frame)) % 3 > 0
-    kept = rounds_towards(frame, values, mask, chosen)
-    total_of_some = [kept.weight, kept.gain(frame.colors[chosen])]
+    values = rng.normal(0, 1, (camera.height, camera.width, 3)).astype(np.float32)
+    mask = rng.uniform(0, 1, (camera.height, camera.width)).astype(np.float32)
+    sums, error = view.sirt_step(values, mask)
+    drawn = render_views(splats, [camera], contributions=True, keep_views=True)
+    back = render_views_backward(splats, drawn, values[None], mask[None, ..., None], mask[None, ..., None])
+    total = view.backproject(values, mask)
+    chosen = np.arange(len(view)) % 3 > 0
+    kept = sirt_steps(view, values, mask, chosen)
+    total_of_some = [kept.weight, kept.residual(view.colors[chosen])]
     return [
         *total_of_some,
-        frame.rows,
-        frame.members,
-        *frame.draw(),
+        view.gaussian_ids,
+        view.flatten_ids,
+        *view.rasterize(),
         *vars(total).values(),
         sums,
         np.array(error),
@@ -215,11 +215,11 @@ def everything(splats, view):
 
 
 def test_bits_do_not_depend_on_threads(monkeypatch):
-    splats, view = with_odd_rows(scene(5000, 2, 7, dtype=np.float32)), cameras(130, 100)[0]
+    splats, camera = with_odd_rows(scene(5000, 2, 7, dtype=np.float32)), cameras(130, 100)[0]
     results = []
     for count in ("1", "2", "3"):
         monkeypatch.setenv("SPLATPAINTER_THREADS", count)
-        results.append(everything(splats, view))
+        results.append(everything(splats, camera))
     for others in results[1:]:
         for one, other in zip(results[0], others, strict=True):
             np.testing.assert_array_equal(one, other)
@@ -231,8 +231,8 @@ def test_bits_do_not_depend_on_how_views_are_shared_out(monkeypatch):
     results = []
     for count in ("1", "2", "4"):
         monkeypatch.setenv("SPLATPAINTER_THREADS", count)
-        drawn = draw_views(splats, views, contributions=True, keep_frames=True)
-        back = views_back(splats, drawn, drawn.colors, drawn.depths, drawn.alphas)
+        drawn = render_views(splats, views, contributions=True, keep_views=True)
+        back = render_views_backward(splats, drawn, drawn.colors, drawn.depths, drawn.alphas)
         results.append([drawn.colors, drawn.alphas, drawn.depths, drawn.contributions, *back])
     for others in results[1:]:
         for one, other in zip(results[0], others, strict=True):
@@ -240,13 +240,13 @@ def test_bits_do_not_depend_on_how_views_are_shared_out(monkeypatch):
 
 
 def test_two_python_threads_at_once():
-    splats, view = scene(2000, 1, 8, dtype=np.float32), cameras(100, 100)[0]
-    expected = everything(splats, view)
+    splats, camera = scene(2000, 1, 8, dtype=np.float32), cameras(100, 100)[0]
+    expected = everything(splats, camera)
     found: list[list] = []
 
     def work():
         for _ in range(10):
-            found.append(everything(splats, view))
+            found.append(everything(splats, camera))
 
     workers = [threading.Thread(target=work) for _ in range(3)]
     for worker in workers:
@@ -260,10 +260,10 @@ def test_two_python_threads_at_once():
 
 
 def test_readonly_and_strided_rows_draw_the_same():
-    splats, view = scene(50, 1, 9, dtype=np.float32), cameras(30, 30)[0]
-    expected = sp.render(splats, view).colors
+    splats, camera = scene(50, 1, 9, dtype=np.float32), cameras(30, 30)[0]
+    expected = sp.render(splats, camera).colors
     packed = np.concatenate([splats.means, splats.scales], 1)  # [N, 6]: columns of a file
     packed.flags.writeable = False
     sh = np.asfortranarray(splats.sh)
     strided = sp.Splats(packed[:, :3], splats.quats, packed[:, 3:], splats.opacities[::-1][::-1], sh)
-    np.testing.assert_array_equal(sp.render(strided, view).colors, expected)
+    np.testing.assert_array_equal(sp.render(strided, camera).colors, expected)
