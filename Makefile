@@ -1,10 +1,11 @@
 # make demo   edit the bundled asset, write pictures and receipt to demo/
 # make studio paint in the browser
-# make test   run the tests            make check   format, lint, types            make fuzz   hostile inputs
+# make test   run the tests            make check   format, lint, types, docs      make fuzz   hostile inputs
+# make quick  while you type: < 1 min  make docs    the site
 PY := .venv/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo studio test fuzz check format clean
+.PHONY: demo studio test quick fuzz check docs format clean
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -31,6 +32,17 @@ check: .venv/installed-dev
 	.venv/bin/pyright
 	$(PY) scripts/check_platforms.py  # and for the systems that this one is not
 	scripts/web check
+	scripts/docs
+
+# What can be said within a minute: lint, and the tests of the core that compile nothing new.
+quick: .venv/installed-dev
+	.venv/bin/ruff format --check .
+	.venv/bin/ruff check .
+	OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile -m 'not slow' $(QUICK)
+QUICK := tests/test_imports.py tests/test_docs.py tests/test_splats.py tests/test_cameras.py tests/io tests/rendering tests/lift tests/nn tests/voxels tests/session
+
+docs: .venv/installed-dev
+	scripts/docs
 
 format: .venv/installed-dev
 	.venv/bin/ruff format .

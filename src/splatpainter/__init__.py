@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from splatpainter._version import __version__ as __version__
+
 if TYPE_CHECKING:
     from splatpainter.cameras import Camera as Camera
     from splatpainter.cameras import look_at as look_at
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from splatpainter.server.server import studio as studio
     from splatpainter.session import Session as Session
     from splatpainter.splats import Splats as Splats
-
-__version__ = "0.1.0"
 
 _HOME = {
     "Splats": "splats",

@@ -151,7 +151,7 @@ class Camera:
         return self.position.astype(np.float32), world.astype(np.float32)
 
     def to_json(self) -> str:
-        """The object of design.md 5, as one line."""
+        """The object that pictures carry, as one line (docs/pictures.md)."""
         return json.dumps(
             {
                 "version": VERSION,

@@ -18,7 +18,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from splatpainter import __version__
+from splatpainter._version import __version__
 from splatpainter.commands import DISTRIBUTIONS, ENTRY_POINTS, SUMMARIES, Outcome
 from splatpainter.commands.terminal import PROGRAM, complain, reason
 

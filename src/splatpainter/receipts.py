@@ -38,7 +38,7 @@ class ViewScore:
 
 @dataclass(frozen=True)
 class Receipt:
-    """What an edit did. `to_json` is the object of design.md 5."""
+    """What an edit did. `to_json` is the object that is written."""
 
     asset_sha256: str
     asset_rows: int

@@ -1,1 +1,1 @@
-"""The analytic lift: an edited picture written onto the rows that make it, with no weights at all (design.md 4)."""
+"""The analytic lift: an edited picture written onto the rows that make it, with no weights at all."""

@@ -1,7 +1,7 @@
 """Global lift: one to four regraded or relit views change the whole asset, also what they do not show.
 
 The rows that the views show are lifted as in colors.py; then new colour is regressed on SH_2(normal) x (old colour, 1)
-by ridge regression over them (the linear cousin of test-time training, design.md 4) and predicted for all others.
+by ridge regression over them (the linear cousin of test-time training) and predicted for all others.
 """
 
 from __future__ import annotations

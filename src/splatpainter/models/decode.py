@@ -82,7 +82,7 @@ def apply_residual(rows: Splats, residual: Tensor, unit: float | Tensor) -> Spla
     norm), logit opacity, SH of the bands that C has (others stay). Where a number of the residual is exactly 0, the
     row's own number returns bit for bit. Differentiable in both, at 0 too.
 
-    Formulas: design.md 3; log and logit are never taken: exp(log s + d) = s exp(d), and
+    Log and logit are never taken: exp(log s + d) = s exp(d), and
     sigmoid(logit o + d) = o e^d / (1 - o + o e^d).
     """
     centre, scale, turn, opacity, sh = _split(residual)

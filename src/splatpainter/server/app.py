@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from starlette.requests import ClientDisconnect
 from starlette.staticfiles import StaticFiles
 
-from splatpainter import __version__
+from splatpainter._version import __version__
 from splatpainter.server import frames, watch
 from splatpainter.server.actions import Call, Desk
 from splatpainter.server.actions.looking import render_view

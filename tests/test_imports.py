@@ -1,0 +1,166 @@
+"""Imports point one way: no circles at all (also not lazy or type-checking ones), packages in the order of the
+design, and start-up loads nothing heavy."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = {"splatpainter": ROOT / "src" / "splatpainter", "splatbench": ROOT / "benchmarks" / "splatbench"}
+ORDER = (
+    ("_version", "atomic", "user_folders", "processes", "jsonio"),
+    ("splats", "transforms", "color"),
+    ("image_files",),
+    ("cameras",),
+    ("framing",),
+    ("kernels",),
+    ("io",),
+    ("text_tables", "contact_sheet"),
+    ("rendering",),
+    ("metrics",),
+    ("demo_asset",),
+    ("lighting",),
+    ("voxels",),
+    ("lift",),
+    ("fit",),
+    ("nn",),
+    ("models",),
+    ("painter", "comparison", "receipts", "proof"),
+    ("aovs",),
+    ("sources",),
+    ("view_files",),
+    ("session",),
+    ("server",),
+    ("data",),
+    ("train",),
+    ("commands",),
+    ("cli", "__main__"),
+)
+"""Modules and subpackages of splatpainter, lowest first. Each may import what stands above it here, and itself; those
+on one line may import each other. The package's own __init__ is the public face: it names everybody."""
+LEAVES = {"data", "train"}
+FRONT = {"train", "commands", "cli"}
+"""Those that may import leaves: training stands on the data, and the command line on both."""
+LEVEL = {name: level for level, names in enumerate(ORDER) for name in names}
+MAX_LINES = 700
+"""Of a file."""
+HEAVY = ("torch", "numba", "PIL", "tyro", "scipy", "safetensors", "fastapi")
+"""What `import splatpainter` and `splatpainter --help` must not load."""
+
+
+def name_of(path: Path) -> str:
+    """Dotted name of a module's file."""
+    for package, folder in PACKAGES.items():
+        if path.is_relative_to(folder):
+            parts = (package, *path.relative_to(folder).with_suffix("").parts)
+            return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+    raise ValueError(path)
+
+
+@cache
+def modules() -> dict[str, Path]:
+    return {name_of(path): path for folder in PACKAGES.values() for path in sorted(folder.rglob("*.py"))}
+
+
+def imports(source: str, package: str) -> Iterator[str]:
+    """Dotted names that a source imports anywhere in it: modules, names in them, literals of import_module. package:
+    that which relative imports start from."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base += node.module.split(".") if node.module else []
+            yield from (".".join([*base, alias.name]) for alias in node.names)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module") and node.args:
+            if isinstance(literal := node.args[0], ast.Constant):
+                yield str(literal.value)
+
+
+def graph() -> dict[str, set[str]]:
+    """Module -> modules that it imports, lazily or not. `from package import name` is the package where that is no
+    module of it."""
+    edges: dict[str, set[str]] = {}
+    for name, path in modules().items():
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        edges[name] = set()
+        for target in imports(path.read_text(encoding="utf-8"), package):
+            while target and target not in modules():
+                target = target.rpartition(".")[0]
+            if target and target != name:
+                edges[name].add(target)
+    return edges
+
+
+def test_there_are_no_circles() -> None:
+    try:
+        TopologicalSorter(graph()).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_the_search_for_circles_finds_one() -> None:
+    lazy = "def later():\n    from a import b\n"
+    assert list(imports(lazy, "c")) == ["a.b"]
+    with pytest.raises(CycleError):
+        TopologicalSorter({"a": {"b"}, "b": {"a"}}).prepare()
+
+
+def complaint(importer: str, target: str) -> str | None:
+    """Why one entry of ORDER may not import another, or None."""
+    if target == importer:
+        return None
+    if target not in LEVEL:
+        return f"{importer} imports {target!r} from splatpainter itself: import it from the module that defines it"
+    if target in LEAVES and importer not in FRONT:
+        return f"{importer} imports {target}, a leaf that only the command line may import"
+    if LEVEL[target] > LEVEL[importer]:
+        return f"{importer} imports {target}, which stands below it"
+    return None
+
+
+def test_imports_point_up_the_list() -> None:
+    wrong = []
+    for name, path in modules().items():
+        if name == "splatpainter" or not name.startswith("splatpainter."):
+            continue
+        importer = name.split(".")[1]
+        assert importer in LEVEL, f"{importer} has no line in ORDER: give it one"
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        for target in imports(path.read_text(encoding="utf-8"), package):
+            parts = target.split(".")
+            if parts[0] == "splatbench":
+                wrong.append(f"{name} imports {target}: the package knows no benchmarks")
+            elif parts[0] == "splatpainter":
+                wrong.append(complaint(importer, parts[1] if len(parts) > 1 else ""))
+    assert not [line for line in wrong if line], sorted({line for line in wrong if line})
+
+
+def test_the_order_refuses_what_the_design_forbids() -> None:
+    refused = [("io", "rendering"), ("voxels", "lift"), ("lift", "painter"), ("data", "train"), ("session", "data")]
+    allowed = [("lift", "voxels"), ("painter", "receipts"), ("io", "io"), ("train", "models"), ("train", "data")]
+    assert all(complaint(*pair) for pair in [*refused, ("lift", ""), ("lift", "Splats")])
+    assert not any(complaint(*pair) for pair in allowed)
+
+
+@pytest.mark.parametrize("words", ["import splatpainter", "from splatpainter.cli import main; main(['--help'])"])
+def test_start_up_loads_nothing_heavy(words: str) -> None:
+    """Counted in modules: seconds would depend on the machine."""
+    program = f"import sys; {words}; print('\\n' + '\\n'.join(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    assert not [name for name in HEAVY if name in loaded]
+    assert len(loaded) < 600
+
+
+def test_no_file_is_longer_than_a_reader_can_hold() -> None:
+    files = [*modules().values(), *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks" / "tests").rglob("*.py")]
+    lengths = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in files}
+    assert {name: length for name, length in lengths.items() if length > MAX_LINES} == {}
