@@ -18,7 +18,7 @@ from splatpainter.data import viewpoints
 if TYPE_CHECKING:
     from splatbench.ground_truth import Shown
     from splatbench.tables import Setup
-    from splatpainter.data.edit_types import Stock
+    from splatpainter.data.edits.layers import EditResources
 
 KINDS = ("stroke", "sticker", "text", "photo", "recolor")
 """In turn."""
@@ -52,12 +52,12 @@ class Spot:
     """[3] unit, towards that view."""
 
 
-def stock(setup: Setup) -> Stock:
+def stock(setup: Setup) -> EditResources:
     """The files that edits are made of. Raises ValueError for a folder that there is not."""
-    from splatpainter.data.edit_types import Stock, listed
+    from splatpainter.data.edits.layers import EditResources, list_files
 
-    found = [() if folder is None else listed(folder) for folder in (setup.decals, setup.fonts, setup.textures)]
-    return Stock(*found)
+    found = [() if folder is None else list_files(folder) for folder in (setup.decals, setup.fonts, setup.textures)]
+    return EditResources(*found)
 
 
 def design(
@@ -65,7 +65,7 @@ def design(
     base: Shown,
     kind: str,
     framing: Framing,
-    files: Stock,
+    files: EditResources,
     rng: np.random.Generator,
     accept: Callable[[Spot, np.ndarray], bool] = lambda spot, mask: True,
 ) -> tuple[Paint, Spot]:
@@ -102,13 +102,13 @@ def painting(
     camera: Camera,
     spot: Spot,
     shown: Shown,
-    files: Stock,
+    files: EditResources,
     rng: np.random.Generator,
     strict: float = 1.0,
 ) -> Paint | None:
     """An edit at a spot, designed on the picture of the view; None where the object fills too little of the view, or
     too much of the edit would lie beside it. strict: times FILLED and ON_OBJECT."""
-    from splatpainter.data.edit_types import PAINTED, Canvas
+    from splatpainter.data.edits.layers import LAYER_MAKERS, Canvas
     from splatpainter.data.mesh_visibility import projected
 
     alpha = shown.alphas[0]
@@ -118,7 +118,7 @@ def painting(
     x, y, z = (float(v) for v in projected(spot.place[None], camera)[0])
     if kind == "recolor":
         return Paint(kind, camera, Tint(spot.place, 0.8 * extent * z / camera.fy, int(rng.integers(1 << 31))))
-    layer = PAINTED[kind](Canvas(shown.pictures.colors[0], (x, y), extent), files, rng)
+    layer = LAYER_MAKERS[kind](Canvas(shown.pictures.colors[0], (x, y), extent), files, rng)
     if float((layer[..., 3] * alpha).sum()) < strict * ON_OBJECT * float(layer[..., 3].sum()):
         return None
     return Paint(kind, camera, layer)
@@ -149,7 +149,7 @@ def any_spot(shown: Shown, rng: np.random.Generator) -> Spot:
 def view_of(spot: Spot, framing: Framing, radius: float, optics: viewpoints.Optics, rng: np.random.Generator) -> Camera:
     """A close-up of the spot, or the whole object from its side."""
     if framing == "whole":
-        return viewpoints.around(radius, optics, *viewpoints.sight(spot.normal, rng))
+        return viewpoints.around(radius, optics, *viewpoints.view_angles(spot.normal, rng))
     return viewpoints.facing(spot.place, spot.normal, radius * rng.uniform(*WINDOW), optics, rng)
 
 

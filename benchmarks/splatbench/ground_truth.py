@@ -93,10 +93,10 @@ def show(what: Subject, light: Light, cameras: Sequence[Camera], setup: Setup, p
     if what.surfels is None:
         return _traced(what, light, cameras, setup, purpose)
     from splatpainter.data.lights import shade
-    from splatpainter.data.lit_scenes import shoot
+    from splatpainter.data.lit_scenes import render_views
     from splatpainter.data.surfels import to_splats
 
-    shots = shoot(to_splats(what.surfels, shade(what.surfels, light, DEGREE)), cameras)
+    shots = render_views(to_splats(what.surfels, shade(what.surfels, light, DEGREE)), cameras)
     colors, alphas, depths = (x.numpy() for x in (shots.views.colors, shots.alphas, shots.depths))
     return Shown(Pictures(tuple(cameras), colors), alphas, depths)
 

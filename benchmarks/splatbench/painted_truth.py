@@ -18,13 +18,13 @@ from splatpainter.cameras import Camera
 if TYPE_CHECKING:
     from splatbench.ground_truth import Shown, Subject
     from splatbench.tables import Setup
-    from splatpainter.data.edits import Coat
+    from splatpainter.data.edits.layers import PaintCoverage
     from splatpainter.data.lights import Light
 
 
 @dataclass(frozen=True)
 class Tint:
-    """A recolouring of what is like a spot and near it (data/kinds.recoloring)."""
+    """A recolouring of what is like a spot and near it (data.edits.layers.Recoloring)."""
 
     spot: np.ndarray
     """[3] world."""
@@ -37,11 +37,10 @@ class Tint:
         the spot says what is alike."""
         import torch
 
-        from splatpainter.data.edit_types import recoloring
+        from splatpainter.data.edits.layers import Recoloring
 
-        nearest = int(((points - self.spot) ** 2).sum(1).argmin())
         colors, means = (torch.from_numpy(np.asarray(x, np.float32)) for x in (own, points))
-        coat = recoloring(colors, means, nearest, self.radius, np.random.default_rng(self.seed))
+        coat = Recoloring(self.spot, self.radius, self.seed).paint(means, colors)
         return coat.colors.numpy(), coat.coverage.numpy()
 
 
@@ -82,22 +81,22 @@ class Truth:
         if self.sh is None:
             return ground.show(self.subject, self.light, cameras, self.setup, purpose)
         from splatbench.cases import Pictures
-        from splatpainter.data.lit_scenes import shoot
+        from splatpainter.data.lit_scenes import render_views
         from splatpainter.data.surfels import to_splats
 
-        shots = shoot(to_splats(self.subject.surfels, self.sh), cameras)  # type: ignore[arg-type]
+        shots = render_views(to_splats(self.subject.surfels, self.sh), cameras)  # type: ignore[arg-type]
         colors, alphas, depths = (x.numpy() for x in (shots.views.colors, shots.alphas, shots.depths))
         return ground.Shown(Pictures(tuple(cameras), colors), alphas, depths)
 
     def painted(self, paint: Paint) -> Truth:
-        """With one more edit. Raises ValueError as data.painted_mesh.repainted."""
+        """With one more edit. Raises ValueError as data.edits.on_mesh.repaint_mesh."""
         if self.subject.surfels is None:
             return replace(self, subject=replace(self.subject, mesh=self._painted_mesh(paint)))
-        from splatpainter.data import edits
+        from splatpainter.data.edits.on_surfels import apply_paint
         from splatpainter.data.lights import shade
 
         sh = shade(self.subject.surfels, self.light, ground.DEGREE) if self.sh is None else self.sh
-        return replace(self, sh=edits.painted(sh, self._coat(paint, sh)))
+        return replace(self, sh=apply_paint(sh, self._coat(paint, sh)))
 
     def rough(self) -> Truth:
         """For choices: the same, unpainted, of few surfels; itself where it is of surfels."""
@@ -109,34 +108,37 @@ class Truth:
         return replace(self, subject=replace(self.subject, surfels=surfels))
 
     def _painted_mesh(self, paint: Paint) -> Any:
-        from splatpainter.data.painted_mesh import painted_mesh, repainted
+        from splatpainter.data.edits import EditDesign
+        from splatpainter.data.edits.layers import Recoloring
+        from splatpainter.data.edits.on_mesh import paint_mesh
 
-        if isinstance(paint.what, np.ndarray):
-            return painted_mesh(self.subject.mesh, paint.what, paint.camera)
-        return repainted(self.subject.mesh, paint.camera, paint.region, paint.what.coat)
+        what = paint.what
+        content = what if isinstance(what, np.ndarray) else Recoloring(what.spot, what.radius, what.seed)
+        return paint_mesh(self.subject.mesh, EditDesign(paint.kind, paint.camera, content))
 
-    def _coat(self, paint: Paint, sh: Any) -> Coat:
+    def _coat(self, paint: Paint, sh: Any) -> PaintCoverage:
         """What the painting view shows of the edit, on the surfels."""
         import torch
 
-        from splatpainter.data import edits
+        from splatpainter.data.edits import on_surfels
+        from splatpainter.data.edits.layers import PaintCoverage
         from splatpainter.data.lights import shade
-        from splatpainter.data.lit_scenes import shoot
+        from splatpainter.data.lit_scenes import render_views
         from splatpainter.data.surfels import to_splats
 
         surfels, camera = self.subject.surfels, paint.camera
         assert surfels is not None
         if isinstance(paint.what, np.ndarray):
             layer = torch.from_numpy(np.ascontiguousarray(paint.what, np.float32))
-            colors, coverage = edits.carried(layer, camera, surfels.means)
+            colors, coverage = on_surfels.project_layer(layer, camera, surfels.means)
             plain = shade(surfels, self.light, ground.DEGREE)  # what is painted already says nothing about the light
-            colors = edits.lit(colors, plain, surfels.albedo)
+            colors = on_surfels.shade_paint(colors, plain, surfels.albedo)
         else:
-            own = edits.base_colors(sh).numpy()
+            own = on_surfels.display_colors(sh).numpy()
             colors, coverage = (torch.from_numpy(x) for x in paint.what.coat(surfels.means.numpy(), own))
-        shots = shoot(to_splats(surfels, sh), [camera])
-        seen = edits.seen(surfels.means, surfels.normals, camera, shots.depths[0], shots.alphas[0])
-        return edits.Coat(colors, coverage * seen)
+        shots = render_views(to_splats(surfels, sh), [camera])
+        seen = on_surfels.view_visibility(surfels.means, surfels.normals, camera, shots.depths[0], shots.alphas[0])
+        return PaintCoverage(colors, coverage * seen)
 
 
 def changed(before: Shown, after: Shown) -> np.ndarray:

@@ -24,7 +24,7 @@ from splatpainter.data import viewpoints
 
 if TYPE_CHECKING:
     from splatbench.ground_truth import Shown
-    from splatpainter.data.edit_types import Stock
+    from splatpainter.data.edits.layers import EditResources
 
 NEAR = (10.0, 35.0)
 """Degrees between an edited view and the further views of the edit, and the novel views near it: least, most."""
@@ -48,7 +48,7 @@ class Scene:
     truth: Truth
     base: Shown = field(repr=False)
     rng: np.random.Generator
-    files: Stock = field(repr=False)
+    files: EditResources = field(repr=False)
 
     @property
     def optics(self) -> viewpoints.Optics:

@@ -21,7 +21,7 @@ from splatpainter.cameras import Camera
 if TYPE_CHECKING:
     from splatbench.painted_truth import Paint
     from splatbench.tables import Setup
-    from splatpainter.data.edit_types import Stock
+    from splatpainter.data.edits.layers import EditResources
     from splatpainter.data.viewpoints import Optics
     from splatpainter.splats import Splats
 
@@ -124,7 +124,7 @@ def painted_view(
     kind: str,
     framing: designs.Framing,
     optics: Optics,
-    files: Stock,
+    files: EditResources,
     rng: np.random.Generator,
 ) -> PaintedView:
     """An edit of a kind in a view of its own; as designs.design. base: views in which spots are found."""

@@ -23,8 +23,8 @@ what the file says, else what its format has by default."""
 SH_COUNTS = {1: 0, 4: 1, 9: 2, 16: 3, 25: 4}
 """Number of SH coefficients -> degree."""
 MAX_MAGNITUDE = 1e15
-"""Gaussians whose means, scales, quaternions or SH coefficients go beyond this are not drawn: their squares, summed over a
-hundred million rows or pixels, would not fit into float32."""
+"""Gaussians whose means, scales, quaternions or SH coefficients go beyond this are not drawn: their squares, summed
+over a hundred million Gaussians or pixels, would not fit into float32."""
 MIN_QUAT = 1e-15
 """A quaternion whose largest component is below this counts as zero: its squares vanish in float32."""
 SH_C0 = 0.28209479177387814
@@ -54,7 +54,7 @@ class Splats:
     source: Source | None = field(default=None, repr=False, compare=False)
     """The file they were read from, so that untouched Gaussians are written back byte for byte."""
     origin: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """[N] int64 row of the source whose bytes each carries (of a child: its parent's), -1: none; None without source."""
+    """[N] int64 row of the source whose bytes each carries (a child its parent's), -1: none; None without source."""
 
     def __len__(self) -> int:
         return int(self.means.shape[0])

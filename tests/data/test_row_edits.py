@@ -134,12 +134,12 @@ def test_the_stage_trains_the_predictor_alone_and_learns(tmp_path: Path) -> None
 def test_what_it_calls_the_lift_is_the_lift() -> None:
     """The stage's baseline, row by row, against lift_global without the rounds that follow the regression."""
     from splatpainter.data.lights import shade
-    from splatpainter.data.lit_scenes import shoot
+    from splatpainter.data.lit_scenes import render_views
     from splatpainter.data.surfels import to_splats
     from splatpainter.data.viewpoints import Optics, ring
     from splatpainter.lift.global_edit import GlobalOptions, outward_normals, regressed, seen_change
 
-    subject = stream().stream.subject(0)
+    subject = stream().stream.scene_object(0)
     rng = np.random.default_rng(0)
     cameras = ring(subject.radius, Optics(48), 2, rng)
     old, new = stream()._lights[0][:2], stream()._lights[1][:2]
@@ -147,7 +147,7 @@ def test_what_it_calls_the_lift_is_the_lift() -> None:
     for k in range(2):
         light = replace(_uniform(), coefficients=old[k], exposure=new[k])
         assets.append(to_splats(subject.coarse, shade(subject.coarse, light, 1)).numpy())
-    shots = shoot(assets[1].torch(), cameras)
+    shots = render_views(assets[1].torch(), cameras)
     views = [
         (c, p, m) for c, p, m in zip(cameras, shots.views.colors.numpy(), (shots.alphas > 0.5).numpy(), strict=True)
     ]

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.data import edit_samples as takes
-from splatpainter.data import edits, viewpoints
-from splatpainter.data.edit_types import Stock, listed
+from splatpainter.data import edit_samples, viewpoints
+from splatpainter.data.edit_samples import SampleSpec
+from splatpainter.data.edits import MIN_EDIT_FRACTION, layers
+from splatpainter.data.edits.layers import EditResources, PaintCoverage, list_files
+from splatpainter.data.edits.on_surfels import display_colors
+from splatpainter.data.lit_scenes import Renders
 from splatpainter.data.meshes import Material, Mesh
 from splatpainter.data.samples import GLOBAL, KINDS, LOCAL, RECIPES, Sample, SampleRecipe, SampleStream
 from splatpainter.data.scenes import SplatFolder
@@ -97,7 +100,9 @@ def test_every_kind_has_its_shapes_and_a_mask_that_covers_something(samples: dic
         assert views == 0 and not sample.near.any()
         return
     assert 1 <= views <= 4 and sample.near.tolist() == [True, True, False, False]
-    assert (sample.masks.mean((1, 2)) >= takes.SHOWN).all() and sample.masks[0].mean() >= takes.SMALLEST
+    assert (sample.masks.mean((1, 2)) >= edit_samples.MIN_FURTHER_FRACTION).all() and sample.masks[
+        0
+    ].mean() >= MIN_EDIT_FRACTION
     changed = (sample.novel_after.colors - sample.novel_before.colors).abs().amax(-1) > 0.02
     assert changed[:2].float().mean() > 0.001  # views near the edit see it
 
@@ -106,7 +111,7 @@ def test_every_kind_has_its_shapes_and_a_mask_that_covers_something(samples: dic
 def test_masks_cover_what_differs_from_the_unedited_truth(kind: str) -> None:
     stream = SampleStream(Balls(), replace(SMALL, kinds={kind: 1.0}, views=(0.0, 1.0)), 2)
     sample = stream[0]
-    truth = next(iter(stream._stages.values())).truth
+    truth = next(iter(stream._scenes.values())).truth
     before = render(truth, list(sample.edited.cameras)).colors.clamp(0, 1)
     difference = (sample.edited.colors - before).abs().amax(-1).numpy()
     if kind == "conflict":
@@ -121,63 +126,65 @@ def test_masks_cover_what_differs_from_the_unedited_truth(kind: str) -> None:
 
 def test_the_truth_changes_where_paint_is_and_nowhere_else() -> None:
     stream = SampleStream(Balls(), replace(SMALL, kinds={"sticker": 1.0}), 0)
-    stage = stream._stage(0)
-    seen: list[Splats] = []
-    shoot = takes.shoot
+    scene = stream._scene(0)
+    drawn: list[Splats] = []
+    render_views = edit_samples.render_views
 
-    def watch(splats: Splats, cameras: list) -> takes.Shots:
-        seen.append(splats)
-        return shoot(splats, cameras)
+    def watch(splats: Splats, cameras: list) -> Renders:
+        drawn.append(splats)
+        return render_views(splats, cameras)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(takes, "shoot", watch)
-        take = next(
+        patch.setattr(edit_samples, "render_views", watch)
+        edit = next(
             filter(
                 None,
                 (
-                    takes.paint(stage, "sticker", takes.Plan(SMALL, 2), Stock(), np.random.default_rng(s))
+                    edit_samples.paint(
+                        scene, "sticker", SampleSpec(SMALL, 2), EditResources(), np.random.default_rng(s)
+                    )
                     for s in range(9)
                 ),
             )
         )
-    after = seen[-1]
-    assert torch.equal(take.edited.colors, render(after, list(take.edited.cameras)).colors.clamp(0, 1))
-    assert torch.equal(take.after.colors, render(after, list(take.after.cameras)).colors.clamp(0, 1))
-    changed = (after.sh != stage.truth.sh).flatten(1).any(1)
+    after = drawn[-1]
+    assert torch.equal(edit.edited.colors, render(after, list(edit.edited.cameras)).colors.clamp(0, 1))
+    assert torch.equal(edit.after.colors, render(after, list(edit.after.cameras)).colors.clamp(0, 1))
+    changed = (after.sh != scene.truth.sh).flatten(1).any(1)
     assert 0 < changed.float().mean() < 0.5
-    assert all(getattr(after, n) is getattr(stage.truth, n) for n in ("means", "quats", "scales", "opacities"))
-    camera = take.edited.cameras[0]
-    facing = ((torch.from_numpy(camera.position).float() - after.means) * stage.subject.surfels.normals).sum(1)
+    assert all(getattr(after, n) is getattr(scene.truth, n) for n in ("means", "quats", "scales", "opacities"))
+    camera = edit.edited.cameras[0]
+    facing = ((torch.from_numpy(camera.position).float() - after.means) * scene.object.surfels.normals).sum(1)
     assert (facing[changed] > 0).all()  # no paint on the far side
 
 
 def test_in_a_conflict_the_later_view_is_the_truth() -> None:
     stream = SampleStream(Balls(), replace(SMALL, kinds={"conflict": 1.0}, lit_paint=0.0), 1)
-    stage = stream._stage(0)
-    plan = takes.Plan(replace(SMALL, lit_paint=0.0), 2)
+    scene = stream._scene(0)
+    spec = SampleSpec(replace(SMALL, lit_paint=0.0), 2)
     made = []
-    painted = edits.painted
+    apply_paint = edit_samples.apply_paint
 
-    def watch(sh: torch.Tensor, coat: edits.Coat) -> torch.Tensor:
-        made.append((coat, painted(sh, coat)))
+    def watch(sh: torch.Tensor, paint: PaintCoverage) -> torch.Tensor:
+        made.append((paint, apply_paint(sh, paint)))
         return made[-1][1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(edits, "painted", watch)
+        patch.setattr(edit_samples, "apply_paint", watch)
         for seed in range(20):
             made.clear()
-            take = takes.conflict(stage, plan, Stock(), np.random.default_rng(seed))
-            if take is not None:
+            edit = edit_samples.conflict(scene, spec, EditResources(), np.random.default_rng(seed))
+            if edit is not None:
                 break
-    assert take is not None
+    assert edit is not None
     (first, _), (second, last) = made
     both = (first.coverage > 0.9) & (second.coverage > 0.99)
     assert both.sum() >= 2
-    np.testing.assert_allclose(edits.base_colors(last)[both], second.colors[both], atol=1e-2)
-    final = replace(stage.truth, sh=last)
-    assert torch.equal(take.edited.colors[1], render(final, take.edited.cameras[1]).colors[0].clamp(0, 1))
-    assert not torch.equal(take.edited.colors[0], render(final, take.edited.cameras[0]).colors[0].clamp(0, 1))
-    assert torch.equal(take.after.colors, render(final, list(take.after.cameras)).colors.clamp(0, 1))
+    np.testing.assert_allclose(display_colors(last)[both], second.colors[both], atol=1e-2)
+    final = replace(scene.truth, sh=last)
+    assert torch.equal(edit.edited.colors[1], render(final, edit.edited.cameras[1]).colors[0].clamp(0, 1))
+    assert not torch.equal(edit.edited.colors[0], render(final, edit.edited.cameras[0]).colors[0].clamp(0, 1))
+    assert torch.equal(edit.after.colors, render(final, list(edit.after.cameras)).colors.clamp(0, 1))
 
 
 def test_equal_numbers_give_equal_samples_in_any_order() -> None:
@@ -215,7 +222,7 @@ def test_a_stage_lasts_its_steps_and_bad_objects_give_way() -> None:
 def test_nothing_usable_and_nothing_visible_are_said_with_names(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match=r"none of the 3 objects can be used; the first: ball-\d: no triangles"):
         SampleStream(Balls((0, 1, 2)), SMALL)[0]
-    monkeypatch.setattr(takes, "paint", lambda *_: None)
+    monkeypatch.setattr(edit_samples, "paint", lambda *_: None)
     stream = SampleStream(Balls(), SMALL)
     with pytest.raises(ValueError, match=r"ball-\d: 20 choices of a stroke edit changed nothing"):
         stream[0]
@@ -245,7 +252,7 @@ def test_bad_recipes_are_refused(change: dict, message: str) -> None:
 def test_files_are_listed_by_name_and_missing_folders_named(tmp_path: Path) -> None:
     for name in ("b.png", "a.jpg", "note.txt", "c.ttf"):
         (tmp_path / name).touch()
-    assert [path.name for path in listed(tmp_path)] == ["a.jpg", "b.png", "c.ttf"]
+    assert [path.name for path in list_files(tmp_path)] == ["a.jpg", "b.png", "c.ttf"]
     with pytest.raises(ValueError, match="no such folder"):
         SampleStream(Balls(), SMALL, decals=tmp_path / "none")
     stream = SampleStream(Balls(), replace(SMALL, kinds={"sticker": 1.0}), decals=[tmp_path / "b.png"])
@@ -257,7 +264,7 @@ def test_a_splat_asset_is_its_own_truth(tmp_path: Path) -> None:
     from splatpainter.io import write
 
     stream = SampleStream(Balls(), replace(SMALL, kinds={"plain": 1.0}))
-    whole = stream._stage(0).truth.numpy()
+    whole = stream._scene(0).truth.numpy()
     turned = replace(
         whole,
         means=whole.means * np.array([3, -3, -3], np.float32) + np.array([5, 0, 1], np.float32),
@@ -295,10 +302,9 @@ def test_neighbours_keep_looking_at_the_target_from_the_angles_asked_for() -> No
 
 
 def test_recipes_name_the_kinds_that_there_are() -> None:
-    from splatpainter.data import edit_types as kinds
     from splatpainter.data import recipes
 
-    assert tuple(kinds.PAINTED) == recipes.PAINTED
+    assert tuple(layers.LAYER_MAKERS) == recipes.PAINTED
     for name, recipe in RECIPES.items():
         local, whole = (sum(recipe.kinds.get(kind, 0) for kind in group) for group in (LOCAL, GLOBAL))
         wanted = {"local": (1, 0), "global": (0, 1), "unified": (1, 1), "lrm": (0, 0)}[name]

@@ -127,7 +127,7 @@ def _zoom(
     azimuth, elevation = viewpoints.angles(seen.position)
     for k in range(TRIES + 1):
         turn, tilt = (1 - k / TRIES) * rng.uniform(-1, 1, 2) * TURN
-        height = float(np.clip(elevation + tilt, viewpoints.LOWEST, viewpoints.HIGHEST))
+        height = float(np.clip(elevation + tilt, viewpoints.MIN_ELEVATION, viewpoints.MAX_ELEVATION))
         whole = viewpoints.around(what.radius, optics, azimuth + turn, height)
         if not ground.blocked(what.mesh, whole.position, spot.place):
             break

@@ -1,4 +1,4 @@
-"""One edit of one stage, of each kind: what the edited views show, their masks, and the truth from new sides.
+"""One edit of a lit scene, of each kind: what the edited views show, their masks, and the truth from new sides.
 
 Every function returns None when the choice made no edit worth learning from (nothing visible, too small, too large);
 the caller tries again with other random numbers.
@@ -14,41 +14,43 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
-from splatpainter.data import edit_types as kinds
-from splatpainter.data import edits, viewpoints
-from splatpainter.data.edit_types import Canvas, Stock
-from splatpainter.data.edits import Coat
+from splatpainter.data import viewpoints
+from splatpainter.data.edits import (
+    MAX_EDIT_FRACTION,
+    MIN_EDIT_FRACTION,
+    EditDesign,
+    change_masks,
+    layer_on_object,
+)
+from splatpainter.data.edits.layers import Canvas, EditResources, PaintCoverage, Recoloring
+from splatpainter.data.edits.on_surfels import apply_paint, grade_sh, paint_coverage, view_visibility
 from splatpainter.data.lights import Light, shade
-from splatpainter.data.lit_scenes import Shots, Stage, Views, recolored, shoot
+from splatpainter.data.lit_scenes import LitScene, Renders, Views, recolored, render_views
 from splatpainter.data.recipes import SampleRecipe
 from splatpainter.sources.looks import random_look
 from splatpainter.splats import Splats
 
-COVERED = 0.18
-"""Least part of a close-up that the object fills."""
-SMALLEST, LARGEST = 0.004, 0.5
-"""Part of the first edited view that an edit changes."""
-SHOWN = 0.002
-"""Least part of another view that counts as showing the edit."""
-ON_OBJECT = 0.6
-"""Least part of a layer that lies on the object."""
-DIFFERENT = 0.02
-"""Least mean difference, per channel over the object, of a global edit or a zoom."""
+MIN_FILLED = 0.18
+"""Part of a close-up that the object fills."""
+MIN_FURTHER_FRACTION = 0.002
+"""Part of another view that an edit changes, to count as shown there."""
+MIN_DIFFERENCE = 0.02
+"""Mean difference, per channel over the object, of a global edit or a zoom."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a take is to be like."""
+class SampleSpec:
+    """What an edit sample is to be like."""
 
     recipe: SampleRecipe
     views: int = 1
     """Edited views."""
-    strict: float = 1.0
-    """Times COVERED and ON_OBJECT: thin objects need patience first and lower standards then."""
+    strictness: float = 1.0
+    """Times MIN_FILLED and MIN_ON_OBJECT: thin objects need patience first and lower standards then."""
 
 
 @dataclass(frozen=True)
-class Take:
+class EditSample:
     """See samples.Sample for the fields."""
 
     edited: Views
@@ -58,219 +60,219 @@ class Take:
     near: np.ndarray
 
 
-def paint(stage: Stage, kind: str, plan: Plan, stock: Stock, rng: np.random.Generator) -> Take | None:
+def paint(
+    scene: LitScene, kind: str, spec: SampleSpec, resources: EditResources, rng: np.random.Generator
+) -> EditSample | None:
     """A stroke, text, sticker, photo, noise or recolouring in one close-up; further views show the same edit from near
     by."""
-    found = _spot(stage, plan, rng)
-    if found is None:
+    close_up = _close_up(scene, spec, rng)
+    if close_up is None:
         return None
-    spot, camera, shot = found
-    coat = _coat(stage, stage.truth, kind, spot, camera, shot, plan, stock, rng)
-    if coat is None:
+    surfel, camera, render = close_up
+    coverage = _painted(scene, scene.truth, kind, surfel, camera, render, spec, resources, rng)
+    if coverage is None:
         return None
-    after = recolored(stage.truth, edits.painted(stage.truth.sh, coat))
-    target = _target(stage, spot)
-    cameras = [camera, *(viewpoints.neighbour(camera, target, rng, (8, 30)) for _ in range(plan.views - 1))]
-    edited = shoot(after, cameras).views
-    before = shot.views.colors if len(cameras) == 1 else shoot(stage.truth, cameras).views.colors
-    masks = edits.change_masks(before, edited.colors, close=camera.width // 40 if kind == "noise" else 0)
+    after = recolored(scene.truth, apply_paint(scene.truth.sh, coverage))
+    target = _position(scene, surfel)
+    cameras = [camera, *(viewpoints.neighbour(camera, target, rng, (8, 30)) for _ in range(spec.views - 1))]
+    edited = render_views(after, cameras).views
+    before = render.views.colors if len(cameras) == 1 else render_views(scene.truth, cameras).views.colors
+    masks = change_masks(before, edited.colors, close_px=camera.width // 40 if kind == "noise" else 0)
     parts = masks.float().mean((1, 2)).tolist()
-    if not SMALLEST <= parts[0] <= LARGEST:
+    if not MIN_EDIT_FRACTION <= parts[0] <= MAX_EDIT_FRACTION:
         return None
-    shown = [k for k, part in enumerate(parts) if k == 0 or part >= SHOWN]
-    edited = Views(tuple(cameras[k] for k in shown), edited.colors[shown])
-    return _local_take(stage, stage.truth, after, edited, masks[shown], target, plan, rng)
+    ids = [k for k, part in enumerate(parts) if k == 0 or part >= MIN_FURTHER_FRACTION]
+    edited = Views(tuple(cameras[k] for k in ids), edited.colors[ids])
+    return _local_sample(scene, scene.truth, after, edited, masks[ids], target, spec, rng)
 
 
-def conflict(stage: Stage, plan: Plan, stock: Stock, rng: np.random.Generator) -> Take | None:
+def conflict(
+    scene: LitScene, spec: SampleSpec, resources: EditResources, rng: np.random.Generator
+) -> EditSample | None:
     """Two views, one after the other, paint over one region; each picture shows the object as it was then, each mask
     what that picture changed. The truth is the object after the second."""
-    found = _spot(stage, plan, rng)
-    if found is None:
+    close_up = _close_up(scene, spec, rng)
+    if close_up is None:
         return None
-    spot, camera, shot = found
-    target = _target(stage, spot)
+    surfel, camera, render = close_up
+    target = _position(scene, surfel)
     first_kind, second_kind = rng.choice(["stroke", "text", "sticker", "photo"], 2)
-    first = _coat(stage, stage.truth, first_kind, spot, camera, shot, plan, stock, rng)
+    first = _painted(scene, scene.truth, first_kind, surfel, camera, render, spec, resources, rng)
     if first is None:
         return None
-    between = recolored(stage.truth, edits.painted(stage.truth.sh, first))
+    between = recolored(scene.truth, apply_paint(scene.truth.sh, first))
     other = viewpoints.neighbour(camera, target, rng, (5, 30))
-    seen_there = shoot(between, [other])
-    second = _coat(stage, between, second_kind, spot, other, seen_there, plan, stock, rng)
+    unpainted = render_views(between, [other])
+    second = _painted(scene, between, second_kind, surfel, other, unpainted, spec, resources, rng)
     if second is None:
         return None
     both = float((first.coverage * second.coverage).sum())
     if both < 0.2 * min(float(first.coverage.sum()), float(second.coverage.sum())):
         return None
-    after = recolored(between, edits.painted(between.sh, second))
-    colors = torch.cat([shoot(between, [camera]).views.colors, shoot(after, [other]).views.colors])
-    masks = edits.change_masks(torch.cat([shot.views.colors, seen_there.views.colors]), colors)
+    after = recolored(between, apply_paint(between.sh, second))
+    colors = torch.cat([render_views(between, [camera]).views.colors, render_views(after, [other]).views.colors])
+    masks = change_masks(torch.cat([render.views.colors, unpainted.views.colors]), colors)
     parts = masks.float().mean((1, 2))
-    if float(parts.min()) < SMALLEST or float(parts.max()) > LARGEST:
+    if float(parts.min()) < MIN_EDIT_FRACTION or float(parts.max()) > MAX_EDIT_FRACTION:
         return None
-    return _local_take(stage, stage.truth, after, Views((camera, other), colors), masks, target, plan, rng)
+    return _local_sample(scene, scene.truth, after, Views((camera, other), colors), masks, target, spec, rng)
 
 
-def zoom(stage: Stage, plan: Plan, rng: np.random.Generator) -> Take | None:
+def zoom(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
     """Tiles of a large picture with the true detail; before is the asset, after is the truth."""
     cameras: list[Camera] = []
-    spots = []
-    for _ in range(plan.views):
-        spot = _choice(stage, rng)
-        normal = stage.subject.surfels.normals[spot].cpu().numpy().astype(np.float64)
-        whole = viewpoints.around(stage.subject.radius, stage.optics, *viewpoints.sight(normal, rng))
-        cameras.append(viewpoints.crop(whole, _target(stage, spot), rng.uniform(*plan.recipe.zoom)))
-        spots.append(spot)
-    shots, coarse = shoot(stage.truth, cameras), shoot(stage.coarse, cameras)
-    masks = shots.alphas > 0.5
-    kept = [
+    targets = []
+    for _ in range(spec.views):
+        surfel = _open_surfel(scene, rng)
+        normal = scene.object.surfels.normals[surfel].cpu().numpy().astype(np.float64)
+        overview = viewpoints.around(scene.object.radius, scene.optics, *viewpoints.view_angles(normal, rng))
+        targets.append(_position(scene, surfel))
+        cameras.append(viewpoints.crop(overview, targets[-1], rng.uniform(*spec.recipe.zoom)))
+    renders, coarse = render_views(scene.truth, cameras), render_views(scene.coarse, cameras)
+    masks = renders.alphas > 0.5
+    ids = [
         k
         for k in range(len(cameras))
-        if float(masks[k].float().mean()) > COVERED * plan.strict
-        and _difference(shots.views.colors[k], coarse.views.colors[k], masks[k]) > DIFFERENT / 2
+        if float(masks[k].float().mean()) > MIN_FILLED * spec.strictness
+        and _difference(renders.views.colors[k], coarse.views.colors[k], masks[k]) > MIN_DIFFERENCE / 2
     ]
-    if not kept:
+    if not ids:
         return None
-    edited = Views(tuple(cameras[k] for k in kept), shots.views.colors[kept])
-    centers = [(cameras[k], _target(stage, spots[k])) for k in kept]
-    novel, near = _novel(stage, centers, plan, rng)
-    before, after = shoot(stage.coarse, novel).views, shoot(stage.truth, novel).views
-    return Take(edited, masks[kept].cpu().numpy(), before, after, near)
+    edited = Views(tuple(cameras[k] for k in ids), renders.views.colors[ids])
+    centers = [(cameras[k], targets[k]) for k in ids]
+    novel, near = _novel(scene, centers, spec, rng)
+    before, after = render_views(scene.coarse, novel).views, render_views(scene.truth, novel).views
+    return EditSample(edited, masks[ids].cpu().numpy(), before, after, near)
 
 
-def relight(stage: Stage, light: Light, plan: Plan, rng: np.random.Generator) -> Take | None:
+def relight(scene: LitScene, light: Light, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
     """The whole object under another light."""
-    sh = shade(stage.subject.surfels, light, plan.recipe.sh_degree)
-    return _global_take(stage, recolored(stage.truth, sh), plan, rng)
+    sh = shade(scene.object.surfels, light, spec.recipe.sh_degree)
+    return _global_sample(scene, recolored(scene.truth, sh), spec, rng)
 
 
-def regrade(stage: Stage, plan: Plan, rng: np.random.Generator) -> Take | None:
+def regrade(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
     """The whole object with another look."""
-    return _global_take(stage, recolored(stage.truth, edits.regraded(stage.truth.sh, random_look(rng))), plan, rng)
+    return _global_sample(scene, recolored(scene.truth, grade_sh(scene.truth.sh, random_look(rng))), spec, rng)
 
 
-def plain(stage: Stage, plan: Plan, rng: np.random.Generator) -> Take:
+def plain(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSample:
     """No edit: novel views of the object as it is."""
-    cameras = viewpoints.ring(stage.subject.radius, stage.optics, plan.recipe.novel_views, rng)
-    views = shoot(stage.truth, cameras).views
-    size = stage.optics.size
-    nothing = Views((), views.colors.new_zeros(0, size, size, 3))
-    return Take(nothing, np.zeros((0, size, size), bool), views, views, np.zeros(len(cameras), bool))
+    cameras = viewpoints.ring(scene.object.radius, scene.optics, spec.recipe.novel_views, rng)
+    views = render_views(scene.truth, cameras).views
+    size = scene.optics.size
+    no_views = Views((), views.colors.new_zeros(0, size, size, 3))
+    return EditSample(no_views, np.zeros((0, size, size), bool), views, views, np.zeros(len(cameras), bool))
 
 
-def _coat(
-    stage: Stage,
+def _painted(
+    scene: LitScene,
     splats: Splats,
     kind: str,
-    spot: int,
+    surfel: int,
     camera: Camera,
-    shot: Shots,
-    plan: Plan,
-    stock: Stock,
+    render: Renders,
+    spec: SampleSpec,
+    resources: EditResources,
     rng: np.random.Generator,
-) -> Coat | None:
-    """An edit of a kind around row `spot`, designed on the picture `shot` of `splats` from `camera`; None when too much
-    of it would lie beside the object."""
-    surfels = stage.subject.surfels
-    extent = camera.width * rng.uniform(*np.sqrt(plan.recipe.share))
+) -> PaintCoverage | None:
+    """What an edit of a kind around a surfel puts on all of them, designed on the picture `render` of `splats` from
+    `camera`; None when too much of it would lie beside the object."""
+    item, target = scene.object, _position(scene, surfel)
+    extent = camera.width * rng.uniform(*np.sqrt(spec.recipe.share))
+    (center,), (depth,) = camera.project(target[None])
+    unpainted = None
     if kind == "recolor":
-        z = float(np.linalg.norm(camera.position - _target(stage, spot)))
-        coat = kinds.recoloring(edits.base_colors(splats.sh), surfels.means, spot, 0.8 * extent * z / camera.fy, rng)
-        return _shown(stage, coat, camera, shot)
-    x, y, z = camera.world_to_camera[:3, :3] @ _target(stage, spot) + camera.world_to_camera[:3, 3]
-    place = np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
-    place = place + rng.normal(0, 0.04, 2) * camera.width
-    canvas = Canvas(shot.views.colors[0].cpu().numpy(), (float(place[0]), float(place[1])), extent)
-    layer = torch.from_numpy(kinds.PAINTED[kind](canvas, stock, rng)).to(splats.sh.device)
-    on_object = (layer[..., 3] * shot.alphas[0]).sum()
-    if float(on_object) < plan.strict * ON_OBJECT * float(layer[..., 3].sum()):
-        return None
-    colors, coverage = edits.carried(layer, camera, surfels.means)
-    if kind != "noise" and stage.subject.sh is None and rng.random() < plan.recipe.lit_paint:
-        colors = edits.lit(colors, stage.truth.sh, surfels.albedo)
-    return _shown(stage, Coat(colors, coverage), camera, shot)
+        content = Recoloring(target, 0.8 * extent * depth / camera.fy, rng)
+    else:
+        x, y = center + rng.normal(0, 0.04, 2) * camera.width
+        canvas = Canvas(render.views.colors[0].cpu().numpy(), (float(x), float(y)), extent)
+        alpha = render.alphas[0].cpu().numpy()
+        content = layer_on_object(kind, canvas, alpha, resources, rng, spec.strictness)
+        if content is None:
+            return None
+        if kind != "noise" and item.sh is None and rng.random() < spec.recipe.lit_paint:
+            unpainted = scene.truth.sh
+    return paint_coverage(
+        EditDesign(kind, camera, content),
+        item.surfels,
+        splats.sh,
+        render.depths[0],
+        render.alphas[0],
+        unpainted_sh=unpainted,
+        two_sided=item.two_sided,
+    )
 
 
-def _shown(stage: Stage, coat: Coat, camera: Camera, shot: Shots) -> Coat:
-    """The coat on those rows only that the view shows."""
-    surfels = stage.subject.surfels
-    rows = (coat.coverage >= edits.LEAST).nonzero()[:, 0]
-    normals = None if stage.subject.two_sided else surfels.normals[rows]
-    seen = edits.seen(surfels.means[rows], normals, camera, shot.depths[0], shot.alphas[0])
-    coverage = torch.zeros_like(coat.coverage)
-    coverage[rows] = coat.coverage[rows] * seen
-    return Coat(coat.colors, coverage)
-
-
-def _spot(stage: Stage, plan: Plan, rng: np.random.Generator) -> tuple[int, Camera, Shots] | None:
-    """A row, a close-up that shows it, and its picture; None when the row is hidden or the view too empty."""
-    spot = _choice(stage, rng)
-    target, surfels = _target(stage, spot), stage.subject.surfels
-    normal = surfels.normals[spot].cpu().numpy().astype(np.float64)
-    if stage.subject.two_sided and normal @ target < 0:
+def _close_up(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> tuple[int, Camera, Renders] | None:
+    """A surfel, a view that shows it from near by, and its picture; None when it is hidden or the view too empty."""
+    surfel = _open_surfel(scene, rng)
+    target, surfels, two_sided = _position(scene, surfel), scene.object.surfels, scene.object.two_sided
+    normal = surfels.normals[surfel].cpu().numpy().astype(np.float64)
+    if two_sided and normal @ target < 0:
         normal = -normal
-    window = stage.subject.radius * rng.uniform(*plan.recipe.window)
-    camera = viewpoints.facing(target, normal, window, stage.optics, rng)
-    shot = shoot(stage.truth, [camera])
-    if float((shot.alphas > 0.5).float().mean()) < COVERED * plan.strict:
+    window = scene.object.radius * rng.uniform(*spec.recipe.window)
+    camera = viewpoints.facing(target, normal, window, scene.optics, rng)
+    render = render_views(scene.truth, [camera])
+    if float((render.alphas > 0.5).float().mean()) < MIN_FILLED * spec.strictness:
         return None
-    part = slice(spot, spot + 1)
-    normals = None if stage.subject.two_sided else surfels.normals[part]
-    shown = edits.seen(surfels.means[part], normals, camera, shot.depths[0], shot.alphas[0])
-    return (spot, camera, shot) if float(shown) > 0.5 else None
+    part = slice(surfel, surfel + 1)
+    normals = None if two_sided else surfels.normals[part]
+    visibility = view_visibility(surfels.means[part], normals, camera, render.depths[0], render.alphas[0])
+    return (surfel, camera, render) if float(visibility) > 0.5 else None
 
 
-def _choice(stage: Stage, rng: np.random.Generator) -> int:
-    """A row out in the open: the most open of three."""
-    rows = rng.integers(0, len(stage.truth), 3)
-    openness = stage.subject.surfels.occlusion[torch.from_numpy(rows).to(stage.truth.sh.device)]
-    return int(rows[int(openness.argmax())])
+def _open_surfel(scene: LitScene, rng: np.random.Generator) -> int:
+    """The most open of three."""
+    ids = rng.integers(0, len(scene.truth), 3)
+    openness = scene.object.surfels.occlusion[torch.from_numpy(ids).to(scene.truth.sh.device)]
+    return int(ids[int(openness.argmax())])
 
 
-def _target(stage: Stage, spot: int) -> np.ndarray:
-    return stage.subject.surfels.means[spot].cpu().numpy().astype(np.float64)
+def _position(scene: LitScene, surfel: int) -> np.ndarray:
+    """[3] float64."""
+    return scene.object.surfels.means[surfel].cpu().numpy().astype(np.float64)
 
 
-def _local_take(
-    stage: Stage,
+def _local_sample(
+    scene: LitScene,
     before: Splats,
     after: Splats,
     edited: Views,
     masks: Tensor,
     target: np.ndarray,
-    plan: Plan,
+    spec: SampleSpec,
     rng: np.random.Generator,
-) -> Take | None:
-    cameras, near = _novel(stage, [(edited.cameras[-1], target)], plan, rng)
-    old, new = shoot(before, cameras).views, shoot(after, cameras).views
+) -> EditSample | None:
+    cameras, near = _novel(scene, [(edited.cameras[-1], target)], spec, rng)
+    old, new = render_views(before, cameras).views, render_views(after, cameras).views
     if near.any():
-        parts = edits.change_masks(old.colors[: near.sum()], new.colors[: near.sum()]).float().mean((1, 2))
-        if float(parts.max()) < SHOWN:
+        parts = change_masks(old.colors[: near.sum()], new.colors[: near.sum()]).float().mean((1, 2))
+        if float(parts.max()) < MIN_FURTHER_FRACTION:
             return None
-    return Take(edited, masks.cpu().numpy(), old, new, near)
+    return EditSample(edited, masks.cpu().numpy(), old, new, near)
 
 
-def _global_take(stage: Stage, after: Splats, plan: Plan, rng: np.random.Generator) -> Take | None:
-    cameras = viewpoints.ring(stage.subject.radius, stage.optics, plan.views, rng)
-    shots, old = shoot(after, cameras), shoot(stage.truth, cameras)
-    masks = shots.alphas > 0.5
-    if _difference(shots.views.colors, old.views.colors, masks) < DIFFERENT:
+def _global_sample(scene: LitScene, after: Splats, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
+    cameras = viewpoints.ring(scene.object.radius, scene.optics, spec.views, rng)
+    renders, old = render_views(after, cameras), render_views(scene.truth, cameras)
+    masks = renders.alphas > 0.5
+    if _difference(renders.views.colors, old.views.colors, masks) < MIN_DIFFERENCE:
         return None
     centers = [(camera, np.zeros(3)) for camera in cameras]
-    novel, near = _novel(stage, centers, plan, rng)
-    before, new = shoot(stage.truth, novel).views, shoot(after, novel).views
-    return Take(shots.views, masks.cpu().numpy(), before, new, near)
+    novel, near = _novel(scene, centers, spec, rng)
+    before, new = render_views(scene.truth, novel).views, render_views(after, novel).views
+    return EditSample(renders.views, masks.cpu().numpy(), before, new, near)
 
 
 def _novel(
-    stage: Stage, centers: Sequence[tuple[Camera, np.ndarray]], plan: Plan, rng: np.random.Generator
+    scene: LitScene, centers: Sequence[tuple[Camera, np.ndarray]], spec: SampleSpec, rng: np.random.Generator
 ) -> tuple[list[Camera], np.ndarray]:
     """(cameras, near [W] bool): the first half beside the edited views in turn, the others around the object."""
-    close = (plan.recipe.novel_views + 1) // 2
+    close = (spec.recipe.novel_views + 1) // 2
     cameras = [viewpoints.neighbour(*centers[k % len(centers)], rng) for k in range(close)]
-    cameras += viewpoints.ring(stage.subject.radius, stage.optics, plan.recipe.novel_views - close, rng)
-    return cameras, np.arange(plan.recipe.novel_views) < close
+    cameras += viewpoints.ring(scene.object.radius, scene.optics, spec.recipe.novel_views - close, rng)
+    return cameras, np.arange(spec.recipe.novel_views) < close
 
 
 def _difference(one: Tensor, other: Tensor, mask: Tensor) -> float:

@@ -1,6 +1,6 @@
 """An object ready to be edited: its dense truth, the coarse asset that an artist would have, one light, base views.
 
-`Subject` is an object without light (costly to make, worth keeping); `Stage` is a subject under one light.
+`SceneObject` is an object without light (costly to make, worth keeping); `LitScene` is one under one light.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
+from splatpainter.color import base_color, srgb_to_linear
 from splatpainter.data.lights import Light, shade
 from splatpainter.data.scenes import MeshSource, SplatSource
 from splatpainter.data.surfels import Surfels, coarse_asset, sample_surfels, to_splats
 from splatpainter.data.viewpoints import Optics, ring
-from splatpainter.sources.looks import to_linear
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import Splats
+from splatpainter.transforms import quat_to_matrix
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Views:
 
 
 @dataclass(frozen=True)
-class Shots:
+class Renders:
     """What the renderer says of V views: colours as in Views, and geometry."""
 
     views: Views
@@ -47,14 +48,14 @@ class Shots:
 
 
 @dataclass(frozen=True)
-class Subject:
+class SceneObject:
     """An object without light, about the origin, y up, within -1..1."""
 
     name: str
     surfels: Surfels
     """The truth, dense."""
     coarse: Surfels
-    """The asset's rows."""
+    """The asset's Gaussians."""
     radius: float
     """Of the sphere about the origin that holds it."""
     two_sided: bool = False
@@ -69,10 +70,10 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Stage:
-    """A subject under one light."""
+class LitScene:
+    """An object under one light."""
 
-    subject: Subject
+    object: SceneObject
     truth: Splats
     """Dense, torch: what every picture is rendered from."""
     asset: Splats
@@ -83,66 +84,64 @@ class Stage:
     optics: Optics
 
 
-def mesh_subject(source: MeshSource, i: int, surfels: int, rows: int, fuzz: float, seed: int, device: str) -> Subject:
+def mesh_object(
+    source: MeshSource, i: int, surfels: int, gaussians: int, roughness: float, seed: int, device: str
+) -> SceneObject:
     """Object i of a source of meshes. Raises ValueError for a bad mesh."""
     dense = sample_surfels(source.mesh(i), surfels, seed, device)
-    coarse = coarse_asset(dense, rows, seed, fuzz)
-    return Subject(source.name(i), dense, coarse, float(dense.means.norm(dim=1).max()))
+    coarse = coarse_asset(dense, gaussians, seed, roughness)
+    return SceneObject(source.name(i), dense, coarse, float(dense.means.norm(dim=1).max()))
 
 
-def splat_subject(source: SplatSource, i: int, device: str) -> Subject:
+def splat_object(source: SplatSource, i: int, device: str) -> SceneObject:
     """Asset i of a source of splats, as its own truth: centred, scaled into -1..1, turned from y down to y up, without
-    view dependence. Rows that cannot be drawn are left out. Raises ValueError when none are left."""
-    own = source.splats(i)
-    kept = own.take(np.flatnonzero(own.drawable)).torch(device)
-    if len(kept) == 0:
+    view dependence. What cannot be drawn is left out. Raises ValueError when none are left."""
+    splats = source.splats(i)
+    splats = splats.take(np.flatnonzero(splats.drawable)).torch(device)
+    if len(splats) == 0:
         raise ValueError(f"{source.name(i)}: none of its rows can be drawn")
-    low, high = kept.means.quantile(0.01, 0), kept.means.quantile(0.99, 0)  # captures have stray rows
+    low, high = splats.means.quantile(0.01, 0), splats.means.quantile(0.99, 0)  # captures have stray Gaussians
     scale = 2 / float((high - low).max().clamp(min=1e-6))
-    flip = kept.means.new_tensor([1.0, -1.0, -1.0])
-    means, scales = (kept.means - (low + high) / 2) * scale * flip, kept.scales * scale
-    w, x, y, z = torch.nn.functional.normalize(kept.quats, dim=-1).unbind(-1)
-    quats = torch.stack([-x, w, -z, y], -1)  # half a turn about x, after the row's own rotation
-    from splatpainter.lift.split import rotations
-
-    turns = torch.from_numpy(np.ascontiguousarray(rotations(quats.cpu().numpy()))).to(means)
+    flip = splats.means.new_tensor([1.0, -1.0, -1.0])
+    means, scales = (splats.means - (low + high) / 2) * scale * flip, splats.scales * scale
+    w, x, y, z = torch.nn.functional.normalize(splats.quats, dim=-1).unbind(-1)
+    quats = torch.stack([-x, w, -z, y], -1)  # half a turn about x, after the Gaussian's rotation
     thin = scales.argmin(1)
-    normals = turns[torch.arange(len(means), device=means.device), :, thin]
-    sh = kept.sh[:, :1].clone()
-    nothing, ones = torch.zeros_like(kept.opacities), torch.ones_like(kept.opacities)
-    albedo = to_linear((0.5 + SH_C0 * sh[:, 0]).clamp(0, 1))
+    normals = quat_to_matrix(quats)[torch.arange(len(means), device=means.device), :, thin]
+    sh = splats.sh[:, :1].clone()
+    zeros, ones = torch.zeros_like(splats.opacities), torch.ones_like(splats.opacities)
+    albedo = srgb_to_linear(base_color(sh).clamp(0, 1))
     transfer = means.new_zeros(len(means), 9)
-    kind = (kept.opacities, albedo, nothing, ones, ones, transfer)
-    surfels = Surfels(means, normals, quats, scales, *kind)
+    surfels = Surfels(means, normals, quats, scales, splats.opacities, albedo, zeros, ones, ones, transfer)
     radius = float(means.norm(dim=1).quantile(0.98))
-    return Subject(source.name(i), surfels, surfels, radius, True, sh)
+    return SceneObject(source.name(i), surfels, surfels, radius, True, sh)
 
 
-def light_up(
-    subject: Subject, light: Light | None, degree: int, optics: Optics, views: int, rng: np.random.Generator
-) -> Stage:
-    """The subject under a light (None: its own), with `views` base views around it. degree: of the SH, 0 to 2."""
-    if subject.sh is not None:
-        truth = coarse = to_splats(subject.surfels, subject.sh)
+def illuminate(
+    item: SceneObject, light: Light | None, degree: int, optics: Optics, views: int, rng: np.random.Generator
+) -> LitScene:
+    """The object under a light (None: its own), with `views` base views around it. degree: of the SH, 0 to 2."""
+    if item.sh is not None:
+        truth = coarse = to_splats(item.surfels, item.sh)
     elif light is not None:
-        truth = to_splats(subject.surfels, shade(subject.surfels, light, degree))
-        coarse = to_splats(subject.coarse, shade(subject.coarse, light, degree))
+        truth = to_splats(item.surfels, shade(item.surfels, light, degree))
+        coarse = to_splats(item.coarse, shade(item.coarse, light, degree))
     else:
-        raise ValueError(f"{subject.name}: expected a light for an object that brings none")
-    base = shoot(truth, ring(subject.radius, optics, views, rng)).views
-    return Stage(subject, truth, coarse.numpy(), coarse, base, optics)
+        raise ValueError(f"{item.name}: expected a light for an object that brings none")
+    base = render_views(truth, ring(item.radius, optics, views, rng)).views
+    return LitScene(item, truth, coarse.numpy(), coarse, base, optics)
 
 
-def shoot(splats: Splats, cameras: Sequence[Camera]) -> Shots:
+def render_views(splats: Splats, cameras: Sequence[Camera]) -> Renders:
     """Render without gradients. splats: torch."""
     from splatpainter.rendering import render
 
     with torch.no_grad():
         drawn: Any = render(splats, cameras)
     colors = drawn.colors.clamp(0, 1)
-    return Shots(Views(tuple(cameras), colors), drawn.alphas[..., 0], drawn.depths[..., 0])
+    return Renders(Views(tuple(cameras), colors), drawn.alphas[..., 0], drawn.depths[..., 0])
 
 
 def recolored(splats: Splats, sh: Tensor) -> Splats:
-    """The same rows in other colours."""
+    """The same in other colours."""
     return replace(splats, sh=sh)

@@ -12,48 +12,39 @@ from numba import njit
 from splatpainter.cameras import Camera
 from splatpainter.data.meshes import Mesh
 
-TILE = 4
-"""Pixels."""
-NEAR = 1e-3
+TILE_PX = 4
+MIN_DEPTH = 1e-3
 """World units; nothing nearer hides anything."""
-SLACK = 2e-5
+DEPTH_SLACK = 2e-5
 """Part of a point's distance that a triangle must be in front of it by: float32 vertices leave about 1e-7."""
 
 
 def projected(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """[M, 3] float64: x, y in pixels and depth z of points [M, 3]; x and y mean nothing where z <= NEAR."""
-    local = _local(points, camera)
-    z = np.where(local[:, 2] > NEAR, local[:, 2], 1.0)
-    x, y = camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy
-    return np.stack([x, y, local[:, 2]], 1)
+    """[M, 3] float64: x, y in pixels and depth z of points [M, 3]; x and y mean nothing where z <= MIN_DEPTH."""
+    pixels, z = camera.project(points)
+    pixels[z <= MIN_DEPTH] = 0
+    return np.concatenate([pixels, z[:, None]], 1)
 
 
-def sees(mesh: Mesh, camera: Camera, points: np.ndarray) -> np.ndarray:
+def visible_points(mesh: Mesh, camera: Camera, points: np.ndarray) -> np.ndarray:
     """[M] bool: no triangle lies between the camera and the point [M, 3], which is inside the picture. Points on the
     surface do not hide themselves, whichever way they face; holes of cut-out materials hide nothing."""
-    places = projected(points, camera)
-    x, y, z = places.T
-    inside = (z > NEAR) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    across, down = -(-camera.width // TILE), -(-camera.height // TILE)
-    column, row = (np.where(inside, v, 0).astype(np.int64) // TILE for v in (x, y))
+    x, y, z = projected(points, camera).T
+    inside = (z > MIN_DEPTH) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+    across, down = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
+    column, row = (np.where(inside, v, 0).astype(np.int64) // TILE_PX for v in (x, y))
     tile = np.where(inside, row * across + column, -1)
-    shown, targets, vertices = inside.copy(), _local(points, camera), _local(mesh.vertices, camera)
+    visible, targets, vertices = inside.copy(), camera.to_camera(points), camera.to_camera(mesh.vertices)
     solid = np.array([material.alpha is None for material in mesh.materials], bool)[mesh.material_ids]
     groups = [(solid, np.full((1, 1), 255, np.uint8))]
     for k, material in enumerate(mesh.materials):
         if material.alpha is not None:
             groups.append((mesh.material_ids == k, np.ascontiguousarray(material.alpha)))
-    for mine, alpha in groups:
-        faces = mesh.faces[mine]
+    for used, alpha in groups:
+        faces = mesh.faces[used]
         starts, held = _tiled(projected(mesh.vertices, camera)[faces], across, down)
-        _hide(targets, tile, vertices[faces], mesh.uvs[faces].astype(np.float64), alpha, starts, held, shown)
-    return shown
-
-
-def _local(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """[M, 3] float64 in camera axes."""
-    matrix = camera.world_to_camera
-    return points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        _hide(targets, tile, vertices[faces], mesh.uvs[faces].astype(np.float64), alpha, starts, held, visible)
+    return visible
 
 
 def _tiled(corners: np.ndarray, across: int, down: int) -> tuple[np.ndarray, np.ndarray]:
@@ -61,12 +52,12 @@ def _tiled(corners: np.ndarray, across: int, down: int) -> tuple[np.ndarray, np.
     projected; those that reach behind the camera are in every tile."""
     z = corners[..., 2]
     last = np.array([across - 1, down - 1])
-    low = np.floor(corners[..., :2].min(1) / TILE - 1e-6).clip(-1, last + 1).astype(np.int64)
-    high = np.floor(corners[..., :2].max(1) / TILE + 1e-6).clip(-1, last + 1).astype(np.int64)
-    reaches = (z <= NEAR).any(1)
+    low = np.floor(corners[..., :2].min(1) / TILE_PX - 1e-6).clip(-1, last + 1).astype(np.int64)
+    high = np.floor(corners[..., :2].max(1) / TILE_PX + 1e-6).clip(-1, last + 1).astype(np.int64)
+    reaches = (z <= MIN_DEPTH).any(1)
     low[reaches], high[reaches] = 0, last
     low, high = low.clip(0), np.minimum(high, last)
-    low[(z <= NEAR).all(1)] = last + 1
+    low[(z <= MIN_DEPTH).all(1)] = last + 1
     return _fill(low, high, across, across * down)
 
 
@@ -91,11 +82,11 @@ def _fill(low, high, across, tiles):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _hide(points, tile, corners, uvs, alpha, starts, held, shown):
-    """Sets shown [M] to False where a triangle cuts the line from the origin to points [M, 3]."""
+def _hide(points, tile, corners, uvs, alpha, starts, held, visible):
+    """Sets visible [M] to False where a triangle cuts the line from the origin to points [M, 3]."""
     h, w = alpha.shape
     for i in range(len(points)):
-        if not shown[i]:
+        if not visible[i]:
             continue
         px, py, pz = points[i]
         for k in range(starts[tile[i]], starts[tile[i] + 1]):
@@ -115,7 +106,7 @@ def _hide(points, tile, corners, uvs, alpha, starts, held, shown):
             if c < 0 or b + c > 1:
                 continue
             t = (vx * qx + vy * qy + vz * qz) / det
-            if t <= 0 or t >= 1 - SLACK:
+            if t <= 0 or t >= 1 - DEPTH_SLACK:
                 continue
             if h > 1 or w > 1:
                 u = (1 - b - c) * uvs[f, 0, 0] + b * uvs[f, 1, 0] + c * uvs[f, 2, 0]
@@ -124,5 +115,5 @@ def _hide(points, tile, corners, uvs, alpha, starts, held, shown):
                 row = min(int((v - np.floor(v)) * h), h - 1)
                 if alpha[row, column] < 128:
                     continue
-            shown[i] = False
+            visible[i] = False
             break

@@ -1,7 +1,7 @@
-"""Samples whose pictures are path traced: the takes of data/edit_samples.py, pictures made anew by data/pathtrace.py.
+"""Samples whose pictures are path traced: the edits of edit_samples.py, pictures made anew by pathtrace.py.
 
 For evaluation, and for training at scale. Only kinds whose truth is the mesh itself in a known light; paint on meshes
-is data/painted_mesh.py's.
+is that of edits/on_mesh.py.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from splatpainter.data import edit_samples as takes
+from splatpainter.data import edit_samples
+from splatpainter.data.edit_samples import EditSample, SampleSpec
 from splatpainter.data.lights import Light, random_light
-from splatpainter.data.lit_scenes import Views, light_up, mesh_subject
+from splatpainter.data.lit_scenes import Views, illuminate, mesh_object
 from splatpainter.data.pathtrace import PathOptions, PathTraced, display, path_trace
 from splatpainter.data.recipes import GLOBAL, SampleRecipe
-from splatpainter.data.samples import TRIES, Mode, Sample
+from splatpainter.data.samples import MAX_TRIES, Mode, Sample
 from splatpainter.data.scenes import MeshSource
 from splatpainter.data.viewpoints import Optics
 
@@ -39,10 +40,10 @@ class Traced:
 
 
 class PathScene:
-    """One object in one light, as SampleStream's stages are, and its samples by number.
+    """One object in one light, as SampleStream's scenes are, and its samples by number.
 
     The asset is shaded as SampleStream's is, by surfels: fitting its colours to the path traced base views (2 to 8
-    rounds of lift/colors.py) made novel views 0.3-0.5 dB worse (gso_dino_3), for rim pixels and noise get into rows."""
+    rounds of lift/colors.py) made novel views 0.3-0.5 dB worse (gso_dino_3): rim pixels and noise reach Gaussians."""
 
     def __init__(
         self, source: MeshSource, i: int, recipe: SampleRecipe, options: PathOptions, seed: int, environments: Any = ()
@@ -53,52 +54,52 @@ class PathScene:
         self.mesh = source.mesh(i)
         rng = self._generator("stage")
         sizes = (recipe.surfels, recipe.rows, float(rng.uniform(*recipe.fuzz)), int(rng.integers(1 << 31)))
-        subject = mesh_subject(_Held(source.name(i), self.mesh), 0, *sizes, "cpu")
+        item = mesh_object(_Held(source.name(i), self.mesh), 0, *sizes, "cpu")
         background = recipe.backgrounds[rng.integers(len(recipe.backgrounds))]
         optics = Optics(recipe.size, float(rng.uniform(*recipe.fov)), background)
         self.light = random_light(rng, environments)
-        stage = light_up(subject, self.light, recipe.sh_degree, optics, recipe.base_views, rng)
-        self.base, done = self._traced(stage.base, self.light, 0)
+        scene = illuminate(item, self.light, recipe.sh_degree, optics, recipe.base_views, rng)
+        self.base, done = self._traced(scene.base, self.light, 0)
         self.base_radiance, self.repaired = done.radiance, done.repaired
-        self.stage = replace(stage, base=self.base)
+        self.scene = replace(scene, base=self.base)
 
     def sample(self, step: int) -> Traced:
-        """Sample `step` of the scene. Raises ValueError when TRIES choices made nothing worth learning from."""
+        """Sample `step` of the scene. Raises ValueError when MAX_TRIES choices made nothing worth learning from."""
         rng = self._generator("kind", step)
         kinds = {kind: weight for kind, weight in self.recipe.kinds.items() if weight > 0}
         weights = np.array(list(kinds.values()))
         kind = str(rng.choice(list(kinds), p=weights / weights.sum()))
-        for attempt in range(TRIES):
+        for attempt in range(MAX_TRIES):
             rng = self._generator("take", step, attempt)
             target = random_light(rng, self.environments) if kind == "relight" else self.light
-            take = self._take(kind, target, 1 - attempt / TRIES, rng)
-            if take is not None:
-                return self._finished(kind, take, target, step)
-        raise ValueError(f"{self.stage.subject.name}: {TRIES} choices of a {kind} changed nothing that can be seen")
+            edit = self._edit(kind, target, 1 - attempt / MAX_TRIES, rng)
+            if edit is not None:
+                return self._finished(kind, edit, target, step)
+        raise ValueError(f"{self.scene.object.name}: {MAX_TRIES} choices of a {kind} changed nothing that can be seen")
 
-    def _take(self, kind: str, target: Light, strict: float, rng: np.random.Generator) -> takes.Take | None:
+    def _edit(self, kind: str, target: Light, strictness: float, rng: np.random.Generator) -> EditSample | None:
         odds = np.array(self.recipe.views)
-        plan = takes.Plan(self.recipe, 1 + int(rng.choice(len(odds), p=odds / odds.sum())), strict)
+        spec = SampleSpec(self.recipe, 1 + int(rng.choice(len(odds), p=odds / odds.sum())), strictness)
         if kind == "relight":
-            return takes.relight(self.stage, target, plan, rng)
-        return takes.zoom(self.stage, plan, rng) if kind == "zoom" else takes.plain(self.stage, plan, rng)
+            return edit_samples.relight(self.scene, target, spec, rng)
+        return (edit_samples.zoom if kind == "zoom" else edit_samples.plain)(self.scene, spec, rng)
 
-    def _finished(self, kind: str, take: takes.Take, target: Light, step: int) -> Traced:
+    def _finished(self, kind: str, edit: EditSample, target: Light, step: int) -> Traced:
         first = 1000 * (step + 1)  # of the noise's seeds: other than the base views', and other for every view
-        after, done = self._traced(take.after, target, first)
+        after, done = self._traced(edit.after, target, first)
         radiance, repaired = {"base": self.base_radiance, "after": done.radiance}, self.repaired + done.repaired
-        before, edited = after, take.edited
+        before, edited = after, edit.edited
         if kind == "zoom":
-            before = take.before
+            before = edit.before
         elif kind == "relight":
-            before, done = self._traced(take.before, self.light, first + 100)
+            before, done = self._traced(edit.before, self.light, first + 100)
             radiance["before"], repaired = done.radiance, repaired + done.repaired
-        if len(take.edited):
-            edited, done = self._traced(take.edited, target, first + 200)
+        if len(edit.edited):
+            edited, done = self._traced(edit.edited, target, first + 200)
             radiance["edited"], repaired = done.radiance, repaired + done.repaired
         mode: Mode = "global" if kind in GLOBAL else "local"
-        common = (self.stage.subject.name, kind, mode, self.stage.asset, self.base)
-        sample = Sample(*common, edited, take.masks, before, after, take.near)
+        common = (self.scene.object.name, kind, mode, self.scene.asset, self.base)
+        sample = Sample(*common, edited, edit.masks, before, after, edit.near)
         exposure = {"before": float(self.light.exposure), "after": float(target.exposure)}
         return Traced(sample, radiance, exposure, repaired)
 

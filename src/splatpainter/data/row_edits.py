@@ -21,9 +21,9 @@ import torch
 from scipy.linalg import block_diag
 from torch import Tensor
 
-from splatpainter.data import edits
+from splatpainter.data.edits.on_surfels import grade_sh
 from splatpainter.data.lights import Light, random_light, shade, shade_all
-from splatpainter.data.lit_scenes import Subject, shoot
+from splatpainter.data.lit_scenes import SceneObject, render_views
 from splatpainter.data.samples import SampleStream
 from splatpainter.data.surfels import Surfels, to_splats
 from splatpainter.data.viewpoints import Optics, ring
@@ -152,7 +152,7 @@ class RowStream:
             both = shade_all(rows, coefficients[pick], exposures[pick], degree)
         else:
             own = shade_all(rows, coefficients[pick[0]], exposures[pick[0]], degree)
-            both = torch.stack([own, edits.regraded(own, random_look(rng))])
+            both = torch.stack([own, grade_sh(own, random_look(rng))])
         before, after = (0.5 + SH_C0 * both[:, :, 0]).numpy()
         return before, after
 
@@ -171,13 +171,13 @@ class RowStream:
         epoch, place = divmod(block, count)
         key = int(self._generator("epoch", epoch).permutation(count)[place])
         if key not in self._known:
-            self._known[key] = self._know(self.stream.subject(key), self._generator("object", key))
+            self._known[key] = self._know(self.stream.scene_object(key), self._generator("object", key))
             while len(self._known) > 1 and sum(k.nbytes for k in self._known.values()) > self._most:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)
         return self._known[key]
 
-    def _know(self, subject: Subject, rng: np.random.Generator) -> _Known:
+    def _know(self, subject: SceneObject, rng: np.random.Generator) -> _Known:
         recipe, rows = self.stream.recipe, subject.coarse.to("cpu")
         shown, errors = [], []
         normals = None
@@ -188,7 +188,7 @@ class RowStream:
             asset = _lit(rows, old, recipe.sh_degree)
             normals = outward_normals(asset) if normals is None else normals
             truth = to_splats(subject.surfels, shade(subject.surfels, new, recipe.sh_degree))
-            shots = shoot(truth, cameras)
+            shots = render_views(truth, cameras)
             pictures = shots.views.colors.cpu().numpy()
             masks = (shots.alphas > 0.5).cpu().numpy()
             views = list(zip(cameras, pictures, masks, strict=True))

@@ -11,17 +11,18 @@ and lights change their colours, and every picture is rendered from them.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
 
-from splatpainter.data import edit_samples as takes
-from splatpainter.data.edit_types import Stock, listed
+from splatpainter.data import edit_samples
+from splatpainter.data.edit_samples import EditSample, SampleSpec
+from splatpainter.data.edits.layers import EditResources, list_files
 from splatpainter.data.lights import random_light
-from splatpainter.data.lit_scenes import Stage, Subject, Views, light_up, mesh_subject, splat_subject
+from splatpainter.data.lit_scenes import LitScene, SceneObject, Views, illuminate, mesh_object, splat_object
 from splatpainter.data.recipes import GLOBAL, KINDS, LOCAL, RECIPES, SampleRecipe
 from splatpainter.data.scenes import MeshSource, Source, SplatSource
 from splatpainter.data.viewpoints import Optics
@@ -30,7 +31,7 @@ from splatpainter.splats import Splats
 __all__ = ["GLOBAL", "KINDS", "LOCAL", "RECIPES", "Sample", "SampleRecipe", "SampleStream", "Views"]
 
 Mode = Literal["local", "global"]
-TRIES = 20
+MAX_TRIES = 20
 """Sub-seeds that are tried before an object counts as one that cannot be edited."""
 
 
@@ -81,109 +82,114 @@ class SampleStream:
     ) -> None:
         self.source, self.recipe, self.seed, self.device = source, recipe, seed, device
         self.environments = tuple(environments)
-        self.stock = Stock(listed(decals), listed(fonts), listed(textures))
+        self.resources = EditResources(list_files(decals), list_files(fonts), list_files(textures))
         self.splats = not hasattr(source, "mesh")
         self.kinds = {k: w for k, w in recipe.kinds.items() if w > 0 and not (self.splats and k in ("zoom", "relight"))}
         if not self.kinds:
             raise ValueError(f"samples: none of the kinds {sorted(recipe.kinds)} can be made of splat assets")
         self.retries: Counter[str] = Counter()
         """Kind -> choices that were thrown away because they made no visible edit."""
-        self._subjects: OrderedDict[int, Subject] = OrderedDict()
-        self._stages: OrderedDict[int, Stage] = OrderedDict()
+        self._objects: OrderedDict[int, SceneObject] = OrderedDict()
+        self._scenes: OrderedDict[int, LitScene] = OrderedDict()
         self._bad: dict[int, str] = {}
         self._cache_bytes = cache_bytes
 
     def __getitem__(self, index: int) -> Sample:
-        """Raises ValueError, naming the object, when TRIES choices made no visible edit of it, and when the source has
-        no good object at all."""
+        """Raises ValueError, naming the object, when MAX_TRIES choices made no visible edit of it, and when the
+        source has no good object at all."""
         if index < 0:
             raise IndexError(f"samples: expected an index from 0, got {index}")
-        stage = self._stage(index // self.recipe.steps_per_object)
+        scene = self._scene(index // self.recipe.steps_per_object)
         rng = self._generator("kind", index)
         weights = np.array(list(self.kinds.values()))
         kind = str(rng.choice(list(self.kinds), p=weights / weights.sum()))
-        for attempt in range(TRIES):
-            strict = 1 - attempt / TRIES
-            take = self._take(stage, kind, strict, self._generator("take", index, attempt))
-            if take is not None:
+        for attempt in range(MAX_TRIES):
+            edit = self._edit(scene, kind, 1 - attempt / MAX_TRIES, self._generator("take", index, attempt))
+            if edit is not None:
                 break
             self.retries[kind] += 1
         else:
-            raise ValueError(f"{stage.subject.name}: {TRIES} choices of a {kind} edit changed nothing that can be seen")
+            raise ValueError(
+                f"{scene.object.name}: {MAX_TRIES} choices of a {kind} edit changed nothing that can be seen"
+            )
         mode: Mode = "global" if kind in GLOBAL else "local"
-        common = (stage.subject.name, kind, mode, stage.asset, stage.base)
-        return Sample(*common, take.edited, take.masks, take.before, take.after, take.near)
+        common = (scene.object.name, kind, mode, scene.asset, scene.base)
+        return Sample(*common, edit.edited, edit.masks, edit.before, edit.after, edit.near)
 
-    def subject(self, block: int) -> Subject:
+    def scene_object(self, block: int) -> SceneObject:
         """The object of samples block * recipe.steps_per_object and on. Raises ValueError when the source has no good
         object at all."""
-        return self._subject(block)[0]
+        return self._object(block)[0]
 
-    def _take(self, stage: Stage, kind: str, strict: float, rng: np.random.Generator) -> takes.Take | None:
+    def _edit(self, scene: LitScene, kind: str, strictness: float, rng: np.random.Generator) -> EditSample | None:
         odds = np.array(self.recipe.views)
-        plan = takes.Plan(self.recipe, 1 + int(rng.choice(len(odds), p=odds / odds.sum())), strict)
+        spec = SampleSpec(self.recipe, 1 + int(rng.choice(len(odds), p=odds / odds.sum())), strictness)
         if kind == "relight":
             light = random_light(rng, self.environments, self.device)
-            return takes.relight(stage, light, plan, rng)
+            return edit_samples.relight(scene, light, spec, rng)
         if kind == "conflict":
-            return takes.conflict(stage, plan, self.stock, rng)
-        others: dict[str, Callable[..., takes.Take | None]]
-        others = {"zoom": takes.zoom, "regrade": takes.regrade, "plain": takes.plain}
-        return others[kind](stage, plan, rng) if kind in others else takes.paint(stage, kind, plan, self.stock, rng)
+            return edit_samples.conflict(scene, spec, self.resources, rng)
+        if kind == "zoom":
+            return edit_samples.zoom(scene, spec, rng)
+        if kind == "regrade":
+            return edit_samples.regrade(scene, spec, rng)
+        if kind == "plain":
+            return edit_samples.plain(scene, spec, rng)
+        return edit_samples.paint(scene, kind, spec, self.resources, rng)
 
-    def _stage(self, block: int) -> Stage:
-        if block in self._stages:
-            self._stages.move_to_end(block)
-            return self._stages[block]
-        subject, detail = self._subject(block)
+    def _scene(self, block: int) -> LitScene:
+        if block in self._scenes:
+            self._scenes.move_to_end(block)
+            return self._scenes[block]
+        item, scale = self._object(block)
         rng, r = self._generator("stage", block), self.recipe
         background = r.backgrounds[rng.integers(len(r.backgrounds))]
-        optics = Optics(max(round(r.size * detail), 16), float(rng.uniform(*r.fov)), background)
+        optics = Optics(max(round(r.size * scale), 16), float(rng.uniform(*r.fov)), background)
         light = None if self.splats else random_light(rng, self.environments, self.device)
-        stage = light_up(subject, light, r.sh_degree, optics, r.base_views, rng)
-        self._stages[block] = stage
-        while len(self._stages) > 2:
-            self._stages.popitem(last=False)
-        return stage
+        scene = illuminate(item, light, r.sh_degree, optics, r.base_views, rng)
+        self._scenes[block] = scene
+        while len(self._scenes) > 2:
+            self._scenes.popitem(last=False)
+        return scene
 
-    def _subject(self, block: int) -> tuple[Subject, float]:
-        """The object of a block and its factor of detail: every object once per epoch, in an order of that epoch; bad
-        ones give way to the next in the source."""
+    def _object(self, block: int) -> tuple[SceneObject, float]:
+        """The object of a block and the scale of its resolution: every object once per epoch, in an order of that
+        epoch; bad ones give way to the next in the source."""
         count = len(self.source)
-        epoch, place = divmod(block, count)
-        first = int(self._generator("epoch", epoch).permutation(count)[place])
+        epoch, position = divmod(block, count)
+        first = int(self._generator("epoch", epoch).permutation(count)[position])
         for step in range(count):
             i = (first + step) % count
             if i in self._bad:
                 continue
             try:
-                return self._cached(i), self._detail(i)
+                return self._cached(i), self._resolution_scale(i)
             except ValueError as error:
                 self._bad[i] = str(error)
         reason = next(iter(self._bad.values()), "the source is empty")
         raise ValueError(f"samples: none of the {count} objects can be used; the first: {reason}")
 
-    def _cached(self, i: int) -> Subject:
-        if i in self._subjects:
-            self._subjects.move_to_end(i)
-            return self._subjects[i]
+    def _cached(self, i: int) -> SceneObject:
+        if i in self._objects:
+            self._objects.move_to_end(i)
+            return self._objects[i]
         if self.splats:
-            subject = splat_subject(cast(SplatSource, self.source), i, self.device)
+            item = splat_object(cast(SplatSource, self.source), i, self.device)
         else:
-            rng, r, area = self._generator("subject", i), self.recipe, self._detail(i) ** 2
+            rng, r, area = self._generator("subject", i), self.recipe, self._resolution_scale(i) ** 2
             sizes = (
                 round(r.surfels * area),
                 round(r.rows * area),
                 float(rng.uniform(*r.fuzz)),
                 int(rng.integers(1 << 31)),
             )
-            subject = mesh_subject(cast(MeshSource, self.source), i, *sizes, self.device)
-        self._subjects[i] = subject
-        while len(self._subjects) > 1 and sum(s.nbytes for s in self._subjects.values()) > self._cache_bytes:
-            self._subjects.popitem(last=False)
-        return subject
+            item = mesh_object(cast(MeshSource, self.source), i, *sizes, self.device)
+        self._objects[i] = item
+        while len(self._objects) > 1 and sum(s.nbytes for s in self._objects.values()) > self._cache_bytes:
+            self._objects.popitem(last=False)
+        return item
 
-    def _detail(self, i: int) -> float:
+    def _resolution_scale(self, i: int) -> float:
         """Of object i: 1 for splat assets, which are as they are."""
         low, high = np.log(self.recipe.detail)
         return 1.0 if self.splats else float(np.exp(self._generator("detail", i).uniform(low, high)))

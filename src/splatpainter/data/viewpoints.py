@@ -1,4 +1,4 @@
-"""Where samples are seen from: rings around an object, close-ups of a spot on it, and neighbours of a close-up.
+"""Where samples are seen from: rings around an object, close-ups of a point on it, and neighbours of a close-up.
 
 Objects are about the origin, y up, within -1..1. Random choices come from the generator given.
 """
@@ -10,12 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.cameras import Camera, look_at
+from splatpainter.cameras import FRAME_MARGIN, Camera, look_at
 
-MARGIN = 1.08
-"""Room around an object in a view of all of it."""
-LOWEST, HIGHEST = -25.0, 65.0
-"""Elevation of cameras, degrees."""
+MIN_ELEVATION, MAX_ELEVATION = -25.0, 65.0
+"""Of cameras, degrees."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class Optics:
 
 def around(radius: float, optics: Optics, azimuth: float, elevation: float) -> Camera:
     """A view of a whole object that fits in a sphere of `radius` about the origin; degrees."""
-    distance = MARGIN * radius / math.sin(math.radians(optics.fov / 2))
+    distance = FRAME_MARGIN * radius / math.sin(math.radians(optics.fov / 2))
     return _aimed(distance * _direction(azimuth, elevation), np.zeros(3), optics)
 
 
@@ -46,24 +44,24 @@ def ring(radius: float, optics: Optics, count: int, rng: np.random.Generator) ->
 def facing(
     target: np.ndarray, normal: np.ndarray, window: float, optics: Optics, rng: np.random.Generator, tilt: float = 25.0
 ) -> Camera:
-    """A close-up of a spot: `window` world units fill the picture's height at the target's depth. The line of sight is
-    the normal, turned as `sight` does."""
-    line = _direction(*sight(normal, rng, tilt))
+    """A close-up of a surface point: `window` world units fill the picture's height at the target's depth. The line of
+    sight is the normal, turned as `view_angles` does."""
+    line = _direction(*view_angles(normal, rng, tilt))
     return _aimed(target + line * window / (2 * math.tan(math.radians(optics.fov / 2))), target, optics)
 
 
-def sight(normal: np.ndarray, rng: np.random.Generator, tilt: float = 25.0) -> tuple[float, float]:
+def view_angles(normal: np.ndarray, rng: np.random.Generator, tilt: float = 25.0) -> tuple[float, float]:
     """(azimuth, elevation), degrees, of a line of sight: the normal, turned by up to about `tilt` degrees and brought
-    between LOWEST and HIGHEST."""
+    between MIN_ELEVATION and MAX_ELEVATION."""
     axis = normal + math.tan(math.radians(tilt)) * rng.uniform(0, 1) * _unit(rng.standard_normal(3))
     azimuth, elevation = angles(axis)
-    return azimuth, float(np.clip(elevation, LOWEST, HIGHEST))
+    return azimuth, float(np.clip(elevation, MIN_ELEVATION, MAX_ELEVATION))
 
 
 def neighbour(
     camera: Camera, target: np.ndarray, rng: np.random.Generator, apart: tuple[float, float] = (15.0, 40.0)
 ) -> Camera:
-    """The target from another side, `apart` (least, most) degrees away, a little nearer or farther."""
+    """The target from another side, `apart` (from, to) degrees away, a little nearer or farther."""
     offset = camera.position - target
     azimuth, elevation = angles(offset)
     angle, way = math.radians(rng.uniform(*apart)), rng.uniform(0, 2 * math.pi)
@@ -72,7 +70,7 @@ def neighbour(
     other = np.cross(forward, side)
     for turn in (way, way + math.pi, way + math.pi / 2):  # not from below the floor nor through the zenith
         line = math.cos(angle) * forward + math.sin(angle) * (math.cos(turn) * side + math.sin(turn) * other)
-        if LOWEST - 10 <= angles(line)[1] <= HIGHEST + 15:
+        if MIN_ELEVATION - 10 <= angles(line)[1] <= MAX_ELEVATION + 15:
             break
     distance = float(np.linalg.norm(offset)) * rng.uniform(0.9, 1.3)
     fov = math.degrees(2 * math.atan(camera.height / 2 / camera.fy))
@@ -80,13 +78,12 @@ def neighbour(
 
 
 def crop(camera: Camera, target: np.ndarray, zoom: float) -> Camera:
-    """The window of a `zoom` times larger picture of this view, of the view's own size, around the target's place and
+    """The window of a `zoom` times larger picture of this view, of the view's own size, around the target and
     within the picture: a tile that an artist sends to an upscaler."""
     large = camera.resized(round(camera.width * zoom), round(camera.height * zoom))
-    x, y, z = large.world_to_camera[:3, :3] @ target + large.world_to_camera[:3, 3]
-    place = np.array([large.fx * x / z + large.cx, large.fy * y / z + large.cy])
-    room = np.array([large.width - camera.width, large.height - camera.height])
-    left, top = np.clip(np.round(place - [camera.width / 2, camera.height / 2]), 0, room).astype(int).tolist()
+    pixel, _ = large.project(target)
+    corner = np.round(pixel - [camera.width / 2, camera.height / 2])
+    left, top = np.clip(corner, 0, [large.width - camera.width, large.height - camera.height]).astype(int).tolist()
     return large.cropped(left, top, camera.width, camera.height)
 
 

@@ -41,7 +41,7 @@ class VoxelGrid:
     size: float
     """Edge of the cube, world units, > 0."""
     index: np.ndarray = field(repr=False)
-    """[N] int32 key of each row's centre, clamped into the cube; -1 for rows that cannot be drawn (`Splats.drawable`)."""
+    """[N] int32 key of each centre, clamped into the cube; -1 for what cannot be drawn (`Splats.drawable`)."""
     outside: np.ndarray = field(repr=False)
     """[N] bool: the centre lies outside the cube (an outlier), its key is only the nearest one."""
     order: np.ndarray = field(repr=False)

@@ -13,75 +13,81 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
+import torch
 
 from splatpainter.cameras import Camera
-from splatpainter.data import edits
-from splatpainter.data.mesh_visibility import NEAR, projected, sees
+from splatpainter.color import linear_to_srgb, srgb_to_linear
+from splatpainter.data import texels
+from splatpainter.data.edits import EditDesign
+from splatpainter.data.edits.on_surfels import FULL_PAINT_COSINE, MIN_COVERAGE, MIN_PAINT_COSINE, project_layer
+from splatpainter.data.mesh_visibility import MIN_DEPTH, projected, visible_points
 from splatpainter.data.meshes import Material, Mesh, joined
-from splatpainter.sources.looks import to_display, to_linear
 
-EDGE = 1.0
+MAX_EDGE_PX = 1.0
 """Longest edge of a painted piece, pixels of the painting view."""
-MOST_PIECES = 8_000_000
+MAX_PIECES = 8_000_000
 """Triangles that a mesh is cut into at most."""
-STRADDLING = 0.05
+MAX_STRADDLING_EDGE = 0.05
 """World units: longest edge of a triangle that reaches behind the camera before its front part is painted."""
 
-Painter: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(points [M, 3] world, own display base colours [M, 3]) -> (display colours [M, 3], coverage [M] 0..1). Called
+PointPaint: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""(points [M, 3] world, their display base colours [M, 3]) -> (display colours [M, 3], coverage [M] 0..1). Called
 once, with all points that may get paint."""
 
 
-def painted_mesh(mesh: Mesh, layer: np.ndarray, camera: Camera, edge: float = EDGE) -> Mesh:
-    """The mesh with a layer [H, W, 4] (display colours and coverage, 0..1, of the camera's size) on what the camera
-    sees of it; mixed in display values as painting programs do. Raises ValueError as `repainted`, and for a layer of
-    another size."""
-    if layer.shape != (camera.height, camera.width, 4):
+def paint_mesh(mesh: Mesh, design: EditDesign, edge: float = MAX_EDGE_PX) -> Mesh:
+    """The mesh with an edit on what its camera sees of it; layers are mixed in display values as painting programs do.
+    edge: pixels. Raises ValueError as `repaint_mesh`, and for a layer of another size than the camera's."""
+    camera, content = design.camera, design.content
+    if isinstance(content, np.ndarray) and content.shape != (camera.height, camera.width, 4):
         raise ValueError(
             f"{mesh.name}: expected a layer [{camera.height}, {camera.width}, 4] for this camera, "
-            f"got {list(layer.shape)}"
+            f"got {list(content.shape)}"
         )
-    import torch
 
-    picture = torch.from_numpy(np.ascontiguousarray(layer, np.float32))
+    def paint(points: np.ndarray, base_colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        positions = torch.from_numpy(np.asarray(points, np.float32))
+        if isinstance(content, np.ndarray):
+            layer = torch.from_numpy(np.ascontiguousarray(content, np.float32))
+            colors, coverage = project_layer(layer, camera, positions)
+            return colors.numpy(), coverage.numpy()
+        coat = content.paint(positions, torch.from_numpy(np.asarray(base_colors, np.float32)))
+        return coat.colors.numpy(), coat.coverage.numpy()
 
-    def paint(points: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        colors, coverage = edits.carried(picture, camera, torch.from_numpy(points.astype(np.float32)))
-        return colors.numpy(), coverage.numpy()
-
-    return repainted(mesh, camera, layer[..., 3] > 0, paint, edge, hides_metal=True)
+    return repaint_mesh(mesh, camera, design.region, paint, edge, hides_metal=isinstance(content, np.ndarray))
 
 
-def repainted(
+def repaint_mesh(
     mesh: Mesh,
     camera: Camera,
     region: np.ndarray,
-    painter: Painter,
-    edge: float = EDGE,
+    paint: PointPaint,
+    edge: float = MAX_EDGE_PX,
     hides_metal: bool = False,
 ) -> Mesh:
-    """The mesh after `painter`, on surfaces that the camera sees within a pixel of `region` [H, W] bool; less at
-    grazing angles, none from edits.GRAZING on. The same mesh, when nothing is covered. hides_metal: pieces that are
-    covered by half or more are no metal any more. Raises ValueError when it would take more than MOST_PIECES
+    """The mesh after `paint`, on surfaces that the camera sees within a pixel of `region` [H, W] bool; less at
+    grazing angles, none from MIN_PAINT_COSINE on. The same mesh, when nothing is covered. hides_metal: pieces that are
+    covered by half or more are no metal any more. Raises ValueError when it would take more than MAX_PIECES
     triangles."""
     plain = _toned(mesh)
     pieces = _cut(plain, camera, region, edge)
-    mine = np.flatnonzero(pieces.reached)
-    if not len(mine):
+    reached = np.flatnonzero(pieces.reached)
+    if not len(reached):
         return mesh
-    used = np.unique(pieces.mesh.faces[mine])
-    open_ = np.zeros(len(pieces.mesh.vertices))
-    open_[used] = _openness(plain, pieces.mesh.vertices[used], pieces.mesh.normals[used], camera)
+    used = np.unique(pieces.mesh.faces[reached])
+    visibility = np.zeros(len(pieces.mesh.vertices))
+    visibility[used] = _view_visibility(plain, pieces.mesh.vertices[used], pieces.mesh.normals[used], camera)
     coats = [
-        _bare(pieces.mesh, mine[pieces.mesh.material_ids[mine] == k], k)
-        for k in np.unique(pieces.mesh.material_ids[mine])
+        _bare(pieces.mesh, reached[pieces.mesh.material_ids[reached] == k], k)
+        for k in np.unique(pieces.mesh.material_ids[reached])
     ]
     points = np.concatenate([pieces.mesh.vertices[coat.used] for coat in coats])
-    colors, coverage = painter(points, to_display(np.concatenate([coat.own for coat in coats])))
+    colors, coverage = paint(points, linear_to_srgb(np.concatenate([coat.base_colors for coat in coats])))
     parts, covered, start = [], np.zeros(len(pieces.mesh.faces), bool), 0
     for coat in coats:
         here = slice(start, start := start + len(coat.used))
-        share = np.where(coverage[here] * open_[coat.used] >= edits.LEAST, coverage[here] * open_[coat.used], 0)
+        share = coverage[here] * visibility[coat.used]
+        share = np.where(share >= MIN_COVERAGE, share, 0)
         mean = share[coat.local].mean(1)
         covered[coat.faces[mean > 0]] = True
         dull = hides_metal & (mean >= 0.5)
@@ -92,8 +98,8 @@ def repainted(
     cut = np.zeros(len(plain.faces), bool)
     cut[pieces.parents[covered]] = True  # the others stay whole
     rest = cut[pieces.parents] & ~covered
-    kept = _of(plain, ~cut)
-    return joined(mesh.name, [part for part in (kept, _of(pieces.mesh, rest), *parts) if len(part.faces)])
+    uncut = _of(plain, ~cut)
+    return joined(mesh.name, [part for part in (uncut, _of(pieces.mesh, rest), *parts) if len(part.faces)])
 
 
 @dataclass(frozen=True)
@@ -111,27 +117,27 @@ def _cut(mesh: Mesh, camera: Camera, region: np.ndarray, edge: float) -> _Pieces
     """Triangles over the region, halved across their longest edge in the picture until all edges are short enough."""
     columns = {name: getattr(mesh, name).astype(np.float64) for name in ("vertices", "normals", "uvs")}
     columns["colors"] = np.ones((len(mesh.vertices), 3)) if mesh.colors is None else mesh.colors.astype(np.float64)
-    places, sums = projected(mesh.vertices, camera), _sums(region)
+    pixels, sums = projected(mesh.vertices, camera), _sums(region)
     faces, parents = mesh.faces, np.arange(len(mesh.faces))
     done: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     count = 0
     while len(faces):
-        reached = _reaches(places[faces], sums)
-        lengths, limits = _lengths(places[faces], columns["vertices"][faces], edge)
+        reached = _reaches(pixels[faces], sums)
+        lengths, limits = _lengths(pixels[faces], columns["vertices"][faces], edge)
         split = reached & (lengths.max(1) > limits)
         ended = ~split
-        straddles = (places[faces][..., 2] <= NEAR).any(1)
+        straddles = (pixels[faces][..., 2] <= MIN_DEPTH).any(1)
         done.append((faces[ended], parents[ended], (reached & ~straddles)[ended]))
         count += int(ended.sum())
-        if count + 2 * int(split.sum()) > MOST_PIECES:
-            raise ValueError(f"{mesh.name}: paint would need more than {MOST_PIECES:,} triangles; paint less at once")
-        faces, first, second = _halved(faces[split], lengths[split].argmax(1), len(places))
+        if count + 2 * int(split.sum()) > MAX_PIECES:
+            raise ValueError(f"{mesh.name}: paint would need more than {MAX_PIECES:,} triangles; paint less at once")
+        faces, first, second = _halved(faces[split], lengths[split].argmax(1), len(pixels))
         for name, values in columns.items():
             middle = (values[first] + values[second]) / 2
             if name == "normals":
                 middle = _unit(middle, values[first])
             columns[name] = np.concatenate([values, middle])
-        places = np.concatenate([places, projected(columns["vertices"][len(places) :], camera)])
+        pixels = np.concatenate([pixels, projected(columns["vertices"][len(pixels) :], camera)])
         parents = np.tile(parents[split], 2)
     faces, parents, reached = (np.concatenate([part[k] for part in done]) for k in range(3))
     fields = {name: values.astype(np.float32) for name, values in columns.items()}
@@ -141,8 +147,8 @@ def _cut(mesh: Mesh, camera: Camera, region: np.ndarray, edge: float) -> _Pieces
 def _halved(faces: np.ndarray, longest: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(faces [2 F, 3], first [K], second [K]): each face cut from the middle of its edge `longest` (k: corner k to
     k + 1) to the corner across; the middles are vertices from `count` on, between `first` and `second`."""
-    rows = np.arange(len(faces))
-    a, b, c = (faces[rows, (longest + k) % 3] for k in range(3))
+    every = np.arange(len(faces))
+    a, b, c = (faces[every, (longest + k) % 3] for k in range(3))
     span = np.int64(count + 1)
     codes, middle = np.unique(np.minimum(a, b) * span + np.maximum(a, b), return_inverse=True)
     m = middle.reshape(-1) + count
@@ -160,29 +166,29 @@ def _reaches(corners: np.ndarray, sums: np.ndarray) -> np.ndarray:
     size = np.array([sums.shape[1] - 1, sums.shape[0] - 1])
     low = np.floor(corners[..., :2].min(1) - 1).clip(0, size).astype(np.int64)
     high = np.ceil(corners[..., :2].max(1) + 1).clip(0, size).astype(np.int64)
-    behind = corners[..., 2] <= NEAR
+    behind = corners[..., 2] <= MIN_DEPTH
     low[behind.any(1)], high[behind.any(1)] = 0, size
     (left, top), (right, bottom) = low.T, high.T
     inside = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
     return (inside > 0) & ~behind.all(1)
 
 
-def _lengths(places: np.ndarray, corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+def _lengths(pixels: np.ndarray, corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     """(lengths [F, 3] of the edges corner k to k + 1, limits [F]): pixels, or world units where a triangle reaches
     behind the camera."""
-    behind = np.any(places[..., 2] <= NEAR, axis=1)
-    flat = np.linalg.norm(np.roll(places[..., :2], -1, 1) - places[..., :2], axis=2)
+    behind = np.any(pixels[..., 2] <= MIN_DEPTH, axis=1)
+    flat = np.linalg.norm(np.roll(pixels[..., :2], -1, 1) - pixels[..., :2], axis=2)
     world = np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2)
-    return np.where(behind[:, None], world, flat), np.where(behind, STRADDLING, edge)
+    return np.where(behind[:, None], world, flat), np.where(behind, MAX_STRADDLING_EDGE, edge)
 
 
-def _openness(mesh: Mesh, points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
+def _view_visibility(mesh: Mesh, points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
     """[M] 0..1: how openly the camera sees each point. Which way a normal points does not matter: what looks away on a
     closed object is hidden by its front."""
     towards = camera.position - points
     cosine = np.abs((normals * towards).sum(1)) / np.maximum(np.linalg.norm(towards, axis=1), 1e-12)
-    t = np.clip((cosine - edits.GRAZING) / (edits.FACING - edits.GRAZING), 0, 1)
-    return sees(mesh, camera, points) * (t * t * (3 - 2 * t))
+    t = np.clip((cosine - MIN_PAINT_COSINE) / (FULL_PAINT_COSINE - MIN_PAINT_COSINE), 0, 1)
+    return visible_points(mesh, camera, points) * (t * t * (3 - 2 * t))
 
 
 @dataclass(frozen=True)
@@ -195,8 +201,8 @@ class _Bare:
     """[M] vertices that they use."""
     local: np.ndarray
     """[F, 3] into `used`."""
-    own: np.ndarray
-    """[M, 3] linear base colours 0..1."""
+    base_colors: np.ndarray
+    """[M, 3] linear, 0..1."""
     material: Material
 
 
@@ -210,8 +216,8 @@ def _coated(
     mesh: Mesh, bare: _Bare, colors: np.ndarray, coverage: np.ndarray, faces: np.ndarray, material: Material
 ) -> Mesh:
     """Those faces [F] bool with the paint (colors [M, 3] display, coverage [M]) in their base colours."""
-    own = to_display(bare.own)
-    mixed = to_linear((own + coverage[:, None] * (colors - own)).clip(0, 1)).astype(np.float32)
+    display = linear_to_srgb(bare.base_colors)
+    mixed = srgb_to_linear((display + coverage[:, None] * (colors - display)).clip(0, 1)).astype(np.float32)
     part = replace(
         mesh,
         vertices=mesh.vertices[bare.used],
@@ -225,14 +231,12 @@ def _coated(
     return _of(part, faces)
 
 
-def base_colors(mesh: Mesh, rows: np.ndarray, material: Material) -> np.ndarray:
-    """[M, 3] linear base colours at vertices `rows` [M] int where they are of `material`."""
-    from splatpainter.data import texels
-
-    tone = np.broadcast_to(np.asarray(material.base_factor, np.float32), (len(rows), 3))
+def base_colors(mesh: Mesh, vertices: np.ndarray, material: Material) -> np.ndarray:
+    """[M, 3] linear base colours at `vertices` [M] int where they are of `material`."""
+    tone = np.broadcast_to(np.asarray(material.base_factor, np.float32), (len(vertices), 3))
     if material.base_color is not None:
-        tone = tone * texels.look_up(material.base_color, mesh.uvs[rows], texels.LINEAR)
-    return tone if mesh.colors is None else tone * mesh.colors[rows]
+        tone = tone * texels.look_up(material.base_color, mesh.uvs[vertices], texels.LINEAR)
+    return tone if mesh.colors is None else tone * mesh.colors[vertices]
 
 
 def _toned(mesh: Mesh) -> Mesh:

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.data.mesh_visibility import projected, sees
+from splatpainter.color import linear_to_srgb
+from splatpainter.data.edits import EditDesign
+from splatpainter.data.edits.on_mesh import paint_mesh, repaint_mesh
+from splatpainter.data.mesh_visibility import projected, visible_points
 from splatpainter.data.meshes import Material, Mesh, joined
-from splatpainter.data.painted_mesh import painted_mesh, repainted
 from splatpainter.metrics import psnr
-from splatpainter.sources.looks import to_display
 from tests.support.data_meshes import MATT, quad, sphere
 
 WHITE = np.ones((8, 16, 3), np.float32)
@@ -31,6 +32,10 @@ def checks(size: int = 40, cell: int = 5, rim: int = 10) -> np.ndarray:
     layer[..., :3] = np.where(((y // cell + x // cell) % 2)[..., None], [0.9, 0.1, 0.1], [0.1, 0.2, 0.7])
     layer[rim:-rim, rim:-rim, 3] = 1
     return layer
+
+
+def paint_layer(mesh: Mesh, layer: np.ndarray, camera: Camera) -> Mesh:
+    return paint_mesh(mesh, EditDesign("layer", camera, layer))
 
 
 def area(mesh: Mesh) -> float:
@@ -58,7 +63,7 @@ def traced(mesh: Mesh, cameras: list[Camera], samples: int = 8) -> tuple[np.ndar
 def test_a_painted_plane_shows_the_layer_and_nothing_else_changes() -> None:
     pytest.importorskip("mitsuba")
     mesh, layer, camera = quad(Material(base_color=TEXTURE, roughness=1.0)), checks(), view()
-    painted = painted_mesh(mesh, layer, camera)
+    painted = paint_layer(mesh, layer, camera)
     before, alphas = traced(mesh, [camera])
     after, _ = traced(painted, [camera])
     y, x = np.mgrid[:40, :40]
@@ -80,7 +85,7 @@ def test_paint_on_a_ball_stays_off_its_far_side_and_off_what_stands_behind() -> 
     camera = view((0, 0, 5), 32)
     layer = np.zeros((32, 32, 4), np.float32)
     layer[12:20, 12:20] = (0.8, 0.1, 0.1, 1)
-    painted = painted_mesh(mesh, layer, camera)
+    painted = paint_layer(mesh, layer, camera)
     faces = painted_faces(mesh, painted)
     assert faces.any() and painted.vertices[painted.faces[faces]][..., 2].min() > 0.5
     behind = look_at([3.5, 0.5, -3], [0, 0, -1], width=32, height=32, fov=40)
@@ -95,7 +100,7 @@ def test_paint_on_a_ball_stays_off_its_far_side_and_off_what_stands_behind() -> 
 
 def test_the_surface_stays_and_only_paint_gets_vertex_colours() -> None:
     mesh, layer, camera = quad(Material(base_color=TEXTURE)), checks(), view()
-    painted = painted_mesh(mesh, layer, camera)
+    painted = paint_layer(mesh, layer, camera)
     assert abs(area(painted) - area(mesh)) < 1e-5
     assert np.abs(painted.vertices[:, 2]).max() == 0 and np.allclose(painted.normals, [0, 0, 1])
     assert np.allclose(painted.uvs, painted.vertices[:, :2] / 2 + 0.5, atol=1e-6)  # as quad lays them
@@ -113,28 +118,30 @@ def test_vertices_have_the_layer_mixed_with_the_texture_by_hand() -> None:
     layer = np.zeros((40, 40, 4), np.float32)
     layer[10:30, 10:30] = (0.8, 0.2, 0.0, 0.25)
     camera = view((0, 0, 4))
-    painted = painted_mesh(mesh, layer, camera)
+    painted = paint_layer(mesh, layer, camera)
     assert painted.colors is not None
     places = projected(painted.vertices, camera)
     inside = np.all(np.abs(places[:, :2] - 20) < 8, axis=1)
     inside[np.unique(painted.faces[~painted_faces(mesh, painted)])] = False
     assert inside.any()
     expected = 0.75 * 128 / 255 + 0.25 * np.array([0.8, 0.2, 0.0])
-    assert np.allclose(to_display(painted.colors[inside]), expected, atol=1e-3)
+    assert np.allclose(linear_to_srgb(painted.colors[inside]), expected, atol=1e-3)
 
 
 def test_metal_is_hidden_by_paint_and_kept_by_a_recolouring() -> None:
     mesh, camera = quad(Material(metallic=1.0)), view()
-    painted = painted_mesh(mesh, checks(), camera)
+    painted = paint_layer(mesh, checks(), camera)
     assert {m.metallic for m in painted.materials} == {0.0, 1.0}  # the soft rim keeps it
-    tinted = repainted(mesh, camera, checks()[..., 3] > 0, lambda points, own: (own * 0.5, np.ones(len(points))))
+    tinted = repaint_mesh(
+        mesh, camera, checks()[..., 3] > 0, lambda points, colors: (colors * 0.5, np.ones(len(points)))
+    )
     assert {m.metallic for m in tinted.materials} == {1.0} and painted_faces(mesh, tinted).any()
 
 
 def test_vertex_colours_under_a_texture_stay_what_the_path_tracer_makes_of_them() -> None:
     mesh = quad(Material(base_color=TEXTURE))
     colored = replace(mesh, colors=np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], np.float32))
-    painted = painted_mesh(colored, checks(), view())
+    painted = paint_layer(colored, checks(), view())
     kept = painted.material_ids[~painted_faces(colored, painted)]
     factors = [painted.materials[k].base_factor for k in np.unique(kept)]
     assert np.allclose(factors, 0.5) and painted.colors is not None  # the mean of the four
@@ -146,10 +153,10 @@ def test_paint_again_goes_over_paint() -> None:
     layer[10:30, 10:30] = (0.8, 0.2, 0.0, 1)
     small = np.zeros((40, 40, 4), np.float32)
     small[15:25, 15:25] = (0.1, 0.9, 0.3, 1)
-    twice = painted_mesh(painted_mesh(mesh, layer, camera), small, camera)
+    twice = paint_layer(paint_layer(mesh, layer, camera), small, camera)
     assert twice.colors is not None
     corners = projected(twice.vertices, camera)[twice.faces][..., :2]
-    middle, tones = corners.mean(1), to_display(twice.colors[twice.faces].mean(1))
+    middle, tones = corners.mean(1), linear_to_srgb(twice.colors[twice.faces].mean(1))
     distance = np.abs(middle - 20).max(1)
     assert np.allclose(tones[distance < 4], (0.1, 0.9, 0.3), atol=1e-3)
     assert np.allclose(tones[(distance > 6.5) & (distance < 9)], (0.8, 0.2, 0.0), atol=1e-3)
@@ -158,20 +165,20 @@ def test_paint_again_goes_over_paint() -> None:
 
 def test_what_is_not_reached_is_the_same_mesh_and_bad_layers_are_refused() -> None:
     mesh, camera = quad(MATT), view()
-    assert painted_mesh(mesh, np.zeros((40, 40, 4), np.float32), camera) is mesh
-    assert painted_mesh(mesh, checks(), look_at([0, 0, 4], [0, 0, 8], width=40, height=40)) is mesh  # looks away
+    assert paint_layer(mesh, np.zeros((40, 40, 4), np.float32), camera) is mesh
+    assert paint_layer(mesh, checks(), look_at([0, 0, 4], [0, 0, 8], width=40, height=40)) is mesh  # looks away
     with pytest.raises(ValueError, match=r"quad: expected a layer \[40, 40, 4\]"):
-        painted_mesh(mesh, checks(48), camera)
+        paint_layer(mesh, checks(48), camera)
 
 
 def test_a_surface_seen_aslant_gets_no_paint_and_one_behind_the_camera_none_either() -> None:
     flat = quad(MATT)
     aslant = look_at([0, -4, 0.2], [0, 0, 0], up=(0, 0, 1), width=40, height=40, fov=30)
     layer = np.ones((40, 40, 4), np.float32)
-    assert painted_mesh(flat, layer, aslant) is flat  # cosine 0.05
+    assert paint_layer(flat, layer, aslant) is flat  # cosine 0.05
     large = replace(flat, vertices=100 * flat.vertices)
     over = look_at([0, -1, 1], [0, 0, 0], up=(0, 0, 1), width=40, height=40, fov=30)
-    painted = painted_mesh(large, layer, over)  # the plane goes on behind the camera
+    painted = paint_layer(large, layer, over)  # the plane goes on behind the camera
     faces = painted_faces(large, painted)
     assert faces.any() and projected(painted.vertices[np.unique(painted.faces[faces])], over)[:, 2].min() > 0.5
     assert abs(area(painted) / area(large) - 1) < 1e-4
@@ -194,7 +201,7 @@ def test_what_is_seen_is_what_solving_every_line_and_triangle_says() -> None:
     sides = np.broadcast_to((camera.position - corners[:, 0])[None, ..., None], (*systems.shape[:2], 3, 1))
     u, v, t = np.moveaxis(np.linalg.solve(systems, sides)[..., 0], -1, 0)
     hidden = ((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1 - 1e-4)).any(1)
-    assert (sees(mesh, camera, points) == ~hidden).all() and 20 < hidden.sum() < 130
+    assert (visible_points(mesh, camera, points) == ~hidden).all() and 20 < hidden.sum() < 130
 
 
 def test_holes_of_cutouts_hide_nothing_and_what_is_outside_the_picture_is_not_seen() -> None:
@@ -203,5 +210,5 @@ def test_holes_of_cutouts_hide_nothing_and_what_is_outside_the_picture_is_not_se
     screen = quad(replace(MATT, alpha=alpha))
     behind = np.array([[0, 0.5, -0.5], [0, -0.5, -0.5], [0.5, 0.4, 0.0], [9, 0, 0], [0, 0, 9]])
     camera = view((0, 0, 4))
-    assert sees(screen, camera, behind).tolist() == [False, True, True, False, False]
-    assert sees(quad(MATT), camera, behind).tolist() == [False, False, True, False, False]
+    assert visible_points(screen, camera, behind).tolist() == [False, True, True, False, False]
+    assert visible_points(quad(MATT), camera, behind).tolist() == [False, False, True, False, False]

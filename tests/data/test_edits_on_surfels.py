@@ -10,8 +10,9 @@ import pytest
 import torch
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.data import edits
-from splatpainter.data.edits import Coat
+from splatpainter.color import linear_to_srgb, srgb_to_linear
+from splatpainter.data.edits import change_masks, on_surfels
+from splatpainter.data.edits.layers import PaintCoverage
 from splatpainter.rendering import render
 from splatpainter.sources import looks
 from splatpainter.splats import SH_C0, Splats
@@ -45,9 +46,9 @@ def test_a_view_shows_the_side_of_a_sphere_that_faces_it() -> None:
     normals = ball.means / 0.5
     towards = torch.nn.functional.normalize(torch.tensor([0.0, 0, 3]) - ball.means, dim=-1)
     cosine = (normals * towards).sum(1)
-    seen = edits.seen(ball.means, normals, view, depth, alpha)
-    assert (seen[cosine > edits.FACING + 0.01] == 1).all()
-    assert (seen[cosine < edits.GRAZING] == 0).all()
+    seen = on_surfels.view_visibility(ball.means, normals, view, depth, alpha)
+    assert (seen[cosine > on_surfels.FULL_PAINT_COSINE + 0.01] == 1).all()
+    assert (seen[cosine < on_surfels.MIN_PAINT_COSINE] == 0).all()
     between = (cosine > 0.15) & (cosine < 0.25)
     assert ((seen[between] > 0) & (seen[between] < 1)).all()
 
@@ -57,18 +58,18 @@ def test_what_stands_behind_something_is_not_seen() -> None:
     both, view = near.append(far), camera()
     _, depth, alpha = shot(both, view)
     normals = torch.cat([near.means / 0.5, (far.means - torch.tensor([0, 0, -1.5])) / 0.4])
-    seen = edits.seen(both.means, normals, view, depth, alpha)
+    seen = on_surfels.view_visibility(both.means, normals, view, depth, alpha)
     assert seen[: len(near)].max() == 1
     assert seen[len(near) :].max() == 0  # the far one hides behind the near one
     beside = camera((2.5, 0, 2.5))
     _, depth, alpha = shot(both, beside)
-    assert edits.seen(both.means, normals, beside, depth, alpha)[len(near) :].max() == 1
+    assert on_surfels.view_visibility(both.means, normals, beside, depth, alpha)[len(near) :].max() == 1
 
 
 def test_without_normals_depth_alone_decides() -> None:
     ball, view = sphere(), camera()
     _, depth, alpha = shot(ball, view)
-    seen = edits.seen(ball.means, None, view, depth, alpha)
+    seen = on_surfels.view_visibility(ball.means, None, view, depth, alpha)
     assert (seen[ball.means[:, 2] > 0.25] == 1).all() and (seen[ball.means[:, 2] < -0.15] == 0).all()
 
 
@@ -76,7 +77,7 @@ def test_rows_outside_the_picture_or_behind_the_camera_are_not_seen() -> None:
     view = camera()
     means = torch.tensor([[0.0, 0, 5], [3, 0, 0], [0, 0, 0], [float("nan"), 0, 0]])
     surface, solid = torch.full((96, 96), 3.0), torch.ones(96, 96)
-    seen = edits.seen(means, None, view, surface, solid)
+    seen = on_surfels.view_visibility(means, None, view, surface, solid)
     assert seen.tolist() == [0, 0, 1, 0]
 
 
@@ -84,7 +85,7 @@ def test_a_layer_is_carried_to_projections_as_bilinear_sampling_says() -> None:
     rng = np.random.default_rng(0)
     layer, view = rng.random((96, 96, 4)), camera()
     means = np.concatenate([rng.uniform(-0.5, 0.5, (200, 3)), [[9, 0, 0], [0, 0, 9]]])
-    colors, coverage = edits.carried(torch.from_numpy(layer), view, torch.from_numpy(means))
+    colors, coverage = on_surfels.project_layer(torch.from_numpy(layer), view, torch.from_numpy(means))
     local = means @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
     place = view.fx * local[:, :2] / local[:, 2:] + 48 - 0.5
     packed = np.concatenate([layer[..., :3] * layer[..., 3:], layer[..., 3:]], -1)
@@ -100,14 +101,14 @@ def test_a_layer_is_carried_to_projections_as_bilinear_sampling_says() -> None:
 def test_paint_covers_in_every_direction_and_leaves_other_rows_their_bits() -> None:
     sh = torch.randn(50, 4, 3)
     before = sh.clone()
-    coverage = torch.tensor([0.0] * 20 + [edits.LEAST / 2] * 10 + [0.5] * 10 + [1.0] * 10)
-    coat = Coat(torch.rand(50, 3), coverage)
-    after = edits.painted(sh, coat)
+    coverage = torch.tensor([0.0] * 20 + [on_surfels.MIN_COVERAGE / 2] * 10 + [0.5] * 10 + [1.0] * 10)
+    coat = PaintCoverage(torch.rand(50, 3), coverage)
+    after = on_surfels.apply_paint(sh, coat)
     assert (sh == before).all() and (after[:30] == sh[:30]).all()
     paint = torch.zeros(50, 4, 3)
     paint[:, 0] = (coat.colors - 0.5) / SH_C0
     np.testing.assert_allclose(after[30:40], (sh[30:40] + paint[30:40]) / 2, atol=1e-6)
-    np.testing.assert_allclose(edits.base_colors(after)[40:], coat.colors[40:], atol=1e-6)
+    np.testing.assert_allclose(on_surfels.display_colors(after)[40:], coat.colors[40:], atol=1e-6)
     assert after[40:, 1:].abs().max() < 1e-6
 
 
@@ -116,16 +117,16 @@ def test_the_render_of_painted_rows_is_the_picture_with_the_layer() -> None:
     before, depth, alpha = shot(ball, view)
     layer = torch.zeros(96, 96, 4)
     layer[30:66, 40:60] = torch.tensor([0.9, 0.2, 0.1, 1.0])
-    colors, coverage = edits.carried(layer, view, ball.means)
-    seen = edits.seen(ball.means, ball.means / 0.5, view, depth, alpha)
-    coat = Coat(colors, coverage * seen)
-    edited = replace(ball, sh=edits.painted(ball.sh, coat))
+    colors, coverage = on_surfels.project_layer(layer, view, ball.means)
+    seen = on_surfels.view_visibility(ball.means, ball.means / 0.5, view, depth, alpha)
+    coat = PaintCoverage(colors, coverage * seen)
+    edited = replace(ball, sh=on_surfels.apply_paint(ball.sh, coat))
     after, _, _ = shot(edited, view)
     np.testing.assert_allclose(after[34:62, 44:56], torch.tensor([0.9, 0.2, 0.1]).expand(28, 12, 3), atol=0.03)
     outside = torch.ones(96, 96, dtype=torch.bool)
     outside[26:70, 36:64] = False
     np.testing.assert_allclose(after[outside], before[outside], atol=0.004)
-    mask = edits.change_masks(before[None], after[None])[0]
+    mask = change_masks(before[None], after[None])[0]
     assert mask[31:65, 41:59].all() and not mask[outside].any()
     back, _, _ = shot(edited, camera((0, 0, -3)))
     np.testing.assert_allclose(back, shot(ball, camera((0, 0, -3)))[0], atol=0.004)  # of paint on the front
@@ -134,17 +135,17 @@ def test_the_render_of_painted_rows_is_the_picture_with_the_layer() -> None:
 def test_lit_paint_is_as_bright_as_the_light_on_the_surface() -> None:
     albedo = torch.rand(40, 3) * 0.8 + 0.1
     light = torch.linspace(0.1, 1, 40)[:, None]
-    own = looks.to_display(albedo * light)
+    own = linear_to_srgb(albedo * light)
     sh = ((own - 0.5) / SH_C0)[:, None]
     paint = torch.rand(40, 3)
-    wanted = looks.to_display(looks.to_linear(paint) * light)
-    np.testing.assert_allclose(edits.lit(paint, sh, albedo), wanted, atol=1e-4)
+    wanted = linear_to_srgb(srgb_to_linear(paint) * light)
+    np.testing.assert_allclose(on_surfels.shade_paint(paint, sh, albedo), wanted, atol=1e-4)
 
 
 def test_a_regrade_of_matt_rows_is_the_look_of_their_colours() -> None:
     look = looks.random_look(np.random.default_rng(1))
     colors = torch.rand(60, 3)
-    out = edits.regraded(((colors - 0.5) / SH_C0)[:, None], look)
+    out = on_surfels.grade_sh(((colors - 0.5) / SH_C0)[:, None], look)
     np.testing.assert_allclose(0.5 + SH_C0 * out[:, 0], looks.apply_look(colors, look), atol=1e-6)
 
 
@@ -153,7 +154,7 @@ def test_a_regrade_of_a_small_lobe_is_the_look_of_what_each_direction_shows() ->
     generator = torch.Generator().manual_seed(0)
     sh = torch.randn(200, 4, 3, generator=generator, dtype=torch.float64) * 0.01
     sh[:, 0] = (torch.rand(200, 3, generator=generator, dtype=torch.float64) * 0.5 + 0.25 - 0.5) / SH_C0
-    out = edits.regraded(sh, look)
+    out = on_surfels.grade_sh(sh, look)
     c1 = 0.4886025119029199
     for x, y, z in ((0.0, 0.0, 1.0), (0.6, -0.8, 0.0)):
         basis = torch.tensor([SH_C0, -c1 * y, c1 * z, -c1 * x], dtype=torch.float64)[:, None]
@@ -169,7 +170,7 @@ def test_masks_hold_what_differs_without_lone_pixels() -> None:
     after[0, 5:9, 5:9, 1] += 0.05
     after[0, 15, 15] += 0.3  # one pixel
     after[1, 3:6, 3:6] += 0.015  # too little
-    masks = edits.change_masks(before, after)
+    masks = change_masks(before, after)
     wanted = torch.zeros(20, 20, dtype=torch.bool)
     wanted[4:10, 4:10] = True
     assert (masks[0] == wanted).all() and not masks[1].any()
@@ -181,6 +182,6 @@ def test_masks_can_close_gaps(close: int, whole: bool) -> None:
     after = before.clone()
     after[0, 10:20, 5:12] += 0.2
     after[0, 10:20, 16:24] += 0.2
-    mask = edits.change_masks(before, after, grow=0, close=close)[0]
+    mask = change_masks(before, after, grow_px=0, close_px=close)[0]
     assert bool(mask[10:20, 5:24].all()) == whole
     assert not mask[:9].any() and not mask[:, :4].any()
