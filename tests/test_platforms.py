@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from splatbench.adapters.plans import link
+from splatbench.adapters.systems import link
 
 from splatpainter import atomic, processes, user_folders
 from splatpainter.cli import main

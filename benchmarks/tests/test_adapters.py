@@ -1,4 +1,4 @@
-"""Rows for systems outside the package: config -> files -> call -> read back, against stand-ins (paper_standins.py)."""
+"""Rows for systems outside the package: config -> files -> command -> read back, against support/standins.py."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
-from splatbench.adapters import config, results, vinedresser
+from splatbench.adapters import config, frames, systems
 from splatbench.methods import Budget
 from splatbench.methods import external as adapters
 from trimesh.visual import TextureVisuals
@@ -31,7 +31,7 @@ METHODS = {method.name: method for method in adapters.METHODS}
 
 
 def test_voxhammer_gets_renders_pictures_and_region_and_its_mesh_comes_back_in_place(installed, tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "SURFELS", 6000)
+    monkeypatch.setattr(frames, "MESH_SURFELS", 6000)
     lo, size = bounding_cube(ASSET)
     colors = {(0, 1): (1, 0, 0), (0, -1): (0, 1, 0), (1, 1): (0, 0, 1), (1, -1): (1, 1, 0), (2, 1): (0, 1, 1)}
     scene = trimesh.Scene()
@@ -63,8 +63,8 @@ def test_voxhammer_gets_renders_pictures_and_region_and_its_mesh_comes_back_in_p
 
 
 def test_vinedresser_runs_in_a_linked_checkout_and_its_latents_are_decoded(installed, tmp_path, monkeypatch):
-    assert vinedresser.VIEWS == 150, "main.py reads so many"
-    monkeypatch.setattr(vinedresser, "VIEWS", 11)
+    assert systems.TRELLIS_VIEWS == 150, "main.py reads so many"
+    monkeypatch.setattr(systems, "TRELLIS_VIEWS", 11)
     monkeypatch.setenv("VIEWS", "11")
     answer(tmp_path, trellis(flat(edited())))
     before = sorted(path for path in (tmp_path / "vine").rglob("*") if "__pycache__" not in path.parts)

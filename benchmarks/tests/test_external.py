@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from splatbench.adapters import alignment, call, config, exchange, hull, plans, results
+from splatbench.adapters import config, datasets, frames, systems
+from splatbench.adapters.frames import ASSET as ASSET_FRAME
+from splatbench.adapters.frames import Cube
+from splatbench.process import last_log_line, run_command
 
 from benchmarks.tests.support.blobs import ASSET, MEANS, MIDDLE, SIZE, work
 from splatpainter import io, processes
-from splatpainter.voxels.grid import bounding_cube
 from tests.support.systems import posix_only
 
 
@@ -42,7 +44,7 @@ time.sleep(60)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(processes, "GRACE_SECONDS", 0.3)
         with pytest.raises(ValueError, match=r"took longer than 1 s; (13% done|up) \(log"):
-            call.run([sys.executable, "-c", program], tmp_path, tmp_path / "log.txt", timeout=1)
+            run_command([sys.executable, "-c", program], tmp_path, tmp_path / "log.txt", timeout=1)
     assert time.monotonic() - start < 30
     assert gone(int((tmp_path / "pid").read_text()))
 
@@ -53,9 +55,9 @@ def test_a_process_that_is_killed_takes_its_system_along(tmp_path):
     caller = f"""
 import sys
 from pathlib import Path
-from splatbench.adapters import call
+from splatbench.process import run_command
 here = Path({str(tmp_path)!r})
-call.run([sys.executable, "-c", {program!r}], here, here / "log.txt", timeout=600)
+run_command([sys.executable, "-c", {program!r}], here, here / "log.txt", timeout=600)
 """
     parent = subprocess.Popen([sys.executable, "-c", caller])
     pid = tmp_path / "pid"
@@ -79,7 +81,7 @@ def test_a_call_has_the_environment_that_is_asked_for(tmp_path, monkeypatch):
     )
     program += "; print(repr(sys.stdin.read())); print(os.getcwd())"
     log = tmp_path / "log.txt"
-    seconds = call.run(
+    seconds = run_command(
         [sys.executable, "-c", program],
         tmp_path,
         log,
@@ -90,27 +92,27 @@ def test_a_call_has_the_environment_that_is_asked_for(tmp_path, monkeypatch):
     said = log.read_text().splitlines()[-3:]
     assert said == [f"None yes {os.path.dirname(sys.executable)}", "''", str(tmp_path)] and 0 < seconds < 30
     with pytest.raises(ValueError, match=r"program x: cannot be started \(No such file"):
-        call.run(["/no/such/program", "x"], tmp_path, log, timeout=1)
+        run_command(["/no/such/program", "x"], tmp_path, log, timeout=1)
 
 
 def test_the_last_line_of_a_log_is_one_that_says_something(tmp_path):
     log = tmp_path / "log"
     log.write_bytes(b"$ python x\n  File a\n\x1b[31mValueError: bad \xff thing\x1b[0m\n    ^^^^^\n\n---\n")
-    assert call.last_line(log).startswith("ValueError: bad ")
+    assert last_log_line(log).startswith("ValueError: bad ")
     log.write_bytes(b"first\n 10%|#   |\r 50%|##  |\r\n$ python y\n")
-    assert call.last_line(log) == "", "what the command before said is not this one's"
+    assert last_log_line(log) == "", "what the command before said is not this one's"
     log.write_bytes(b"first\n 10%|#   |\r 50%|##  |\r\n")
-    assert call.last_line(log) == "50%|##  |"
+    assert last_log_line(log) == "50%|##  |"
 
 
 # ---- parts
 
 
 def test_a_hull_is_closed_and_holds_its_voxels():
-    vertices, faces = hull.surface(np.ones((1, 1, 1), bool))
+    vertices, faces = datasets.voxel_surface(np.ones((1, 1, 1), bool))
     assert len(vertices) == 8 and len(faces) == 12
     volume = np.random.default_rng(0).random((5, 6, 7)) < 0.4
-    vertices, faces = hull.surface(volume)
+    vertices, faces = datasets.voxel_surface(volume)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     assert abs(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6 - volume.sum()) < 1e-9  # divergence theorem
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -121,50 +123,49 @@ def test_a_hull_is_closed_and_holds_its_voxels():
 
 
 def test_frames_go_there_and_back(tmp_path):
-    lo, size = bounding_cube(ASSET)
+    cube = Cube.of(ASSET)
+    lo, size = cube.min_corner, cube.extent
     for upright in (True, False):
-        frame = alignment.cube(lo, size, upright=upright)
+        frame = cube.frame(upright=upright)
         corners = frame.points(np.array([lo, lo + size, lo + size / 2]))
         assert abs(np.sort(corners[:2], 0) - [[-0.5] * 3, [0.5] * 3]).max() < 1e-12 and abs(corners[2]).max() < 1e-12
         assert abs(frame.points_back(frame.points(MEANS)) - MEANS).max() < 1e-12
-    up = alignment.cube(lo, size, upright=True)
+    up = cube.frame(upright=True)
     assert up.points(MIDDLE + (0, 0.1, 0))[2] > up.points(MIDDLE)[2], "y up becomes z up"
     # glTF -> Blender, which VoxHammer's mask takes: (x, y, z) -> (x, -z, y).
-    x, y, z = alignment.cube(lo, size, upright=False).points(MEANS).T
+    x, y, z = cube.frame(upright=False).points(MEANS).T
     assert abs(np.stack([x, -z, y], 1) - up.points(MEANS)).max() < 1e-12
     for text in ("{}", "[]", '{"transform": [[1, 0, 0, 0]], "scale": 1}', '{"transform": 1, "scale": 0}', "no"):
         (tmp_path / "t.json").write_text(text)
         with pytest.raises(ValueError, match="expected nerfstudio's transform"):
-            alignment.nerfstudio(tmp_path / "t.json")
+            frames.nerfstudio_frame(tmp_path / "t.json")
 
 
 def test_upright_voxels_agree_with_the_frame():
-    lo, size = bounding_cube(ASSET)
-    cube = exchange.Cube(lo, size)
-    volume = exchange.upright(exchange.occupied(ASSET, cube))
-    frame = alignment.cube(lo, size, upright=True)
+    cube = Cube.of(ASSET)
+    volume = datasets.upright(datasets.occupied(ASSET, cube))
+    frame = cube.frame(upright=True)
     cells = np.floor((frame.points(MEANS) + 0.5) * 64).astype(int)
     assert volume[tuple(cells.T)].all() and volume.sum() < 0.1 * volume.size
 
 
 def test_an_edit_that_reaches_nothing_has_no_region():
-    lo, size = bounding_cube(ASSET)
     mask = np.zeros((1, SIZE, SIZE), bool)
     mask[0, 0, 0] = True
-    with pytest.raises(ValueError, match="reaches no row"):
-        exchange.reached(ASSET, exchange.Cube(lo, size), work().step.edited, mask)
+    with pytest.raises(ValueError, match="reaches nothing"):
+        datasets.edit_region(ASSET, Cube.of(ASSET), work().step.edited, mask)
 
 
 def test_results_are_refused_where_they_are_no_asset(tmp_path):
     with pytest.raises(ValueError, match="the system left no such file"):
-        results.read(tmp_path / "none.ply", alignment.ASSET)
+        frames.read_result(tmp_path / "none.ply", ASSET_FRAME)
     broken = replace(ASSET, means=np.full_like(ASSET.means, np.nan))
     io.write(tmp_path / "nan.ply", broken)
-    with pytest.raises(ValueError, match="no row that can be drawn"):
-        results.read(tmp_path / "nan.ply", alignment.ASSET)
+    with pytest.raises(ValueError, match="holds nothing that can be drawn"):
+        frames.read_result(tmp_path / "nan.ply", ASSET_FRAME)
     # A GLB of rows keeps its file's own axes, as meshes do.
     io.write(tmp_path / "rows.glb", ASSET)
-    rows = results.read(tmp_path / "rows.glb", alignment.ASSET)
+    rows = frames.read_result(tmp_path / "rows.glb", ASSET_FRAME)
     assert abs(rows.means - ASSET.means * [-1, -1, 1]).max() < 1e-6
 
 
@@ -172,7 +173,7 @@ def test_the_guide_names_every_key_and_placeholder():
     guide = (Path(__file__).parents[2] / config.GUIDE).read_text()
     for field in dataclasses.fields(config.Section):
         assert field.name == "name" or f"`{field.name}`" in guide, field.name
-    for name in plans.PLACEHOLDERS:
+    for name in systems.PLACEHOLDERS:
         assert name in ("python", "repository") or f"`{{{name}}}`" in guide, name
     for system in config.SYSTEMS:
         assert f"[{system}]" in guide or system.replace("-", "") in guide.lower().replace("-", ""), system

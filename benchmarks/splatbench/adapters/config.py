@@ -24,11 +24,11 @@ from typing import Any
 
 SYSTEMS = ("voxhammer", "vinedresser3d", "dge", "instruct-gs2gs", "relitlrm")
 """Names of tables in the file."""
-OTHERS = ("super-resolution",)
+PROGRAMS = ("super-resolution",)
 """Tables that are not about a system (methods/srgs_prior.py)."""
 GUIDE = "docs/ADAPTERS.md"
 FRAMES = ("asset", "gltf", "trellis", "nerfstudio")
-"""Of results (alignment.py)."""
+"""Of results (frames.py)."""
 SECRETS = re.compile(r"key|token|secret|password", re.IGNORECASE)
 
 
@@ -43,7 +43,7 @@ class Section:
     python: str = ""
     """Python of the system's environment: a path, or a name to be found on PATH."""
     command: tuple[str, ...] = ()
-    """Instead of the system's own commands, set-up and export included. Placeholders: plans.PLACEHOLDERS."""
+    """Instead of the system's own commands, set-up and export included. Placeholders: systems.PLACEHOLDERS."""
     arguments: tuple[str, ...] = ()
     """Appended to the command that edits."""
     setup_arguments: tuple[str, ...] = ()
@@ -73,9 +73,11 @@ class Section:
 
     def digest(self) -> str:
         """12 hex digits of all that may change a result, the checkout's commit included; not of secrets."""
-        told = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("timeout_seconds", "environment")}
-        told["environment"] = {k: v for k, v in self.environment.items() if not SECRETS.search(k)}
-        text = repr(sorted((k, str(v)) for k, v in told.items())) + commit(self.repository)
+        values = {
+            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("timeout_seconds", "environment")
+        }
+        values["environment"] = {k: v for k, v in self.environment.items() if not SECRETS.search(k)}
+        text = repr(sorted((k, str(v)) for k, v in values.items())) + commit(self.repository)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -92,48 +94,47 @@ def section(path: Path, name: str) -> Section | None:
     """The system's table, checked; None where the file has none. Other systems' tables are not looked at.
 
     Raises ValueError: no such file, no TOML, an unknown key, a value of the wrong kind."""
-    found = sections(path).get(name)
-    if found is None:
+    table = sections(path).get(name)
+    if table is None:
         return None
     where = f"{path}: [{name}]"
-    if not isinstance(found, dict):
-        raise ValueError(f"{where} is {found!r}; expected a table of keys; see {GUIDE}")
-    known = {f.name for f in fields(Section)} - {"name"}
-    unknown = sorted(set(found) - known)
+    if not isinstance(table, dict):
+        raise ValueError(f"{where} is {table!r}; expected a table of keys; see {GUIDE}")
+    keys = {f.name for f in fields(Section)} - {"name"}
+    unknown = sorted(set(table) - keys)
     if unknown:
-        raise ValueError(f"{where} has unknown key {unknown[0]}; known: {', '.join(sorted(known))}")
-    values = {key: _checked(f"{where} {key}", key, value) for key, value in found.items()}
+        raise ValueError(f"{where} has unknown key {unknown[0]}; known: {', '.join(sorted(keys))}")
+    values = {key: _checked(f"{where} {key}", key, value) for key, value in table.items()}
     if values.get("repository"):
-        values["repository"] = _place(path, values["repository"])
+        values["repository"] = _absolute(path, values["repository"])
     if os.path.dirname(values.get("python", "")):
-        values["python"] = str(_place(path, values["python"]))
+        values["python"] = str(_absolute(path, values["python"]))
     return Section(name, **values)
 
 
 def absent(path: Path | None, name: str) -> str:
     """Why a system without a table is not run."""
     line = f"not installed: add [{name}] to the adapters file ({GUIDE})"
-    strange = sorted(set(sections(path)) - {*SYSTEMS, *OTHERS}) if path is not None else []
-    return line + (f"; [{strange[0]}] there is none of {', '.join(SYSTEMS)}" if strange else "")
+    unknown = sorted(set(sections(path)) - {*SYSTEMS, *PROGRAMS}) if path is not None else []
+    return line + (f"; [{unknown[0]}] there is none of {', '.join(SYSTEMS)}" if unknown else "")
 
 
-def problem(own: Section, needs: tuple[str, ...], has_gpu: Callable[[], bool]) -> str:
+def problem(section: Section, needs: tuple[str, ...], has_gpu: Callable[[], bool]) -> str:
     """What keeps a system from being run, or "". needs: files of its checkout; (): it has no checkout."""
-    if needs and not own.command:
-        if own.repository is None:
-            return f"[{own.name}] has no `repository`: the path of its checkout ({GUIDE})"
-        if not own.repository.is_dir():
-            return f"[{own.name}] repository: no folder {own.repository}"
-        lacking = [name for name in needs if not (own.repository / name).exists()]
-        if lacking:
-            return f"[{own.name}] repository: {own.repository} has no {lacking[0]}; is it a checkout of {own.name}?"
-    elif own.repository is not None and not own.repository.is_dir():
-        return f"[{own.name}] repository: no folder {own.repository}"
-    if not own.python and (not own.command or any("{python}" in word for word in own.command)):
-        return f"[{own.name}] has no `python`: the interpreter of its environment ({GUIDE})"
-    if own.python and shutil.which(own.python) is None:
-        return f"[{own.name}] python: no program {own.python}"
-    if own.device == "cuda" and not has_gpu():
+    name, repository = section.name, section.repository
+    if repository is not None and not repository.is_dir():
+        return f"[{name}] repository: no folder {repository}"
+    if needs and not section.command:
+        if repository is None:
+            return f"[{name}] has no `repository`: the path of its checkout ({GUIDE})"
+        absent_files = [file for file in needs if not (repository / file).exists()]
+        if absent_files:
+            return f"[{name}] repository: {repository} has no {absent_files[0]}; is it a checkout of {name}?"
+    if not section.python and (not section.command or any("{python}" in word for word in section.command)):
+        return f"[{section.name}] has no `python`: the interpreter of its environment ({GUIDE})"
+    if section.python and shutil.which(section.python) is None:
+        return f"[{section.name}] python: no program {section.python}"
+    if section.device == "cuda" and not has_gpu():
         return "needs a CUDA GPU"
     return ""
 
@@ -160,7 +161,7 @@ def commit(repository: Path | None) -> str:
         return ""
 
 
-def _place(file: Path, given: str) -> Path:
+def _absolute(file: Path, given: str) -> Path:
     """A path of the file: `~` is the home, relative ones begin at the file's folder. Symbolic links are kept: a virtual
     environment's python is one."""
     return Path(os.path.abspath(file.parent / Path(given).expanduser()))
@@ -180,9 +181,9 @@ def _checked(where: str, key: str, value: Any) -> Any:
             raise ValueError(f"{where}: expected seconds above 0, got {value!r}")
         return float(value)
     if key in ("views", "size"):
-        least, most = (0, 1000) if key == "views" else (0, 4096)
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-            raise ValueError(f"{where}: expected a whole number from {least} to {most}, got {value!r}")
+        limit = 1000 if key == "views" else 4096
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= limit:
+            raise ValueError(f"{where}: expected a whole number from 0 to {limit}, got {value!r}")
         return value
     if not isinstance(value, str):
         raise ValueError(f"{where}: expected text, got {value!r}")

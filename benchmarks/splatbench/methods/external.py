@@ -1,6 +1,6 @@
 """Systems outside this package, where a user has them: one row each, else "not installed".
 
-A row is: write what the system reads, run its commands in its own environment, read back what it made (external/).
+A row is: write what the system reads, run its commands in its own environment, read back what it made (adapters/).
 Set-up is the writing and the system's own preparation; the edit is its command; turning its result into a readable file
 counts as neither. No row has a figure unless the system really ran.
 """
@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.adapters import config, dge, instruct_gs2gs, relitlrm, vinedresser, voxhammer
-from splatbench.adapters.plans import Commands, Job, Plan, System, common, overridden
+from splatbench.adapters import config, frames, systems
+from splatbench.adapters.systems import Commands, Job, Plan, System
 from splatbench.methods import Budget, Done, Method, Work
+from splatbench.process import run_command
 from splatpainter.splats import Splats
 
-SYSTEMS = (voxhammer.SYSTEM, vinedresser.SYSTEM, dge.SYSTEM, instruct_gs2gs.SYSTEM, relitlrm.SYSTEM)
 VERSION = "1"
 """Of what the systems are given."""
 LOG = "log.txt"
@@ -30,21 +30,25 @@ LOG = "log.txt"
 def missing(system: System, budget: Budget) -> str:
     """Why the system is not run here, or ""."""
     try:
-        own = None if budget.adapters is None else config.section(budget.adapters, system.name)
-        if own is None:
+        section = _section(system, budget)
+        if section is None:
             return config.absent(budget.adapters, system.name)
     except ValueError as error:
         return str(error)
-    return system.missing(own) or config.problem(own, system.needs, config.has_cuda_gpu)
+    return system.missing(section) or config.problem(section, system.needs, config.has_cuda_gpu)
+
+
+def _section(system: System, budget: Budget) -> config.Section | None:
+    return None if budget.adapters is None else config.section(budget.adapters, system.name)
 
 
 def version(system: System, budget: Budget) -> str:
     """Changes with the section, the commit of the checkout, and this package's files."""
     try:
-        own = None if budget.adapters is None else config.section(budget.adapters, system.name)
+        section = _section(system, budget)
     except ValueError:
-        own = None
-    return f"{VERSION}-{own.digest() if own else 'none'}"
+        section = None
+    return f"{VERSION}-{section.digest() if section else 'none'}"
 
 
 def edit(system: System, work: Work, budget: Budget) -> Done:
@@ -53,15 +57,14 @@ def edit(system: System, work: Work, budget: Budget) -> Done:
     why = missing(system, budget)
     if why:
         raise ValueError(why)
-    assert budget.adapters is not None
-    own = config.section(budget.adapters, system.name)
-    assert own is not None
+    section = _section(system, budget)
+    assert section is not None
     if budget.scratch is not None:
         budget.scratch.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f"{system.name}-", dir=budget.scratch)).resolve()
     failed = True
     try:
-        done = _edit(system, work, own, budget.seed, folder)
+        done = _edit(system, work, section, budget.seed, folder)
         failed = False
         return done
     finally:
@@ -80,16 +83,14 @@ def _keep_only(log: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _edit(system: System, work: Work, own: config.Section, seed: int, folder: Path) -> Done:
-    from splatbench.adapters import exchange, results
-
+def _edit(system: System, work: Work, section: config.Section, seed: int, folder: Path) -> Done:
     start = time.perf_counter()
-    job = Job(work, own, folder, seed, exchange.Cube.of(work.asset))
-    for place in (job.inputs, job.workplace):
-        place.mkdir()
-    values = common(job)
+    job = Job(work, section, folder, seed, frames.Cube.of(work.asset))
+    for path in (job.inputs, job.workplace):
+        path.mkdir()
+    values = systems.write_common(job)
     plan = system.plan(job)
-    plan = overridden(plan, job, values | plan.values)
+    plan = systems.with_own_command(plan, job, values | plan.values)
     setup = time.perf_counter() - start + _run(plan.setup, job)
     seconds = _run(plan.edit, job)
     plan.check()
@@ -99,13 +100,13 @@ def _edit(system: System, work: Work, own: config.Section, seed: int, folder: Pa
             f"{system.label} ended well but left no {plan.result.relative_to(job.out)} in {job.out} "
             f"(log: {folder / LOG})"
         )
-    splats = results.read(plan.result, plan.frame(), seed)
-    results.check_place(splats, job.cube, plan.result)
+    splats = frames.read_result(plan.result, plan.frame(), seed)
+    frames.check_position(splats, job.cube, plan.result)
     numbers = {"export_seconds": exporting, "rows": float(len(splats))}
-    kept = unchanged(work, splats)
-    if kept is not None:
-        numbers["unmasked_db"] = kept
-    return Done(splats, setup, seconds, keeps_rows=False, numbers=numbers, note=_note(plan, own))
+    similarity = unchanged(work, splats)
+    if similarity is not None:
+        numbers["unmasked_db"] = similarity
+    return Done(splats, setup, seconds, keeps_rows=False, numbers=numbers, note=_note(plan, section))
 
 
 def unchanged(work: Work, splats: Splats) -> float | None:
@@ -116,27 +117,25 @@ def unchanged(work: Work, splats: Splats) -> float | None:
 
     cameras = list(work.step.edited.cameras)
     before, after = render(work.asset, cameras), render(splats, cameras)
-    shown = (before.alphas[..., 0] > 0.01) | (after.alphas[..., 0] > 0.01)
-    outside = shown & np.logical_not(work.step.masks)
+    covered = (before.alphas[..., 0] > 0.01) | (after.alphas[..., 0] > 0.01)
+    outside = covered & np.logical_not(work.step.masks)
     if not outside.any():
         return None
     width = outside.shape[-1]  # all views as one tall picture
-    tall = [np.clip(drawn.colors, 0, 1).reshape(-1, width, 3) for drawn in (before, after)]
+    tall = [np.clip(view.colors, 0, 1).reshape(-1, width, 3) for view in (before, after)]
     return min(psnr(tall[0], tall[1], outside.reshape(-1, width)), 100.0)
 
 
 def _run(commands: Commands, job: Job) -> float:
-    from splatbench.adapters import call
-
-    own = job.own
-    limits = {"timeout": own.timeout_seconds, "environment": own.environment, "python": own.python}
-    return sum(call.run(command, job.workplace, job.folder / LOG, **limits) for command in commands)
+    section = job.section
+    limits = {"timeout": section.timeout_seconds, "environment": section.environment, "python": section.python}
+    return sum(run_command(command, job.workplace, job.folder / LOG, **limits) for command in commands)
 
 
-def _note(plan: Plan, own: config.Section) -> str:
-    commit = config.commit(own.repository)
+def _note(plan: Plan, section: config.Section) -> str:
+    commit = config.commit(section.repository)
     where = f"; checkout {commit[:7]}" if commit else ""
-    return f"{plan.note}{where}{'; command of the adapters file' if own.command else ''}"
+    return f"{plan.note}{where}{'; command of the adapters file' if section.command else ''}"
 
 
 METHODS = tuple(
@@ -148,5 +147,5 @@ METHODS = tuple(
         missing=partial(missing, system),
         version=partial(version, system),
     )
-    for system in SYSTEMS
+    for system in systems.SYSTEMS
 )

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.adapters import call, config
+from splatbench.adapters import config
+from splatbench.process import run_command
 
 NAME = "super-resolution"
 """Of the table in the adapters file."""
@@ -139,7 +140,7 @@ def program(adapters: Path | None, factor: int, folder: Path) -> Prior:
         where = own.repository or folder
         log = folder / "log.txt"
         command = [*words, *own.arguments, str(given), str(made)]
-        call.run(command, where, log, timeout=own.timeout_seconds, environment=own.environment, python=own.python)
+        run_command(command, where, log, timeout=own.timeout_seconds, environment=own.environment, python=own.python)
         if not made.is_file():
             raise ValueError(f"[{NAME}] {words[0]}: ended well but wrote no {made.name} (log: {log})")
         colors = read_picture(made).colors
