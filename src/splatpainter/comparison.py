@@ -16,7 +16,7 @@ import numpy as np
 
 from splatpainter.io import FORMATS, option, read, write
 from splatpainter.io.contents import Contents, contents, fields_differ, rows_differ
-from splatpainter.io.ply_rows import TextRows
+from splatpainter.io.ply_container import TextRows
 from splatpainter.splats import ATTRIBUTES, Source, Splats
 
 CHUNK = 256

@@ -151,7 +151,7 @@ class Source:
     problems: tuple[str, ...] = ()
     """What the reader found odd, one line each, for `info`."""
     frame: str = "rdf"
-    """Axes of the file's numbers, three letters as in io.frames.AXES; in memory it is always "rdf"."""
+    """Axes of the file's numbers, three letters as in io.axes.AXES; in memory it is always "rdf"."""
     frame_from: Literal["file", "format", "choice"] = "format"
     """Who says so: the file itself, its format by default, or whoever opened it."""
     flips: tuple[int, int, int] = (1, 1, 1)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splatpainter import io
-from splatpainter.io.frames import AXES, flip
+from splatpainter.io.axes import AXES, flip
 from splatpainter.io.spz import write_spz
 from splatpainter.receipts import verify
 from splatpainter.session import Session

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import splatpainter as sp
 from splatpainter import io
 from splatpainter.io import packing
-from splatpainter.io.order import morton_order
+from splatpainter.io.packing import morton_order
 from tests.support.io_assets import SH_C0, random_splats
 
 FLOATS = ["min_x", "min_y", "min_z", "max_x", "max_y", "max_z"]

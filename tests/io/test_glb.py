@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from splatpainter import io
-from splatpainter.io.frames import sh_basis
 from splatpainter.io.glb import read_glb, write_glb
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.transforms import sh_basis
 from tests.support.glb_files import CODES, KHR, QUARTER, attributes_of, build, columns, pack, parts
 from tests.support.io_assets import random_splats
 from tests.support.io_packed import covariances, quats_apart, same_bits

@@ -14,9 +14,9 @@ import pytest
 import zstandard
 
 from splatpainter import io
-from splatpainter.io.frames import sh_basis
 from splatpainter.io.spz import SpzFile, read_spz, write_spz
 from splatpainter.splats import Splats
+from splatpainter.transforms import sh_basis
 from tests.support.io_assets import disagreement, float_columns, random_splats
 from tests.support.io_packed import alone, covariances, damages, quats_apart, same_bits, spz_reference, survives
 

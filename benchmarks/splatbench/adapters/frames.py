@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.color import sh_from_color
-from splatpainter.io import files, frames
+from splatpainter.io import axes, files
 from splatpainter.splats import Splats
 
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -43,7 +43,7 @@ class Frame:
         """System -> asset, SH turned too. Gaussians that are in the asset's frame already keep their bits."""
         if self.scale == 1 and not any(self.shift) and np.array_equal(self.rotation, np.eye(3)):
             return splats
-        return frames.move_back(splats, self.rotation, self.scale, np.array(self.shift))
+        return axes.move_back(splats, self.rotation, self.scale, np.array(self.shift))
 
 
 ASSET = Frame(np.eye(3))
@@ -116,7 +116,7 @@ def read_result(path: Path, frame: Frame, seed: int = 0) -> Splats:
     mesh = path.suffix.lower() in MESH_SUFFIXES or (binary and b"KHR_gaussian_splatting" not in files.read_all(path))
     splats = splats_of_mesh(path, MESH_SURFELS, seed) if mesh else io.read(path).numpy()
     if binary and not mesh:  # io.read gives the PLY frame; here the file's own numbers are meant
-        splats = frames.flip(splats, (-1, -1, 1))
+        splats = axes.flip(splats, (-1, -1, 1))
     s = frame.splats_back(splats)
     # A result is an asset of its own: what its file held besides means nothing in another frame.
     s = Splats(s.means, s.quats, s.scales, s.opacities, s.sh, s.antialiased, s.color_space)

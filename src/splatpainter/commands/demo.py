@@ -50,7 +50,7 @@ class Config:
 def run(config: Config) -> Outcome:
     """Make, render, paint, edit, look."""
     from splatpainter.demo_asset import BACKGROUND, demo_asset
-    from splatpainter.io.frames import flip
+    from splatpainter.io.axes import flip
     from splatpainter.kernels.compile import ensure_compiled
 
     if not 64 <= config.size <= 2048:

@@ -15,8 +15,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from splatpainter.io import files
-from splatpainter.io.frames import axes_words, chosen, unturned
+from splatpainter.io import axes, files
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Frame, Source, Splats
 
 Reader = Callable[..., Splats]
@@ -46,7 +45,7 @@ class Format:
     options: tuple[str, ...] = ()
     """Keywords of `io.read` that `read` takes, too."""
     frame: str = "rdf"
-    """Axes of a file's numbers unless it says otherwise (key of frames.AXES)."""
+    """Axes of a file's numbers unless it says otherwise (key of axes.AXES)."""
 
 
 def _lazy_reader(module: str, name: str) -> Reader:
@@ -160,7 +159,7 @@ def read(path: str | os.PathLike[str], *, frame: Frame = "auto", lenient: bool =
     options = {"lenient": lenient} if "lenient" in entry.options else {}
     if key == "spz":  # may name its frame itself
         return entry.read(place, frame=frame)
-    return chosen(entry.read(place, **options), frame)
+    return axes.to_memory_axes(entry.read(place, **options), frame)
 
 
 def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = False, frame: Frame = "auto") -> None:
@@ -184,7 +183,7 @@ def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = Fal
     if key == "spz":
         writer(place, canonical(splats), frame=frame)
     else:
-        writer(place, unturned(canonical(splats), key, frame, FORMATS[key].frame))
+        writer(place, axes.to_file_axes(canonical(splats), key, frame, FORMATS[key].frame))
 
 
 def check_frame(frame: str) -> None:
@@ -218,7 +217,7 @@ def frame_line(source: Source) -> str:
         "choice": "as chosen",
         "format": "the default of this format; the file does not say",
     }
-    return f"{axes_words(source.frame)}, {reasons[source.frame_from]}"
+    return f"{axes.describe(source.frame)}, {reasons[source.frame_from]}"
 
 
 def frame_is_news(source: Source) -> bool:
@@ -232,7 +231,7 @@ def detect(path: Path) -> str:
         if os.path.isfile(path / "meta.json"):
             return "sog"
         raise ValueError(f"{path}: is a folder without meta.json; expected a splat file or a SOG folder")
-    head = files.read_head(path, files.HEADER_LIMIT if path.suffix.lower() == ".ply" else 65536)
+    head = files.read_head(path, files.MAX_HEADER_BYTES if path.suffix.lower() == ".ply" else 65536)
     if head[:3] == b"ply" and head[3:4] in (b"\n", b"\r"):
         end = head.find(b"end_header")
         return "compressed.ply" if b"packed_position" in head[: None if end < 0 else end] else "ply"

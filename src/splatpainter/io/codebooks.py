@@ -1,4 +1,7 @@
-"""Codebooks: few values that stand for many. 256-entry ones for numbers, palettes for vectors. Knows no format."""
+"""Codebooks: few values that stand for many. 256-entry ones for numbers, palettes for vectors. Knows no format.
+
+Both are fitted to values, or adapted: entries in use keep their values, and room is made for new ones.
+"""
 
 from __future__ import annotations
 
@@ -97,6 +100,54 @@ def make_room(codebook: np.ndarray, counts: np.ndarray, values: np.ndarray, tole
     return moved
 
 
+def adapt(
+    codebook: np.ndarray, codes: np.ndarray, values: np.ndarray, tolerances: tuple[float, ...]
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """[256] a codebook with room for `values` within the first of `tolerances` (rising) that unused entries allow, else
+    within the last, by merging; and [256] where the users of each entry go. None where it has to be fitted anew.
+
+    codebook: [<= 256]; codes: the entries that unchanged values use.
+    """
+    codebook = np.concatenate([codebook, np.full(SIZE - len(codebook), codebook[-1])])
+    counts = np.bincount(codes.reshape(-1), minlength=SIZE)
+    unmoved = np.arange(SIZE)
+    for tolerance in tolerances:
+        extended = extend(codebook, counts > 0, values, tolerance)
+        if extended is not None:
+            return extended, unmoved
+    moved = make_room(codebook, counts, values, tolerances[-1])
+    if moved is None:
+        return None, unmoved
+    used = (counts > 0) & (moved == unmoved)
+    return extend(codebook, used, values, tolerances[-1]), moved
+
+
+def adapt_palette(
+    codes: np.ndarray, codebook: np.ndarray, in_use: np.ndarray, vectors: np.ndarray, tolerances: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """A palette that grew by what `vectors` [M, D] need: its codes, its codebook [256], the entry of each vector [M].
+
+    codes: [P, ...] entries of `codebook` [<= 256] (D in all); in_use: [most entries of a palette] bool, those that keep
+    their values. None where too few are free, or where the codebook would have to change for those in use.
+    """
+    free = np.flatnonzero(~in_use)
+    new, labels = palette(vectors, max(len(free), 1))
+    if len(free) < min(len(np.unique(labels)), 1024):
+        return None
+    used = np.zeros(SIZE, bool)
+    used[np.unique(codes[in_use[: len(codes)]])] = True
+    padded = np.concatenate([codebook, np.zeros(SIZE - len(codebook))])
+    extended = next((book for t in tolerances if (book := extend(padded, used, new, t)) is not None), None)
+    if extended is None:
+        return None
+    # Entries beyond the old palette come after free ones within it, so that the palette grows as little as it can.
+    entries = free[: len(new)]
+    grown = np.zeros((max(len(codes), int(entries.max()) + 1), *codes.shape[1:]), np.uint8)
+    grown[: len(codes)] = codes
+    grown[entries] = nearest(extended, new).reshape(-1, *codes.shape[1:])
+    return grown, extended, entries[labels]
+
+
 def _cover(entries: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
     """Fewest new entries so that every value lies within `tolerance` of an old or a new one."""
     left = np.unique(values)
@@ -138,14 +189,14 @@ def palette(vectors: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
         start += share
         if not share:
             continue
-        mine = distinct[rows]
+        group = distinct[rows]
         if count < share:
             fine = _kmeans(
-                mine, mine[:: share // count][:count] if share >= 2 * count else mine[:count], counts[rows], 5
+                group, group[:: share // count][:count] if share >= 2 * count else group[:count], counts[rows], 5
             )
-            labels[rows] = base + _assign(mine, fine)
+            labels[rows] = base + _assign(group, fine)
         else:
-            fine = mine
+            fine = group
             labels[rows] = base + np.arange(share)
         centres.append(fine)
         base += len(fine)

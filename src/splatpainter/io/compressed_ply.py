@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.io import files, packing, raw
+from splatpainter.io import activations, files, packing
 from splatpainter.io.ply import DEGREES, comment_settings, settled_comments
-from splatpainter.io.ply_header import Element, Header, element_size, make_header, read_header
-from splatpainter.io.reuse import kept, presentable
+from splatpainter.io.ply_container import Element, Header, element_size, make_header, read_header
+from splatpainter.io.reuse import differs, drawable_rows, row_problems, unchanged
 from splatpainter.splats import Source, Splats
 
 CHUNK = 256
@@ -35,7 +35,7 @@ LOG_SCALES = (-20.0, 20.0)
 
 
 @dataclass(frozen=True)
-class Record:
+class CompressedPlyFile:
     """Source.detail of a compressed PLY file."""
 
     header: Header
@@ -67,10 +67,9 @@ def read_compressed_ply(path: Path) -> Splats:
         problems.append(f"extra elements (kept as they are): {', '.join(files.printable(n, 40) for n in extra[:8])}")
     if "min_r" not in (tables["chunk"].dtype.names or ()):
         problems.append("an older file without colour ranges: base colours are limited to 0..1")
-    problems += raw.oddities(splats)
-    source = Source(
-        str(path), "compressed.ply", splats, digest.hexdigest(), Record(header, tables, after), tuple(problems)
-    )
+    problems += row_problems(splats)
+    contents = CompressedPlyFile(header, tables, after)
+    source = Source(str(path), "compressed.ply", splats, digest.hexdigest(), contents, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
 
 
@@ -93,7 +92,7 @@ def write_compressed_ply(path: Path, splats: Splats) -> None:
     header = header.with_counts({"chunk": -(-count // CHUNK), "vertex": count, "sh": count})
     header = settled_comments(header, splats, old)
     tables = dict(record.tables)
-    same = kept(splats, "compressed.ply")
+    same = unchanged(splats, "compressed.ply")
     untouched = same is not None and same.identity  # then nothing is packed again: NaN ranges would not come back
     if not untouched:
         tables["chunk"], tables["vertex"] = _pack(splats, old, origin, record)
@@ -174,7 +173,7 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
         with np.errstate(over="ignore", invalid="ignore"):
             out.means[rows] = real[0]
             out.scales[rows] = np.exp(real[1])
-        out.sh[rows, 0] = raw.color_to_dc(real[2])
+        out.sh[rows, 0] = activations.color_to_dc(real[2])
         out.opacities[rows] = fields[2][:, 3] / 255
         out.quats[rows] = packing.unpack_quats(vertex["packed_rotation"][rows].astype(np.uint32))
     if names:
@@ -187,7 +186,9 @@ def _decode(header: Header, tables: Mapping[str, np.ndarray]) -> Splats:
     return out
 
 
-def _pack(splats: Splats, old: Splats | None, origin: np.ndarray, record: Record) -> tuple[np.ndarray, np.ndarray]:
+def _pack(
+    splats: Splats, old: Splats | None, origin: np.ndarray, record: CompressedPlyFile
+) -> tuple[np.ndarray, np.ndarray]:
     """The chunk and vertex tables of `splats`."""
     count = len(splats)
     starts = np.arange(0, count, CHUNK)
@@ -197,11 +198,11 @@ def _pack(splats: Splats, old: Splats | None, origin: np.ndarray, record: Record
     chunks = _copies(record.tables["chunk"], home)
     vertex = _copies(record.tables["vertex"], origin)
     resident = (origin >= 0) & (np.where(origin >= 0, origin // CHUNK, -1) == home[chunk])
-    calm = presentable(splats) if count else splats
+    calm = drawable_rows(splats) if count else splats
     values = (
         calm.means.astype(np.float64),
-        np.clip(raw.log(calm.scales), *LOG_SCALES).astype(np.float64),
-        raw.dc_to_color(calm.sh[:, 0]).astype(np.float64),
+        np.clip(activations.log(calm.scales), *LOG_SCALES).astype(np.float64),
+        activations.dc_to_color(calm.sh[:, 0]).astype(np.float64),
     )
     same = _same(splats, old, origin)
     for group, attribute in enumerate(("means", "scales", "base")):
@@ -230,7 +231,9 @@ def _pack(splats: Splats, old: Splats | None, origin: np.ndarray, record: Record
     return chunks, vertex
 
 
-def _pack_sh(splats: Splats, old: Splats | None, origin: np.ndarray, record: Record, dtype: np.dtype) -> np.ndarray:
+def _pack_sh(
+    splats: Splats, old: Splats | None, origin: np.ndarray, record: CompressedPlyFile, dtype: np.dtype
+) -> np.ndarray:
     table = np.zeros(len(splats), dtype)
     third = splats.sh.shape[1] - 1
     had = len(_rest_names(record.tables)) // 3
@@ -244,7 +247,7 @@ def _pack_sh(splats: Splats, old: Splats | None, origin: np.ndarray, record: Rec
         if old is not None and band <= had:
             before = record.tables["sh"][f"f_rest_{channel * had + band - 1}"]
             stay = known.copy()
-            stay[known] = ~raw.differs(splats.sh[known, band, channel], old.sh[origin[known], band, channel])
+            stay[known] = ~differs(splats.sh[known, band, channel], old.sh[origin[known], band, channel])
             column[stay] = before[origin[stay]]
         table[f"f_rest_{k}"] = column
     return table
@@ -260,7 +263,7 @@ def _same(splats: Splats, old: Splats | None, origin: np.ndarray) -> dict[str, n
     if old is not None:
         for name, values in own.items():
             before = old.sh[:, 0] if name == "base" else getattr(old, name)
-            masks[name][known] = ~raw.differs(values[known], before[origin[known]])
+            masks[name][known] = ~differs(values[known], before[origin[known]])
     return masks
 
 
@@ -307,9 +310,9 @@ def _rest_names(tables: Mapping[str, np.ndarray]) -> list[str]:
     return [f"f_rest_{k}" for k in range(sum(n.startswith("f_rest_") for n in names))]
 
 
-def _standard() -> Record:
+def _standard() -> CompressedPlyFile:
     floats = [f"{side}_{axis}" for axes in AXES for side in ("min", "max") for axis in axes]
     words = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
     tables = [("chunk", 0, [("float", n) for n in floats]), ("vertex", 0, [("uint", n) for n in words])]
     header = make_header("binary_little_endian", (), tables)
-    return Record(header, {e.name: np.zeros(0, e.dtype("<")) for e in header.elements}, b"")
+    return CompressedPlyFile(header, {e.name: np.zeros(0, e.dtype("<")) for e in header.elements}, b"")

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import gltf, spz
-from splatpainter.io.ply_header import Element, Header, element_size
-from splatpainter.io.ply_rows import TextRows
+from splatpainter.io.ply_container import Element, Header, TextRows, element_size
 from splatpainter.splats import Source
 
 BLOCK = 1 << 14

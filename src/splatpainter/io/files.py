@@ -13,7 +13,7 @@ from splatpainter.atomic import remove, replace, sync_folder, writing
 
 __all__ = ["read_all", "read_head", "reading", "remove", "replace", "sha256", "sync_folder", "take", "writing"]
 
-HEADER_LIMIT = 1 << 20
+MAX_HEADER_BYTES = 1 << 20
 """Bytes; no honest text header is longer, and a hostile one must not be searched to its end."""
 
 

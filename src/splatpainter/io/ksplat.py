@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.io import files, raw
+from splatpainter.io import activations, files
+from splatpainter.io.reuse import row_problems
 from splatpainter.splats import Source, Splats
 
 HEADER, SECTION = 4096, 1024
@@ -74,7 +75,7 @@ def read_ksplat(path: Path) -> Splats:
         opacities=np.concatenate([p.opacities for p in parts]),
         sh=np.concatenate([np.pad(p.sh, ((0, 0), (0, coefficients - p.sh.shape[1]), (0, 0))) for p in parts]),
     )
-    problems = raw.oddities(splats)
+    problems = row_problems(splats)
     if len(splats) != total:
         problems.insert(0, f"the header says {total} rows, the sections hold {len(splats)}")
     source = Source(str(path), "ksplat", splats, files.sha256(data), None, tuple(problems))
@@ -145,7 +146,7 @@ def _read_section(data: bytes, section: _Section, level: int, span: tuple[float,
     rest = rows["sh"].astype(np.float64)
     if level == 2:
         rest = span[0] + rest / 255 * (span[1] - span[0])
-    bands = [raw.color_to_dc(colors[:, :3])[:, None]]
+    bands = [activations.color_to_dc(colors[:, :3])[:, None]]
     for l in range(1, section.degree + 1):
         width = 2 * l + 1
         band = rest[:, 3 * (l * l - 1) : 3 * (l * l - 1) + 3 * width].reshape(-1, 3, width)

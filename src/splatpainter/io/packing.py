@@ -1,10 +1,24 @@
-"""Numbers packed into words: unsigned fractions within a range, and unit quaternions as their smallest three. Pure."""
+"""Numbers packed into words and pixels, and the order of rows in which they pack well. Knows no format and no rows.
+
+Words hold unsigned fractions of a range, and unit quaternions as their three smaller components. Images carry numbers
+in lossless WebP, and say their size before they are decoded.
+"""
 
 from __future__ import annotations
 
+import io
+import struct
+import warnings
+import zlib
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
+
+from splatpainter.io.files import printable
+
+MORTON_BITS = 21
+"""Bits an axis: three of them fill a 64-bit key."""
 
 
 def unpack_fields(words: np.ndarray, bits: Sequence[int]) -> np.ndarray:
@@ -62,3 +76,101 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     others = np.arange(3) + (np.arange(3) >= largest[:, None])
     small = np.clip(np.floor((unit[rows[:, None], others] / np.sqrt(2) + 0.5) * 1023 + 0.5), 0, 1023)
     return pack_fields(np.concatenate([largest[:, None], small], 1), (2, 10, 10, 10))
+
+
+def image_size(data: bytes, where: Path | str) -> tuple[int, int]:
+    """Width and height in pixels from the header of a WebP or PNG file; nothing is decoded.
+
+    Pillow allocates a WebP canvas when it opens the file, so the size has to be known before that.
+    """
+    try:
+        if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+            kind = data[12:16]
+            if kind == b"VP8L" and data[20] == 0x2F:
+                (bits,) = struct.unpack_from("<I", data, 21)
+                return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+            if kind == b"VP8X":
+                width, high, height, top = struct.unpack_from("<HBHB", data, 24)
+                return (width | high << 16) + 1, (height | top << 16) + 1
+            if kind == b"VP8 " and data[23:26] == b"\x9d\x01\x2a":
+                width, height = struct.unpack_from("<HH", data, 26)
+                return width & 0x3FFF, height & 0x3FFF
+        elif data[:8] == b"\x89PNG\r\n\x1a\n" and data[12:16] == b"IHDR":
+            width, height = struct.unpack_from(">II", data, 16)
+            return width, height
+    except (struct.error, IndexError):
+        raise ValueError(f"{where}: truncated image") from None
+    raise ValueError(f"{where}: expected a WebP or PNG image, found {bytes(data[:12])!r}")
+
+
+def decode_image(data: bytes, where: Path | str) -> np.ndarray:
+    """[height, width, 4] uint8 RGBA. The caller has judged `image_size`. Raises ValueError: a damaged image."""
+    from PIL import Image
+
+    expected = image_size(data, where)
+    try:
+        with warnings.catch_warnings():
+            # Sizes were judged against the row count; Pillow's own limit is for pictures.
+            warnings.simplefilter("ignore")
+            with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
+                if image.size != expected:
+                    raise ValueError(f"its header says {expected}, its content {image.size} pixels")
+                return np.asarray(image.convert("RGBA"))
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        EOFError,
+        RuntimeError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        TypeError,
+        struct.error,
+        zlib.error,
+        Image.DecompressionBombError,
+    ) as error:  # Pillow's parsers of damaged chunks raise all of these
+        raise ValueError(f"{where}: damaged image ({printable(' '.join(str(error).split()), 120)})") from None
+
+
+def encode_image(pixels: np.ndarray) -> bytes:
+    """[height, width, 4] uint8 -> lossless WebP that gives back every byte."""
+    from PIL import Image
+
+    out = io.BytesIO()
+    # exact: WebP otherwise rewrites the colour of pixels whose alpha is 0, and here those bytes are data.
+    Image.fromarray(np.ascontiguousarray(pixels)).save(out, "WEBP", lossless=True, exact=True, quality=60, method=3)
+    return out.getvalue()
+
+
+def morton_order(means: np.ndarray) -> np.ndarray:
+    """[N] int64 row indices along the Z-order curve over the bounding box of `means` [N, 3]; equal places keep their
+    order, rows that are not finite come last.
+
+    `splats.take(morton_order(splats.means))` before writing a new compressed PLY makes its chunks small in space, and
+    so their 11-bit positions fine (docs/formats.md has numbers); it also changes row indices, so it is never automatic.
+    """
+    finite = np.isfinite(means).all(1)
+    kept = means[finite].astype(np.float64)
+    keys = np.full(len(means), np.iinfo(np.uint64).max, np.uint64)
+    if len(kept):
+        low = kept.min(0)
+        span = np.maximum(kept.max(0) - low, np.finfo(np.float64).tiny)
+        cells = ((kept - low) / span * (2**MORTON_BITS - 1)).astype(np.uint64)
+        keys[finite] = (
+            _spread(cells[:, 0]) | (_spread(cells[:, 1]) << np.uint64(1)) | (_spread(cells[:, 2]) << np.uint64(2))
+        )
+    return np.argsort(keys, kind="stable")
+
+
+def _spread(values: np.ndarray) -> np.ndarray:
+    """Two zero bits between the bits of 21-bit numbers, by halving the gaps (five doublings)."""
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        values = (values | (values << np.uint64(shift))) & np.uint64(mask)
+    return values

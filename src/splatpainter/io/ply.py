@@ -21,9 +21,18 @@ from typing import BinaryIO
 
 import numpy as np
 
-from splatpainter.io import files, raw
-from splatpainter.io.ply_header import Element, Header, element_size, make_header, read_header
-from splatpainter.io.ply_rows import BinaryRows, Rows, text_rows
+from splatpainter.io import activations, files
+from splatpainter.io.ply_container import (
+    BinaryRows,
+    Element,
+    Header,
+    Rows,
+    element_size,
+    make_header,
+    read_header,
+    text_rows,
+)
+from splatpainter.io.reuse import differs, row_problems
 from splatpainter.splats import SH_COUNTS, ColorSpace, Source, Splats
 
 DEGREES = {3 * (count - 1): degree for count, degree in SH_COUNTS.items()}
@@ -32,12 +41,12 @@ MIP_COMMENT = "SplatRenderMode: mip"
 PLAIN_COMMENT = "SplatRenderMode: default"
 SPACE_COMMENT = "SplatColorSpace: "
 """Ours: PLY itself cannot say that colours are linear."""
-BLOCK = 1 << 15
+BLOCK_ROWS = 1 << 15
 """Rows encoded at a time when writing."""
 
 
 @dataclass(frozen=True)
-class Record:
+class PlyFile:
     """Source.detail of a PLY file."""
 
     header: Header
@@ -77,7 +86,7 @@ def read_ply(path: Path, lenient: bool = False) -> Splats:
         others = [e.name for e in header.elements if e.name != "vertex"]
         if others:
             problems.append(f"extra elements (kept as they are): {_named(others)}")
-        problems += raw.oddities(splats)
+        problems += row_problems(splats)
         source = Source(str(path), "ply", splats, digest.result(), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
 
@@ -174,7 +183,7 @@ def _rest_count(names: set[str], path: Path) -> int:
     return len(rest)
 
 
-def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, lenient: bool) -> tuple[Record, list[str]]:
+def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, lenient: bool) -> tuple[PlyFile, list[str]]:
     ahead = header.elements[: header.elements.index(vertex)]
     behind = header.elements[len(ahead) + 1 :]
     start = file.tell()
@@ -192,7 +201,7 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, leni
             _cut_short("what follows element 'vertex' is", lenient, path, problems)
         elif extra_lines > 0 and after.strip():
             problems.append(f"{extra_lines} lines behind the last element (kept as they are)")
-        return Record(header, body[: rows.starts[0]], rows, after, len(whole) > len(body) and not after), problems
+        return PlyFile(header, body[: rows.starts[0]], rows, after, len(whole) > len(body) and not after), problems
     skipped = 0
     for element in ahead:
         file.seek(start + skipped)
@@ -214,7 +223,7 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, leni
     if rest:
         problems.append(f"{rest} trailing bytes (kept as they are)")
     file.seek(start + skipped + size)
-    return Record(header, before, BinaryRows(records, header.order), file.read()), problems
+    return PlyFile(header, before, BinaryRows(records, header.order), file.read()), problems
 
 
 def _cut_short(what: str, lenient: bool, path: Path, problems: list[str]) -> None:
@@ -229,7 +238,7 @@ def _named(names: Sequence[str]) -> str:
     return ", ".join(files.printable(name, 40) for name in names[:8])
 
 
-def _sha256(record: Record) -> str:
+def _sha256(record: PlyFile) -> str:
     digest = hashlib.sha256(record.header.raw)
     digest.update(record.before)
     stored = record.rows.stored()
@@ -243,51 +252,51 @@ def _decode(rows: Rows, plan: Mapping[str, tuple[str, ...]], vertex: Element, he
     sh = values["sh"]
     span = _color_span(plan["sh"][0], vertex)
     if span is not None:
-        sh[:, :3] = raw.color_to_dc(sh[:, :3] / np.float32(span))
+        sh[:, :3] = activations.color_to_dc(sh[:, :3] / np.float32(span))
     antialiased, space = comment_settings(header.comments)
     return Splats(
         means=values["means"],
         quats=values["quats"],
-        scales=raw.exp(values["scales"]),
-        opacities=raw.sigmoid(values["opacities"][:, 0]),
+        scales=activations.exp(values["scales"]),
+        opacities=activations.sigmoid(values["opacities"][:, 0]),
         sh=sh.reshape(len(rows), len(plan["sh"]) // 3, 3),
         antialiased=antialiased,
         color_space=space,
     )
 
 
-def _encode(splats: Splats, record: Record, old: Splats | None, origin: np.ndarray) -> Iterator[tuple[bool, bytes]]:
-    """(is it the last block, bytes) for BLOCK rows at a time."""
+def _encode(splats: Splats, record: PlyFile, old: Splats | None, origin: np.ndarray) -> Iterator[tuple[bool, bytes]]:
+    """(is it the last block, bytes) for BLOCK_ROWS rows at a time."""
     vertex = record.header.element("vertex")
     assert vertex is not None
     plan = columns_of(vertex.names, Path("source"))
     span = _color_span(plan["sh"][0], vertex)
-    for start in range(0, len(splats), BLOCK):
-        rows = origin[start : start + BLOCK]
+    for start in range(0, len(splats), BLOCK_ROWS):
+        rows = origin[start : start + BLOCK_ROWS]
         block = record.rows.block(rows)
         known = rows >= 0
         in_place = np.array_equal(rows, np.arange(start, start + len(rows)))
         for attribute, names in plan.items():
             if in_place and old is not None and getattr(old, attribute) is getattr(splats, attribute):
                 continue
-            new = getattr(splats, attribute)[start : start + BLOCK].reshape(-1, len(names))
+            new = getattr(splats, attribute)[start : start + BLOCK_ROWS].reshape(-1, len(names))
             changed = np.ones(new.shape, bool)
             if old is not None:
                 before = getattr(old, attribute).reshape(-1, len(names))
-                changed[known] = raw.differs(new[known], before[rows[known]])
+                changed[known] = differs(new[known], before[rows[known]])
             for k in np.flatnonzero(changed.any(0)):
                 where = changed[:, k]
                 block.put(names[k], where, _to_file(attribute, new[where, k], span if k < 3 else None))
-        yield start + BLOCK >= len(splats), block.tobytes()
+        yield start + BLOCK_ROWS >= len(splats), block.tobytes()
 
 
 def _to_file(attribute: str, values: np.ndarray, span: float | None) -> np.ndarray:
     if attribute == "scales":
-        return raw.log(values)
+        return activations.log(values)
     if attribute == "opacities":
-        return raw.logit(values)
+        return activations.logit(values)
     if attribute == "sh" and span is not None:
-        return raw.dc_to_color(values) * np.float32(span)
+        return activations.dc_to_color(values) * np.float32(span)
     return values
 
 
@@ -299,16 +308,16 @@ def _color_span(first: str, vertex: Element) -> float | None:
     return 1.0 if code[0] == "f" else float(np.iinfo(code).max)
 
 
-def _standard(degree: int) -> Record:
+def _standard(degree: int) -> PlyFile:
     """INRIA's own layout, without rows."""
     rest = 3 * (degree + 1) ** 2 - 3
     names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest))]
     names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
     header = make_header("binary_little_endian", (), [("vertex", 0, [("float", name) for name in names])])
-    return Record(header, b"", BinaryRows(np.zeros(0, header.elements[0].dtype("<")), "<"), b"")
+    return PlyFile(header, b"", BinaryRows(np.zeros(0, header.elements[0].dtype("<")), "<"), b"")
 
 
-def _with_degree(record: Record, degree: int) -> Record:
+def _with_degree(record: PlyFile, degree: int) -> PlyFile:
     """The same file with f_rest_* for another SH degree: shared coefficients keep their bits, new ones are zero."""
     vertex = record.header.element("vertex")
     assert vertex is not None

@@ -1,4 +1,5 @@
-"""What of a source file may be kept when its edited rows are written in the same format. Knows no format.
+"""What of a source file may be kept when its edited rows are written in the same format, and which rows no file can
+show. Knows no format.
 
 A row keeps the bytes of one attribute when it comes from a row of the file (`origin`) and that attribute still has,
 bit for bit, the value that was decoded from those bytes.
@@ -6,20 +7,19 @@ bit for bit, the value that was decoded from those bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatpainter.io.raw import differs
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
 
 @dataclass(frozen=True)
-class Kept:
-    """Which of N rows keep what they were read from. `rows` and the masks: [N]; the masks imply rows >= 0."""
+class Unchanged:
+    """Which of N rows keep what they were read from. The masks [N] imply source_rows >= 0."""
 
-    rows: np.ndarray
-    """int64 row of the source whose packed values each row carries, -1 for none."""
+    source_rows: np.ndarray
+    """[N] int64 row of the source whose packed values each row carries, -1 for none."""
     means: np.ndarray
     quats: np.ndarray
     scales: np.ndarray
@@ -32,46 +32,44 @@ class Kept:
     """Nothing changed at all: same rows, same order, same values, same flags."""
 
 
-def kept(splats: Splats, format: str) -> Kept | None:
+def unchanged(splats: Splats, format: str) -> Unchanged | None:
     """Compare `splats` with the file it came from; None where that file is not of the given format."""
     source = splats.source
     if source is None or source.format != format or splats.origin is None:
         return None
     old, rows = source.splats, np.asarray(splats.origin, np.int64)
-    known, at = rows >= 0, np.maximum(rows, 0)
+    has_source, indices = rows >= 0, np.maximum(rows, 0)
     if not len(old):
-        known, at = np.zeros(len(splats), bool), np.zeros(len(splats), np.int64)
+        has_source, indices = np.zeros(len(splats), bool), np.zeros(len(splats), np.int64)
 
     in_order = len(splats) == len(old) and bool((rows == np.arange(len(rows))).all())
 
     def same(new: np.ndarray, before: np.ndarray) -> np.ndarray:
-        mask = known.copy()
+        mask = has_source.copy()
         if in_order and new is before:
             return mask
-        mask[known] = ~differs(new[known], before[at[known]]).any(tuple(range(1, new.ndim)))
+        mask[has_source] = ~differs(new[has_source], before[indices[has_source]]).any(tuple(range(1, new.ndim)))
         return mask
 
-    columns = {name: same(getattr(splats, name), getattr(old, name)) for name in ATTRIBUTES[:-1]}
+    masks = {name: same(getattr(splats, name), getattr(old, name)) for name in ATTRIBUTES[:-1]}
     base = same(splats.sh[:, 0], old.sh[:, 0]) if splats.sh is not old.sh else same(splats.sh, old.sh)
     one_degree = splats.sh.shape[1] == old.sh.shape[1]
     rest = same(splats.sh[:, 1:], old.sh[:, 1:]) if one_degree else np.zeros(len(splats), bool)
     identity = (
         in_order
         and one_degree
-        and all(mask.all() for mask in (*columns.values(), base, rest))
+        and all(mask.all() for mask in (*masks.values(), base, rest))
         and (splats.antialiased, splats.color_space) == (old.antialiased, old.color_space)
     )
-    return Kept(rows, **columns, base=base, rest=rest, identity=identity)
+    return Unchanged(rows, **masks, base=base, rest=rest, identity=identity)
 
 
-def presentable(splats: Splats) -> Splats:
+def drawable_rows(splats: Splats) -> Splats:
     """Rows that cannot be drawn (NaN, infinite, zero scale or quaternion) made finite and fully transparent.
 
     Quantised formats cannot say NaN; such rows are not drawn by any renderer, so opacity 0 keeps the picture and the
     row count. Opacities are cut to 0..1. Nothing is copied where every row can be drawn.
     """
-    from dataclasses import replace
-
     if not len(splats):
         return splats
     bad = ~splats.drawable
@@ -79,8 +77,38 @@ def presentable(splats: Splats) -> Splats:
     if not bad.any():
         return replace(splats, opacities=opacities)
     good = splats.means[~bad]
-    centre = good.mean(0) if len(good) else np.zeros(3, np.float32)
-    calm = {name: getattr(splats, name).copy() for name in ATTRIBUTES}
-    calm["means"][bad], calm["quats"][bad], calm["scales"][bad], calm["sh"][bad] = centre, (1, 0, 0, 0), 1e-6, 0
-    calm["opacities"] = np.where(bad, 0, opacities).astype(np.float32)
-    return replace(splats, **calm)
+    center = good.mean(0) if len(good) else np.zeros(3, np.float32)
+    values = {name: getattr(splats, name).copy() for name in ATTRIBUTES}
+    values["means"][bad], values["quats"][bad], values["scales"][bad], values["sh"][bad] = center, (1, 0, 0, 0), 1e-6, 0
+    values["opacities"] = np.where(bad, 0, opacities).astype(np.float32)
+    return replace(splats, **values)
+
+
+def differs(new: np.ndarray, old: np.ndarray) -> np.ndarray:
+    """Where two float32 arrays of one shape differ bit for bit (bool, same shape): NaN payloads and -0.0 count."""
+    if new is old:
+        return np.zeros(new.shape, bool)
+    return np.ascontiguousarray(new).view(np.uint32) != np.ascontiguousarray(old).view(np.uint32)
+
+
+def row_problems(splats: Splats) -> list[str]:
+    """One line for each kind of row that cannot be drawn as it stands."""
+    lines = []
+    finite = np.ones(len(splats), bool)
+    with np.errstate(all="ignore"):  # signalling NaNs raise floating-point flags wherever they are touched
+        for name in ATTRIBUTES:
+            values = getattr(splats, name)
+            # One NaN or infinity makes the sum NaN or infinite: one cheap pass settles the usual, clean file.
+            if not np.isfinite(values.sum()):
+                finite &= np.isfinite(values.reshape(len(splats), -1)).all(1)
+        hidden = (
+            (~finite, "with NaN or infinite values"),
+            (~splats.quats.any(1), "with a zero rotation quaternion"),
+            ((splats.scales <= 0).any(1), "with a scale that is not positive"),
+            ((splats.opacities < 0) | (splats.opacities > 1), "with an opacity outside 0..1"),
+        )
+        beyond = ~splats.drawable & ~np.any([rows for rows, _ in hidden], 0)
+    for rows, text in (*hidden, (beyond, f"with values beyond +-{MAX_MAGNITUDE:g}, or a quaternion near zero")):
+        if count := np.count_nonzero(rows):
+            lines.append(f"{count} {'row' if count == 1 else 'rows'} {text} (kept, not drawn)")
+    return lines

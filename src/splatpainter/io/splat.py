@@ -16,14 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.io import files, raw
+from splatpainter.io import activations, files
+from splatpainter.io.reuse import differs, row_problems
 from splatpainter.splats import Source, Splats
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1"), ("quats", "u1", 4)])
 
 
 @dataclass(frozen=True)
-class Record:
+class SplatFile:
     """Source.detail of a .splat file."""
 
     rows: np.ndarray
@@ -46,17 +47,17 @@ def read_splat(path: Path, lenient: bool = False) -> Splats:
             f"{path}: expected a .splat file of 32 bytes a row, got {count} rows and {rest} bytes of one more: cut "
             "off, or no .splat file (--lenient, or lenient=True, opens it anyway)"
         )
-    record = Record(np.frombuffer(data, ROW, count), data[len(data) - rest :])
+    record = SplatFile(np.frombuffer(data, ROW, count), data[len(data) - rest :])
     rows = record.rows
     splats = Splats(
         means=rows["means"].astype(np.float32),
         quats=(rows["quats"].astype(np.float32) - 128) / 128,
         scales=rows["scales"].astype(np.float32),
         opacities=rows["alpha"] / np.float32(255),
-        sh=raw.color_to_dc(rows["rgb"] / np.float64(255)).reshape(count, 1, 3),
+        sh=activations.color_to_dc(rows["rgb"] / np.float64(255)).reshape(count, 1, 3),
     )
     problems = [f"the last row is cut short: {rest} trailing bytes (kept as they are)"] if rest else []
-    problems += raw.oddities(splats)
+    problems += row_problems(splats)
     source = Source(str(path), "splat", splats, files.sha256(data), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(count, dtype=np.int64))
 
@@ -78,13 +79,13 @@ def write_splat(path: Path, splats: Splats) -> None:
         rows[known] = source.detail.rows[origin[known]]
         now, then = _columns(splats), _columns(old)
         for name, mask in changed.items():
-            changes = raw.differs(now[name][known], then[name][origin[known]])
+            changes = differs(now[name][known], then[name][origin[known]])
             mask[known] = changes if changes.ndim == 1 else changes.any(1)
     norms = np.linalg.norm(splats.quats.astype(np.float64), axis=1, keepdims=True)
     values = {
         "means": splats.means,
         "scales": splats.scales,
-        "rgb": _to_uint8(raw.dc_to_color(splats.sh[:, 0]) * 255),
+        "rgb": _to_uint8(activations.dc_to_color(splats.sh[:, 0]) * 255),
         "alpha": _to_uint8(splats.opacities * 255),
         "quats": _to_uint8(splats.quats / np.where(norms > 0, norms, 1) * 128 + 128),
     }

@@ -14,7 +14,7 @@
 Flags: 1 trained with antialiasing, 2 extensions present: records of u32 type, u32 size, payload.
 
 Frame: SPZ is x right, y up, z back, unless extension 0xADBE0003 names another one or the caller does; here rows are in
-the PLY frame (y and z reversed). New files of version 4, and of another frame, say it. Words are in spz_codec.
+the PLY frame (y and z reversed). New files of version 4, and of another frame, say it. Words are in spz_
 
 Writing over a source of this format keeps its version, fractional bits, frame, extensions and trailing bytes, and the
 packed words of every value that did not change; only changed values are quantised. An untouched asset is written back
@@ -32,16 +32,14 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.io import files, frames, raw
-from splatpainter.io import spz_codec as codec
+from splatpainter.io import activations, axes, files
 from splatpainter.io.bounded import TAIL, Gunzip, allow_rows, unzstd
-from splatpainter.io.frames import axes_words
-from splatpainter.io.reuse import Kept, kept, presentable
+from splatpainter.io.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.splats import Frame, Source, Splats
 
 MAGIC = b"NGSP"
 STREAMS = ("positions", "alphas", "colors", "scales", "rotations", "sh")
-BLOCK = 1 << 16
+BLOCK_ROWS = 1 << 16
 """Rows decoded at a time, to bound the float64 intermediates."""
 ANTIALIASED, EXTENDED = 1, 2
 COORDINATE_SYSTEM = 0xADBE0003
@@ -54,6 +52,10 @@ QUARTER_TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
 SH_BITS = (7, 7)
 """Precision of the SH bytes that we quantise. The reference keeps (5, 4); on a view-dependent asset that costs 6.0/255
 of colour (rms over directions), (7, 7) costs 0.75/255 and 26 % more file, (8, 8) 0.3/255 and 35 %."""
+COLOR_SCALE = 0.15
+"""A colour byte is 255 * (COLOR_SCALE * sh0 + 0.5): base colours from -0.44 to 1.44 in steps of 1/136."""
+POSITION_LIMIT = 1 << 23
+"""A 24-bit position lies in -POSITION_LIMIT .. POSITION_LIMIT - 1, in steps of 2^-fractional_bits."""
 
 
 @dataclass(frozen=True)
@@ -91,10 +93,10 @@ def read_spz(path: Path, frame: Frame = "auto") -> Splats:
     said = _frame_said(file, problems)
     code = (said or RUB) if frame == "auto" else CODES[frame]
     if said and said != code:
-        problems.append(f"the file says {axes_words(NAMES[said - 1])}; read as {axes_words(frame)}, as chosen")
+        problems.append(f"the file says {axes.describe(NAMES[said - 1])}; read as {axes.describe(frame)}, as chosen")
     file = replace(file, frame=code)
     rows = _to_ply_frame(_decode(file), code)
-    problems += raw.oddities(rows)
+    problems += row_problems(rows)
     source = Source(str(path), "spz", rows, files.sha256(data), file, tuple(problems), NAMES[code - 1])
     source = replace(source, frame_from="choice" if frame != "auto" else "file" if said else "format")
     return replace(rows, source=source, origin=np.arange(len(rows)))
@@ -108,7 +110,7 @@ def write_spz(path: Path, splats: Splats, version: int | None = None, frame: Fra
     Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, or a version not writable.
     """
     splats = splats.numpy()
-    same = kept(splats, "spz")
+    same = unchanged(splats, "spz")
     old: SpzFile | None = splats.source.detail if same and splats.source else None
     before = (same, old) if same and old else None
     code = CODES[frame] if frame != "auto" else old.frame if old else RUB
@@ -199,7 +201,7 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
 def _decode(file: SpzFile) -> Splats:
     """Rows in the file's own frame."""
     streams, count = file.streams, len(file.streams["alphas"])
-    unpack_quats = codec.unpack_quats_first_three if file.version < 3 else codec.unpack_quats_smallest_three
+    unpack_quats = unpack_quats_first_three if file.version < 3 else unpack_quats_smallest_three
     out = Splats(
         np.empty((count, 3), np.float32),
         np.empty((count, 4), np.float32),
@@ -208,46 +210,46 @@ def _decode(file: SpzFile) -> Splats:
         np.empty((count, (file.degree + 1) ** 2, 3), np.float32),
         antialiased=bool(file.flags & ANTIALIASED),
     )
-    for start in range(0, count, BLOCK):
-        block = slice(start, start + BLOCK)
+    for start in range(0, count, BLOCK_ROWS):
+        block = slice(start, start + BLOCK_ROWS)
         positions = streams["positions"][block]
         if file.version == 1:
-            out.means[block] = codec.unpack_half_positions(positions)
+            out.means[block] = unpack_half_positions(positions)
         else:
-            out.means[block] = codec.unpack_positions(positions, file.fractional_bits)
+            out.means[block] = unpack_positions(positions, file.fractional_bits)
         out.quats[block] = unpack_quats(streams["rotations"][block])
-        out.scales[block] = codec.unpack_scales(streams["scales"][block])
-        out.opacities[block] = codec.unpack_opacities(streams["alphas"][block])
-        out.sh[block, 0] = codec.unpack_colors(streams["colors"][block])
+        out.scales[block] = unpack_scales(streams["scales"][block])
+        out.opacities[block] = unpack_opacities(streams["alphas"][block])
+        out.sh[block, 0] = unpack_colors(streams["colors"][block])
         if file.degree:
-            out.sh[block, 1:] = codec.unpack_sh(streams["sh"][block])
+            out.sh[block, 1:] = unpack_sh(streams["sh"][block])
     return out
 
 
-def _encode(splats: Splats, before: tuple[Kept, SpzFile] | None, version: int, code: int, path: Path) -> SpzFile:
+def _encode(splats: Splats, before: tuple[Unchanged, SpzFile] | None, version: int, code: int, path: Path) -> SpzFile:
     old = before[1] if before else SpzFile(version, 0, 0, 0, b"", {}, b"", b"", b"", code)
-    rows = _from_ply_frame(presentable(splats), code)
+    rows = _from_ply_frame(drawable_rows(splats), code)
     # Version 1 has no fixed point; 2 shares all words but the rotations with 3 and 4.
     keeps = {"positions": (old.version == 1) == (version == 1), "rotations": (old.version < 3) == (version < 3)}
     bits = old.fractional_bits if before and keeps["positions"] else _fractional_bits(rows)
     turned = code != old.frame
     if turned:
         keeps = {"positions": False, "rotations": False, "sh": False}
-    pack_quats = codec.pack_quats_first_three if version < 3 else codec.pack_quats_smallest_three
+    pack_quats = pack_quats_first_three if version < 3 else pack_quats_smallest_three
     streams = {
-        "positions": codec.pack_half_positions(rows.means) if version == 1 else _pack_positions(rows, bits, path),
-        "alphas": codec.pack_opacities(rows.opacities),
-        "colors": codec.pack_colors(rows.sh[:, 0]),
-        "scales": codec.pack_scales(rows.scales),
+        "positions": pack_half_positions(rows.means) if version == 1 else _pack_positions(rows, bits, path),
+        "alphas": pack_opacities(rows.opacities),
+        "colors": pack_colors(rows.sh[:, 0]),
+        "scales": pack_scales(rows.scales),
         "rotations": pack_quats(rows.quats),
-        "sh": codec.pack_sh(rows.sh[:, 1:], (8, 8) if turned else SH_BITS),  # a word with its sign changed needs all 8
+        "sh": pack_sh(rows.sh[:, 1:], (8, 8) if turned else SH_BITS),  # a word with its sign changed needs all 8
     }
     if before:
         same = before[0]
         masks = (same.means, same.opacities, same.base, same.scales, same.quats, same.rest)
         for name, mask in zip(STREAMS, masks, strict=True):
             if keeps.get(name, True) and mask.any():
-                streams[name][mask] = old.streams[name][same.rows[mask]]
+                streams[name][mask] = old.streams[name][same.source_rows[mask]]
     flags = old.flags & ~ANTIALIASED | (ANTIALIASED if splats.antialiased else 0)
     extensions = old.extensions
     return SpzFile(version, splats.sh_degree, bits, flags, old.reserved, streams, extensions, old.tail, b"", code)
@@ -255,14 +257,14 @@ def _encode(splats: Splats, before: tuple[Kept, SpzFile] | None, version: int, c
 
 def _pack_positions(rows: Splats, bits: int, path: Path) -> np.ndarray:
     # Words of the file are within reach by themselves: unpacking and packing them is exact.
-    clear = codec.fits(rows.means, bits)
+    clear = fits(rows.means, bits)
     if not clear.all():
         row = int(np.argmin(clear))
         raise ValueError(
             f"{path}: row {row} at {rows.means[row].tolist()} lies outside of the "
-            f"+-{codec.POSITION_LIMIT / 2**bits:g} units that {bits} fractional bits leave; write .ply instead"
+            f"+-{POSITION_LIMIT / 2**bits:g} units that {bits} fractional bits leave; write .ply instead"
         )
-    return codec.pack_positions(rows.means, bits)
+    return pack_positions(rows.means, bits)
 
 
 def _fractional_bits(rows: Splats) -> int:
@@ -273,7 +275,7 @@ def _fractional_bits(rows: Splats) -> int:
     thin = float(np.percentile(np.sort(rows.scales, 1)[:, 1], 5))
     wanted = np.ceil(-np.log2(max(thin / 4, 2.0**-20)))
     extent = max(float(np.abs(rows.means).max()), 2.0**-10)
-    room = np.floor(np.log2(codec.POSITION_LIMIT / (2 * extent)))
+    room = np.floor(np.log2(POSITION_LIMIT / (2 * extent)))
     return int(np.clip(min(max(wanted, 12), room), 0, 20))
 
 
@@ -353,18 +355,153 @@ def _flips(code: int) -> tuple[int, int, int]:
 
 def _to_ply_frame(rows: Splats, code: int) -> Splats:
     rows = _flip(rows, code)
-    return frames.move(rows, QUARTER_TURN) if code > 8 else rows
+    return axes.move(rows, QUARTER_TURN) if code > 8 else rows
 
 
 def _from_ply_frame(rows: Splats, code: int) -> Splats:
-    rows = frames.move_back(rows, QUARTER_TURN) if code > 8 else rows
+    rows = axes.move_back(rows, QUARTER_TURN) if code > 8 else rows
     return _flip(rows, code)
 
 
 def _flip(rows: Splats, code: int) -> Splats:
     signs = _flips(code)
-    rows = frames.flip(rows, signs)
+    rows = axes.flip(rows, signs)
     if signs[1] < 0 and rows.sh.shape[1] == 25:
         # The reference reverses the last coefficient of band 4 with y, although Y_44 is even in y; it made the files.
         rows.sh[:, 24] *= -1
     return rows
+
+
+# ---- packed words: one function each way for every stream, uint8 [N, width] <-> activated float32 of N rows. The
+# formulas are those of SPZ's own README and reference implementation.
+
+
+def unpack_positions(packed: np.ndarray, fractional_bits: int) -> np.ndarray:
+    """[N, 9] bytes -> [N, 3]: signed 24-bit little-endian fixed point; exact in float32."""
+    words = packed.reshape(-1, 3, 3).astype(np.int32)
+    fixed = words[..., 0] | words[..., 1] << 8 | words[..., 2] << 16
+    fixed -= (fixed & 0x800000) << 1
+    return np.ldexp(fixed.astype(np.float32), -fractional_bits)
+
+
+def pack_positions(means: np.ndarray, fractional_bits: int) -> np.ndarray:
+    """[N, 3] -> [N, 9] bytes. The caller has checked `fits`."""
+    fixed = np.rint(np.ldexp(means.astype(np.float64), fractional_bits)).astype(np.int32)
+    return np.stack([fixed >> shift & 255 for shift in (0, 8, 16)], -1).astype(np.uint8).reshape(-1, 9)
+
+
+def fits(means: np.ndarray, fractional_bits: int) -> np.ndarray:
+    """[N] bool: rows whose positions 24 bits can hold."""
+    fixed = np.rint(np.ldexp(means.astype(np.float64), fractional_bits))
+    return np.asarray(np.logical_and(fixed >= -POSITION_LIMIT, fixed < POSITION_LIMIT).all(1))
+
+
+def unpack_half_positions(packed: np.ndarray) -> np.ndarray:
+    """[N, 6] bytes -> [N, 3]: the float16 positions of version 1."""
+    return packed.reshape(-1, 6).view("<f2").astype(np.float32)
+
+
+def pack_half_positions(means: np.ndarray) -> np.ndarray:
+    """[N, 3] -> [N, 6] bytes."""
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(means, dtype="<f2").view(np.uint8).reshape(-1, 6)
+
+
+def unpack_scales(packed: np.ndarray) -> np.ndarray:
+    """[N, 3] bytes -> [N, 3] scales: log-scale = byte / 16 - 10, so 4.5e-5 to 378 in steps of 6.4 %."""
+    return activations.exp(packed.astype(np.float32) / 16 - 10)
+
+
+def pack_scales(scales: np.ndarray) -> np.ndarray:
+    """[N, 3] -> [N, 3] bytes; smaller and larger scales take the nearest end of the range."""
+    return _byte((activations.log(scales).astype(np.float64) + 10) * 16)
+
+
+def unpack_opacities(packed: np.ndarray) -> np.ndarray:
+    """[N, 1] bytes -> [N]."""
+    return (packed.reshape(-1).astype(np.float64) / 255).astype(np.float32)
+
+
+def pack_opacities(opacities: np.ndarray) -> np.ndarray:
+    """[N] -> [N, 1] bytes."""
+    return _byte(opacities.astype(np.float64) * 255)[:, None]
+
+
+def unpack_colors(packed: np.ndarray) -> np.ndarray:
+    """[N, 3] bytes -> [N, 3] coefficients of Y_00."""
+    return ((packed.astype(np.float64) / 255 - 0.5) / COLOR_SCALE).astype(np.float32)
+
+
+def pack_colors(base: np.ndarray) -> np.ndarray:
+    """[N, 3] coefficients of Y_00 -> [N, 3] bytes."""
+    return _byte((base.astype(np.float64) * COLOR_SCALE + 0.5) * 255)
+
+
+def unpack_quats_first_three(packed: np.ndarray) -> np.ndarray:
+    """[N, 3] bytes -> [N, 4] w, x, y, z of versions 1 and 2: byte / 127.5 - 1, and w >= 0 from the unit norm."""
+    vector = packed.astype(np.float64) / 127.5 - 1
+    w = np.sqrt(np.maximum(0, 1 - (vector * vector).sum(1, keepdims=True)))
+    return np.concatenate([w, vector], 1).astype(np.float32)
+
+
+def pack_quats_first_three(quats: np.ndarray) -> np.ndarray:
+    """[N, 4] w, x, y, z of any non-zero norm -> [N, 3] bytes."""
+    unit = _unit(quats)
+    vector = unit[:, 1:] * np.where(unit[:, :1] < 0, -1, 1)
+    return _byte((vector + 1) * 127.5)
+
+
+def unpack_quats_smallest_three(packed: np.ndarray) -> np.ndarray:
+    """[N, 4] bytes -> [N, 4] w, x, y, z of versions 3 and 4.
+
+    A little-endian word: in bits 30-31 which of x, y, z, w is the largest; below it the other three in that order, each
+    a sign bit and 9 bits of magnitude in steps of sqrt(1/2) / 511.
+    """
+    words = packed.reshape(-1, 4).view("<u4")[:, 0].astype(np.int64)
+    largest = words >> 30
+    xyzw = np.zeros((len(words), 4))
+    for component in (3, 2, 1, 0):
+        stored = largest != component
+        value = (words & 511) * (np.sqrt(0.5) / 511)
+        xyzw[:, component] = np.where(stored, np.where(words & 512, -value, value), 0)
+        words = np.where(stored, words >> 10, words)
+    rest = np.sqrt(np.maximum(0, 1 - (xyzw * xyzw).sum(1)))
+    xyzw[np.arange(len(xyzw)), largest] = rest
+    return xyzw[:, [3, 0, 1, 2]].astype(np.float32)
+
+
+def pack_quats_smallest_three(quats: np.ndarray) -> np.ndarray:
+    """[N, 4] w, x, y, z of any non-zero norm -> [N, 4] bytes."""
+    xyzw = _unit(quats)[:, [1, 2, 3, 0]]
+    largest = np.abs(xyzw).argmax(1)
+    xyzw *= np.where(xyzw[np.arange(len(xyzw)), largest] < 0, -1, 1)[:, None]
+    words = largest.astype(np.int64)
+    for component in range(4):
+        value = xyzw[:, component]
+        magnitude = np.minimum(np.rint(np.abs(value) * (511 / np.sqrt(0.5))), 511).astype(np.int64)
+        words = np.where(largest == component, words, words << 10 | np.where(value < 0, 512, 0) | magnitude)
+    return words.astype("<u4").view(np.uint8).reshape(-1, 4)
+
+
+def unpack_sh(packed: np.ndarray) -> np.ndarray:
+    """[N, 3 (K - 1)] bytes -> [N, K - 1, 3] coefficients of bands >= 1: byte / 128 - 1, colour channel fastest."""
+    return (packed.astype(np.float32) / 128 - 1).reshape(len(packed), packed.shape[1] // 3, 3)
+
+
+def pack_sh(rest: np.ndarray, bits: tuple[int, int]) -> np.ndarray:
+    """[N, K - 1, 3] -> [N, 3 (K - 1)] bytes. bits: precision kept of band 1 and of the higher bands, 1-8.
+
+    Coarser values pack better; readers need not know. 0 stays 0 at any precision.
+    """
+    # Rounded once, to the bucket itself: two roundings, as the reference does, would add half a step of error.
+    steps = np.where(np.arange(rest.shape[1]) < 3, 1 << (8 - bits[0]), 1 << (8 - bits[1]))[:, None]
+    return _byte(np.rint(rest.astype(np.float64) * 128 / steps) * steps + 128).reshape(len(rest), 3 * rest.shape[1])
+
+
+def _unit(quats: np.ndarray) -> np.ndarray:
+    wide = quats.astype(np.float64)
+    return wide / np.linalg.norm(wide, axis=1, keepdims=True)
+
+
+def _byte(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)

@@ -101,7 +101,7 @@ def _rows(path: Path, key: str) -> int:
     """Rows that the header speaks of."""
     size = path.stat().st_size
     if key in ("ply", "compressed.ply"):
-        from splatpainter.io.ply_header import read_header
+        from splatpainter.io.ply_container import read_header
 
         with reading(path) as file:
             vertex = read_header(file, path).element("vertex")
@@ -116,9 +116,9 @@ def _rows(path: Path, key: str) -> int:
             head = Gunzip(head, path).take(16, "the header")
         return struct.unpack_from("<I", head, 8)[0]
     if key == "sog":
-        from splatpainter.io import sog_files
+        from splatpainter.io import sog
 
-        return sog_files.declared_rows(path)
+        return sog.declared_rows(path)
     from splatpainter.io import gltf
 
     return gltf.declared_rows(path)

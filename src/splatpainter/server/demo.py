@@ -21,7 +21,7 @@ def demo(cache: Path | None = None) -> Splats:
     place = (cache or cache_folder()) / f"demo-{_recipe()}.ply"
     with contextlib.suppress(ValueError):  # not there yet, or damaged: it is made anew
         return read(place)
-    from splatpainter.io.frames import flip
+    from splatpainter.io.axes import flip
 
     made = flip(demo_asset.demo_asset(), HALF_TURN)
     try:

@@ -1,4 +1,4 @@
-"""Turning rows from one coordinate frame into another: axis flips (exact) and rotations with their SH matrices.
+"""The axes of files: rows turned from one coordinate frame into another by axis flips (exact) and rotations.
 
 Every asset in memory uses the frame of INRIA PLY files (usually x right, y down, z forward). Formats that store another
 frame convert here, in their reader, and back in their writer. Knows no format.
@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.splats import SH_COUNTS, Frame, Source, Splats
+from splatpainter.transforms import matrix_to_quat, sh_rotations, snapped
 
 _LETTERS = {"l": "left", "r": "right", "u": "up", "d": "down", "f": "front", "b": "back"}
 AXES = {
@@ -46,15 +47,15 @@ def _with_signs(values: np.ndarray, signs: np.ndarray) -> np.ndarray:
     return (bits ^ np.where(signs < 0, np.uint32(1 << 31), np.uint32(0))).view(np.float32)
 
 
-def axes_words(name: str) -> str:
+def describe(name: str) -> str:
     """ "rub" -> "right-up-back"."""
     return "-".join(_LETTERS[letter] for letter in name)
 
 
-def chosen(splats: Splats, frame: Frame) -> Splats:
+def to_memory_axes(splats: Splats, frame: Frame) -> Splats:
     """Rows as a reader gave them -> as they are when the file's numbers are in `frame`, whatever the reader thought.
 
-    Signs only; `source` follows, so that `unturned` gives back every bit. Nothing happens for "auto".
+    Signs only; `source` follows, so that `to_file_axes` gives back every bit. Nothing happens for "auto".
     """
     source = splats.source
     if frame == "auto" or source is None:
@@ -66,8 +67,8 @@ def chosen(splats: Splats, frame: Frame) -> Splats:
     return replace(splats, source=replace(source, splats=rows, frame=frame, frame_from="choice", flips=flips))
 
 
-def unturned(splats: Splats, format: str, frame: Frame, natural: str) -> Splats:
-    """The inverse of `chosen`, for the writer of `format`, whose numbers would by themselves be in frame `natural`.
+def to_file_axes(splats: Splats, format: str, frame: Frame, natural: str) -> Splats:
+    """The inverse of `to_memory_axes`, for the writer of `format`, whose numbers are by default in frame `natural`.
 
     frame: what the file's numbers are to be in; "auto": what the source's were if it is of that format, else `natural`.
     """
@@ -114,16 +115,16 @@ def move(splats: Splats, matrix: np.ndarray, scale: float = 1.0, shift: np.ndarr
     matrix: [3, 3] rotation; scale > 0; shift: [3] or None. A half turn about an axis only permutes and negates numbers.
     """
     with np.errstate(all="ignore"):  # rows may hold NaN or overflow; they are reported where they are read
-        means = scale * (splats.means.astype(np.float64) @ _snap(matrix).T)
-        return _turned(splats, means if shift is None else means + shift, matrix, quaternion_of(matrix), scale)
+        means = scale * (splats.means.astype(np.float64) @ snapped(matrix).T)
+        return _turned(splats, means if shift is None else means + shift, matrix, _quat(matrix), scale)
 
 
 def move_back(splats: Splats, matrix: np.ndarray, scale: float = 1.0, shift: np.ndarray | None = None) -> Splats:
     """The inverse of `move` with the same arguments; after a half turn every bit is back, quaternion signs included."""
-    turn = quaternion_of(matrix) * (1, -1, -1, -1)
+    turn = _quat(matrix) * (1, -1, -1, -1)
     with np.errstate(all="ignore"):
         means = splats.means.astype(np.float64) - (0 if shift is None else shift)
-        return _turned(splats, (means @ _snap(matrix)) / scale, matrix.T, turn, 1 / scale)
+        return _turned(splats, (means @ snapped(matrix)) / scale, matrix.T, turn, 1 / scale)
 
 
 def _turned(splats: Splats, means: np.ndarray, matrix: np.ndarray, turn: np.ndarray, scale: float) -> Splats:
@@ -144,61 +145,6 @@ def _turned(splats: Splats, means: np.ndarray, matrix: np.ndarray, turn: np.ndar
     )
 
 
-def quaternion_of(matrix: np.ndarray) -> np.ndarray:
-    """[4] unit quaternion w, x, y, z of a rotation matrix [3, 3]; the largest component is positive."""
-    m = np.asarray(matrix, np.float64)
-    # Four estimates of the squares of the components; the largest one is safe to divide by (Shepperd 1978).
-    d = np.diagonal(m)
-    squares = np.array([1 + d.sum(), 1 + d[0] - d[1] - d[2], 1 - d[0] + d[1] - d[2], 1 - d[0] - d[1] + d[2]]) / 4
-    largest = int(np.argmax(squares))
-    products = np.array(
-        [
-            [0, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], 0, m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]],
-            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], 0, m[2, 1] + m[1, 2]],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], 0],
-        ]
-    )
-    quat = products[largest] / 4
-    quat[largest] = squares[largest]
-    return _snap(quat / np.linalg.norm(quat))
-
-
-def sh_basis(directions: np.ndarray, degree: int) -> np.ndarray:
-    """[J, (degree + 1)^2] real spherical harmonics with the Condon-Shortley phase, as INRIA and KHR_gaussian_splatting.
-
-    directions: [J, 3] unit vectors. Y_lm = n_lm p_lm(z) Re or Im (x + iy)^|m|, p by the Legendre recursion.
-    """
-    x, y, z = np.asarray(directions, np.float64).T
-    circle = x + 1j * y
-    out = np.empty((len(x), (degree + 1) ** 2))
-    for m in range(degree + 1):
-        before, here = np.zeros_like(z), np.full_like(z, (-1) ** m * math.prod(range(2 * m - 1, 0, -2)))
-        for l in range(m, degree + 1):
-            if l > m:
-                before, here = here, (z * (2 * l - 1) * here - (l + m - 1) * before) / (l - m)
-            norm = math.sqrt((2 * l + 1) / (4 * math.pi) * math.factorial(l - m) / math.factorial(l + m))
-            part = norm * (math.sqrt(2) if m else 1) * here * circle**m
-            out[:, l * l + l + m] = part.real
-            if m:
-                out[:, l * l + l - m] = part.imag
-    return out
-
-
-def sh_rotations(matrix: np.ndarray, degree: int) -> list[np.ndarray]:
-    """For every band l, the [2l+1, 2l+1] matrix that turns its coefficients with the object: c'(d) = c(matrix^T d).
-
-    Solved from the basis functions at more directions than unknowns; exact to float64 rounding.
-    """
-    golden = np.arange(64) * math.pi * (3 - math.sqrt(5))
-    z = 1 - (2 * np.arange(64) + 1) / 64
-    radius = np.sqrt(1 - z * z)
-    directions = np.stack([radius * np.cos(golden), radius * np.sin(golden), z], 1)
-    old, new = sh_basis(directions @ np.asarray(matrix, np.float64), degree), sh_basis(directions, degree)
-    bands = [slice(l * l, (l + 1) * (l + 1)) for l in range(degree + 1)]
-    return [_snap(np.linalg.lstsq(new[:, band], old[:, band], rcond=None)[0]) for band in bands]
-
-
 def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Hamilton product of one quaternion [4] with quaternions [N, 4]."""
     w, x, y, z = a
@@ -206,8 +152,6 @@ def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return b @ left.T
 
 
-def _snap(values: np.ndarray) -> np.ndarray:
-    """Rounding noise around -1, 0 and 1 removed, so that turns by multiples of 90 degrees stay clean."""
-    values = np.asarray(values, np.float64)
-    nearest = np.round(values)
-    return np.where(np.abs(values - nearest) < 1e-12, nearest, values)
+def _quat(matrix: np.ndarray) -> np.ndarray:
+    """[4] unit quaternion of a rotation [3, 3]."""
+    return snapped(matrix_to_quat(np.asarray(matrix, np.float64)[None])[0])
