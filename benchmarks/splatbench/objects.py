@@ -193,7 +193,8 @@ def _procedural(name: str, textures: Path | None) -> Mesh:
 
 
 def _from_file(name: str, by_name: dict[str, Path]) -> Light:
-    from splatpainter.data.lights import load_environment, make_light
+    from splatpainter.data.environments import load_environment
+    from splatpainter.data.lights import make_light
 
     if name not in by_name:
         raise ValueError(f"{name}: no environment of this name in the folder")

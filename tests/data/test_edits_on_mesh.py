@@ -11,8 +11,9 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.color import linear_to_srgb
 from splatpainter.data.edits import EditDesign
 from splatpainter.data.edits.on_mesh import paint_mesh, repaint_mesh
+from splatpainter.data.materials import Material
 from splatpainter.data.mesh_visibility import projected, visible_points
-from splatpainter.data.meshes import Material, Mesh, joined
+from splatpainter.data.meshes import Mesh, joined
 from splatpainter.metrics import psnr
 from tests.support.data_meshes import MATT, quad, sphere
 

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.data import harmonics, hdr
+from splatpainter.data import environments
+from splatpainter.data.environments import load_environment
 from splatpainter.data.lights import (
     auto_exposure,
+    equirectangular,
     irradiance,
-    load_environment,
     make_light,
+    mirrored_sh,
+    project_sh,
     random_light,
     shade,
     shade_all,
@@ -22,6 +25,7 @@ from splatpainter.data.lights import (
 )
 from splatpainter.data.surfels import Surfels
 from splatpainter.lighting import open_transfer
+from splatpainter.splats import SH_C0
 from splatpainter.transforms import sh_basis
 
 
@@ -51,7 +55,7 @@ def surfels(normals: torch.Tensor, **values: float) -> Surfels:
 
 def seen(sh: torch.Tensor, towards: torch.Tensor) -> torch.Tensor:
     """[N, 3] colour in directions [N, 3] from the camera to the row, as the renderer computes it."""
-    return 0.5 + torch.einsum("nkc,nk->nc", sh, harmonics.basis(towards.float())[:, : sh.shape[1]])
+    return 0.5 + torch.einsum("nkc,nk->nc", sh, sh_basis(towards.float(), 2)[:, : sh.shape[1]])
 
 
 def test_the_basis_is_orthonormal_and_the_same_in_numpy_torch_and_the_renderer() -> None:
@@ -59,9 +63,9 @@ def test_the_basis_is_orthonormal_and_the_same_in_numpy_torch_and_the_renderer()
     from splatpainter.rendering import render
     from splatpainter.splats import Splats
 
-    towards, area = harmonics.directions(256, 512, dtype=torch.float64)
+    towards, area = equirectangular(256, 512, dtype=torch.float64)
     assert float(area.sum() * 512) == pytest.approx(4 * np.pi, rel=1e-12)
-    y = harmonics.basis(towards)
+    y = sh_basis(towards, 2)
     gram = torch.einsum("hwk,hwl->kl", y * area[..., None], y)
     torch.testing.assert_close(gram, torch.eye(9, dtype=torch.float64), atol=2e-4, rtol=0)
     np.testing.assert_allclose(sh_basis(towards.numpy(), 2), y.numpy(), atol=1e-12)
@@ -81,9 +85,9 @@ def test_the_basis_is_orthonormal_and_the_same_in_numpy_torch_and_the_renderer()
 
 def test_projection_round_trips_and_pixels_lie_where_the_layout_says() -> None:
     coefficients = torch.randn(9, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    towards, _ = harmonics.directions(128, 256, dtype=torch.float64)
-    picture = harmonics.basis(towards) @ coefficients
-    torch.testing.assert_close(harmonics.project(picture), coefficients, atol=1e-3, rtol=1e-3)
+    towards, _ = equirectangular(128, 256, dtype=torch.float64)
+    picture = sh_basis(towards, 2) @ coefficients
+    torch.testing.assert_close(project_sh(picture), coefficients, atol=1e-3, rtol=1e-3)
     d = towards[20, 50].numpy()  # u = atan2(x, -z) / 2 pi, v = acos(y) / pi
     assert np.arctan2(d[0], -d[2]) / (2 * np.pi) % 1 == pytest.approx(50.5 / 256)
     assert np.arccos(d[1]) / np.pi == pytest.approx(20.5 / 128)
@@ -91,38 +95,36 @@ def test_projection_round_trips_and_pixels_lie_where_the_layout_says() -> None:
 
 def test_irradiance_of_a_constant_environment_is_pi_times_it() -> None:
     light = torch.full((64, 128, 3), 0.7, dtype=torch.float64)
-    e = irradiance(harmonics.project(light), directions(50))
+    e = irradiance(project_sh(light), directions(50))
     torch.testing.assert_close(e, torch.full_like(e, 0.7 * torch.pi), atol=1e-3, rtol=0)
-    torch.testing.assert_close(harmonics.project(light) / 0.7, uniform_light().coefficients.double(), atol=2e-3, rtol=0)
+    torch.testing.assert_close(project_sh(light) / 0.7, uniform_light().coefficients.double(), atol=2e-3, rtol=0)
 
 
 def test_irradiance_of_a_lobe_is_the_cosine_integral() -> None:
     """A clamped linear lobe has no odd bands above 1, and the cosine kernel's next band is 1 / 64: 3 % at most."""
-    towards, area = harmonics.directions(128, 256, dtype=torch.float64)
+    towards, area = equirectangular(128, 256, dtype=torch.float64)
     axis = torch.tensor([0.36, 0.8, -0.48], dtype=torch.float64)
     picture = (towards @ axis).clamp_min(0)[..., None].expand(-1, -1, 3)
     normals = directions(40)
     cosine = torch.einsum("hwc,nc->nhw", towards, normals).clamp_min(0)
     truth = torch.einsum("nhw,hwc->nc", cosine * area, picture)
-    torch.testing.assert_close(
-        irradiance(harmonics.project(picture), normals), truth, atol=0.03 * float(truth.max()), rtol=0
-    )
+    torch.testing.assert_close(irradiance(project_sh(picture), normals), truth, atol=0.03 * float(truth.max()), rtol=0)
 
 
 def test_mirroring_coefficients_mirrors_the_function() -> None:
     f = torch.randn(9, 3, dtype=torch.float64)
     normals, d = directions(30), directions(30, 1)
     bounced = d - 2 * (d * normals).sum(1, keepdim=True) * normals
-    got = torch.einsum("nkc,nk->nc", harmonics.mirrored(f, normals), harmonics.basis(d))
-    torch.testing.assert_close(got, harmonics.basis(bounced) @ f)
+    got = torch.einsum("nkc,nk->nc", mirrored_sh(f, normals), sh_basis(d, 2))
+    torch.testing.assert_close(got, sh_basis(bounced, 2) @ f)
     many = torch.stack([f, 2 * f])
-    torch.testing.assert_close(harmonics.mirrored(many, normals)[1], 2 * harmonics.mirrored(f, normals))
+    torch.testing.assert_close(mirrored_sh(many, normals)[1], 2 * mirrored_sh(f, normals))
 
 
 def test_uniform_light_shows_matt_albedo_through_the_tone_map() -> None:
     """The specular layer of a matt surface adds about 2 % of the light, whatever its normal."""
     sh = shade(surfels(directions(20), albedo=0.4, roughness=1.0, occlusion=1.0), uniform_light())
-    color = 0.5 + harmonics.C0 * sh[:, 0]
+    color = 0.5 + SH_C0 * sh[:, 0]
     low, high = float(tone_map(np.array([0.4], np.float32))[0]), float(tone_map(np.array([0.43], np.float32))[0])
     assert (color > low).all() and (color < high).all()
     assert float(color.max() - color.min()) < 1e-5
@@ -139,11 +141,11 @@ def test_a_metal_shows_the_blurred_environment_at_the_mirrored_direction() -> No
     x, y, z, w = 0.7, 0.0425 - 0.0275 * 0.3, 1.04 - 0.572 * 0.3, 0.022 * 0.3 - 0.04  # Karis' fit, cosine 0.7
     a = min(x * x, 2 ** (-9.28 * 0.7)) * x + y
     share = 0.9 * (-1.04 * a + z) + max(1.04 * a + w, 0)
-    straight = tone_map(share * (harmonics.basis(normals.float()) @ blurred), light.exposure)
+    straight = tone_map(share * (sh_basis(normals.float(), 2) @ blurred), light.exposure)
     torch.testing.assert_close(seen(sh, -normals), straight, atol=1e-5, rtol=0)
     d = torch.nn.functional.normalize(-normals + 0.5 * directions(30, 7), dim=1)
     bounced = d - 2 * (d * normals).sum(1, keepdim=True) * normals
-    truth = tone_map(share * (harmonics.basis(bounced.float()) @ blurred), light.exposure)
+    truth = tone_map(share * (sh_basis(bounced.float(), 2) @ blurred), light.exposure)
     torch.testing.assert_close(seen(sh, d), truth, atol=0.02, rtol=0)  # the tone curve is linear around the normal
 
 
@@ -175,7 +177,7 @@ def test_the_tone_map_is_srgb_below_the_shoulder_and_never_exceeds_one() -> None
 
 def test_exposure_undoes_the_brightness_of_an_environment() -> None:
     picture = torch.rand(16, 32, 3)
-    dark, bright = harmonics.project(picture), harmonics.project(100 * picture)
+    dark, bright = project_sh(picture), project_sh(100 * picture)
     assert float(auto_exposure(dark) / auto_exposure(bright)) == pytest.approx(100, rel=1e-4)
     assert float(make_light(picture, stops=1).exposure / make_light(picture).exposure) == pytest.approx(2)
 
@@ -196,23 +198,31 @@ def rgbe(pixels: np.ndarray) -> bytes:
     return b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (h, w) + pixels.tobytes()
 
 
-def test_plain_pixels_and_old_runs_decode_by_the_formula() -> None:
+def test_plain_pixels_are_decoded_by_the_formula(tmp_path: Path) -> None:
     pixels = np.array([[[128, 64, 0, 129], [200, 100, 50, 136], [9, 9, 9, 0]]], np.uint8)
-    image = hdr.decode_hdr(rgbe(pixels))
-    np.testing.assert_allclose(image[0], [[1, 0.5, 0], [200, 100, 50], [0, 0, 0]])
-    old = rgbe(np.array([[[128, 64, 0, 129], [1, 1, 1, 2]]], np.uint8)).replace(b"+X 2", b"+X 3")
-    np.testing.assert_allclose(hdr.decode_hdr(old)[0], [[1, 0.5, 0]] * 3)
+    (tmp_path / "sky.hdr").write_bytes(rgbe(pixels))
+    np.testing.assert_allclose(load_environment(tmp_path / "sky.hdr")[0], [[1, 0.5, 0], [200, 100, 50], [0, 0, 0]])
 
 
-def test_new_runs_decode_by_the_formula() -> None:
+def test_runs_are_decoded_by_the_formula_and_cut_files_refused(tmp_path: Path) -> None:
     planes = [bytes([128 + 10, 128]), bytes([4, 1, 2, 3, 4, 128 + 6, 7]), bytes([128 + 10, 0]), bytes([128 + 10, 136])]
-    data = b"#?RGBE\n\n-Y 1 +X 10\n" + bytes([2, 2, 0, 10]) + b"".join(planes)
-    image = hdr.decode_hdr(data)
+    data = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 10\n" + bytes([2, 2, 0, 10]) + b"".join(planes)
+    (tmp_path / "sky.hdr").write_bytes(data)
+    image = load_environment(tmp_path / "sky.hdr").numpy()
     np.testing.assert_allclose(image[0, :, 0], 128)
     np.testing.assert_allclose(image[0, :, 1], [1, 2, 3, 4, 7, 7, 7, 7, 7, 7])
     for cut in range(20, len(data)):
+        (tmp_path / "sky.hdr").write_bytes(data[:cut])
         with pytest.raises(ValueError, match="sky.hdr"):
-            hdr.decode_hdr(data[:cut], "sky.hdr")
+            load_environment(tmp_path / "sky.hdr")
+
+
+def test_exr_environments_keep_their_light(tmp_path: Path) -> None:
+    picture = np.random.default_rng(0).uniform(0, 50, (4, 8, 3)).astype(np.float16).astype(np.float32)
+    (tmp_path / "sky.exr").write_bytes(environments.encode_exr(picture))
+    np.testing.assert_array_equal(load_environment(tmp_path / "sky.exr"), picture)
+    (tmp_path / "grey.exr").write_bytes(environments.encode_exr(picture[..., :1]))
+    np.testing.assert_array_equal(load_environment(tmp_path / "grey.exr"), picture[..., :1].repeat(3, 2))
 
 
 def test_hdr_agrees_with_mitsuba(tmp_path: Path) -> None:
@@ -223,7 +233,7 @@ def test_hdr_agrees_with_mitsuba(tmp_path: Path) -> None:
     image[:, 5:20] = image[:, 5:6]  # something to run-length code
     mi.Bitmap(image).write(str(tmp_path / "a.hdr"))
     expected = np.array(mi.Bitmap(str(tmp_path / "a.hdr")), np.float32)
-    # Mitsuba decodes a mantissa byte b as b, and not as b + 0.5.
+    # Both decode a mantissa byte b as b, and not as b + 0.5.
     np.testing.assert_allclose(load_environment(tmp_path / "a.hdr").numpy(), expected[..., :3], rtol=1e-6)
 
 
@@ -233,9 +243,9 @@ def test_hdr_agrees_with_mitsuba(tmp_path: Path) -> None:
         ("a.hdr", None, "no such file"),
         ("a.png", b"", "expected an environment"),
         ("a.hdr", b"GIF89a", "is not a Radiance"),
-        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n1234", "expected FORMAT"),
-        ("a.hdr", b"#?RADIANCE\n\n+Z 1 +X 1\n1234", "size line"),
-        ("a.hdr", b"#?RADIANCE\n\n-Y 99999 +X 99999\n", "pixels"),
+        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n1234", "is not a Radiance"),
+        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n+Z 1 +X 1\n1234", "is not a Radiance"),
+        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 12000 +X 12000\n1234", "pixels"),
         ("a.hdr", rgbe(np.zeros((2, 2, 4), np.uint8)), "black"),
     ],
 )
@@ -250,7 +260,7 @@ def test_bad_environments_give_one_line(tmp_path: Path, name: str, data: bytes |
 def test_a_few_bad_pixels_become_black_and_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.ones((20, 40, 3), np.float32)
     picture[0, 0], picture[1, 1] = np.nan, np.inf
-    monkeypatch.setattr(hdr, "read_hdr", lambda path: picture)
+    monkeypatch.setattr(environments, "_read", lambda path, where: picture)
     assert torch.isfinite(load_environment(tmp_path / "x.hdr")).all()
     picture[:5] = -1
     with pytest.raises(ValueError, match="200 of 800 pixels are NaN"):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splatpainter.data import patterns, shapes
+from splatpainter.data import procedural, shapes
 from splatpainter.data.meshes import EXTENT
 from splatpainter.data.procedural import Odds, random_mesh, rotation
 
@@ -84,10 +84,10 @@ def test_distances_are_negative_inside(kind: str) -> None:
     assert (measure(3 * np.eye(3)) > 0).all()
 
 
-@pytest.mark.parametrize("kind", patterns.KINDS)
+@pytest.mark.parametrize("kind", procedural.PATTERNS)
 def test_patterns_are_pictures_that_tile(kind: str) -> None:
-    color, relief = patterns.pattern(kind, np.random.default_rng(3))
-    assert color.shape == (patterns.SIZE, patterns.SIZE, 3) and relief.shape == color.shape[:2]
+    color, relief = procedural.pattern(kind, np.random.default_rng(3))
+    assert color.shape == (procedural.SIDE_PX, procedural.SIDE_PX, 3) and relief.shape == color.shape[:2]
     assert np.isfinite(color).all() and color.min() >= -1e-9 and color.max() <= 1 + 1e-9
     inner = np.abs(np.diff(color, axis=0)).mean((1, 2))
     seam = np.abs(color[0] - color[-1]).mean()
@@ -96,9 +96,9 @@ def test_patterns_are_pictures_that_tile(kind: str) -> None:
 
 def test_normals_of_a_relief_point_up_the_slope() -> None:
     x = np.arange(64) / 64 * 2 * np.pi
-    normal = patterns.relief_normals(np.tile(np.sin(x), (64, 1)), 64 / (2 * np.pi)) / 127.5 - 1
+    normal = procedural.relief_normals(np.tile(np.sin(x), (64, 1)), 64 / (2 * np.pi)) / 127.5 - 1
     np.testing.assert_allclose(normal[5, 0], [-np.sqrt(0.5), 0, np.sqrt(0.5)], atol=0.01)  # height = x there
-    steep = patterns.relief_normals(np.tile(np.sin(x), (64, 1)).T, 64 / (2 * np.pi)) / 127.5 - 1
+    steep = procedural.relief_normals(np.tile(np.sin(x), (64, 1)).T, 64 / (2 * np.pi)) / 127.5 - 1
     assert steep[0, 5, 1] > 0.7  # rows run down and v up: height falls with v
 
 
@@ -140,5 +140,5 @@ def test_photos_are_used_and_a_folder_without_them_is_refused(tmp_path: Path) ->
     Image.new("RGB", (8, 8), (12, 200, 90)).save(tmp_path / "green.png")
     (tmp_path / "torn.jpg").write_bytes(b"\xff\xd8")
     rng = np.random.default_rng(0)
-    seen = [patterns.random_material(rng, tmp_path).base_color for _ in range(12)]
+    seen = [procedural.random_material(rng, tmp_path).base_color for _ in range(12)]
     assert any(color is not None and (color == [12, 200, 90]).all() for color in seen)

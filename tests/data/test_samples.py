@@ -15,7 +15,8 @@ from splatpainter.data.edits import MIN_EDIT_FRACTION, layers
 from splatpainter.data.edits.layers import EditResources, PaintCoverage, list_files
 from splatpainter.data.edits.on_surfels import display_colors
 from splatpainter.data.lit_scenes import Renders
-from splatpainter.data.meshes import Material, Mesh
+from splatpainter.data.materials import Material
+from splatpainter.data.meshes import Mesh
 from splatpainter.data.samples import GLOBAL, KINDS, LOCAL, RECIPES, Sample, SampleRecipe, SampleStream
 from splatpainter.data.scenes import SplatFolder
 from splatpainter.rendering import render

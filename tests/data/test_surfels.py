@@ -10,14 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from splatpainter import lighting as visibility
 from splatpainter.cameras import orbit
-from splatpainter.data import harmonics, shapes, texels
-from splatpainter.data import poisson_disk as blue_noise
-from splatpainter.data.degrade import quaternions
-from splatpainter.data.lights import shade, uniform_light
-from splatpainter.data.meshes import Material, Mesh
+from splatpainter.data import poisson_disk, shapes
+from splatpainter.data.lights import equirectangular, shade, uniform_light
+from splatpainter.data.materials import Material, sample_texture
+from splatpainter.data.meshes import Mesh
 from splatpainter.data.procedural import random_mesh
-from splatpainter.data.surfels import Surfels, coarse_asset, facing, sample_surfels, to_splats
+from splatpainter.data.surfels import Surfels, coarse_asset, sample_surfels, to_splats
 from splatpainter.rendering import render
+from splatpainter.splats import SH_C0
+from splatpainter.transforms import sh_basis
 
 
 def mesh_of(solid: shapes.Solid, *materials: Material, ids: np.ndarray | None = None, name: str = "solid") -> Mesh:
@@ -97,7 +98,7 @@ def test_albedo_is_the_texture_in_linear_light_times_the_factor() -> None:
 def test_textures_are_interpolated_and_repeat() -> None:
     pixels = np.arange(12, dtype=np.uint8).reshape(3, 4, 1)
     got = (
-        texels.look_up(pixels, np.array([[0.125, 1 - 1 / 6], [1.125, -1 / 6], [0.25, 0.5], [0.0, 0.5]], np.float32))
+        sample_texture(pixels, np.array([[0.125, 1 - 1 / 6], [1.125, -1 / 6], [0.25, 0.5], [0.0, 0.5]], np.float32))
         * 255
     )
     np.testing.assert_allclose(got[:, 0], [0, 0, 4.5, 5.5], atol=1e-4)  # last: between the last and the first column
@@ -134,10 +135,10 @@ def test_cut_out_alpha_makes_holes() -> None:
 def test_open_surfaces_see_everything_and_transfer_is_the_cosine_lobe() -> None:
     own = sample_surfels(ball(), 4000)
     assert own.occlusion.min() > 0.97
-    towards, area = harmonics.directions(64, 128, dtype=torch.float64)
+    towards, area = equirectangular(64, 128, dtype=torch.float64)
     normals = own.normals[:5].double()
     cosine = torch.einsum("hwc,nc->nhw", towards, normals).clamp_min(0)
-    truth = torch.einsum("nhw,hwk->nk", cosine * area, harmonics.basis(towards))
+    truth = torch.einsum("nhw,hwk->nk", cosine * area, sh_basis(towards, 2))
     torch.testing.assert_close(own.transfer[:5].double(), truth, atol=0.02, rtol=0)
 
 
@@ -146,7 +147,7 @@ def plates(count: int) -> tuple[np.ndarray, visibility.Visibility]:
     points, normals = [], []
     rng = np.random.default_rng(0)
     for solid in (quad(0.9), quad(0.9, z=0.9, up=False)):
-        face, weights = blue_noise.scatter(solid.vertices, solid.faces, count, rng)
+        face, weights = poisson_disk.scatter(solid.vertices, solid.faces, count, rng)
         points.append(np.einsum("nk,nkc->nc", weights, solid.vertices[solid.faces[face]]).astype(np.float32))
         normals.append(np.tile(solid.normals[0].astype(np.float32), (count, 1)))
     middle = np.flatnonzero(np.linalg.norm(points[0][:, :2], axis=1) < 0.06)
@@ -165,7 +166,7 @@ def test_occlusion_below_a_plate_is_the_view_factor() -> None:
     assert 2 * second - first == pytest.approx(truth, abs=0.02)  # extrapolated to spacing 0
     assert more.back[middle].mean() > 0.99
     # The transfer of the constant coefficient is the open share, in SH's units.
-    lost = more.blocked_front[middle][:, 0] / (np.pi * harmonics.C0)
+    lost = more.blocked_front[middle][:, 0] / (np.pi * SH_C0)
     np.testing.assert_allclose(1 - lost, more.front[middle], atol=1e-3)
 
 
@@ -173,28 +174,20 @@ def test_neighbour_searches_agree_with_a_tree() -> None:
     rng = np.random.default_rng(0)
     points, centers = (rng.random((n, 3)).astype(np.float32) for n in (500, 60))
     up = np.array([[0, 0, 1]], np.float32)
-    same = blue_noise.nearest(points, np.repeat(up, 500, 0), centers, np.repeat(up, 60, 0), 0.3)
+    same = poisson_disk.nearest(points, np.repeat(up, 500, 0), centers, np.repeat(up, 60, 0), 0.3)
     np.testing.assert_array_equal(same, KDTree(centers).query(points)[1])
-    gaps = blue_noise.spacing_around(points, np.repeat(up, 500, 0), 0.3)
+    gaps = poisson_disk.spacing_around(points, np.repeat(up, 500, 0), 0.3)
     np.testing.assert_allclose(gaps, KDTree(points).query(points, 6)[0][:, 1:].mean(1), rtol=1e-4)
 
 
 def test_selected_points_keep_their_distance() -> None:
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.random((4000, 2)), np.zeros((4000, 1))], 1).astype(np.float32)
-    chosen = blue_noise.select(points, np.tile(np.array([0, 0, 1], np.float32), (4000, 1)), 500, 1 / np.sqrt(500), rng)
+    chosen = poisson_disk.select(
+        points, np.tile(np.array([0, 0, 1], np.float32), (4000, 1)), 500, 1 / np.sqrt(500), rng
+    )
     assert len(np.unique(chosen)) == 500
     assert KDTree(points[chosen]).query(points[chosen], 2)[0][:, 1].min() > 0.5 / np.sqrt(500)
-
-
-def test_quaternions_turn_axes_as_scipy_says() -> None:
-    rng = np.random.default_rng(0)
-    turns = Rotation.from_quat(rng.standard_normal((200, 4)))
-    got = Rotation.from_quat(quaternions(turns.as_matrix())[:, [1, 2, 3, 0]])
-    assert (got * turns.inv()).magnitude().max() < 1e-6
-    normals = np.concatenate([turns.as_matrix()[:, 2], [[0, 0, -1], [0, 0, 1]]])
-    quats = facing(normals, rng.uniform(0, 6, 202))
-    np.testing.assert_allclose(Rotation.from_quat(quats[:, [1, 2, 3, 0]]).as_matrix()[:, :, 2], normals, atol=1e-5)
 
 
 def test_a_coarse_asset_looks_like_the_dense_truth_and_less_so_when_rough(dense: Surfels) -> None:

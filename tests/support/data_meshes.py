@@ -8,7 +8,8 @@ import numpy as np
 import torch
 
 from splatpainter.cameras import orbit
-from splatpainter.data.meshes import Material, Mesh
+from splatpainter.data.materials import Material
+from splatpainter.data.meshes import Mesh
 from splatpainter.data.samples import Sample, Views
 from tests.support.cli_scenes import ball
 

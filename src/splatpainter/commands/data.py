@@ -314,7 +314,7 @@ def _folder(path: Path | None, name: str) -> str:
 
 def _environments(path: Path | None) -> tuple[tuple[str, ...], dict[str, str]]:
     """(files that can be used, name -> why not). Raises ValueError: no such folder, or nothing in it can be used."""
-    from splatpainter.data.lights import load_environment
+    from splatpainter.data.environments import load_environment
 
     good, bad = [], {}
     folder = _folder(path, "environments")

@@ -103,7 +103,8 @@ def _from_asset(source: Path, wish: Wish) -> Material:
 
 def _from_mesh(source: Path, wish: Wish) -> Material:
     try:
-        from splatpainter.data.lights import load_environment, make_light, uniform_light
+        from splatpainter.data.environments import load_environment
+        from splatpainter.data.lights import make_light, uniform_light
         from splatpainter.data.meshes import load_mesh
 
         mesh = load_mesh(source)
@@ -275,11 +276,9 @@ def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndar
         count, good = np.zeros(len(points)), np.ones(len(points), bool)
         total = np.zeros((len(points), 3))
         for camera, color, there in zip(cameras, colors, solid, strict=True):
-            local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-            z = np.maximum(local[:, 2], 1e-9)
-            x = np.floor(camera.fx * local[:, 0] / z + camera.cx).astype(np.int64)
-            y = np.floor(camera.fy * local[:, 1] / z + camera.cy).astype(np.int64)
-            seen = (local[:, 2] > 1e-3) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+            pixels, z = camera.project(points)
+            x, y = np.floor(np.where(z[:, None] > 1e-3, pixels, -1)).astype(np.int64).T
+            seen = (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
             good[seen] &= there[y[seen], x[seen]]
             total[seen] += color[y[seen], x[seen]]
             count[seen] += 1

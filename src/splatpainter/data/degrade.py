@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from splatpainter.data import poisson_disk
+from splatpainter.transforms import matrix_to_quat, quat_to_matrix
+
 GROWTH = 2.0
 """Standard deviation of a row over that of the patch that it stands for, so that neighbours overlap."""
 
@@ -14,8 +17,6 @@ INSIDE = 0.06
 def coarsened(own: dict[str, np.ndarray], rows: int, seed: int, fuzz: float) -> dict[str, np.ndarray]:
     """The fields of `rows` Gaussians that stand for the surfels `own` (fields of Surfels as numpy): see
     surfels.coarse_asset, which checks the arguments."""
-    from splatpainter.data import poisson_disk as blue_noise
-
     rng = np.random.default_rng([seed, rows, 7])
     layers = round(0.3 * fuzz * rows)
     solid = rows - layers
@@ -25,11 +26,11 @@ def coarsened(own: dict[str, np.ndarray], rows: int, seed: int, fuzz: float) -> 
     shown = _shown(own, 0.7 * spacing)
     if shown.sum() >= rows:
         own = {k: v[shown] for k, v in own.items()}
-    points, facing = own["means"], _surface_normals(own["quats"])
-    even = blue_noise.select(points, facing, round((1 - 0.4 * fuzz) * solid), spacing, rng, evenness=1.0)
+    points, facing = own["means"], quat_to_matrix(own["quats"])[..., 2].astype(np.float32)
+    even = poisson_disk.select(points, facing, round((1 - 0.4 * fuzz) * solid), spacing, rng, evenness=1.0)
     others = np.setdiff1d(np.arange(len(points)), even, assume_unique=True)
     centers = np.concatenate([even, rng.choice(others, solid - len(even), replace=False)])
-    patch = blue_noise.nearest(points, facing, points[centers], facing[centers], spacing)
+    patch = poisson_disk.nearest(points, facing, points[centers], facing[centers], spacing)
     patch[centers] = np.arange(solid)
     means = _patch_means(own, patch, solid)
     scales, quats = _shapes(own, patch, means, spacing)
@@ -44,10 +45,8 @@ def coarsened(own: dict[str, np.ndarray], rows: int, seed: int, fuzz: float) -> 
 def _shown(own: dict[str, np.ndarray], reach: float) -> np.ndarray:
     """[N] bool: surfels that a captured asset has rows for. Left out are those deep inside and the darker side of walls
     thinner than `reach`: rows as large as the wall is thick would let it shine through."""
-    from splatpainter.data import poisson_disk as blue_noise
-
-    points, facing, light = own["means"], _surface_normals(own["quats"]), own["occlusion"]
-    other = blue_noise.nearest(points, -facing, points, facing, reach)
+    points, facing, light = own["means"], quat_to_matrix(own["quats"])[..., 2].astype(np.float32), own["occlusion"]
+    other = poisson_disk.nearest(points, -facing, points, facing, reach)
     gap = np.linalg.norm(points - points[other], axis=1)
     back = (other >= 0) & (gap < reach) & ((facing * facing[other]).sum(1) < -0.5)
     return (light > INSIDE) & ~(back & (light < 0.8 * light[other]))
@@ -92,7 +91,7 @@ def _shapes(
     scales = GROWTH * np.sqrt(np.maximum(values, 1e-16))
     low = np.array([0.42, 0.42, 0.03]) * spacing
     high = np.array([1.5, 1.1, 0.35]) * spacing
-    return np.clip(scales, low, high), quaternions(axes)
+    return np.clip(scales, low, high), matrix_to_quat(axes)
 
 
 def _roughened(
@@ -116,27 +115,3 @@ def _roughened(
     faint = 0.99 - 0.49 * fuzz * rng.random(count) ** 3
     out["opacities"] = np.where(layer, rng.uniform(0.1, 0.5, count), faint)
     return out
-
-
-def quaternions(axes: np.ndarray) -> np.ndarray:
-    """[N, 4] w, x, y, z of rotation matrices [N, 3, 3] whose columns are the rotated axes."""
-    m = np.asarray(axes, np.float64)
-    d = np.einsum("nii->ni", m)
-    trace = d.sum(1)
-    # The largest of the four squared components decides which row is safe to divide by (Shepperd 1978).
-    squares = np.stack([trace, d[:, 0] * 2 - trace, d[:, 1] * 2 - trace, d[:, 2] * 2 - trace], 1)
-    a = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], 1)
-    s = m + m.transpose(0, 2, 1)
-    table = np.empty((len(m), 4, 4))
-    table[:, 0, 0], table[:, 0, 1:], table[:, 1:, 0] = 1 + trace, a, a
-    table[:, 1:, 1:] = s
-    for k in range(3):
-        table[:, k + 1, k + 1] = 1 + squares[:, k + 1]
-    chosen = table[np.arange(len(m)), squares.argmax(1)]
-    return chosen / np.linalg.norm(chosen, axis=1, keepdims=True)
-
-
-def _surface_normals(quats: np.ndarray) -> np.ndarray:
-    """[N, 3] float32 third rotated axes."""
-    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
-    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1).astype(np.float32)

@@ -184,7 +184,7 @@ def _opened(job: RenderJob) -> tuple[Any, Sequence[Any]]:
     """(source, environments) of a job, kept for the process's next scene."""
     global _kept
     if _kept is None or _kept[0] != repr(job):
-        from splatpainter.data.lights import load_environment
+        from splatpainter.data.environments import load_environment
 
         _kept = (repr(job), (open_source(job), tuple(load_environment(path) for path in job.environments)))
     return _kept[1]

@@ -8,23 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from splatpainter.data import harmonics
+from splatpainter.color import LUMA, linear_to_srgb
 from splatpainter.data.surfels import Surfels
+from splatpainter.splats import SH_C0
+from splatpainter.transforms import fibonacci_sphere, sh_basis
 
+SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+"""Factors of the polynomials of band 2."""
 SHOULDER = 0.8
 """Exposed radiance up to here is shown as it is; what lies above is rolled off towards 1."""
 WHITE = 0.9
 """Exposed radiance of a white diffuse surface that faces the brighter side of an environment."""
 BALANCE = 0.6
 """Exponent to which random lights are white-balanced: 1 takes their mean colour away wholly."""
-MOST_BAD = 0.01
-"""Share of pixels that are not finite or negative above which an environment is refused."""
 
 
 @dataclass(frozen=True)
@@ -49,21 +50,19 @@ class Light:
 def uniform_light(device: str = "cpu") -> Light:
     """Radiance 1 from everywhere, exposure 1: an open matt surface of albedo a has radiance a."""
     coefficients = torch.zeros(9, 3, device=device)
-    coefficients[0] = 4 * torch.pi * harmonics.C0  # exact, without the error of a projection
+    coefficients[0] = 4 * torch.pi * SH_C0  # exact, without the error of a projection
     return Light(torch.ones(8, 16, 3, device=device), coefficients, torch.ones((), device=device), "uniform")
 
 
 def make_light(environment: Any, name: str = "", stops: float = 0.0) -> Light:
     """A Light of an environment [h, w, 3] (torch or numpy), exposed by `auto_exposure` and `stops` more."""
     picture = torch.as_tensor(environment, dtype=torch.float32)
-    coefficients = harmonics.project(picture)
+    coefficients = project_sh(picture)
     return Light(picture, coefficients, auto_exposure(coefficients) * 2.0**stops, name)
 
 
 def auto_exposure(coefficients: Any) -> Any:
     """[] exposure that gives WHITE to the luminance of a white diffuse sphere's brightest tenth under SH [9, 3]."""
-    from splatpainter.transforms import fibonacci_sphere
-
     normals = torch.as_tensor(fibonacci_sphere(128), dtype=coefficients.dtype, device=coefficients.device)
     luminance = irradiance(coefficients, normals) @ _luminance(coefficients)
     return WHITE * torch.pi / torch.quantile(luminance, 0.9).clamp_min(1e-8)
@@ -71,7 +70,7 @@ def auto_exposure(coefficients: Any) -> Any:
 
 def irradiance(coefficients: Any, normals: Any) -> Any:
     """[N, 3] irradiance at unit normals [N, 3] under SH [9, 3], nothing in the way (Ramamoorthi and Hanrahan 2001)."""
-    return ((harmonics.basis(normals) * _cosine(normals)) @ coefficients).clamp_min(0)
+    return ((sh_basis(normals, 2) * _cosine(normals)) @ coefficients).clamp_min(0)
 
 
 def tone_map(radiance: Any, exposure: Any = 1.0) -> Any:
@@ -84,8 +83,7 @@ def tone_map(radiance: Any, exposure: Any = 1.0) -> Any:
         return tone_map(torch.from_numpy(np.ascontiguousarray(radiance)), exposure).numpy()
     light = (radiance * exposure).clamp_min(0)
     over = (light - SHOULDER).clamp_min(0)
-    shown = light.clamp_max(SHOULDER) + over / (1 + over / (1 - SHOULDER))
-    return torch.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+    return linear_to_srgb(light.clamp_max(SHOULDER) + over / (1 + over / (1 - SHOULDER)))
 
 
 def shade(surfels: Surfels, light: Light, degree: int = 0) -> Any:
@@ -106,19 +104,19 @@ def shade_all(surfels: Surfels, coefficients: Any, exposure: Any, degree: int = 
     diffuse = _diffuse(surfels, coefficients)
     gloss = _reflectance(surfels) * surfels.occlusion[:, None]  # [N, 3]
     reach = _blur(surfels.roughness)  # [N, 9]
-    around = harmonics.basis(surfels.normals)
+    around = sh_basis(surfels.normals, 2)
     if degree == 0:
         mean = (around * reach * _cosine(around) / torch.pi) @ coefficients
-        return ((tone_map(diffuse + gloss * mean.clamp_min(0), lamps) - 0.5) / harmonics.C0)[..., None, :]
-    lobe = harmonics.mirrored(coefficients, surfels.normals) * reach[:, :, None] * gloss[:, None]
+        return ((tone_map(diffuse + gloss * mean.clamp_min(0), lamps) - 0.5) / SH_C0)[..., None, :]
+    lobe = mirrored_sh(coefficients, surfels.normals) * reach[:, :, None] * gloss[:, None]
     lobe = lobe[..., : (degree + 1) ** 2, :]  # [..., N, K, 3] radiance per direction from the camera
-    towards = harmonics.basis(-surfels.normals)[:, 1 : lobe.shape[-2], None]
+    towards = sh_basis(-surfels.normals, 2)[:, 1 : lobe.shape[-2], None]
     bent = (lobe[..., 1:, :] * towards).sum(-2)  # what bands >= 1 add when seen along the normal
-    center = diffuse + (lobe[..., 0, :] * harmonics.C0 + bent).clamp_min(0)
+    center = diffuse + (lobe[..., 0, :] * SH_C0 + bent).clamp_min(0)
     spread = 1.5 * (lobe[..., 1:, :].square().sum(-2) / (4 * torch.pi)).sqrt() + 1e-3 / lamps
     low, high = (center - spread).clamp_min(0), center + spread
     slope = (tone_map(high, lamps) - tone_map(low, lamps)) / (high - low)
-    base = (tone_map(center, lamps) - 0.5 - slope * bent) / harmonics.C0
+    base = (tone_map(center, lamps) - 0.5 - slope * bent) / SH_C0
     return torch.cat([base[..., None, :], slope[..., None, :] * lobe[..., 1:, :]], -2)
 
 
@@ -130,7 +128,7 @@ def _diffuse(surfels: Surfels, coefficients: Any) -> Any:
     """[..., N, 3] linear radiance that leaves each surfel in all directions."""
     received = (surfels.transfer @ coefficients).clamp_min(0)
     # Blocked directions are not black: they show a neighbour of about the same colour in average light.
-    mean = (coefficients[..., 0, :] * harmonics.C0).clamp_min(0)[..., None, :]
+    mean = (coefficients[..., 0, :] * SH_C0).clamp_min(0)[..., None, :]
     returned = (1 - surfels.occlusion)[:, None] * (BOUNCE * torch.pi) * surfels.albedo * mean
     return (1 - surfels.metallic)[:, None] * surfels.albedo * (received + returned) / torch.pi
 
@@ -160,36 +158,7 @@ def _cosine(like: Any) -> Any:
 
 def _luminance(like: Any) -> Any:
     """[3] Rec. 709 weights."""
-    return torch.tensor([0.2126, 0.7152, 0.0722], dtype=like.dtype, device=like.device)
-
-
-def load_environment(path: str | Path) -> Any:
-    """[h, w, 3] float32 torch, linear, from .hdr (Radiance) or .exr. Pixels that are not finite or negative become 0.
-
-    Raises ValueError, one line that names the file: more than MOST_BAD such pixels, all black, or no such picture.
-    """
-    path = Path(path)
-    if path.suffix.lower() == ".hdr":
-        from splatpainter.data.hdr import read_hdr
-
-        pixels = read_hdr(path)
-    elif path.suffix.lower() == ".exr":
-        from splatpainter.data.exr import decode_exr
-        from splatpainter.io import files
-
-        pixels = decode_exr(files.read_all(path), str(path))
-        pixels = np.repeat(pixels, 3, 2) if pixels.shape[2] == 1 else pixels[..., :3]
-    else:
-        raise ValueError(f"{path}: expected an environment (.hdr or .exr), got {path.suffix or 'no suffix'}")
-    bad = ~np.all(np.isfinite(pixels) & (pixels >= 0), axis=-1)
-    if bad.mean() > MOST_BAD:
-        raise ValueError(
-            f"{path}: {int(bad.sum())} of {bad.size} pixels are NaN, infinite or negative; repair the picture"
-        )
-    pixels = np.where(bad[..., None], np.float32(0), pixels).astype(np.float32)
-    if not pixels.any():
-        raise ValueError(f"{path}: the environment is black")
-    return torch.from_numpy(pixels)
+    return torch.tensor(LUMA, dtype=like.dtype, device=like.device)
 
 
 def random_light(rng: np.random.Generator, environments: Sequence[Any] = (), device: str = "cpu") -> Light:
@@ -200,7 +169,7 @@ def random_light(rng: np.random.Generator, environments: Sequence[Any] = (), dev
         picture, name = _varied(torch.as_tensor(environments[which]).cpu(), rng), f"environment {which}"
     else:
         picture, name = _sky(rng), "sky"
-    _, area = harmonics.directions(*picture.shape[:2])
+    _, area = equirectangular(*picture.shape[:2])
     mean = (picture * area[..., None]).sum((0, 1)) / (4 * torch.pi)
     cast = (mean / mean.mean().clamp_min(1e-8)).clamp_min(1e-3)
     # Photographers balance most of a colour cast away; what is left, and a random tint, is the look of the light.
@@ -224,7 +193,7 @@ def _varied(picture: Any, rng: np.random.Generator) -> Any:
 
 def _sky(rng: np.random.Generator, height: int = 64) -> Any:
     """[64, 128, 3] a sky gradient over a ground, and one to three round lamps with soft rims."""
-    towards, _ = harmonics.directions(height, 2 * height)
+    towards, _ = equirectangular(height, 2 * height)
     y = towards[..., 1:2]
     zenith, horizon, ground = (
         torch.from_numpy(_tone(rng, low, high)) for low, high in ((0.2, 1), (0.4, 1.4), (0.1, 0.6))
@@ -247,3 +216,70 @@ def _tone(rng: np.random.Generator, low: float, high: float) -> np.ndarray:
     """[3] float32 a slightly coloured level."""
     level = rng.uniform(low, high)
     return (level * np.exp(rng.normal(0, 0.18, 3))).astype(np.float32)
+
+
+def mirrored_sh(coefficients: Any, normals: Any) -> Any:
+    """[..., N, 9, 3] coefficients of g(d) = f(d - 2 (n . d) n) for every normal n [N, 3], from those of f [..., 9, 3].
+
+    Exact: band 1 is a vector m, which becomes H m; band 2 is a symmetric traceless matrix Q, which becomes H Q H, with
+    the Householder matrix H = I - 2 n n^T.
+    """
+    n = normals
+    lead = coefficients.unsqueeze(-3)  # [..., 1, 9, 3]
+    vector = torch.stack([-lead[..., 3, :], -lead[..., 1, :], lead[..., 2, :]], -2)  # [..., 1, 3 xyz, 3 rgb]
+    vector = vector - 2 * n[:, :, None] * (n[:, :, None] * vector).sum(-2, keepdim=True)
+    q = _band2_matrix(lead)  # [..., 1, 3, 3, rgb]
+    nq = (n[:, :, None, None] * q).sum(-3)  # [..., N, 3, rgb] = n^T Q
+    nqn = (n[:, :, None] * nq).sum(-2)  # [..., N, rgb]
+    outer = n[:, :, None, None] * nq.unsqueeze(-3)  # n_i (nQ)_j
+    nn = n[:, :, None, None] * n[:, None, :, None]
+    turned = q - 2 * (outer + outer.transpose(-3, -2)) + 4 * nn * nqn[..., None, None, :]
+    band2 = _band2_coefficients(turned)
+    band0 = lead[..., 0, :].expand(band2.shape[:-2] + (3,))
+    vector = vector.expand(band2.shape[:-2] + (3, 3))
+    band1 = torch.stack([-vector[..., 1, :], vector[..., 2, :], -vector[..., 0, :]], -2)
+    return torch.cat([band0.unsqueeze(-2), band1, band2], -2)
+
+
+def _band2_matrix(c: Any) -> Any:
+    """[..., 3, 3, rgb] symmetric traceless Q with d^T Q d = sum of band 2 at unit d; c: [..., 9, rgb]."""
+    xy, yz, zz, xz, xx = c[..., 4, :], c[..., 5, :], c[..., 6, :], c[..., 7, :], c[..., 8, :]
+    a, b, e = SH_C2[0] / 2 * xy, -SH_C2[0] / 2 * yz, -SH_C2[0] / 2 * xz
+    z, w = SH_C2[1] * zz, SH_C2[2] * xx  # 3 z^2 - 1 = 2 z^2 - x^2 - y^2 on the sphere
+    matrix = [[w - z, a, e], [a, -w - z, b], [e, b, 2 * z]]
+    return torch.stack([torch.stack(row, -2) for row in matrix], -3)
+
+
+def _band2_coefficients(q: Any) -> Any:
+    """[..., 5, rgb], the inverse of `_band2_matrix`."""
+    return torch.stack(
+        [
+            q[..., 0, 1, :] * (2 / SH_C2[0]),
+            q[..., 1, 2, :] * (-2 / SH_C2[0]),
+            q[..., 2, 2, :] / (2 * SH_C2[1]),
+            q[..., 0, 2, :] * (-2 / SH_C2[0]),
+            (q[..., 0, 0, :] - q[..., 1, 1, :]) / (2 * SH_C2[2]),
+        ],
+        -2,
+    )
+
+
+def equirectangular(height: int, width: int, device: Any = "cpu", dtype: Any = torch.float32) -> tuple[Any, Any]:
+    """(unit directions [h, w, 3] of an equirectangular picture's pixel centres, solid angles [h, 1], steradian).
+
+    Column u = atan2(x, -z) / 2 pi (mod 1), row v = acos(y) / pi: Mitsuba's layout, y up.
+    """
+    edges = torch.cos(torch.linspace(0, torch.pi, height + 1, device=device, dtype=torch.float64))
+    area = ((edges[:-1] - edges[1:]) * (2 * torch.pi / width)).to(dtype)
+    v = (torch.arange(height, device=device, dtype=dtype) + 0.5) * (torch.pi / height)
+    u = (torch.arange(width, device=device, dtype=dtype) + 0.5) * (2 * torch.pi / width)
+    ring, y = torch.sin(v)[:, None], torch.cos(v)[:, None]
+    x, z = ring * torch.sin(u), -ring * torch.cos(u)
+    return torch.stack([x, y.expand_as(x), z], -1), area[:, None]
+
+
+def project_sh(environment: Any) -> Any:
+    """[9, 3] coefficients of an equirectangular picture [h, w, 3]."""
+    towards, area = equirectangular(environment.shape[0], environment.shape[1], environment.device, environment.dtype)
+    weighted = sh_basis(towards, 2) * area[..., None]
+    return torch.einsum("hwk,hwc->kc", weighted, environment)

@@ -1,15 +1,42 @@
-"""What trimesh makes of a file's materials, as `Material`; decoding that never fails for one bad texture."""
+"""Materials of meshes: the frozen type, what trimesh makes of a file's (decoding never fails for one bad texture), and
+looking up their maps: bilinear, repeating, without further filtering."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 
-from splatpainter.data.meshes import Material
+from splatpainter.color import srgb_to_linear
 
-LARGEST = 4096
-"""Pixels per side; larger maps are reduced, nothing here can show more."""
+MAX_MAP_PX = 4096
+"""Per side; larger maps are reduced, nothing here can show more."""
+LINEAR_BYTES = (np.arange(256) / 255).astype(np.float32)
+"""[256] byte -> 0..1."""
+SRGB_BYTES = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+"""[256] sRGB byte -> linear 0..1."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """Metallic-roughness material of glTF 2.0: each map times its factor. Maps repeat outside 0..1."""
+
+    base_color: np.ndarray | None = None
+    """[h, w, 3] uint8 sRGB, or None: the factor alone."""
+    base_factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Linear, 0..1."""
+    metallic_roughness: np.ndarray | None = None
+    """[h, w, 2] uint8 linear: metallic, roughness."""
+    metallic: float = 0.0
+    """0..1; multiplies the map."""
+    roughness: float = 0.8
+    """0..1 perceptual (alpha = roughness^2); multiplies the map."""
+    normal_map: np.ndarray | None = None
+    """[h, w, 3] uint8 tangent-space normals, 128 = 0, +y up (glTF)."""
+    alpha: np.ndarray | None = None
+    """[h, w] uint8 coverage for cut-out materials; below 128 there is no surface."""
 
 
 def convert_material(source: Any) -> Material:
@@ -20,7 +47,7 @@ def convert_material(source: Any) -> Material:
         image = _pixels(getattr(source, "image", None), "RGB")
         diffuse = _factor(getattr(source, "diffuse", None), (0.6, 0.6, 0.6))
         # Exporters write a texture beside a black or grey Kd that they mean to be ignored.
-        red, green, blue = (_to_linear(value) for value in diffuse)
+        red, green, blue = srgb_to_linear(np.array(diffuse)).tolist()
         factor = (1.0, 1.0, 1.0) if image is not None else (red, green, blue)
         shine = getattr(source, "glossiness", None)
         roughness = 0.8 if not shine else float(np.clip((2 / (float(shine) + 2)) ** 0.25, 0.2, 1.0))
@@ -47,9 +74,9 @@ def _pixels(image: Any, mode: str) -> np.ndarray | None:
     if image is None:
         return None
     try:
-        if max(image.size) > LARGEST:
+        if max(image.size) > MAX_MAP_PX:
             image = image.copy()
-            image.thumbnail((LARGEST, LARGEST))
+            image.thumbnail((MAX_MAP_PX, MAX_MAP_PX))
         pixels = np.asarray(image.convert(mode), np.uint8)
     except Exception:  # a truncated or unknown picture: PIL's plugins raise anything
         return None
@@ -76,5 +103,25 @@ def _unit(value: Any, default: float) -> float:
     return default if value is None or not np.isfinite(value) else float(np.clip(value, 0, 1))
 
 
-def _to_linear(value: float) -> float:
-    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
+def sample_texture(pixels: np.ndarray, uvs: np.ndarray, table: np.ndarray = LINEAR_BYTES) -> np.ndarray:
+    """[M, C] float32: table[pixels] interpolated at uvs [M, 2] (v up, repeating). pixels: [h, w, C] uint8."""
+    return _bilinear(np.ascontiguousarray(pixels), np.ascontiguousarray(uvs, np.float32), table)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _bilinear(pixels, uvs, table):
+    h, w, channels = pixels.shape
+    out = np.empty((len(uvs), channels), np.float32)
+    for i in range(len(uvs)):
+        u, v = uvs[i, 0], np.float32(1) - uvs[i, 1]
+        x = (u - np.floor(u)) * w - np.float32(0.5)
+        y = (v - np.floor(v)) * h - np.float32(0.5)
+        left, top = np.floor(x), np.floor(y)
+        fx, fy = x - left, y - top
+        x0, y0 = int(left) % w, int(top) % h
+        x1, y1 = (x0 + 1) % w, (y0 + 1) % h
+        for c in range(channels):
+            upper = table[pixels[y0, x0, c]] * (1 - fx) + table[pixels[y0, x1, c]] * fx
+            lower = table[pixels[y1, x0, c]] * (1 - fx) + table[pixels[y1, x1, c]] * fx
+            out[i, c] = upper * (1 - fy) + lower * fy
+    return out

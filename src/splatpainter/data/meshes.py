@@ -14,30 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.color import srgb_to_linear
+from splatpainter.data.materials import Material, convert_material
+
 EXTENT = 1.8
 """Longest side of a normalised mesh's bounding box, world units; the box is centred, so all lies within -0.9..0.9."""
 MOST_TRIANGLES = 10_000_000
 SUFFIXES = (".glb", ".gltf", ".obj")
-
-
-@dataclass(frozen=True)
-class Material:
-    """Metallic-roughness material of glTF 2.0: each map times its factor. Maps repeat outside 0..1."""
-
-    base_color: np.ndarray | None = None
-    """[h, w, 3] uint8 sRGB, or None: the factor alone."""
-    base_factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Linear, 0..1."""
-    metallic_roughness: np.ndarray | None = None
-    """[h, w, 2] uint8 linear: metallic, roughness."""
-    metallic: float = 0.0
-    """0..1; multiplies the map."""
-    roughness: float = 0.8
-    """0..1 perceptual (alpha = roughness^2); multiplies the map."""
-    normal_map: np.ndarray | None = None
-    """[h, w, 3] uint8 tangent-space normals, 128 = 0, +y up (glTF)."""
-    alpha: np.ndarray | None = None
-    """[h, w] uint8 coverage for cut-out materials; below 128 there is no surface."""
 
 
 @dataclass(frozen=True)
@@ -186,8 +169,6 @@ def vertex_normals(count: int, faces: np.ndarray, cross: np.ndarray) -> np.ndarr
 
 def _part(geometry: Any, transform: np.ndarray) -> Mesh:
     """A trimesh geometry placed by `transform` [4, 4]."""
-    from splatpainter.data.materials import convert_material
-
     turn = transform[:3, :3]
     vertices = np.asarray(geometry.vertices, np.float64) @ turn.T + transform[:3, 3]
     faces = np.asarray(geometry.faces, np.int64)
@@ -205,7 +186,7 @@ def _part(geometry: Any, transform: np.ndarray) -> Mesh:
     uvs = getattr(visual, "uv", None)
     colors = None
     if visual.kind == "vertex":
-        colors = _linear(np.asarray(visual.vertex_colors, np.float64)[:, :3] / 255)
+        colors = srgb_to_linear(np.asarray(visual.vertex_colors, np.float64)[:, :3] / 255)
     else:
         stored = getattr(visual, "vertex_attributes", {}).get("color")
         if stored is not None and np.shape(stored)[0] == len(vertices):
@@ -225,10 +206,6 @@ def box_uvs(vertices: np.ndarray, normals: np.ndarray) -> np.ndarray:
     span = max(float(np.ptp(np.nan_to_num(vertices), axis=0).max()), 1e-30)
     columns = np.array([[2, 1], [0, 2], [0, 1]])[side]
     return (np.take_along_axis(vertices, columns, 1) / span).astype(np.float32)
-
-
-def _linear(srgb: np.ndarray) -> np.ndarray:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def _announced_triangles(path: Path) -> int:

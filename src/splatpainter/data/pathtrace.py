@@ -13,7 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.data.meshes import Material, Mesh
+from splatpainter.data.materials import SRGB_BYTES, Material
+from splatpainter.data.meshes import Mesh
 from splatpainter.data.mitsuba_backend import Variant, use_mitsuba
 
 NEAR, FAR = 1e-3, 1e3
@@ -98,8 +99,8 @@ def display(traced: PathTraced, exposure: float, cameras: Sequence[Camera]) -> n
 
     alphas = traced.alphas[..., None]
     surface = tone_map(traced.radiance / np.maximum(alphas, 1e-6), exposure)
-    behind = np.array([camera.background for camera in cameras], np.float32)[:, None, None]
-    return np.clip(surface * alphas + behind * (1 - alphas), 0, 1).astype(np.float32)
+    background = np.array([camera.background for camera in cameras], np.float32)[:, None, None]
+    return np.clip(surface * alphas + background * (1 - alphas), 0, 1).astype(np.float32)
 
 
 def _developed(film: np.ndarray, views: list[Camera]) -> PathTraced:
@@ -120,7 +121,7 @@ def _sensor(mi: Any, view: Camera) -> Any:
     """OpenCV axes are Mitsuba's turned half about z (x left, y up, z forward)."""
     if abs(view.fx / view.fy - 1) > 1e-4:
         raise ValueError(f"path tracing: expected square pixels, got focal lengths {view.fx} and {view.fy}")
-    to_world = np.linalg.inv(view.world_to_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    to_world = view.camera_to_world @ np.diag([-1.0, -1.0, 1.0, 1.0])
     film = {
         "type": "hdrfilm",
         "width": view.width,
@@ -251,9 +252,7 @@ def _base_color(mi: Any, part: Mesh) -> dict[str, Any]:
         return {"type": "rgb", "value": np.clip(factor, 0, 1).tolist()}
     if part.colors is not None:
         factor = factor * part.colors.mean(0)
-    srgb = np.arange(256) / 255
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(np.float32)
-    return _bitmap(mi, np.clip(linear[material.base_color] * factor, 0, 1))
+    return _bitmap(mi, np.clip(SRGB_BYTES[material.base_color] * factor, 0, 1))
 
 
 def _scalar(mi: Any, material: Material, channel: int) -> Any:

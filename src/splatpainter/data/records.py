@@ -52,7 +52,7 @@ def encode_sample(sample: Sample, radiance: Mapping[str, np.ndarray] | None = No
     for k, mask in enumerate(sample.masks):
         files[f"mask_{k:02d}.png"] = _encode_png(mask.astype(np.uint8) * 255)
     for name, pictures in (radiance or {}).items():
-        from splatpainter.data.exr import encode_exr
+        from splatpainter.data.environments import encode_exr
 
         files |= {f"{name}_{k:02d}.exr": encode_exr(picture) for k, picture in enumerate(pictures)}
     return files
@@ -100,7 +100,7 @@ def decode_asset(data: bytes) -> Splats:
 
 def decode_radiance(files: Mapping[str, bytes], name: str, where: str) -> np.ndarray:
     """[V, H, W, 3] float32 of a sample's NAME_00.exr ...; V = 0 where it has none. Raises ValueError."""
-    from splatpainter.data.exr import decode_exr
+    from splatpainter.data.environments import decode_exr
 
     found = sorted(key for key in files if key.startswith(f"{name}_") and key.endswith(".exr"))
     pictures = [decode_exr(files[key], f"{where}.{key}") for key in found]

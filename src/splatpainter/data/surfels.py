@@ -10,7 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from splatpainter.data import poisson_disk
+from splatpainter.data.materials import SRGB_BYTES, sample_texture
 from splatpainter.data.meshes import Mesh
+from splatpainter.lighting import open_transfer, visibility
 from splatpainter.splats import Splats
 
 
@@ -71,16 +74,13 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
 
     Raises ValueError when count is not positive or nothing of the mesh can be seen.
     """
-    from splatpainter.data import poisson_disk as blue_noise
-    from splatpainter.lighting import open_transfer
-
     if count < 1:
         raise ValueError(f"{mesh.name}: expected at least one surfel, got {count}")
     rng = np.random.default_rng([seed, count])
     found = _candidates(mesh, count, rng)
-    chosen = blue_noise.select(found.points, found.normals, count, found.spacing, rng)
+    chosen = poisson_disk.select(found.points, found.normals, count, found.spacing, rng)
     part = found.take(chosen)
-    gap = blue_noise.spacing_around(part.points, part.normals, found.spacing)
+    gap = poisson_disk.spacing_around(part.points, part.normals, found.spacing)
     width = SIZE * np.clip(gap, 0.5 * found.spacing, 1.5 * found.spacing)
     look = _materials(mesh, part.face, part.weights, part.points, part.normals, width)
     normals = _upright(look.pop("normals"), part.normals)
@@ -164,10 +164,7 @@ def _round(
     mesh: Mesh, number: int, flats: np.ndarray, area: float, rng: np.random.Generator
 ) -> tuple[_Candidates, float]:
     """(those of `number` points that light can reach, their share). flats: [F, 3] unit normals of the faces."""
-    from splatpainter.data import poisson_disk as blue_noise
-    from splatpainter.lighting import visibility
-
-    face, weights = blue_noise.scatter(mesh.vertices, mesh.faces, number, rng)
+    face, weights = poisson_disk.scatter(mesh.vertices, mesh.faces, number, rng)
     solid = _covered(mesh, face, weights)
     if not solid.any():
         raise ValueError(f"{mesh.name}: its materials are transparent everywhere")
@@ -190,14 +187,12 @@ def _round(
 
 def _covered(mesh: Mesh, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """[M] bool: not in a hole of a cut-out texture."""
-    from splatpainter.data import texels
-
     solid = np.ones(len(face), bool)
     ids = mesh.material_ids[face]
     for k, material in enumerate(mesh.materials):
         if material.alpha is not None and (mine := ids == k).any():
             uvs = np.einsum("nk,nkc->nc", weights[mine], mesh.uvs[mesh.faces[face[mine]]])
-            solid[mine] = texels.look_up(material.alpha[..., None], uvs)[:, 0] > 0.5
+            solid[mine] = sample_texture(material.alpha[..., None], uvs)[:, 0] > 0.5
     return solid
 
 
@@ -209,8 +204,6 @@ def _materials(
     mesh: Mesh, face: np.ndarray, weights: np.ndarray, points: np.ndarray, normals: np.ndarray, width: np.ndarray
 ) -> dict[str, np.ndarray]:
     """albedo [N, 3], metallic [N], roughness [N], normals [N, 3] (normal map applied) at points of faces."""
-    from splatpainter.data import texels
-
     count = len(face)
     albedo, normal = np.empty((count, 3), np.float32), normals.copy()
     metallic, roughness = np.empty(count, np.float32), np.empty(count, np.float32)
@@ -226,18 +219,18 @@ def _materials(
         tone = np.broadcast_to(np.asarray(material.base_factor, np.float32), (len(mine), 3))
         if material.base_color is not None:
             reach = _footprint(steps, width[mine], material.base_color.shape)
-            seen = [texels.look_up(material.base_color, middle + t @ reach, texels.LINEAR) for t in TAPS]
+            seen = [sample_texture(material.base_color, middle + t @ reach, SRGB_BYTES) for t in TAPS]
             tone = tone * np.mean(seen, 0)
         if mesh.colors is not None:
             tone = tone * np.einsum("nk,nkc->nc", weights[mine], mesh.colors[corner])
         albedo[mine] = tone
         shine = np.ones((len(mine), 2), np.float32)
         if material.metallic_roughness is not None:
-            shine = texels.look_up(material.metallic_roughness, middle)
+            shine = sample_texture(material.metallic_roughness, middle)
         metallic[mine] = material.metallic * shine[:, 0]
         roughness[mine] = material.roughness * shine[:, 1]
         if material.normal_map is not None:
-            bump = 2 * texels.look_up(material.normal_map, middle) - 1
+            bump = 2 * sample_texture(material.normal_map, middle) - 1
             n = normals[mine]
             t = _unit(along_u - (along_u * n).sum(1, keepdims=True) * n)
             b = np.cross(n, t)

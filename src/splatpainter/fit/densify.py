@@ -15,6 +15,7 @@ from torch import Tensor
 from splatpainter.cameras import Camera
 from splatpainter.fit.gradients import Pull
 from splatpainter.fit.parameters import Parameters
+from splatpainter.transforms import quat_to_matrix
 
 ORIGINAL_STEPS = 30_000
 """Of the run that the constants are made for."""
@@ -146,14 +147,6 @@ def _children(parents: Parameters, shrink: float, generator: torch.Generator) ->
     """One smaller row per parent, at a place drawn from the parent's own density."""
     drawn = torch.randn(parents.means.shape, generator=generator).to(parents.means)
     offset = drawn * parents.scales.exp()
-    parents.means = parents.means + _turned(parents.quats, offset)
+    parents.means = parents.means + (quat_to_matrix(parents.quats) @ offset[..., None])[..., 0]
     parents.scales = parents.scales - float(np.log(shrink))
     return parents
-
-
-def _turned(quats: Tensor, vectors: Tensor) -> Tensor:
-    """[N, 3] vectors rotated by quaternions w, x, y, z of any norm: v + 2 w (u x v) + 2 u x (u x v)."""
-    unit = torch.nn.functional.normalize(quats, dim=1)
-    w, axis = unit[:, :1], unit[:, 1:]
-    once = torch.linalg.cross(axis, vectors)
-    return vectors + 2 * (w * once + torch.linalg.cross(axis, once))

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.color import sh_from_color
 from splatpainter.fit.neighbours import mean_squares
-from splatpainter.splats import SH_C0, SH_COUNTS, ColorSpace, Splats
+from splatpainter.splats import SH_COUNTS, ColorSpace, Splats
 
 OPACITY = 0.1
 """Of first rows, as in 3DGS."""
@@ -46,7 +47,7 @@ def from_points(
         raise ValueError(f"points: expected an SH degree from 0 to 4, got {sh_degree}")
     scales = size * _spacing(points)
     sh = np.zeros((len(points), (sh_degree + 1) ** 2, 3), np.float32)
-    sh[:, 0] = (colors - 0.5) / SH_C0
+    sh[:, 0] = sh_from_color(colors)
     quats = np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1))
     opacities = np.full(len(points), opacity, np.float32)
     return Splats(
@@ -99,11 +100,9 @@ def from_depths(
     view, y, x, z = view[chosen], y[chosen], x[chosen], z[chosen]
     points = np.empty((rows, 3))
     for k, camera in enumerate(cameras):
-        own = view == k
-        u = (x[own] + 0.5 + jitter[own, 0] - camera.cx) / camera.fx
-        v = (y[own] + 0.5 + jitter[own, 1] - camera.cy) / camera.fy
-        local = np.stack([u, v, np.ones_like(u)], 1) * z[own, None]
-        points[own] = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+        inside = view == k
+        pixels = np.stack([x[inside], y[inside]], 1) + 0.5 + jitter[inside]
+        points[inside] = camera.unproject(z[inside], pixels)
     return from_points(points, np.clip(colors[view, y, x], 0, 1), sh_degree, opacity=opacity, size=size)
 
 

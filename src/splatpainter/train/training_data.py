@@ -184,7 +184,7 @@ def _sources(data: str, seed: int, share: float, stock: Stock) -> tuple[Any, Any
 
 
 def _files(stock: Stock) -> dict[str, Sequence[Any]]:
-    from splatpainter.data.lights import load_environment
+    from splatpainter.data.environments import load_environment
 
     return {
         "environments": tuple(load_environment(f) for f in _listed(stock.environments, (".hdr", ".exr"))),

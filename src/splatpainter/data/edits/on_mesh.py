@@ -17,11 +17,11 @@ import torch
 
 from splatpainter.cameras import Camera
 from splatpainter.color import linear_to_srgb, srgb_to_linear
-from splatpainter.data import texels
 from splatpainter.data.edits import EditDesign
 from splatpainter.data.edits.on_surfels import FULL_PAINT_COSINE, MIN_COVERAGE, MIN_PAINT_COSINE, project_layer
+from splatpainter.data.materials import SRGB_BYTES, Material, sample_texture
 from splatpainter.data.mesh_visibility import MIN_DEPTH, projected, visible_points
-from splatpainter.data.meshes import Material, Mesh, joined
+from splatpainter.data.meshes import Mesh, joined
 
 MAX_EDGE_PX = 1.0
 """Longest edge of a painted piece, pixels of the painting view."""
@@ -235,7 +235,7 @@ def base_colors(mesh: Mesh, vertices: np.ndarray, material: Material) -> np.ndar
     """[M, 3] linear base colours at `vertices` [M] int where they are of `material`."""
     tone = np.broadcast_to(np.asarray(material.base_factor, np.float32), (len(vertices), 3))
     if material.base_color is not None:
-        tone = tone * texels.look_up(material.base_color, mesh.uvs[vertices], texels.LINEAR)
+        tone = tone * sample_texture(material.base_color, mesh.uvs[vertices], SRGB_BYTES)
     return tone if mesh.colors is None else tone * mesh.colors[vertices]
 
 
