@@ -217,12 +217,15 @@ def test_runs_are_decoded_by_the_formula_and_cut_files_refused(tmp_path: Path) -
             load_environment(tmp_path / "sky.hdr")
 
 
-def test_exr_environments_keep_their_light(tmp_path: Path) -> None:
+def test_exr_environments_keep_their_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.random.default_rng(0).uniform(0, 50, (4, 8, 3)).astype(np.float16).astype(np.float32)
     (tmp_path / "sky.exr").write_bytes(environments.encode_exr(picture))
     np.testing.assert_array_equal(load_environment(tmp_path / "sky.exr"), picture)
     (tmp_path / "grey.exr").write_bytes(environments.encode_exr(picture[..., :1]))
     np.testing.assert_array_equal(load_environment(tmp_path / "grey.exr"), picture[..., :1].repeat(3, 2))
+    monkeypatch.setattr(environments, "MAX_PIXELS", 31)
+    with pytest.raises(ValueError, match=r"grey.exr: expected 1 to 31 pixels, the header says 8 x 4"):
+        load_environment(tmp_path / "grey.exr")
 
 
 def test_hdr_agrees_with_mitsuba(tmp_path: Path) -> None:
@@ -245,7 +248,7 @@ def test_hdr_agrees_with_mitsuba(tmp_path: Path) -> None:
         ("a.hdr", b"GIF89a", "is not a Radiance"),
         ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n1234", "is not a Radiance"),
         ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n+Z 1 +X 1\n1234", "is not a Radiance"),
-        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 12000 +X 12000\n1234", "pixels"),
+        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 99999 +X 99999\n1234", "is not a Radiance"),
         ("a.hdr", rgbe(np.zeros((2, 2, 4), np.uint8)), "black"),
     ],
 )
