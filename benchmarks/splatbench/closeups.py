@@ -2,10 +2,10 @@
 
 The asset is drawn small from twelve sides at two heights. Its *front* is the side on which its upper part (things stand
 on pedestals, tables and lawns) shows most contrast and is brightest: what matters is what people carve, print and
-light. In the pictures of that side and its two neighbours, square windows of a few sizes are rated by contrast, rows,
-height, and how squarely the surface faces the camera; the camera moves up to the best ones along the same line of
-sight, and the view with the best rating times the fourth power of its filled part is taken. Nothing is random: the same
-asset gives the same view.
+light. In the pictures of that side and its two neighbours, square windows of a few sizes are rated by contrast, number
+of Gaussians, height, and how squarely the surface faces the camera; the camera moves up to the best ones along the same
+line of sight, and the view with the best rating times the fourth power of its filled part is taken. Nothing is random:
+the same asset gives the same view.
 """
 
 from __future__ import annotations
@@ -15,21 +15,22 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from splatpainter.cameras import Camera, look_at, orbit
 from splatpainter.splats import Splats
 
-SIZE = 160
+OVERVIEW_PX = 160
 """Pixels of the small pictures."""
 FOV = 40.0
 """Vertical field of view, degrees, of the small pictures and of the close-up."""
 AZIMUTHS = 12
 ELEVATIONS = (5.0, 25.0)
-WINDOWS = (0.16, 0.2, 0.25, 0.3)
+WINDOW_SIDES = (0.16, 0.2, 0.25, 0.3)
 """Sides of the windows, in edges of the asset's bounding cube."""
-TOP = 0.12
+UPPER_PART_HEIGHT = 0.12
 """What counts as the upper part: above the bounding cube's middle by this share of its edge."""
-CANDIDATES = 8
+WINDOWS_PER_SIDE = 8
 """Windows of each size that are tried as close-ups."""
 
 
@@ -50,7 +51,8 @@ class Closeup:
         eye = self.camera.position - self.target
         side = np.cross(self.up, eye)
         side /= np.linalg.norm(side)
-        eye = _rotated(_rotated(eye, side, -math.radians(elevation)), self.up, math.radians(azimuth))
+        rise = Rotation.from_rotvec(-math.radians(elevation) * side)
+        eye = (Rotation.from_rotvec(math.radians(azimuth) * self.up) * rise).apply(eye)
         return _aimed(self.target + eye, self.target, self.up, self.camera.width, self.camera.background)
 
 
@@ -68,23 +70,23 @@ def closeup(
     near = [(front + step) % AZIMUTHS for step in (0, 1, -1)]
     high = _ring(splats, axis, ELEVATIONS[1])
     chosen = [ring[k] for k in near] + [_Overview(splats, high[k], axis) for k in near]
-    best, most = None, 0.0
-    for part in WINDOWS:  # some of each size: the largest would crowd out what fits a narrow asset
+    best, best_rating = None, 0.0
+    for part in WINDOW_SIDES:  # some of each size: the largest would crowd out what fits a narrow asset
         windows = [window for overview in chosen for window in overview.windows(part)]
-        for window in sorted(windows, key=lambda window: -window.score)[:CANDIDATES]:
-            camera = _aimed(window.target + window.eye, window.target, axis, SIZE, background)
+        for window in sorted(windows, key=lambda window: -window.score)[:WINDOWS_PER_SIDE]:
+            camera = _aimed(window.target + window.eye, window.target, axis, OVERVIEW_PX, background)
             filled = _filled(splats, camera)
             rating = window.score * filled**4
-            if rating > most:
-                best, most = Closeup(camera.resized(size, size), window.target, axis, filled), rating
+            if rating > best_rating:
+                best, best_rating = Closeup(camera.resized(size, size), window.target, axis, filled), rating
     if best is not None:
         return best
     raise ValueError("closeup: found no part of the asset that fills a view; it is too small or too transparent")
 
 
 def default_up(splats: Splats) -> np.ndarray:
-    """[3] what is up where nobody says: -y for rows from files (every reader turns them into the frame of PLY
-    captures), +y for rows that come from no file."""
+    """[3] what is up where nobody says: -y for assets from files (every reader turns them into the frame of PLY
+    captures), +y for those that come from no file."""
     return np.array([0.0, 1.0 if splats.source is None else -1.0, 0.0])
 
 
@@ -105,32 +107,29 @@ class _Overview:
 
         self.camera = camera
         low, self.edge = bounding_cube(splats)
-        self.frame = project(splats, camera)
-        self.image, self.alpha, self.depth = self.frame.rasterize()
-        x, y = np.meshgrid(np.arange(SIZE) + 0.5 - camera.cx, np.arange(SIZE) + 0.5 - camera.cy)
-        local = np.stack([x / camera.fx, y / camera.fy, np.ones_like(x)], -1) * self.depth[..., None]
-        self.points = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]  # [H, W, 3] world
+        self.projected = project(splats, camera)
+        self.image, self.alpha, self.depth = self.projected.rasterize()
+        self.points = camera.unproject(self.depth)  # [H, W, 3] world
         self.height = (self.points - low - self.edge / 2) @ up / self.edge  # [H, W], 0 in the cube's middle
-        gray = self.image.mean(-1)
         solid = self.alpha > 0.95
         inner = solid & np.roll(solid, 1, 0) & np.roll(solid, -1, 0) & np.roll(solid, 1, 1) & np.roll(solid, -1, 1)
-        down, across = np.gradient(gray)
+        down, across = np.gradient(self.image.mean(-1))
         self.contrast = np.where(inner, np.hypot(down, across), 0)  # silhouettes do not count
         self.inner = inner
 
     @property
     def richness(self) -> float:
         """How much like a front this side is."""
-        upper = self.inner & (self.height > TOP)
+        upper = self.inner & (self.height > UPPER_PART_HEIGHT)
         return float(self.contrast[upper].sum() * self.image[upper].mean()) if upper.any() else 0.0
 
     @cached_property
-    def rows(self) -> np.ndarray:
-        """[H, W] centres of rows that are not hidden, per pixel."""
-        sums = self.frame.backproject(self.image, np.ones_like(self.alpha))
-        shown = sums.weight > 0.25 * sums.alpha
-        x, y = np.clip(self.frame.means2d[shown].astype(int), 0, SIZE - 1).T
-        counts = np.zeros((SIZE, SIZE))
+    def centers(self) -> np.ndarray:
+        """[H, W] centres of Gaussians that are not hidden, per pixel."""
+        sums = self.projected.backproject(self.image, np.ones_like(self.alpha))
+        visible = sums.weight > 0.25 * sums.alpha
+        x, y = np.clip(self.projected.means2d[visible].astype(int), 0, OVERVIEW_PX - 1).T
+        counts = np.zeros((OVERVIEW_PX, OVERVIEW_PX))
         np.add.at(counts, (y, x), 1)
         return counts
 
@@ -140,14 +139,14 @@ class _Overview:
             return []
         scale = self.camera.fy / float(np.median(self.depth[self.inner]))  # pixels per world unit
         side = max(round(part * self.edge * scale), 4)
-        if side > SIZE:
+        if side > OVERVIEW_PX:
             return []
-        covered, rows, contrast, height, depth = (
-            _means(values, side) for values in (self.alpha > 0.9, self.rows, self.contrast, self.height, self.depth)
+        covered, centers, contrast, height, depth = (
+            _means(values, side) for values in (self.alpha > 0.9, self.centers, self.contrast, self.height, self.depth)
         )
         relief = np.sqrt(np.maximum(_means(self.depth**2, side) - depth**2, 0)) * scale / side  # of the side
         level = np.clip(4 * height, 0.01, 1)
-        score = part * np.sqrt(rows * contrast) * level * np.exp(-((relief / 0.5) ** 2))
+        score = part * np.sqrt(centers * contrast) * level * np.exp(-((relief / 0.5) ** 2))
         reach = part * self.edge / (2 * math.tan(math.radians(FOV / 2)))
         step, out = max(side // 6, 1), []
         for y, x in np.argwhere(covered[::step, ::step] > 0.9) * step:
@@ -162,8 +161,8 @@ def _ring(splats: Splats, up: np.ndarray, elevation: float) -> list[Camera]:
 
     low, edge = bounding_cube(splats)
     radius = 0.75 * edge / math.tan(math.radians(FOV / 2))
-    kind = {"elevation": elevation, "up": up, "width": SIZE, "height": SIZE, "fov": FOV}
-    return orbit(low + edge / 2, radius, AZIMUTHS, **kind)
+    settings = {"elevation": elevation, "up": up, "width": OVERVIEW_PX, "height": OVERVIEW_PX, "fov": FOV}
+    return orbit(low + edge / 2, radius, AZIMUTHS, **settings)
 
 
 def _means(values: np.ndarray, side: int) -> np.ndarray:
@@ -180,9 +179,3 @@ def _filled(splats: Splats, camera: Camera) -> float:
 
 def _aimed(eye: np.ndarray, target: np.ndarray, up: np.ndarray, size: int, background: tuple) -> Camera:
     return look_at(eye, target, up, width=size, height=size, fov=FOV, background=background)
-
-
-def _rotated(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
-    """Rodrigues' rotation about a unit axis."""
-    turned = vector * math.cos(angle) + np.cross(axis, vector) * math.sin(angle)
-    return turned + axis * (axis @ vector) * (1 - math.cos(angle))

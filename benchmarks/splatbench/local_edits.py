@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench import strokes as paint
+from splatbench import strokes
 from splatbench.closeups import Closeup, closeup
 from splatbench.reprojection import reproject, surface_depth
 from splatbench.timing import machine, measure
@@ -23,20 +23,21 @@ from splatpainter.cameras import Camera, to_uint8
 from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.receipts import score
+from splatpainter.sources.layers import filled, over
 from splatpainter.splats import Splats
 
 BACKGROUND = (0.33, 0.35, 0.37)
-TURNS = (("20° left", -20.0, 0.0), ("40° right", 40.0, 0.0), ("15° higher", 0.0, 15.0))
+OTHER_VIEWS = (("20° left", -20.0, 0.0), ("40° right", 40.0, 0.0), ("15° higher", 0.0, 15.0))
 """(label, azimuth, elevation) of the other views."""
-GOALS = "Goals: inside at least 28 dB, outside at least 38 dB, every untouched row exact."
+GOALS = "Goals: inside at least 28 dB, outside at least 38 dB, every untouched Gaussian exact."
 NOTES = (
     GOALS,
     "`before` and `inside`: render before and after the edit against the painted picture, under the paint; `outside`: "
     "render after against render before, elsewhere. `novel inside` and `novel outside`: the same from 20° left, 40° "
     "right and 15° higher (mean, and worst), against the paint moved there through the surface's depth. `split inside` "
-    "and `split outside`: rows split as for the edit but no colour changed, after against before. `exact`: the edited "
-    "PLY was read again, and every row that the receipt does not list has its bytes. Setup: reading the PLY and making "
-    "the voxel grid; edit: the whole of `Painter.apply`, median.",
+    "and `split outside`: Gaussians split as for the edit but no colour changed, after against before. `exact`: the "
+    "edited PLY was read again, and every Gaussian that the receipt does not list has its bytes. Setup: reading the "
+    "PLY and making the voxel grid; edit: the whole of `Painter.apply`, median.",
 )
 
 
@@ -66,7 +67,7 @@ class LiftBench:
 
 @dataclass(frozen=True)
 class Lift:
-    """One asset's line: PSNR in dB (None where there was no such pixel), rows, seconds."""
+    """One asset's line: PSNR in dB (None where there was no such pixel), counts of Gaussians, seconds."""
 
     asset: str
     rows: int
@@ -119,34 +120,38 @@ def run(config: LiftBench, report: Callable[[str], None] | None = None) -> list[
     return lines
 
 
-def find_assets(places: Sequence[Path]) -> list[Path]:
+def find_assets(paths: Sequence[Path]) -> list[Path]:
     """Files as given; of folders every splat file, but one per name up to the first dot: PLY if there is one, else the
-    first by name. A folder that is itself an asset (SOG) is one. Raises ValueError for a missing or empty place."""
+    first by name. A folder that is itself an asset (SOG) is one. Raises ValueError for a missing file and for a folder
+    without assets."""
     from splatpainter.io import detect, format_of_name
 
-    found = []
-    for place in places:
-        if not place.is_dir() or (place / "meta.json").is_file():
-            detect(place)  # raises for what is missing or no splats
-            found.append(place)
+    assets = []
+    for path in paths:
+        if not path.is_dir() or (path / "meta.json").is_file():
+            detect(path)  # raises for what is missing or no splats
+            assets.append(path)
             continue
-        chosen: dict[str, Path] = {}
-        for path in sorted(place.iterdir(), key=lambda path: (path.name.split(".", 1)[-1] != "ply", path.name)):
-            is_asset = (path / "meta.json").is_file() if path.is_dir() else format_of_name(path) is not None
-            if is_asset:
-                chosen.setdefault(path.name.split(".", 1)[0], path)
-        if not chosen:
-            raise ValueError(f"{place}: expected splat files in this folder, found none")
-        found += [chosen[name] for name in sorted(chosen)]
-    return found
+        by_stem: dict[str, Path] = {}
+        for file in sorted(path.iterdir(), key=lambda file: (file.name.split(".", 1)[-1] != "ply", file.name)):
+            if (file / "meta.json").is_file() if file.is_dir() else format_of_name(file) is not None:
+                by_stem.setdefault(_stem(file), file)
+        if not by_stem:
+            raise ValueError(f"{path}: expected splat files in this folder, found none")
+        assets += [by_stem[name] for name in sorted(by_stem)]
+    return assets
+
+
+def _stem(path: Path) -> str:
+    """Its name up to the first dot."""
+    return path.name.split(".", 1)[0]
 
 
 def _names(paths: Sequence[Path | None]) -> list[str]:
-    """Names up to the first dot, whole ones where those are not unique."""
-    short = ["demo" if path is None else path.name.split(".", 1)[0] for path in paths]
-    return [
-        name if short.count(name) == 1 or path is None else path.name for path, name in zip(paths, short, strict=True)
-    ]
+    """Stems, full names where those are not unique."""
+    stems = ["demo" if path is None else _stem(path) for path in paths]
+    pairs = zip(paths, stems, strict=True)
+    return [stem if path is None or stems.count(stem) == 1 else path.name for path, stem in pairs]
 
 
 def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift, Strip]:
@@ -156,8 +161,8 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
 
     source = demo_asset() if path is None else read(path)
     view = closeup(source, config.size, BACKGROUND)
-    with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as place:
-        ply = Path(place) / "original.ply"
+    with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as folder:
+        ply = Path(folder) / "original.ply"
         write(ply, source)
         painter = Painter.load(config.preset)
         method = "lift" if painter.model is None else "ttt"
@@ -169,7 +174,7 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         layers = painted_layers(before.images[0], before.covers[0], config)
         edited = before.images[0]
         for layer in layers:
-            edited = paint.over(edited, layer)
+            edited = over(edited, layer)
         edit = Edit(to_uint8(edited), view.camera)
         results: list[Asset] = []
         timing = measure(
@@ -179,7 +184,7 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
             budget=10,
         )
         painted = results[0]
-        exact = _verified(painted, ply, Path(place) / "edited.ply")
+        exact = _verified(painted, ply, Path(folder) / "edited.ply")
     after = Views(painted.splats, view)
     return _scored(name, asset, painted, exact, edit, layers, before, after, (setup, timing.seconds))
 
@@ -190,12 +195,12 @@ class Views:
     def __init__(self, splats: Splats, view: Closeup) -> None:
         from splatpainter.rendering import render
 
-        self.cameras: list[Camera] = [view.camera, *(view.turned(azimuth, rise) for _, azimuth, rise in TURNS)]
+        self.cameras: list[Camera] = [view.camera, *(view.turned(azimuth, rise) for _, azimuth, rise in OTHER_VIEWS)]
         self.filled = view.filled
-        drawn = render(splats, self.cameras)
-        self.images = np.clip(drawn.colors, 0, 1)
+        renders = render(splats, self.cameras)
+        self.images = np.clip(renders.colors, 0, 1)
         """[C, H, W, 3]"""
-        self.covers = drawn.alphas[..., 0]
+        self.covers = renders.alphas[..., 0]
         """[C, H, W]"""
 
 
@@ -203,19 +208,19 @@ def painted_layers(image: np.ndarray, cover: np.ndarray, config: LiftBench) -> l
     """The text and, under it, the stroke, each in the colour that shows best where it lies on the picture [H, W, 3].
     Paint stays on the surface: it ends where `cover` [H, W] does."""
     shape, unit = image.shape[:2], image.shape[0] / 512
-    middle = (shape[1] / 2, 0.42 * shape[0])
-    text = paint.text_layer(config.text, shape, middle, 90 * unit, font=config.font)
-    stroke = paint.stroke_layer(shape, paint.wave(shape, 0.68), 30 * unit, 6 * unit)
-    first = paint.color_against(image, text[..., 3])
-    second = paint.color_against(image, stroke[..., 3], first)
-    layers = [paint.recolored(text, first), paint.recolored(stroke, second)]
+    center = (shape[1] / 2, 0.42 * shape[0])
+    text = strokes.text_layer(config.text, shape, center, 90 * unit, font=config.font)
+    stroke = strokes.stroke_layer(shape, strokes.wave(shape, 0.68), 30 * unit, 6 * unit)
+    first = strokes.color_against(image, text[..., 3])
+    second = strokes.color_against(image, stroke[..., 3], first)
+    layers = [filled(text[..., 3], first), filled(stroke[..., 3], second)]
     for layer in layers:
         layer[..., 3] *= np.clip((cover - 0.8) / 0.15, 0, 1)
     return layers
 
 
 def _verified(painted: Asset, original: Path, target: Path) -> bool:
-    """Write the edited asset and compare the files, row by row and against the receipt."""
+    """Write the edited asset and compare the files, Gaussian by Gaussian and against the receipt."""
     from splatpainter.io import read, write
     from splatpainter.receipts import verify
 
@@ -260,17 +265,17 @@ def _scored(
         edit_seconds=seconds[1],
     )
     cells = [("view", before.images[0]), ("edited picture", edit.image), ("after", after.images[0])]
-    cells += [(f"after, {label}", after.images[k + 1]) for k, (label, _, _) in enumerate(TURNS)]
+    cells += [(f"after, {label}", after.images[k + 1]) for k, (label, _, _) in enumerate(OTHER_VIEWS)]
     cells.append(("error (white: 0.25)", error_map(after.images[0], edit.image)))
     return line, Strip(_caption(line), tuple(cells))
 
 
 def _caption(line: Lift) -> str:
-    proof = "untouched rows exact" if line.exact else "UNTOUCHED ROWS DIFFER"
+    proof = "the rest exact" if line.exact else "UNTOUCHED GAUSSIANS DIFFER"
     return (
-        f"{line.asset}, {line.rows:,} rows: inside {_db(line.before)} -> {_db(line.inside)} dB, outside "
+        f"{line.asset}, {line.rows:,} Gaussians: inside {_db(line.before)} -> {_db(line.inside)} dB, outside "
         f"{_db(line.outside)}, other views {_db(line.novel_inside)} / {_db(line.novel_outside)}, splitting alone "
-        f"{_db(line.split_inside)} / {_db(line.split_outside)}; {line.touched:,} rows touched, {line.appended:,} "
+        f"{_db(line.split_inside)} / {_db(line.split_outside)}; {line.touched:,} touched, {line.appended:,} "
         f"appended, {proof}; {line.edit_seconds:.2f} s"
     )
 
@@ -286,13 +291,13 @@ def _novel(
     inside, outside = [], []
     depths = [surface_depth(splats, camera) for camera in before.cameras]
     for k in range(1, len(before.cameras)):
-        wanted = before.images[k]
-        painted, clean = np.zeros(wanted.shape[:2], bool), np.ones(wanted.shape[:2], bool)
+        expected = before.images[k]
+        painted, clean = np.zeros(expected.shape[:2], bool), np.ones(expected.shape[:2], bool)
         for layer in layers:
             moved = reproject(layer, before.cameras[0], depths[0], before.cameras[k], depths[k])
-            wanted = paint.over(wanted, moved.layer)
+            expected = over(expected, moved.layer)
             painted, clean = painted | moved.painted, clean & moved.clean
-        inside.append(score(after.images[k], wanted, painted))
+        inside.append(score(after.images[k], expected, painted))
         outside.append(score(after.images[k], before.images[k], clean))
     return [v for v in inside if v is not None], [v for v in outside if v is not None]
 

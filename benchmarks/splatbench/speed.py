@@ -15,20 +15,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from splatbench.process import in_fresh_process
 from splatbench.speed_cases import OPERATIONS
-from splatbench.speed_scenes import Scene, save_scene, with_rows
-from splatbench.timing import Timing, in_fresh_process, machine, measure
+from splatbench.speed_scenes import Scene, resampled, save_scene
+from splatbench.timing import Timing, machine, measure
 from splatpainter import text_tables as tables
 from splatpainter.cameras import write_png
 from splatpainter.kernels.parallel import cpus
 
 Report = Callable[[str], None]
-REFERENCE_ROWS, REFERENCE_SIZE = 2000, 64
-"""A scene that the torch reference, which holds [rows, pixels] arrays, can draw and differentiate."""
-LARGE = 500_000
-"""From this many rows on, only the operations marked `large` are timed, and only at LARGE_SIZE."""
-LARGE_SIZE = 512
-SMALL = "small scene"
+REFERENCE_GAUSSIANS, REFERENCE_PX = 2000, 64
+"""A scene that the torch reference, which holds [Gaussians, pixels] arrays, can draw and differentiate."""
+LARGE_SCENE = 500_000
+"""From this many Gaussians on, only the operations marked `large` are timed, and only at LARGE_PX."""
+LARGE_PX = 512
+SMALL_SCENE = "small scene"
 EDIT_FILE = "from start to end: open a PLY, edit it (dab), save it"
 INFO = "from start to end: splatpainter info"
 COMPILE = "first run: compiling every kernel"
@@ -97,25 +98,23 @@ def run(config: SpeedBench, report: Report | None = None) -> list[Speed]:
     from splatpainter.kernels.compile import ensure_compiled
 
     config = _checked(config)
-    say = report or (lambda line: None)
+    report = report or (lambda _: None)
     where = machine()
     ensure_compiled()
     results: list[Speed] = []
 
-    def add(line: Speed) -> None:
-        results.append(line)
-        say(f"{line.operation}, {tables.shown(line.rows)} rows: {tables.shown(line.milliseconds)} ms")
+    def add(lines: Iterator[Speed]) -> None:
+        for line in lines:
+            results.append(line)
+            report(f"{line.operation}, {tables.shown(line.rows)} Gaussians: {tables.shown(line.milliseconds)} ms")
 
-    with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as temporary:
+        folder = Path(temporary)
         scenes = _scenes(config, folder)
         for rows, scene in scenes.items():
-            for line in _stages(config, rows, scene):
-                add(line)
-        for line in _against_reference(config, folder):
-            add(line)
-        for line in _whole_programs(config, max(scenes), scenes[max(scenes)], folder):
-            add(line)
+            add(_stages(config, rows, scene))
+        add(_against_reference(config, folder))
+        add(_programs(config, max(scenes), scenes[max(scenes)], folder))
     config.out.mkdir(parents=True, exist_ok=True)
     tables.write_csv(config.out / "speed.csv", results, where)
     tables.write_markdown(config.out / "speed.md", results, where, NOTES)
@@ -131,10 +130,10 @@ def _checked(config: SpeedBench) -> SpeedBench:
         raise ValueError(f"bench speed: expected --sizes of 16 to 8192 pixels, got {list(config.sizes)}")
     if not 0 <= config.sh_degree <= 3:
         raise ValueError(f"bench speed: expected --sh-degree 0 to 3, got {config.sh_degree}")
-    names = (*OPERATIONS, SMALL, EDIT_FILE, INFO, COMPILE)
-    strange = [word for word in config.only if not any(word in name for name in names)]
-    if strange:
-        raise ValueError(f"bench speed: expected --only words of {'; '.join(names)}; got {strange[0]!r}")
+    names = (*OPERATIONS, SMALL_SCENE, EDIT_FILE, INFO, COMPILE)
+    unknown = [word for word in config.only if not any(word in name for name in names)]
+    if unknown:
+        raise ValueError(f"bench speed: expected --only words of {'; '.join(names)}; got {unknown[0]!r}")
     return config
 
 
@@ -142,11 +141,11 @@ def _scenes(config: SpeedBench, folder: Path) -> dict[int, Path]:
     from splatpainter.demo_asset import demo_asset
 
     base, out = demo_asset(), {}
-    for rows in sorted({*config.rows, REFERENCE_ROWS}):
-        save_scene(folder / str(rows), with_rows(base, rows, config.sh_degree))
+    for rows in sorted({*config.rows, REFERENCE_GAUSSIANS}):
+        save_scene(folder / str(rows), resampled(base, rows, config.sh_degree))
         out[rows] = folder / str(rows)
-    if REFERENCE_ROWS not in config.rows:
-        del out[REFERENCE_ROWS]
+    if REFERENCE_GAUSSIANS not in config.rows:
+        del out[REFERENCE_GAUSSIANS]
     return out
 
 
@@ -154,21 +153,21 @@ def _stages(config: SpeedBench, rows: int, scene: Path) -> Iterator[Speed]:
     """Lines of every operation that fits the scene."""
     repeats, budget = (2, 0.2) if config.quick else (15, 1.0)
     for name, operation in OPERATIONS.items():
-        if not config.wants(name) or rows < operation.least_rows:
+        if not config.wants(name) or rows < operation.min_gaussians:
             continue
         sizes = config.sizes if operation.views else config.sizes[:1]
-        if rows >= LARGE:
+        if rows >= LARGE_SCENE:
             if not operation.large:
                 continue
-            sizes = [size for size in sizes if size == LARGE_SIZE] or sizes[:1]
+            sizes = [size for size in sizes if size == LARGE_PX] or sizes[:1]
         if operation.views:
-            sizes = [size for size in sizes if size >= operation.smallest] or [max(sizes)]
-            sizes = [size for size in sizes if size <= operation.largest] or [min(sizes)]
+            sizes = [size for size in sizes if size >= operation.min_px] or [max(sizes)]
+            sizes = [size for size in sizes if size <= operation.max_px] or [min(sizes)]
         for size in sizes:
             kind = {"name": name, "folder": str(scene), "size": size, "repeats": repeats, "budget": budget}
             fresh = in_fresh_process("splatbench.speed_cases:run_operation", kind)
-            shown = size if operation.views else None
-            yield _line(name, rows, shown, fresh.result, peak=fresh.peak_mib, throughput=operation.throughput)
+            edge = size if operation.views else None
+            yield _line(name, rows, edge, fresh.result, peak=fresh.peak_mib, throughput=operation.throughput)
 
 
 def _line(
@@ -186,35 +185,35 @@ def _line(
     if throughput and rows is not None:
         rate = rows / seconds
     memory = None if math.isnan(peak) else peak
-    return Speed(name, rows, size, 1000 * seconds, 1000 * timing["least"], rate, memory, timing["repeats"], ratio)
+    return Speed(name, rows, size, 1000 * seconds, 1000 * timing["fastest"], rate, memory, timing["repeats"], ratio)
 
 
 def _against_reference(config: SpeedBench, folder: Path) -> Iterator[Speed]:
     """The kernels and the torch reference on one small scene, in one process."""
-    if not config.wants(SMALL):
+    if not config.wants(SMALL_SCENE):
         return
-    kind = {"folder": str(folder / str(REFERENCE_ROWS)), "size": REFERENCE_SIZE, "repeats": 1 if config.quick else 5}
+    kind = {"folder": str(folder / str(REFERENCE_GAUSSIANS)), "size": REFERENCE_PX, "repeats": 1 if config.quick else 5}
     fresh = in_fresh_process("splatbench.speed_cases:small_scene", kind)
     for name, pair in fresh.result.items():
         ratio = pair["reference"]["seconds"] / pair["ours"]["seconds"]
         for who, share in (("ours", ratio), ("reference", 1.0)):
-            label = f"{SMALL}: {name}, {who}"
-            yield _line(label, REFERENCE_ROWS, REFERENCE_SIZE, pair[who], throughput=True, ratio=share)
+            label = f"{SMALL_SCENE}: {name}, {who}"
+            yield _line(label, REFERENCE_GAUSSIANS, REFERENCE_PX, pair[who], throughput=True, ratio=share)
 
 
-def _whole_programs(config: SpeedBench, rows: int, scene: Path, folder: Path) -> Iterator[Speed]:
+def _programs(config: SpeedBench, rows: int, scene: Path, folder: Path) -> Iterator[Speed]:
     """Fresh processes from start to end, as a user's shell sees them."""
     repeats = 1 if config.quick else 3
     ply = scene / "scene.ply"
     if config.wants(EDIT_FILE):
-        size = config.sizes[0] if config.quick else LARGE_SIZE
+        size = config.sizes[0] if config.quick else LARGE_PX
         view = Scene(scene, size)
         write_png(folder / "edited.png", view.edited("dab")[0], view.camera)
         arguments = {"ply": str(ply), "picture": str(folder / "edited.png")}
         runs = [in_fresh_process("splatbench.speed_cases:edit_file", arguments) for _ in range(repeats)]
         for name in ("", *runs[0].result):
-            laps = sorted(run.result[name] if name else run.seconds for run in runs)
-            timing = asdict(Timing(statistics.median(laps), laps[0], repeats))
+            times = sorted(run.result[name] if name else run.seconds for run in runs)
+            timing = asdict(Timing(statistics.median(times), times[0], repeats))
             peak = math.nan if name else max(run.peak_mib for run in runs)
             yield _line(f"within it: {name}" if name else EDIT_FILE, rows, size, timing, peak=peak)
     if config.wants(INFO):

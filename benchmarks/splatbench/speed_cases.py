@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,9 @@ from splatbench.speed_scenes import Scene
 from splatbench.timing import measure
 from splatpainter.splats import ATTRIBUTES, Splats
 
-DISC = 0.131
-"""Radius of the painted disc that the networks are timed with: about 3,000 of 100,000 rows."""
+DISC_RADIUS = 0.131
+"""Of the picture: the painted disc that the networks are timed with, about 3,000 of 100,000 Gaussians."""
 Work = Callable[[], Any]
-NETWORKS = 100_000
-"""Rows from which the networks are timed: on fewer, what an edit costs whatever its size hides the rest."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +33,13 @@ class Operation:
     """Whether the picture's size matters."""
     large: bool = True
     """Whether it is also timed on the largest scene."""
-    smallest: int = 0
+    min_px: int = 0
     """Least picture size that it makes sense for, pixels."""
     throughput: bool = True
-    """Whether it works on all rows, so that rows per second mean something."""
-    least_rows: int = 0
-    """Scenes with fewer rows are left out."""
-    largest: int = 1 << 20
+    """Whether it works on all Gaussians, so that rows per second mean something."""
+    min_gaussians: int = 0
+    """Scenes with fewer are left out."""
+    max_px: int = 1 << 20
     """Largest picture that it is timed with, pixels."""
 
 
@@ -62,16 +61,16 @@ def _backward(splats: Splats, camera: Any, backend: Any) -> Work:
 
     from splatpainter.rendering import render
 
-    own = splats.torch()
-    leaves = {name: getattr(own, name).clone().requires_grad_(True) for name in ATTRIBUTES}
-    ready = replace(own, **leaves)
+    tensors = splats.torch()
+    leaves = {name: getattr(tensors, name).clone().requires_grad_(True) for name in ATTRIBUTES}
+    tensors = replace(tensors, **leaves)
     seed = torch.Generator().manual_seed(0)
     cotangent = torch.rand((1, camera.height, camera.width, 3), generator=seed)
 
     def work() -> None:
         for leaf in leaves.values():
             leaf.grad = None
-        (render(ready, camera, backend=backend).colors * cotangent).sum().backward()
+        (render(tensors, camera, backend=backend).colors * cotangent).sum().backward()
 
     return work
 
@@ -94,22 +93,8 @@ def voxels(scene: Scene) -> Work:
     return lambda: voxelize(replace(splats))  # a new object: `finite` is cached on the old one
 
 
-def edit_dab(scene: Scene) -> Work:
-    """A whole edit with a brush dab: mask found, lifted, receipt with its hashes and scores."""
-    return _edit(scene, "dab", "local")
-
-
-def edit_text(scene: Scene) -> Work:
-    """A whole edit with text and a stroke."""
-    return _edit(scene, "text", "local")
-
-
-def edit_global(scene: Scene) -> Work:
-    """A whole global edit from one regraded view."""
-    return _edit(scene, "grade", "global")
-
-
-def _edit(scene: Scene, kind: str, mode: Any) -> Work:
+def edit_lift(scene: Scene, kind: str, mode: Any) -> Work:
+    """A whole edit: its mask found, lifted, receipt with its hashes and scores. kind: of Scene.edited."""
     from splatpainter.painter import Edit, Painter
 
     painter = Painter.load("lift")
@@ -126,17 +111,8 @@ def encode(scene: Scene) -> Work:
     return lambda: painter.encode(replace(splats))
 
 
-def edit_networks_local(scene: Scene) -> Work:
-    """A whole edit by the networks: a disc on the pot's belly that about 3,000 rows of a hundred thousand make."""
-    return _edit_networks(scene, "local")
-
-
-def edit_networks_global(scene: Scene) -> Work:
-    """A whole global edit by the networks from one regraded view."""
-    return _edit_networks(scene, "global")
-
-
-def _edit_networks(scene: Scene, mode: Any) -> Work:
+def edit_networks(scene: Scene, mode: Any) -> Work:
+    """A whole edit by the networks: a disc on the pot's belly, or one regraded view."""
     from splatpainter.painter import Edit
 
     painter = _networks()
@@ -148,15 +124,15 @@ def _edit_networks(scene: Scene, mode: Any) -> Work:
 
 
 def _disc(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """([H, W, 3] float32 picture, [H, W] bool) a red disc around the dab, DISC of the picture in radius."""
+    """([H, W, 3] float32 picture, [H, W] bool) a red disc around the dab, DISC_RADIUS of the picture."""
     v, u = np.nonzero(scene.edited("dab")[1])
     across = np.hypot(*(np.indices((scene.size, scene.size)) - np.array([v.mean(), u.mean()])[:, None, None]))
-    mask = across < DISC * scene.size
+    mask = across < DISC_RADIUS * scene.size
     return np.where(mask[..., None], np.array([0.8, 0.2, 0.15], np.float32), scene.render), mask
 
 
 def _networks() -> Any:
-    """Untrained, but with a decoder that says something, so that every row is written and children are appended."""
+    """Untrained, but with a decoder with weights, so that every Gaussian is written and children are appended."""
     import torch
 
     from splatpainter.models.config import COMPACT
@@ -170,7 +146,7 @@ def _networks() -> Any:
 
 
 def lift_dab(scene: Scene) -> Work:
-    """The lift alone, mask and allowed rows given."""
+    """The lift alone, mask and allowed Gaussians given."""
     from splatpainter.lift.local_edit import lift_local
 
     picture, mask = scene.edited("dab")
@@ -178,38 +154,23 @@ def lift_dab(scene: Scene) -> Work:
     return lambda: lift_local(splats, camera, target, mask)
 
 
-def preview_round(scene: Scene) -> Work:
-    """One round of the lift's colours over the dab's tiles, the frame kept from the round before."""
-    frame, advance = _preview(scene)
-    return lambda: advance(frame())
-
-
-def preview_project(scene: Scene) -> Work:
-    """The same with its projection: what the first round after a camera move costs."""
-    _, advance = _preview(scene)
-    project = _projection(scene)
-    return lambda: advance(project())
-
-
-def _projection(scene: Scene) -> Callable[[], Any]:
+def preview_round(scene: Scene, projected: bool) -> Work:
+    """One round of the lift's colours over the dab's tiles; with its projection, as after a camera move, or with the
+    one of the round before."""
     from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 
     splats, camera = scene.splats, scene.camera
-    tiles = tiles_of_mask(scene.edited("dab")[1])
-    return lambda: project(splats, camera, tiles=tiles)
-
-
-def _preview(scene: Scene) -> tuple[Callable[[], Any], Callable[[Any], np.ndarray]]:
-    frame = _projection(scene)()
     picture, mask = scene.edited("dab")
-    target, weights = picture.astype(np.float32) / 255, mask.astype(np.float32)
-    total = np.maximum(frame.backproject(target, weights).weight, 1e-6)[:, None]
+    target, weights, tiles = picture.astype(np.float32) / 255, mask.astype(np.float32), tiles_of_mask(mask)
+    first = project(splats, camera, tiles=tiles)
+    total = np.maximum(first.backproject(target, weights).weight, 1e-6)[:, None]
 
-    def advance(frame: Any) -> np.ndarray:
-        gain, _ = frame.sirt_step(target, weights)
-        return np.clip(frame.unclamped_colors + gain / total, 0, 1)
+    def work() -> np.ndarray:
+        view = first if projected else project(splats, camera, tiles=tiles)
+        gain, _ = view.sirt_step(target, weights)
+        return np.clip(view.unclamped_colors + gain / total, 0, 1)
 
-    return lambda: frame, advance
+    return work
 
 
 def open_file(scene: Scene) -> Work:
@@ -220,7 +181,7 @@ def open_file(scene: Scene) -> Work:
 
 
 def save_file(scene: Scene) -> Work:
-    """Write a PLY that was read, with every hundredth row recoloured."""
+    """Write a PLY that was read, with every hundredth Gaussian recoloured."""
     from splatpainter.io import read, write
 
     splats = read(scene.ply)
@@ -231,22 +192,25 @@ def save_file(scene: Scene) -> Work:
     return lambda: write(target, edited, overwrite=True)
 
 
+LOCAL: dict[str, Any] = {"min_px": 512, "throughput": False}
+NETWORKS: dict[str, Any] = {"min_gaussians": 100_000, "large": False}
+"""On fewer Gaussians, what an edit costs whatever its size hides the rest."""
 OPERATIONS: dict[str, Operation] = {
     "render": Operation(render_forward),
     "render and gradients": Operation(render_backward),
     "rays to voxels": Operation(rays, throughput=False),
     "voxels": Operation(voxels, views=False),
-    "local edit, dab": Operation(edit_dab, smallest=512, throughput=False),
-    "local edit, text and stroke": Operation(edit_text, smallest=512, large=False, throughput=False),
-    "lift alone, dab": Operation(lift_dab, smallest=512, large=False, throughput=False),
-    "preview round, dab": Operation(preview_round, smallest=512, throughput=False),
-    "preview round and projection": Operation(preview_project, smallest=512, throughput=False),
-    "global edit, one view": Operation(edit_global, smallest=512),
-    "encode, compact": Operation(encode, views=False, least_rows=NETWORKS, large=False),
+    "local edit, dab": Operation(partial(edit_lift, kind="dab", mode="local"), **LOCAL),
+    "local edit, text and stroke": Operation(partial(edit_lift, kind="text", mode="local"), large=False, **LOCAL),
+    "lift alone, dab": Operation(lift_dab, large=False, **LOCAL),
+    "preview round, dab": Operation(partial(preview_round, projected=True), **LOCAL),
+    "preview round and projection": Operation(partial(preview_round, projected=False), **LOCAL),
+    "global edit, one view": Operation(partial(edit_lift, kind="grade", mode="global"), min_px=512),
+    "encode, compact": Operation(encode, views=False, **NETWORKS),
     "local edit ttt, compact": Operation(
-        edit_networks_local, least_rows=NETWORKS, large=False, largest=256, throughput=False
+        partial(edit_networks, mode="local"), max_px=256, throughput=False, **NETWORKS
     ),
-    "global edit ttt, compact": Operation(edit_networks_global, least_rows=NETWORKS, large=False, largest=256),
+    "global edit ttt, compact": Operation(partial(edit_networks, mode="global"), max_px=256, **NETWORKS),
     "open PLY": Operation(open_file, views=False),
     "save PLY": Operation(save_file, views=False),
 }
@@ -295,12 +259,12 @@ def edit_file(ply: str, picture: str) -> dict[str, float]:
     from splatpainter.painter import Painter
     from splatpainter.sources import edit_from_files
 
-    laps = {}
+    seconds = {}
 
     def lap(name: str) -> None:
         nonlocal start
         now = time.perf_counter()
-        laps[name], start = now - start, now
+        seconds[name], start = now - start, now
 
     lap("imports")
     splats = read(ply)
@@ -312,4 +276,4 @@ def edit_file(ply: str, picture: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder) / "edited.ply", edited.splats)
     lap("save PLY")
-    return laps
+    return seconds

@@ -1,4 +1,6 @@
-"""Paint as a person would put it over a picture: bold text, soft brush strokes, discs. Knows no splats.
+"""The paint of the benches: bold text, soft brush strokes, discs, in colours that show. Knows no splats.
+
+It stays as it is, so that figures of the lift compare over time; sources/layers.py has richer brushes.
 
 A layer is [H, W, 4] float32: display colour 0..1 and coverage 0..1, not multiplied by it.
 """
@@ -9,36 +11,35 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.sources.layers import face, filled, over
+from splatpainter.sources.layers import face, filled
 
-__all__ = ["PALETTE", "color_against", "over", "recolored", "stroke_layer", "text_layer", "wave"]
 SUPERSAMPLING = 4
 """Text is drawn at this many times the size per axis and averaged."""
 PALETTE = ((0.76, 0.09, 0.13), (0.09, 0.26, 0.72), (0.98, 0.82, 0.12), (0.94, 0.95, 0.93), (0.05, 0.45, 0.25))
 """Crimson, ultramarine, yellow, white, green: paint that is not the colour of what it is put on."""
 
 
-def color_against(image: np.ndarray, coverage: np.ndarray, but: tuple[float, ...] | None = None) -> tuple:
+def color_against(image: np.ndarray, coverage: np.ndarray, excluded: tuple[float, ...] | None = None) -> tuple:
     """The colour of the palette that shows best on a [H, W, 3] image where coverage [H, W] is above a half (on the
-    worst tenth of it), other than `but`."""
+    worst tenth of it), other than `excluded`."""
     under = image[coverage > 0.5]
     under = under if len(under) else np.full((1, 3), 0.5)
 
-    def shows(color: tuple[float, ...]) -> float:
+    def contrast(color: tuple[float, ...]) -> float:
         return float(np.quantile(((under - np.array(color)) ** 2).sum(-1), 0.1))
 
-    return max((color for color in PALETTE if color != but), key=shows)
+    return max((color for color in PALETTE if color != excluded), key=contrast)
 
 
 def text_layer(
     text: str,
     shape: tuple[int, int],
-    middle: tuple[float, float],
+    center: tuple[float, float],
     height: float,
     color: tuple[float, ...] = PALETTE[0],
     font: Path | None = None,
 ) -> np.ndarray:
-    """Bold antialiased text. shape: (H, W) of the layer; middle: x, y of the text's middle, pixels; height: of its
+    """Bold antialiased text. shape: (H, W) of the layer; center: x, y of the text's middle, pixels; height: of its
     capitals, pixels. font: a TrueType or OpenType file, by default Pillow's own scalable font.
     Raises ValueError when the font cannot be read."""
     from PIL import Image, ImageDraw
@@ -46,9 +47,9 @@ def text_layer(
     scale = SUPERSAMPLING
     letters = face(font, height * scale)
     canvas = Image.new("L", (shape[1] * scale, shape[0] * scale))
-    place = (middle[0] * scale, middle[1] * scale)
+    position = (center[0] * scale, center[1] * scale)
     bold = round(0.04 * height * scale)  # the built-in font has one weight
-    ImageDraw.Draw(canvas).text(place, text, 255, letters, anchor="mm", stroke_width=bold, stroke_fill=255)
+    ImageDraw.Draw(canvas).text(position, text, 255, letters, anchor="mm", stroke_width=bold, stroke_fill=255)
     coverage = canvas.resize((shape[1], shape[0]), Image.Resampling.BOX)
     return filled(np.asarray(coverage, np.float32) / 255, color)
 
@@ -75,8 +76,3 @@ def wave(shape: tuple[int, int], height: float) -> np.ndarray:
     picture from the top."""
     t = np.linspace(0, 1, 24)
     return np.stack([(0.2 + 0.6 * t) * shape[1], (height + 0.045 * np.sin(2 * np.pi * t)) * shape[0]], 1)
-
-
-def recolored(layer: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
-    """The same coverage in another colour."""
-    return filled(layer[..., 3], color)

@@ -16,33 +16,33 @@ from typing import Any
 
 import numpy as np
 
-from splatbench import strokes as paint
-from splatbench.speed_scenes import DAB, LETTERS, with_rows
+from splatbench import strokes
+from splatbench.speed_scenes import DAB_WIDTH, TEXT_HEIGHT, resampled
 from splatbench.studio_client import Browser, Mirror, Server, browsing, encoded, serving
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
 
 Report = Callable[[str], None]
-START, PREVIEW, COMMIT, SLIDER = 5000.0, 100.0, 800.0, 300.0
-"""Milliseconds that were promised."""
-MEMORY, GROWTH, BUNDLE = 1.5e9 / 2**20, 1.0, 2.5 * 1e6 / 2**20
-"""MiB: of the server with the demo; per 100 edits and undos (what a noisy measurement calls none); of the page."""
-LOAD_ROWS = 10_000
-"""At most, of the asset of the load test: it is about many clients, not about many rows."""
-BATCHES = 12
+START_MS, PREVIEW_MS, COMMIT_MS, SLIDER_MS = 5000.0, 100.0, 800.0, 300.0
+"""Targets of waits."""
+MEMORY_MIB, GROWTH_MIB, BUNDLE_MIB = 1.5e9 / 2**20, 1.0, 2.5 * 1e6 / 2**20
+"""Targets: of the server with the demo; per 100 edits and undos (what a noisy measurement calls none); of the page."""
+MAX_LOAD_GAUSSIANS = 10_000
+"""Of the asset of the load test: it is about many clients, not about many Gaussians."""
+STROKE_BATCHES = 12
 """Dab batches of one stroke."""
-SAMPLES = 20
-"""Memory is read so many times over all edits."""
+MEMORY_SAMPLES = 20
+"""Over all edits."""
 NOTES = (
     "A fresh `splatpainter studio` process, driven over its socket and HTTP as the page drives it; a target is met "
-    "when the median meets it. Every time is from sending to the last byte parsed; rows come before answers. `start`: "
-    "from the start of the process to the page (HTML, JS, CSS), then every row, then a picture of the first view; "
-    "what the page itself does with them is not in it. `first run`: every kernel is compiled before.",
+    "when the median meets it. Every time is from sending to the last byte parsed; Gaussians come before answers. "
+    "`start`: from the start of the process to the page (HTML, JS, CSS), then every Gaussian, then a picture of the "
+    "first view; what the page itself does with them is not in it. `first run`: every kernel is compiled before.",
     "`preview`: one batch of a stroke, 16 px further at 512 px with a brush of 64 px (as large a part of other sizes), "
-    "to its previewed rows. `dab` and `text`: from pen-up to the committed, durable layer and its rows: a soft disc of "
-    "64 px, letters 90 px high at 512 px. `undo` and `redo`: of these. Memory: resident, over edits that are each "
-    "painted and undone in a view of half the smallest size; its growth is the slope of a straight line through the "
-    "second half.",
+    "to its previewed Gaussians. `dab` and `text`: from pen-up to the committed, durable layer and its Gaussians: a "
+    "soft disc of 64 px, letters 90 px high at 512 px. `undo` and `redo`: of these. Memory: resident, over edits that "
+    "are each painted and undone in a view of half the smallest size; its growth is the slope of a straight line "
+    "through the second half.",
 )
 
 
@@ -57,7 +57,7 @@ class StudioBench:
     asset: Path | None = None
     """A splat file to paint on; none: the bundled demo asset."""
     rows: int = 100_000
-    """Rows that it is resampled to."""
+    """Gaussians that it is resampled to."""
     sizes: tuple[int, ...] = (512, 1024)
     """Edges of the square views that are painted on, pixels."""
     repeats: int = 9
@@ -100,7 +100,7 @@ def run(config: StudioBench, report: Report | None = None) -> list[Line]:
     """Measure, write studio.csv and studio.md, and return the lines. report: called with one sentence per measurement.
     Raises ValueError for settings that make no sense, RuntimeError where the studio does not do what it should."""
     config = _checked(config)
-    say = report or (lambda _: None)
+    report = report or (lambda _: None)
     where, results = machine(), []
 
     def add(lines: Iterator[Line]) -> None:
@@ -109,11 +109,11 @@ def run(config: StudioBench, report: Report | None = None) -> list[Line]:
             end = "" if entry.target is None else f", target {tables.shown(entry.target)}"
             verdict = {None: "", True: ": met", False: ": MISSED"}[entry.met]
             median, worst = tables.shown(entry.median), tables.shown(entry.worst)
-            view = "" if entry.size is None else f" at {entry.size} px"
-            say(f"{entry.what}{view}: {median} {entry.unit} (worst {worst}){end}{verdict}")
+            edge = "" if entry.size is None else f" at {entry.size} px"
+            report(f"{entry.what}{edge}: {median} {entry.unit} (worst {worst}){end}{verdict}")
 
-    with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as temporary:
+        folder = Path(temporary)
         asset = _scene(config, folder, config.rows)
         add(_page())
         add(_starts(config, asset, folder))
@@ -125,7 +125,7 @@ def run(config: StudioBench, report: Report | None = None) -> list[Line]:
             add(_looks(browser, config.repeats))
             add(_memory(server, browser, view(home, min(config.sizes) // 2), config.edits))
         if config.clients:
-            with serving(_scene(config, folder, min(config.rows, LOAD_ROWS)), folder) as server:
+            with serving(_scene(config, folder, min(config.rows, MAX_LOAD_GAUSSIANS)), folder) as server:
                 add(_load(server, config.clients, 5 if config.quick else 200))
     config.out.mkdir(parents=True, exist_ok=True)
     tables.write_csv(config.out / "studio.csv", results, where)
@@ -152,13 +152,13 @@ def _checked(config: StudioBench) -> StudioBench:
 
 
 def _scene(config: StudioBench, folder: Path, rows: int) -> Path:
-    """A PLY of so many rows."""
+    """A PLY of so many Gaussians."""
     from splatpainter.demo_asset import demo_asset
     from splatpainter.io import read, write
 
     path = folder / f"{rows}.ply"
     if not path.exists():
-        write(path, with_rows(demo_asset() if config.asset is None else read(config.asset), rows, 1))
+        write(path, resampled(demo_asset() if config.asset is None else read(config.asset), rows, 1))
     return path
 
 
@@ -172,46 +172,46 @@ def view(home: dict[str, Any], size: int) -> dict[str, Any]:
 def _page() -> Iterator[Line]:
     static = resources.files("splatpainter.server") / "static"
     packed = sum(len(gzip.compress(entry.read_bytes(), mtime=0)) for entry in static.iterdir() if entry.is_file())
-    yield line("page: bundle, gzipped", [packed / 2**20], "MiB", BUNDLE)
+    yield line("page: bundle, gzipped", [packed / 2**20], "MiB", BUNDLE_MIB)
 
 
 def _starts(config: StudioBench, asset: Path, folder: Path) -> Iterator[Line]:
     warm = 1 if config.quick else 3
     kinds: list[tuple[str, Path | None, dict[str, str], int, float | None]] = [
-        ("start", asset, {}, warm, START),
+        ("start", asset, {}, warm, START_MS),
     ]
     if not config.quick:
-        kinds.append(("start with the demo", None, {}, warm, START))
+        kinds.append(("start with the demo", None, {}, warm, START_MS))
         kinds.append(("start, first run", asset, {"NUMBA_CACHE_DIR": str(folder / "cache")}, 1, None))
     for name, opened, variables, repeats, target in kinds:
-        laps: dict[str, list[float]] = {}
+        times: dict[str, list[float]] = {}
         resident = []
         for _ in range(repeats):
             with serving(opened, folder, variables) as server:
-                for lap, seconds in _first_picture(server).items():
-                    laps.setdefault(lap, []).append(1000 * seconds)
+                for step, seconds in _first_picture(server).items():
+                    times.setdefault(step, []).append(1000 * seconds)
                 resident.append(server.memory()[0])
-        for lap, values in laps.items():
-            yield line(f"{name}: to the {lap}", values, target=target if lap == "first picture" else None)
-        yield line(f"memory: after {name}", resident, "MiB", MEMORY)
+        for step, values in times.items():
+            yield line(f"{name}: to the {step}", values, target=target if step == "first picture" else None)
+        yield line(f"memory: after {name}", resident, "MiB", MEMORY_MIB)
 
 
 def _first_picture(server: Server) -> dict[str, float]:
     """Seconds since the process's start after each step that a page takes."""
-    laps = {"address": time.perf_counter() - server.started}
+    seconds = {"address": time.perf_counter() - server.started}
     for path in ("", "studio.js", "studio.css"):
         server.get(path)
-    laps["page"] = time.perf_counter() - server.started
+    seconds["page"] = time.perf_counter() - server.started
     with browsing(server.url) as browser:
         home = browser.hello()["state"]["asset"]["home"]
-        laps["rows"] = time.perf_counter() - server.started
+        seconds["rows"] = time.perf_counter() - server.started
         server.get("api/blobs/" + browser.do("view.render", camera=home)["picture"])
-        laps["first picture"] = time.perf_counter() - server.started
-    return laps
+        seconds["first picture"] = time.perf_counter() - server.started
+    return seconds
 
 
 def _ask(browser: Browser, name: str, /, **fields: Any) -> tuple[dict[str, Any], float]:
-    """(a command's answer, milliseconds from sending until it and its rows were parsed)."""
+    """(a command's answer, milliseconds from sending until it and its Gaussians were parsed)."""
     start = time.perf_counter()
     answer = browser.do(name, **fields)
     return answer, 1000 * (time.perf_counter() - start)
@@ -229,7 +229,7 @@ class Patch:
 
     @staticmethod
     def of(layer: np.ndarray, box: tuple[float, float, float, float]) -> Patch:
-        """Of a [H, W, 4] layer (paint.py) within left, top, right, bottom."""
+        """Of a [H, W, 4] layer (strokes.py) within left, top, right, bottom."""
         height, width = layer.shape[:2]
         left, top = max(int(box[0]), 0), max(int(box[1]), 0)
         right, bottom = min(math.ceil(box[2]), width), min(math.ceil(box[3]), height)
@@ -239,18 +239,18 @@ class Patch:
 
 def dab_at(size: int, x: float, y: float, tone: int = 0) -> Patch:
     """A soft disc around x, y of a view of `size` pixels."""
-    width = DAB * size
-    layer = paint.stroke_layer((size, size), np.array([(x, y)]), width, size / 128, paint.PALETTE[tone])
+    width = DAB_WIDTH * size
+    layer = strokes.stroke_layer((size, size), np.array([(x, y)]), width, size / 128, strokes.PALETTE[tone])
     return Patch.of(layer, (x - width / 2, y - width / 2, x + width / 2, y + width / 2))
 
 
 def stroke_patches(size: int, height: float) -> list[Patch]:
     """Batches of one stroke to the right, at `height` (0..1) of the picture: each holds all paint in its rectangle."""
-    half, step = DAB * size / 2, size / 32
-    points = np.array([(0.3 * size + k * step, height * size) for k in range(BATCHES)])
+    half, step = DAB_WIDTH * size / 2, size / 32
+    points = np.array([(0.3 * size + k * step, height * size) for k in range(STROKE_BATCHES)])
     out = []
     for k, (x, y) in enumerate(points):
-        layer = paint.stroke_layer((size, size), points[: k + 1], 2 * half, size / 128, paint.PALETTE[0])
+        layer = strokes.stroke_layer((size, size), points[: k + 1], 2 * half, size / 128, strokes.PALETTE[0])
         out.append(Patch.of(layer, (x - half - step * bool(k), y - half, x + half, y + half)))
     return out
 
@@ -258,7 +258,7 @@ def stroke_patches(size: int, height: float) -> list[Patch]:
 def text_patch(size: int, height: float) -> Patch:
     """Letters, their middle at `height` (0..1) of a view."""
     middle = (size / 2, height * size)
-    layer = paint.text_layer("TEA", (size, size), middle, LETTERS * size, paint.PALETTE[1])
+    layer = strokes.text_layer("TEA", (size, size), middle, TEXT_HEIGHT * size, strokes.PALETTE[1])
     rows, columns = (np.flatnonzero(layer[..., 3].any(axis)) for axis in (1, 0))
     return Patch.of(layer, (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1))
 
@@ -275,17 +275,17 @@ class Painted:
 
 
 def stroke(browser: Browser, camera: dict[str, Any], patches: list[Patch]) -> Painted:
-    """Draw and commit. Raises RuntimeError where the paint reached no row."""
+    """Draw and commit. Raises RuntimeError where the paint reached nothing."""
     started, begin = _ask(browser, "paint.begin", camera=camera)
-    previews, sizes, rows = [], [], 0
+    previews, sizes, reached = [], [], 0
     for patch in patches:
-        seen, lap = _ask(browser, "paint.dab", stroke=started["stroke"], **vars(patch))
-        previews.append(lap)
+        answer, milliseconds = _ask(browser, "paint.dab", stroke=started["stroke"], **vars(patch))
+        previews.append(milliseconds)
         sizes.append(browser.received)
-        rows += seen["rows"]
+        reached += answer["rows"]
     made, end = _ask(browser, "paint.end", stroke=started["stroke"])
-    if not rows or not made["layer"]["rows_touched"]:
-        raise RuntimeError("bench: a stroke reached no row of the asset")
+    if not reached or not made["layer"]["rows_touched"]:
+        raise RuntimeError("bench: a stroke reached nothing of the asset")
     return Painted(begin, previews, sizes, end, browser.received)
 
 
@@ -299,83 +299,84 @@ def _painting(browser: Browser, camera: dict[str, Any], repeats: int) -> Iterato
         "text": [[text_patch(size, height)] for height in heights],
     }
     for kind, all_patches in kinds.items():
-        done, laps = [], {"undo": [], "redo": []}
+        painted, times = [], {"undo": [], "redo": []}
         for patches in all_patches:
-            done.append(stroke(browser, camera, patches))
+            painted.append(stroke(browser, camera, patches))
             for command in ("undo", "redo", "undo"):
-                laps[command].append(_ask(browser, command)[1])
+                times[command].append(_ask(browser, command)[1])
         if kind == "stroke":
-            yield line("pen down: view projected", [one.begin for one in done], size=size)
-        previews = [lap for one in done for lap in one.previews]
-        sent = [size_ / 1024 for one in done for size_ in one.preview_bytes]
-        target = PREVIEW if kind == "stroke" else None
+            yield line("pen down: view projected", [one.begin for one in painted], size=size)
+        previews = [value for one in painted for value in one.previews]
+        sent = [count / 1024 for one in painted for count in one.preview_bytes]
+        target = PREVIEW_MS if kind == "stroke" else None
         yield line(f"preview of a {kind}", previews, target=target, size=size)
         yield line(f"preview of a {kind}: rows sent", sent, "KiB", size=size)
-        yield line(f"{kind} committed", [one.end for one in done], target=COMMIT, size=size)
-        yield line(f"{kind} committed: rows sent", [one.end_bytes / 1024 for one in done], "KiB", size=size)
-        for command, values in laps.items():
+        yield line(f"{kind} committed", [one.end for one in painted], target=COMMIT_MS, size=size)
+        yield line(f"{kind} committed: rows sent", [one.end_bytes / 1024 for one in painted], "KiB", size=size)
+        for command, values in times.items():
             yield line(f"{command} of a {kind}", values, size=size)
 
 
 def _renders(server: Server, browser: Browser, camera: dict[str, Any], repeats: int) -> Iterator[Line]:
-    laps = []
+    times = []
     for _ in range(repeats):
         start = time.perf_counter()
         server.get("api/blobs/" + browser.do("view.render", camera=camera)["picture"])
-        laps.append(1000 * (time.perf_counter() - start))
-    yield line("view rendered and fetched", laps, size=camera["width"])
+        times.append(1000 * (time.perf_counter() - start))
+    yield line("view rendered and fetched", times, size=camera["width"])
 
 
 def _looks(browser: Browser, repeats: int) -> Iterator[Line]:
     """Sliders that are dragged, one after the other, then kept."""
-    laps, sent = [], []
+    times, sent = [], []
     settings = [{"exposure": 0.1 + 0.05 * k, "temperature": 0.2, "contrast": 0.1} for k in range(3 * repeats)]
     for look in settings:
-        laps.append(_ask(browser, "look.preview", look=look)[1])
+        times.append(_ask(browser, "look.preview", look=look)[1])
         sent.append(browser.received / 1024)
-    yield line("slider previewed", laps, target=SLIDER)
+    yield line("slider previewed", times, target=SLIDER_MS)
     yield line("slider previewed: rows sent", sent, "KiB")
-    kept, undone = [], []
+    committed, undone = [], []
     for look in settings[:repeats]:
-        kept.append(_ask(browser, "look.commit", look=look)[1])
+        committed.append(_ask(browser, "look.commit", look=look)[1])
         undone.append(_ask(browser, "undo")[1])
-    yield line("slider kept as a layer", kept)
+    yield line("slider kept as a layer", committed)
     yield line("undo of a slider", undone)
 
 
 def _memory(server: Server, browser: Browser, camera: dict[str, Any], edits: int) -> Iterator[Line]:
     """Dabs here and there, each of them undone."""
     size, rng = camera["width"], np.random.default_rng(0)
-    yield line("memory: before the edits", [server.memory()[0]], "MiB", MEMORY)
-    every, counts, resident = max(edits // SAMPLES, 1), [], []
+    yield line("memory: before the edits", [server.memory()[0]], "MiB", MEMORY_MIB)
+    every, counts, resident = max(edits // MEMORY_SAMPLES, 1), [], []
     for k in range(1, edits + 1):
         x, y = rng.uniform(0.4, 0.6, 2) * size
-        stroke(browser, camera, [dab_at(size, x, y, k % len(paint.PALETTE))])
+        stroke(browser, camera, [dab_at(size, x, y, k % len(strokes.PALETTE))])
         browser.do("undo")
         if k % every == 0:
             counts.append(k)
             resident.append(server.memory()[0])
     half = len(counts) // 2
     growth = 100 * float(np.polyfit(counts[half:], resident[half:], 1)[0])
-    yield line(f"memory: after {edits} edits and undos", [resident[-1]], "MiB", MEMORY)
-    yield line("memory: largest", [server.memory()[1]], "MiB", MEMORY)
-    yield line("memory: growth per 100 edits and undos", [growth], "MiB", GROWTH)
+    yield line(f"memory: after {edits} edits and undos", [resident[-1]], "MiB", MEMORY_MIB)
+    yield line("memory: largest", [server.memory()[1]], "MiB", MEMORY_MIB)
+    yield line("memory: growth per 100 edits and undos", [growth], "MiB", GROWTH_MIB)
 
 
 def _load(server: Server, clients: int, edits: int) -> Iterator[Line]:
-    """All clients at once on one session. Raises RuntimeError where one fails or they do not end up with equal rows."""
+    """All clients at once on one session. Raises RuntimeError where one fails, or where they do not end up with equal
+    Gaussians."""
     before = server.memory()[0]
     mirrors = [Mirror() for _ in range(clients)]
-    laps: list[float] = []
-    faults: list[BaseException] = []
+    times: list[float] = []
+    errors: list[BaseException] = []
 
     def work(k: int) -> None:
         try:
             with browsing(server.url, mirrors[k]) as browser:
                 browser.hello()
-                laps.extend(_commands_of_one(browser, k, edits))
+                times.extend(_commands_of_one(browser, k, edits))
         except BaseException as error:
-            faults.append(error)
+            errors.append(error)
 
     start = time.perf_counter()
     threads = [threading.Thread(target=work, args=(k,)) for k in range(clients)]
@@ -384,38 +385,38 @@ def _load(server: Server, clients: int, edits: int) -> Iterator[Line]:
     for thread in threads:
         thread.join()
     seconds = time.perf_counter() - start
-    if faults:
-        raise RuntimeError(f"bench: a client of the load test failed: {faults[0]}")
+    if errors:
+        raise RuntimeError(f"bench: a client of the load test failed: {errors[0]}")
     for mirror in mirrors:
         with browsing(server.url, mirror) as browser:
             browser.hello()  # what came while it was away
         same = all(np.array_equal(mirror.columns[name], mirrors[0].columns[name]) for name in mirror.columns)
         if not same or mirror.version != mirrors[0].version:
-            raise RuntimeError("bench: clients of the load test do not show the same rows")
+            raise RuntimeError("bench: clients of the load test do not show the same Gaussians")
     name = f"load: {clients} clients x {edits} edits"
-    yield line(f"{name}, one edit", laps)
-    yield line(f"{name}, edits a second", [len(laps) / seconds], "1/s")
+    yield line(f"{name}, one edit", times)
+    yield line(f"{name}, edits a second", [len(times) / seconds], "1/s")
     yield line(f"{name}, memory added", [server.memory()[0] - before], "MiB")
 
 
 def _commands_of_one(browser: Browser, k: int, edits: int) -> list[float]:
-    """Milliseconds of each edit: a look of its own is made, hidden, faded and deleted."""
-    own, laps, versions = "", [], []
+    """Milliseconds of each edit: an adjustment layer is made, hidden, faded and deleted."""
+    layer, times, versions = "", [], []
     for n in range(edits):
         if n % 4 == 0:
             look = {"exposure": 0.01 * (k + 1), "tint": 0.0001 * (n + 1)}
-            answer, lap = _ask(browser, "look.commit", look=look, name=f"look {k}")
-            own = answer["layer"]["id"]
+            answer, milliseconds = _ask(browser, "look.commit", look=look, name=f"look {k}")
+            layer = answer["layer"]["id"]
         elif n % 4 == 1:
-            answer, lap = _ask(browser, "layer.set", layer=own, visible=False)
+            answer, milliseconds = _ask(browser, "layer.set", layer=layer, visible=False)
         elif n % 4 == 2:
-            answer, lap = _ask(browser, "layer.set", layer=own, opacity=0.5)
+            answer, milliseconds = _ask(browser, "layer.set", layer=layer, opacity=0.5)
         else:
-            answer, lap = _ask(browser, "layer.delete", layer=own)
-        laps.append(lap)
+            answer, milliseconds = _ask(browser, "layer.delete", layer=layer)
+        times.append(milliseconds)
         versions.append(answer["version"])
         if browser.mirror.version < answer["version"]:
-            raise RuntimeError("an answer came before its rows")
+            raise RuntimeError("an answer came before its Gaussians")
     if versions != sorted(versions):
         raise RuntimeError("answers came out of order")
-    return laps
+    return times

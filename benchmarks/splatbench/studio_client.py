@@ -1,5 +1,5 @@
-"""The studio's server as a process of its own, and a client of it as a browser page is one: a socket, a mirror of the
-rows put together from frames alone, and pictures over HTTP. For the studio's bench and its tests."""
+"""The studio's server as a process of its own, and a client of it as a browser page is one: a socket, a mirror of
+the Gaussians put together from frames alone, and pictures over HTTP. For the studio's bench and its tests."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ import base64
 import contextlib
 import json
 import math
-import os
-import re
 import subprocess
 import sys
-import threading
 import time
 import urllib.request
 from collections.abc import Iterator, Mapping
@@ -22,15 +19,14 @@ from typing import Any
 import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
-from splatpainter import processes
+from splatbench.process import server
 from splatpainter.cameras import Camera
 from splatpainter.server import frames
 from splatpainter.server.socket import own_hash
 from splatpainter.splats import Splats
 from splatpainter.user_folders import PROJECTS_VARIABLE
 
-PATIENCE = 120
-"""Seconds that an answer may take."""
+ANSWER_PATIENCE_SECONDS = 120
 GEOMETRY = ("means", "scales", "quats")
 COLUMNS = (*GEOMETRY, "opacities", "sh")
 
@@ -47,7 +43,7 @@ def encoded(rgba: np.ndarray) -> str:
 
 @dataclass
 class Mirror:
-    """What a browser holds: rows put together from frames alone."""
+    """What a browser holds: Gaussians put together from frames alone."""
 
     session: str = ""
     version: int = -1
@@ -110,7 +106,7 @@ class Browser:
 
     def receive(self) -> dict[str, Any] | None:
         """One message: None for a frame, which the mirror takes."""
-        message = self.socket.recv(timeout=PATIENCE)
+        message = self.socket.recv(timeout=ANSWER_PATIENCE_SECONDS)
         if isinstance(message, bytes):
             self.mirror.take(message)
             self.order.append("frame")
@@ -125,7 +121,7 @@ class Browser:
         return data
 
     def answer(self, number: int) -> dict[str, Any]:
-        """Read until the answer of a command; the rows that it speaks of come before it."""
+        """Read until the answer of a command; the Gaussians that it is about come before it."""
         while True:
             data = self.receive()
             if data is not None and data.get("re") == number and "progress" not in data:
@@ -145,25 +141,25 @@ class Browser:
         return data
 
     def hello(self, page: str | None = None) -> dict[str, Any]:
-        """Greet as a page does, going on where the mirror stopped. page: its name, where it wants to be known again."""
+        """Greet as a page does, going on where the mirror stopped. page: the name that it had before."""
         since = None if self.mirror.version < 0 else self.mirror.version
-        own = {"schema_hash": own_hash(), "session": self.mirror.session or None, "since": since, "page": page}
-        data = self.do("hello", **own)
+        fields = {"schema_hash": own_hash(), "session": self.mirror.session or None, "since": since, "page": page}
+        data = self.do("hello", **fields)
         self.state = data["state"]
         self.mirror.session = self.state["session"]
         return data
 
 
-def after(state: dict[str, Any], news: dict[str, Any]) -> dict[str, Any]:
+def after(state: dict[str, Any], event: dict[str, Any]) -> dict[str, Any]:
     """The state after a state event."""
     history, bookmarks = state["history"], state["bookmarks"]
-    if (change := news["history"]) is not None:
+    if (change := event["history"]) is not None:
         start = change["dropped"]
         history = history[start : start + change["kept"]] + change["steps"]
     return {
-        **news["state"],
+        **event["state"],
         "history": history,
-        "bookmarks": bookmarks if news["bookmarks"] is None else news["bookmarks"],
+        "bookmarks": bookmarks if event["bookmarks"] is None else event["bookmarks"],
     }
 
 
@@ -187,7 +183,7 @@ class Server:
     def get(self, path: str) -> bytes:
         """Body of GET url + path, by no proxy."""
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-        with opener.open(self.url + path, timeout=PATIENCE) as response:
+        with opener.open(self.url + path, timeout=ANSWER_PATIENCE_SECONDS) as response:
             return response.read()
 
     def memory(self) -> tuple[float, float]:
@@ -206,45 +202,13 @@ def serving(asset: Path | None, folder: Path, variables: Mapping[str, str] | Non
     """`splatpainter studio ASSET --no-browser` on a free port, its projects in `folder`; interrupted in the end.
     asset None: the demo. variables: of the environment, besides the present ones. Raises RuntimeError where it does
     not start."""
-    own = {PROJECTS_VARIABLE: str(folder / "projects")}
     command = [sys.executable, "-m", "splatpainter", "studio", *([] if asset is None else [str(asset)])]
     command += ["--no-browser", "--port", "0"]
+    environment = {PROJECTS_VARIABLE: str(folder / "projects"), **(variables or {})}
     start = time.perf_counter()
-    process = processes.begin(
-        command,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        env={**os.environ, **own, **(variables or {})},
-    )
-    try:
-        assert process.stderr is not None
-        last, url = b"", None
-        for last in process.stderr:
-            if found := re.search(rb"http://\S+/", last):
-                url = found.group().decode()
-                break
-        if url is None:
-            said = last.decode(errors="replace").strip()
-            raise RuntimeError(f"bench: the studio did not start: {said or process.wait()}")
-        drain = threading.Thread(target=process.stderr.read)  # a full pipe would stop the server
-        drain.start()
+    with contextlib.ExitStack() as stack:
         try:
-            yield Server(url, process, start)
-        finally:
-            _stop(process)
-            drain.join()
-    finally:
-        _stop(process)
-        assert process.stderr is not None
-        process.stderr.close()
-
-
-def _stop(process: subprocess.Popen) -> None:
-    """As Ctrl-C does, and by force where that does not help."""
-    if process.poll() is None:
-        processes.interrupt(process)
-    try:
-        process.wait(PATIENCE)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+            process, address = stack.enter_context(server(command, r"http://\S+/", environment))
+        except RuntimeError as error:
+            raise RuntimeError(f"bench: the studio did not start: {error}") from None
+        yield Server(address.group(), process, start)

@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 from PIL import Image
 from splatbench import local_edits as lift_bench
-from splatbench import speed, timing
-from splatbench import strokes as paint
+from splatbench import process, speed, strokes, timing
 from splatbench.closeups import closeup
 from splatbench.reprojection import reproject
-from splatbench.speed_scenes import with_rows
+from splatbench.speed_scenes import resampled
 
 from splatpainter import text_tables as tables
 from splatpainter.cameras import look_at
 from splatpainter.contact_sheet import Strip, error_map, sheet
+from splatpainter.sources.layers import over
 from splatpainter.splats import SH_C0, Splats
 
 
@@ -55,7 +55,7 @@ def test_measure_counts_calls_and_takes_the_median(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(timing.time, "perf_counter", lambda: next(clock))
     calls = []
     result = timing.measure(lambda: calls.append(1), warmups=2, repeats=5, budget=100)
-    assert (result.seconds, result.least, result.repeats, len(calls)) == (3, 1, 5, 7)
+    assert (result.seconds, result.fastest, result.repeats, len(calls)) == (3, 1, 5, 7)
 
 
 def test_measure_stops_at_its_budget_but_not_before_three(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,14 +68,14 @@ def test_measure_stops_at_its_budget_but_not_before_three(monkeypatch: pytest.Mo
 
 def test_a_fresh_process_has_its_own_memory_and_its_own_errors() -> None:
     ballast = np.ones(40_000_000)  # 305 MiB that a child must not inherit
-    fresh = timing.in_fresh_process("json:dumps", {"obj": [1, 2]})
+    fresh = process.in_fresh_process("json:dumps", {"obj": [1, 2]})
     assert fresh.result == "[1, 2]" and ballast[-1] == 1
-    assert 4 < fresh.peak_mib < 250 < timing.peak_mib()
+    assert 4 < fresh.peak_mib < 250 < process.peak_mib()
     assert fresh.seconds > 0
     with pytest.raises(RuntimeError, match="math:sqrt failed in a fresh process: TypeError"):
-        timing.in_fresh_process("math:sqrt", {"x": 1})
+        process.in_fresh_process("math:sqrt", {"x": 1})
     variables = {"SPLATPAINTER_THREADS": "7"}
-    assert timing.in_fresh_process("splatpainter.kernels.parallel:threads", {}, variables).result == 7
+    assert process.in_fresh_process("splatpainter.kernels.parallel:threads", {}, variables).result == 7
 
 
 def test_the_machine_is_described_without_naming_it() -> None:
@@ -105,20 +105,20 @@ def test_tables_hold_every_value(tmp_path: Path) -> None:
 
 
 def test_a_disc_has_its_area_and_text_its_height() -> None:
-    disc = paint.stroke_layer((100, 120), np.array([[60.0, 50.0]]), 60, 10)
+    disc = strokes.stroke_layer((100, 120), np.array([[60.0, 50.0]]), 60, 10)
     # Coverage 3t^2 - 2t^3 over the outer s of radius R: 2 pi times its integral is pi (R^2 - R s + 0.3 s^2).
     assert disc[..., 3].sum() == pytest.approx(math.pi * (30**2 - 30 * 10 + 0.3 * 10**2), rel=2e-3)
     assert disc[50, 60, 3] == 1 and disc[50, 92, 3] == 0 and disc[10, 60, 3] == 0
-    line = paint.stroke_layer((100, 200), np.array([[50.0, 50.0], [150.0, 50.0]]), 20, 1e-3)
+    line = strokes.stroke_layer((100, 200), np.array([[50.0, 50.0], [150.0, 50.0]]), 20, 1e-3)
     assert line[..., 3].sum() == pytest.approx(100 * 20 + math.pi * 10**2, rel=5e-3)
 
-    text = paint.text_layer("HIT", (200, 400), (200, 100), 90)[..., 3]
+    text = strokes.text_layer("HIT", (200, 400), (200, 100), 90)[..., 3]
     lines, columns = np.nonzero(text > 0.5)
     assert np.ptp(lines) + 1 == pytest.approx(90, abs=9)  # and a bold rim
     assert lines.mean() == pytest.approx(100, abs=3) and columns.mean() == pytest.approx(200, abs=15)
     assert ((text > 0.1) & (text < 0.9)).sum() > 50  # antialiased
     with pytest.raises(ValueError, match="missing.ttf: expected a TrueType"):
-        paint.text_layer("A", (20, 20), (10, 10), 9, font=Path("missing.ttf"))
+        strokes.text_layer("A", (20, 20), (10, 10), 9, font=Path("missing.ttf"))
 
 
 def test_paint_covers_and_shows() -> None:
@@ -127,12 +127,12 @@ def test_paint_covers_and_shows() -> None:
     layer[1, 2] = (1, 0, 0, 0.25)
     expected = image.copy()
     expected[1, 2] = (0.625, 0.375, 0.375)
-    np.testing.assert_allclose(paint.over(image, layer), expected)
+    np.testing.assert_allclose(over(image, layer), expected)
     everywhere = np.ones((4, 4))
-    for color in paint.PALETTE:  # never a colour on itself
-        assert paint.color_against(np.tile(np.array(color), (4, 4, 1)), everywhere) != color
-    best = paint.color_against(np.zeros((4, 4, 3)), everywhere)
-    assert best == (0.94, 0.95, 0.93) != paint.color_against(np.zeros((4, 4, 3)), everywhere, best)
+    for color in strokes.PALETTE:  # never a colour on itself
+        assert strokes.color_against(np.tile(np.array(color), (4, 4, 1)), everywhere) != color
+    best = strokes.color_against(np.zeros((4, 4, 3)), everywhere)
+    assert best == (0.94, 0.95, 0.93) != strokes.color_against(np.zeros((4, 4, 3)), everywhere, best)
 
 
 def test_paint_moves_with_the_camera() -> None:
@@ -141,7 +141,7 @@ def test_paint_moves_with_the_camera() -> None:
     second = look_at((0.5, 0, 0), (0.5, 0, 1), width=100, height=80, fov=50)
     side = float((first.world_to_camera @ [0.5, 0, 0, 1])[0])  # which way +x is in the picture
     shift = round(first.fx * side / 4)
-    layer = paint.stroke_layer((80, 100), np.array([[50.0, 40.0]]), 30, 4)
+    layer = strokes.stroke_layer((80, 100), np.array([[50.0, 40.0]]), 30, 4)
     wall = np.full((80, 100), 4.0)
     moved = reproject(layer, first, wall, second, wall)
     wanted = np.roll(layer[..., 3], -shift, 1)
@@ -191,7 +191,7 @@ def test_scenes_of_any_size_show_the_same_surface(rows: int) -> None:
     from splatpainter.rendering import render
 
     splats = box()
-    other = with_rows(splats, rows, 0)
+    other = resampled(splats, rows, 0)
     assert len(other) == rows and other.sh.shape == (rows, 1, 3)
     camera = look_at((5, 1.5, 2), (0, 0, 0), width=64, height=64)
     area = [(s.scales[:, 0] * s.scales[:, 1]).sum() for s in (splats, other)]
@@ -223,7 +223,7 @@ def test_bench_speed_knows_the_networks(tmp_path: Path, monkeypatch: pytest.Monk
     from tests.support.model_scenes import TINY
 
     monkeypatch.setattr(config, "COMPACT", TINY)
-    save_scene(tmp_path / "scene", with_rows(box(), 2000, 1))
+    save_scene(tmp_path / "scene", resampled(box(), 2000, 1))
     scene = Scene(tmp_path / "scene", 64)
     encoded, local, whole = (
         OPERATIONS[name].prepare(scene)()

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from splatbench import strokes as paint
-from splatbench import studio
+from splatbench import strokes, studio
 from splatbench.studio import Line, Patch, StudioBench
 
 from splatpainter.cli import main
@@ -42,13 +41,13 @@ def test_patches_put_together_are_the_stroke() -> None:
     patches = studio.stroke_patches(size, 0.5)
     for patch in patches:  # as the server does it
         canvas[patch.y : patch.y + patch.height, patch.x : patch.x + patch.width] = pixels(patch)
-    first, last = 0.3 * size, 0.3 * size + (studio.BATCHES - 1) * size / 32
+    first, last = 0.3 * size, 0.3 * size + (studio.STROKE_BATCHES - 1) * size / 32
     points = np.array([(first, size / 2), (last, size / 2)])
-    whole = paint.stroke_layer((size, size), points, studio.DAB * size, size / 128, paint.PALETTE[0])
+    whole = strokes.stroke_layer((size, size), points, studio.DAB_WIDTH * size, size / 128, strokes.PALETTE[0])
     covered = np.abs(canvas[..., 3] / 255 - whole[..., 3])
     # A batch holds all paint in its rectangle so far; the rim of the one before, outside of it, is not drawn again.
     assert np.quantile(covered, 0.99) < 0.01 and covered.max() < 0.6
-    assert all(patch.width < 2 * studio.DAB * size for patch in patches)
+    assert all(patch.width < 2 * studio.DAB_WIDTH * size for patch in patches)
 
 
 def test_text_lies_within_its_patch() -> None:
@@ -88,7 +87,7 @@ def test_the_whole_bench(tmp_path: Path) -> None:
         assert named[what].met == (named[what].median <= target)
     steps = [named[f"start: to the {step}"].median for step in ("address", "page", "rows", "first picture")]
     assert steps == sorted(steps)
-    assert named["preview of a stroke"].repeats == 2 * studio.BATCHES
+    assert named["preview of a stroke"].repeats == 2 * studio.STROKE_BATCHES
     # A frame of the slider's rows: a header, indices, halves of 3 base colours and 3 codes of most of 600 rows.
     row = (4 + 6 + 3 * 4) / 1024
     assert 300 * row < named["slider previewed: rows sent"].median <= 600 * row + 1
