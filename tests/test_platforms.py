@@ -20,7 +20,7 @@ from splatpainter import atomic, processes, user_folders
 from splatpainter.cli import main
 from splatpainter.commands import SUMMARIES
 from splatpainter.kernels.parallel import cpus
-from splatpainter.server.server import listen
+from splatpainter.server.launch import listen
 from splatpainter.session.lock import ProjectLock
 from tests.support.cli_scenes import Capture, ball, run, saved
 from tests.support.studio_scenes import live, make_studio

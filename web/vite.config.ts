@@ -7,7 +7,7 @@ export default defineConfig({
   base: "/",
   plugins: [record()],
   build: {
-    outDir: "../src/splatpainter/studio/static",
+    outDir: "../src/splatpainter/server/static",
     emptyOutDir: true,
     target: "es2022",
     cssCodeSplit: false,

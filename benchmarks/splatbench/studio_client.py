@@ -22,7 +22,7 @@ from websockets.sync.client import ClientConnection, connect
 from splatbench.process import server
 from splatpainter.cameras import Camera
 from splatpainter.server import frames
-from splatpainter.server.socket import own_hash
+from splatpainter.server.client import protocol_hash
 from splatpainter.splats import Splats
 from splatpainter.user_folders import PROJECTS_VARIABLE
 
@@ -66,17 +66,17 @@ class Mirror:
             for name, value in values.items():
                 if frame.flags & frames.COLORS_ONLY and name in GEOMETRY:
                     continue
-                old = self.columns[name][: frame.rows_total]
-                if len(old) < frame.rows_total:
-                    more = np.zeros((frame.rows_total - len(old), *old.shape[1:]), np.float32)
+                old = self.columns[name][: frame.total]
+                if len(old) < frame.total:
+                    more = np.zeros((frame.total - len(old), *old.shape[1:]), np.float32)
                     old = np.concatenate([old, more])
                 if name == "sh":
-                    old[frame.rows, : value.shape[1]] = value  # of a preview maybe the first coefficient alone
+                    old[frame.gaussian_ids, : value.shape[1]] = value  # of a preview maybe the first coefficient alone
                 else:
-                    old[frame.rows] = value
+                    old[frame.gaussian_ids] = value
                 self.columns[name] = old
         self.previews += bool(frame.flags & frames.PREVIEW)
-        self.version, self.total = frame.version_to, frame.rows_total
+        self.version, self.total = frame.version_to, frame.total
 
     def agrees(self, splats: Splats) -> bool:
         """Whether every row is what the session shows, bit for bit (rotations: up to their length)."""
@@ -143,7 +143,7 @@ class Browser:
     def hello(self, page: str | None = None) -> dict[str, Any]:
         """Greet as a page does, going on where the mirror stopped. page: the name that it had before."""
         since = None if self.mirror.version < 0 else self.mirror.version
-        fields = {"schema_hash": own_hash(), "session": self.mirror.session or None, "since": since, "page": page}
+        fields = {"schema_hash": protocol_hash(), "session": self.mirror.session or None, "since": since, "page": page}
         data = self.do("hello", **fields)
         self.state = data["state"]
         self.mirror.session = self.state["session"]

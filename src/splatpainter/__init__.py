@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from splatpainter.receipts import verify as verify
     from splatpainter.rendering import Render as Render
     from splatpainter.rendering import render as render
-    from splatpainter.server.server import studio as studio
+    from splatpainter.server.launch import studio as studio
     from splatpainter.session import Session as Session
     from splatpainter.splats import Splats as Splats
 
@@ -42,7 +42,7 @@ _HOME = {
     "Session": "session",
     "Receipt": "receipts",
     "verify": "receipts",
-    "studio": "server.server",
+    "studio": "server.launch",
 }
 __all__ = [
     "Asset",

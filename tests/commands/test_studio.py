@@ -17,9 +17,9 @@ from websockets.sync.client import connect
 import splatpainter as sp
 from splatpainter.cli import main
 from splatpainter.io import write
-from splatpainter.server.demo import demo
+from splatpainter.server.launch import address, listen
 from splatpainter.server.security import Access
-from splatpainter.server.server import address, listen
+from splatpainter.server.storage import demo
 from tests.support.studio_scenes import Browser, ball, view
 from tests.support.systems import posix_only
 

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from splatpainter.server.app import create_app
-from splatpainter.server.core import Options, Studio
-from splatpainter.server.messages import COMMANDS
-from splatpainter.server.messages.base import PIXELS
-from splatpainter.server.socket import own_hash
+from splatpainter.server.client import protocol_hash
+from splatpainter.server.commands import COMMANDS
+from splatpainter.server.protocol import MAX_VIEW_PIXELS
+from splatpainter.server.studio import Options, Studio
 from splatpainter.session import Session
 from tests.support.session_scenes import FlatPainter
 
@@ -211,7 +211,7 @@ class StudioTarget(Target):
 
     async def _play(self, studio: Studio, script: list[dict[str, Any]], files: dict[str, bytes]) -> Verdict:
         app = create_app(studio)
-        verdict, pool = Verdict(), {"$hash": [own_hash()]}
+        verdict, pool = Verdict(), {"$hash": [protocol_hash()]}
         async with app.router.lifespan_context(app):
             socket = Socket(app)
             try:
@@ -228,7 +228,7 @@ class StudioTarget(Target):
                 await socket.leave()
                 last = Socket(app)  # the studio goes on: a fresh client is greeted and answered
                 for number, do in ((1, "hello"), (2, "receipt")):
-                    fields = {"schema_hash": own_hash(), "page": "fedcba98" * 4} if do == "hello" else {}
+                    fields = {"schema_hash": protocol_hash(), "page": "fedcba98" * 4} if do == "hello" else {}
                     if not await last.send({"ws": {"id": number, "do": do, **fields}}, pool):
                         raise Fault(f"afterwards {do} does not work: {(last.heard or ['no answer'])[-1][:300]}")
                 await last.leave()
@@ -393,7 +393,7 @@ def tamed(fields: dict[str, Any]) -> dict[str, Any]:
     view = fields.get("camera")
     if isinstance(view, dict):
         width, height = view.get("width"), view.get("height")
-        if type(width) is int and type(height) is int and SMALL**2 < width * height <= PIXELS:
+        if type(width) is int and type(height) is int and SMALL**2 < width * height <= MAX_VIEW_PIXELS:
             view["width"] = view["height"] = SMALL
     for key in ("frames", "size", "width"):
         if type(fields.get(key)) is int and fields[key] > SMALL and key != "width":

@@ -18,7 +18,7 @@ from splatpainter import io, jsonio
 from splatpainter.io import bounded
 from splatpainter.io.bounded import Gunzip, inflate, unzstd
 from splatpainter.io.ply_container import element_size, read_header
-from splatpainter.server.claims import claim_of
+from splatpainter.server.upload_sniffing import sniff
 from tests.io.test_ksplat import make
 from tests.io.test_ply import BASE, ROW, ply, save, text
 from tests.io.test_sog import bundle, by_hand, huge_webp
@@ -76,11 +76,11 @@ def test_uploads_do_not_unpack_what_a_bundle_may_not_hold(method: int, tmp_path:
     assert len(data) < 100_000
 
     def claimed(place: Path) -> object:
-        return claim_of(place, str(place), 10**6)
+        return sniff(place, str(place), 10**6)
 
     assert survives(claimed, path, iter([data]), 8 * MIB) == (0, 1)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=f"packed by method {method}"):
-        claim_of(path, "a.sog", 10**6)
+        sniff(path, "a.sog", 10**6)
     refused(path, data, f"packed by method {method}")
 
 
@@ -94,20 +94,20 @@ def edit_sizes(data: bytes) -> bytes:
 def test_uploads_are_judged_by_their_headers(tmp_path: Path) -> None:
     path = tmp_path / "a.sog"
     bundle(path, FILES)
-    assert claim_of(path, "a.sog", 10).rows == 3
+    assert sniff(path, "a.sog", 10).gaussians == 3
     bundle(path, FILES | {"meta.json": b'{"count": "3"}'})
     with pytest.raises(ValueError, match=r"^a.sog: damaged .*expected a non-negative integer for count, found '3'"):
-        claim_of(path, "a.sog", 10)
+        sniff(path, "a.sog", 10)
     path.write_bytes(build(attributes_of(random_splats(4, 0))))
-    assert claim_of(path, "a.glb", 10).rows == 4
+    assert sniff(path, "a.glb", 10).gaussians == 4
     doc, binary = parts(path.read_bytes())
     for accessors in ({"count": 3}, ["x"], [{"count": "9"}], [{"count": 1e300}], 7):
         path.write_bytes(pack(doc | {"accessors": accessors}, binary))
         with pytest.raises(ValueError, match=r"^a.glb: damaged"):
-            claim_of(path, "a.glb", 10)
+            sniff(path, "a.glb", 10)
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12))
     with pytest.raises(ValueError, match="truncated"):
-        claim_of(path, "a.glb", 10)
+        sniff(path, "a.glb", 10)
 
 
 def test_entries_that_cannot_all_be_there(tmp_path: Path) -> None:

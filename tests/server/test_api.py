@@ -15,8 +15,8 @@ from splatpainter.io import read, write
 from splatpainter.receipts import Receipt, changed_rows, verify
 from splatpainter.rendering import render
 from splatpainter.server import frames
-from splatpainter.server.messages import COMMANDS
-from splatpainter.server.pictures import png_bytes
+from splatpainter.server.commands import COMMANDS
+from splatpainter.server.image_registration import png_bytes
 from splatpainter.session import Session
 from splatpainter.splats import rows_sha256
 from tests.support.studio_scenes import Live, ball, dab, live, live_with_folder, make_studio, view, wire

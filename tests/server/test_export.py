@@ -17,8 +17,8 @@ from splatpainter.cameras import find_alpha, find_camera
 from splatpainter.image_files import read_deep
 from splatpainter.painter import Edit
 from splatpainter.rendering import render
-from splatpainter.server.pictures import png_bytes
-from splatpainter.server.watch import saved_picture
+from splatpainter.server.image_registration import png_bytes
+from splatpainter.server.watched_folder import saved_picture
 from splatpainter.session import Session
 from tests.support.studio_scenes import Live, ball, live_with_folder, view, wire
 
@@ -108,7 +108,7 @@ def test_an_export_into_the_folder_comes_back_unchanged(studio: Live, transparen
     bare = io.BytesIO()
     Image.fromarray(levels).save(bare, "PNG")  # text chunks are gone, the sidecar is there
     found = studio.post("picture.check", picture=studio.send(bare.getvalue()), name="out.png")
-    assert found["found"] == "sidecar" and found["share"] < 0.001, "an untouched edge is no edit"
+    assert found["camera_source"] == "sidecar" and found["share"] < 0.001, "an untouched edge is no edit"
     levels[80:110, 80:110, :3] = (230, 20, 20)
     edited = io.BytesIO()
     Image.fromarray(levels).save(edited, "PNG")

@@ -44,14 +44,14 @@ def test_what_was_packed_comes_out() -> None:
     splats = ball(50)
     rows = np.array([3, 17, 49])
     frame = frames.unpack(frames.delta(splats, rows, 1, 2))
-    assert (frame.version_from, frame.version_to, frame.rows_total) == (1, 2, 50)
-    assert np.array_equal(frame.rows, rows)
+    assert (frame.version_from, frame.version_to, frame.total) == (1, 2, 50)
+    assert np.array_equal(frame.gaussian_ids, rows)
     assert np.array_equal(frame.splats.sh, splats.sh[rows])
     assert np.array_equal(frame.splats.means, splats.means[rows])
     unit = splats.quats[rows] / np.linalg.norm(splats.quats[rows], axis=1, keepdims=True)
     assert np.allclose(frame.splats.quats, unit, atol=1e-6)
     everything = frames.unpack(frames.snapshot(splats, 3))
-    assert np.array_equal(everything.rows, np.arange(50))
+    assert np.array_equal(everything.gaussian_ids, np.arange(50))
     assert np.array_equal(everything.splats.opacities, splats.opacities)
 
 
@@ -60,11 +60,11 @@ def test_tints_are_what_a_screen_holds() -> None:
     # the same numbers as in web/test/splats.test.ts
     colors = struct.pack("<3Hxx3I", 0x38AD, 0x312B, 0x3800, 0x7A1A4DBF, 0, 0x5121A352)
     head = struct.pack("<8I", 0x53504C44, 1, 2 | 8, 6, 6, 9, 1, 4)
-    assert frames.tints(sh, np.array([7]), 9, 6) == head + struct.pack("<I", 7) + colors
-    whole = frames.tints(sh, np.array([0]), 1, 6)
+    assert frames.preview_colors(sh, np.array([7]), 9, 6) == head + struct.pack("<I", 7) + colors
+    whole = frames.preview_colors(sh, np.array([0]), 1, 6)
     assert whole[32:] == colors  # all rows: none is named
-    assert frames.tints(sh[:, :1], np.array([0]), 1, 6)[32:] == colors[:8]
-    assert frames.tints(np.full((1, 1, 3), np.nan, np.float32), np.array([0]), 1, 6)[32:] == bytes(8)
+    assert frames.preview_colors(sh[:, :1], np.array([0]), 1, 6)[32:] == colors[:8]
+    assert frames.preview_colors(np.full((1, 1, 3), np.nan, np.float32), np.array([0]), 1, 6)[32:] == bytes(8)
 
 
 @pytest.mark.parametrize(("count", "bands"), [(7, 4), (8, 1), (3, 16)])
@@ -72,14 +72,14 @@ def test_tints_are_as_near_as_their_bits(count: int, bands: int) -> None:
     rng = np.random.default_rng(3)
     sh = (rng.normal(size=(count, bands, 3)) * 2.0 ** rng.integers(-9, 2, (count, bands, 1))).astype(np.float32)
     rows = np.sort(rng.choice(20, count, replace=False))
-    frame = frames.unpack(frames.tints(sh, rows, 20, 2))
-    assert np.array_equal(frame.rows, rows) and frame.rows_total == 20
+    frame = frames.unpack(frames.preview_colors(sh, rows, 20, 2))
+    assert np.array_equal(frame.gaussian_ids, rows) and frame.total == 20
     back = frame.splats.sh
     np.testing.assert_allclose(back[:, 0], sh[:, 0], atol=2e-3, rtol=1e-3)  # 11 bits of 0.5 + Y sh
     step = 2.0 ** np.ceil(np.log2(np.abs(sh[:, 1:]).max(2, keepdims=True))) / 255
     assert (np.abs(back[:, 1:] - sh[:, 1:]) <= 0.501 * step).all()
     with pytest.raises(ValueError, match="frame: expected"):
-        frames.unpack(frames.tints(sh, rows, 20, 2)[:-1])
+        frames.unpack(frames.preview_colors(sh, rows, 20, 2)[:-1])
 
 
 def test_rows_that_no_screen_can_show_are_hidden() -> None:

@@ -23,16 +23,14 @@ from pydantic import ValidationError
 from websockets.exceptions import ConnectionClosed
 
 from splatpainter.io import write
-from splatpainter.server import watch
-from splatpainter.server.blobs import Blobs, Limits
-from splatpainter.server.connections import ConnectionLimits
-from splatpainter.server.hub import MAX_WAITING, Client, Hub
-from splatpainter.server.limits import MAX_COMMAND_BYTES, MAX_JSON_SIGNS
-from splatpainter.server.messages import Answer
-from splatpainter.server.messages.connection import Hello
-from splatpainter.server.problems import first_fault
+from splatpainter.server import watched_folder
+from splatpainter.server.client import MAX_UNSENT_MESSAGES, Client
+from splatpainter.server.hub import Hub
+from splatpainter.server.launch import listen, make_server
+from splatpainter.server.limits import MAX_COMMAND_BYTES, MAX_JSON_SEPARATORS, ConnectionLimits
+from splatpainter.server.protocol import Answer, Hello, first_fault
 from splatpainter.server.security import Access
-from splatpainter.server.server import listen, make_server
+from splatpainter.server.storage import Blobs, UploadLimits
 from splatpainter.session import Session
 from tests.support.studio_scenes import Live, ball, make_studio, view, wire
 
@@ -138,7 +136,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_malformed_uploads_are_one_line(tmp_path: Path, name: str) -> None:
-    store = Blobs(Limits())
+    store = Blobs(UploadLimits())
     try:
         with pytest.raises(ValueError) as error:
             store.put(HOSTILE[name], name)
@@ -167,7 +165,7 @@ def test_a_full_disk_is_said_of_the_upload(studio: Live, monkeypatch: pytest.Mon
         def write(self, data) -> int:
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("splatpainter.server.blobs.open", lambda *_: Full(), raising=False)
+    monkeypatch.setattr("splatpainter.server.storage.open", lambda *_: Full(), raising=False)
     answer = studio.http.post("/api/blobs?name=a.splat", content=b"\1" * 320)
     assert answer.json()["error"]["message"] == "a.splat: cannot be kept (No space left on device)"
 
@@ -252,7 +250,7 @@ def test_commands_have_small_bodies(studio: Live) -> None:
     finally:
         done.set()
         asking.join()
-    assert answer.status_code == 400 and f"at most {MAX_JSON_SIGNS} values" in answer.json()["error"]["message"]
+    assert answer.status_code == 400 and f"at most {MAX_JSON_SEPARATORS} values" in answer.json()["error"]["message"]
     assert max(other) < 5  # it took all of 28 seconds
 
 
@@ -267,7 +265,7 @@ def test_sockets_take_no_large_commands_either(studio: Live) -> None:
     with studio.greeted() as browser:
         for text in (
             json.dumps({"id": 7, "do": "layer.set", "layer": "1", "name": "x" * MAX_COMMAND_BYTES}),
-            json.dumps({"id": 7, "do": "paint.dab", "rgba": [0] * MAX_JSON_SIGNS}),
+            json.dumps({"id": 7, "do": "paint.dab", "rgba": [0] * MAX_JSON_SEPARATORS}),
             "[" * 10_000,
             json.dumps({"id": 10**400, "do": "undo"}),
             json.dumps({"id": True, "do": "undo"}),
@@ -373,11 +371,11 @@ def test_a_client_for_whom_too_much_waits_is_let_go(tmp_path: Path) -> None:
 
     async def run() -> None:
         client = Client(Hub(own), None)  # type: ignore[arg-type]
-        for number in range(MAX_WAITING):
-            client.say(Answer(re=number))
+        for number in range(MAX_UNSENT_MESSAGES):
+            client.send(Answer(re=number))
         assert not client.overrun.is_set()
-        client.say(Answer(re=0))
-        assert client.overrun.is_set() and not client._waiting
+        client.send(Answer(re=0))
+        assert client.overrun.is_set() and not client._unsent
 
     asyncio.run(run())
     own.close()
@@ -405,7 +403,7 @@ def test_odd_files_are_toasts_and_the_watch_goes_on(tmp_path: Path) -> None:
         names.append("round.png")
         expected["round.png"] = "cannot be read"
     for name in names:
-        asyncio.run(watch.offer(hub, name))
+        asyncio.run(watched_folder.offer(hub, name))
     assert [toast.event for toast in said] == ["toast"] * len(expected)
     for toast, (name, why) in zip(said, expected.items(), strict=True):
         assert toast.message.startswith(f"{name}: ") and why in toast.message and str(tmp_path) not in toast.message
@@ -416,7 +414,7 @@ def test_odd_files_are_toasts_and_the_watch_goes_on(tmp_path: Path) -> None:
     said.clear()
     (shared / "odd\udcff.png" if os.name == "posix" else shared / "odd.png").write_bytes(b"x")
     name = next(entry for entry in os.listdir(shared) if entry.startswith("odd"))
-    asyncio.run(watch.offer(hub, name, broken))
+    asyncio.run(watched_folder.offer(hub, name, broken))
     assert len(said) == 1 and said[0].model_dump_json()
     hub.close()
 
@@ -437,7 +435,7 @@ def test_a_watch_that_fails_is_begun_again_and_shutdown_ends(tmp_path: Path, mon
     own = make_studio(tmp_path, shared=_made(tmp_path / "shared"))
 
     async def run() -> None:
-        task = asyncio.create_task(watch.watch(Hub(own), 0.01))
+        task = asyncio.create_task(watched_folder.watch(Hub(own), 0.01))
         while len(begun) < 3:
             await asyncio.sleep(0.01)
         assert not task.done()
@@ -452,7 +450,7 @@ def test_shutdown_ends_whatever_the_watch_did(tmp_path: Path, monkeypatch: pytes
     async def broken(hub) -> None:
         raise RuntimeError("anything")
 
-    monkeypatch.setattr(watch, "watch", broken)
+    monkeypatch.setattr(watched_folder, "watch", broken)
     with serving(tmp_path) as studio:
         assert studio.http.get("/api/state").status_code == 200
     Session.load(tmp_path / "own.splatproj", readonly=False).close()  # it was closed

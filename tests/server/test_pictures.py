@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 
 from splatpainter.rendering import render
-from splatpainter.server import crops, pictures
-from splatpainter.server.pictures import png_bytes
-from splatpainter.server.watch import saved_picture
+from splatpainter.server import image_registration
+from splatpainter.server.image_registration import png_bytes
+from splatpainter.server.watched_folder import saved_picture
 from tests.support.studio_scenes import Live, ball, live_with_folder, view, wire
 
 
@@ -44,7 +44,7 @@ def test_a_painted_export_comes_back_with_its_camera_and_mask(studio: Live) -> N
     given = studio.post("view.export", camera=wire(view()))
     image, mask = painted(fetch(studio, given["picture"]) / 255)
     found = studio.post("picture.check", picture=studio.send(png_bytes(image, view())))
-    assert found["found"] == "chunk" and found["warnings"] == [] and found["shift"] == [0, 0]
+    assert found["camera_source"] == "chunk" and found["warnings"] == [] and found["shift"] == [0, 0]
     assert np.allclose(found["camera"]["world_to_camera"], view().world_to_camera)
     seen = fetch(studio, found["mask"]) > 127
     assert (seen & mask).sum() > 0.95 * mask.sum() and (seen & ~mask).sum() < 0.2 * mask.sum()
@@ -57,18 +57,22 @@ def test_cameras_are_found_in_the_sidecar_the_exports_and_by_resemblance(studio:
     assert sorted(p.name for p in (tmp_path / "shared").iterdir())[:2] == ["from 0.json", "from 0.png"]
     image, _ = painted(shot(96, 90))
     found = studio.post("picture.check", picture=studio.send(png_bytes(image), "anything.png"))
-    assert found["found"] == "export" and np.allclose(found["camera"]["world_to_camera"], view(96, 90).world_to_camera)
+    assert found["camera_source"] == "export" and np.allclose(
+        found["camera"]["world_to_camera"], view(96, 90).world_to_camera
+    )
     found = studio.post("picture.check", picture=studio.send(png_bytes(image)), name="from 180.jpg")
-    assert found["found"] == "sidecar"
+    assert found["camera_source"] == "sidecar"
     assert np.allclose(found["camera"]["world_to_camera"], view(96, 180).world_to_camera)
     (tmp_path / "shared" / "from 0.json").unlink()
     found = studio.post("picture.check", picture=studio.send(png_bytes(image)), name="from 0.png")
-    assert found["found"] == "export" and np.allclose(found["camera"]["world_to_camera"], view().world_to_camera)
+    assert found["camera_source"] == "export" and np.allclose(
+        found["camera"]["world_to_camera"], view().world_to_camera
+    )
     noise = np.random.default_rng(0).uniform(size=(96, 96, 3))
     lost = studio.http.post("/api/do/picture.check", json={"picture": studio.send(png_bytes(noise))})
     assert lost.status_code == 400 and "turn to its view" in lost.json()["error"]["hint"]
     given = studio.post("picture.check", picture=studio.send(png_bytes(noise)), camera=wire(view()))
-    assert given["found"] == "given" and "use it as a look" in given["warnings"][0]["message"]
+    assert given["camera_source"] == "given" and "use it as a global edit" in given["warnings"][0]["message"]
 
 
 def test_resized_and_moved_pictures_are_put_straight(studio: Live) -> None:
@@ -99,7 +103,7 @@ def test_a_part_of_a_view_is_put_where_it_was_cut_out(studio: Live, scale: int) 
     cut = Image.fromarray((part * 255).astype(np.uint8))
     cut.resize((scale * cut.width, scale * cut.height), Image.Resampling.BICUBIC).save(file, "PNG")
     found = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view(192)))
-    assert found["notes"][-1] == "a part of its view: 151x109 at 20, 31; the rest is as it was"
+    assert found["notes"][-1] == "a part of its view: 151x109 at 20, 31; the rest is unchanged"
     back = fetch(studio, found["picture"]) / 255
     assert back.shape == (192, 192, 3) and np.abs(back - image).mean() < 0.01
     seen = fetch(studio, found["mask"]) > 127
@@ -109,7 +113,7 @@ def test_a_part_of_a_view_is_put_where_it_was_cut_out(studio: Live, scale: int) 
     for angle in (90, 0):
         studio.post("view.export", camera=wire(view(192, angle)), name=f"from {angle}")
     known = studio.post("picture.check", picture=studio.send(file.getvalue()))
-    assert known["found"] == "export" and known["notes"] == found["notes"]
+    assert known["camera_source"] == "export" and known["notes"] == found["notes"]
     assert np.allclose(known["camera"]["world_to_camera"], view(192).world_to_camera)
 
 
@@ -119,23 +123,23 @@ def test_parts_are_found_where_much_was_painted_over_and_not_where_nothing_agree
     cut = whole[87:287, 61:361].copy()
     cut[50:120, 90:160] = rng.uniform(size=(70, 70, 3))  # what was painted, busier than all the rest
     cut[120:, 90:180] = 0.5
-    crop = crops.find_crop(cut, whole)
+    crop = image_registration.find_crop(cut, whole)
     assert crop is not None and (crop.x, crop.y, crop.width, crop.height) == (61, 87, 300, 200)
     assert np.array_equal(whole[crop.window].shape, cut.shape)
     noisy = np.clip(whole[13:213, 61:361] + rng.normal(0, 0.01, (200, 300, 3)), 0, 1)
-    crop = crops.find_crop(noisy, whole)
+    crop = image_registration.find_crop(noisy, whole)
     assert crop is not None and (crop.x, crop.y) == (61, 13) and 0 < crop.error < 0.02
-    assert crops.find_crop(rng.uniform(size=(200, 300, 3)), whole) is None
-    assert crops.find_crop(whole[:30, :30], whole) is None  # bare background
-    assert crops.find_crop(shot(400, 180)[87:287, 61:361], whole) is None
-    assert crops.find_crop(np.zeros((500, 300, 3)), whole) is None  # larger than the view
-    assert crops.error_at(whole, whole) == 0
+    assert image_registration.find_crop(rng.uniform(size=(200, 300, 3)), whole) is None
+    assert image_registration.find_crop(whole[:30, :30], whole) is None  # bare background
+    assert image_registration.find_crop(shot(400, 180)[87:287, 61:361], whole) is None
+    assert image_registration.find_crop(np.zeros((500, 300, 3)), whole) is None  # larger than the view
+    assert image_registration.error_at(whole, whole) == 0
 
 
 def test_a_part_of_the_views_own_shape_is_no_smaller_copy(studio: Live) -> None:
     image = shot(192)
     found = studio.post("picture.check", picture=studio.send(png_bytes(image[40:136, 60:156])), camera=wire(view(192)))
-    assert found["notes"] == ["a part of its view: 96x96 at 60, 40; the rest is as it was"]
+    assert found["notes"] == ["a part of its view: 96x96 at 60, 40; the rest is unchanged"]
     assert found["share"] < 0.01
     small = Image.fromarray((image * 255).astype(np.uint8)).resize((96, 96), Image.Resampling.LANCZOS)
     file = io.BytesIO()
@@ -176,14 +180,14 @@ def test_a_picture_of_another_asset_is_warned_of(studio: Live) -> None:
 @pytest.mark.parametrize(("right", "down"), [(0, 0), (1, 0), (-2, 3), (3, -3)])
 def test_whole_pixel_moves_are_measured(right: int, down: int) -> None:
     image, _ = painted(shot())
-    assert pictures.shift_of(np.roll(image, (down, right), (0, 1)), shot()) == (right, down)
-    back = pictures.moved_back(np.roll(image, (down, right), (0, 1)), shot(), right, down)
+    assert image_registration.find_shift(np.roll(image, (down, right), (0, 1)), shot()) == (right, down)
+    back = image_registration.undo_shift(np.roll(image, (down, right), (0, 1)), shot(), right, down)
     assert np.array_equal(back[8:-8, 8:-8], image[8:-8, 8:-8])
 
 
 def test_a_regraded_or_foreign_picture_is_not_taken_for_a_moved_one() -> None:
-    assert pictures.shift_of(shot() ** 2, shot()) == (0, 0)
-    assert pictures.shift_of(np.random.default_rng(0).uniform(size=(96, 96, 3)), shot()) == (0, 0)
+    assert image_registration.find_shift(shot() ** 2, shot()) == (0, 0)
+    assert image_registration.find_shift(np.random.default_rng(0).uniform(size=(96, 96, 3)), shot()) == (0, 0)
 
 
 def test_saved_pictures_are_offered_once_and_whole(studio: Live, tmp_path: Path) -> None:
@@ -221,4 +225,4 @@ def test_the_folder_is_watched(studio: Live, tmp_path: Path) -> None:
                 break
         assert event is not None and event["name"].startswith("saved")
         found = browser.do("picture.check", picture=event["picture"], name=event["name"])
-        assert found["found"] == "chunk" and json.dumps(found["camera"])
+        assert found["camera_source"] == "chunk" and json.dumps(found["camera"])

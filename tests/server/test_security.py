@@ -20,10 +20,9 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from splatpainter.server.blobs import Blobs, Limits
 from splatpainter.server.limits import BodyLimit
-from splatpainter.server.places import Folder
-from splatpainter.server.security import COOKIE, CSP, Access, Guard, is_loopback
+from splatpainter.server.security import COOKIE, CSP, Access, AccessGuard, is_loopback
+from splatpainter.server.storage import Blobs, Folder, UploadLimits
 from tests.support.studio_scenes import Live, live, make_studio, view
 
 TOKEN = "a-secret-of-this-test"
@@ -42,7 +41,7 @@ async def inner(scope: MutableMapping[str, Any], receive: Any, send: Any) -> Non
 
 def ask(access: Access, path: str = "/", headers: dict[str, str] | None = None, method: str = "GET") -> httpx.Response:
     async def run() -> httpx.Response:
-        transport = httpx.ASGITransport(Guard(inner, access))
+        transport = httpx.ASGITransport(AccessGuard(inner, access))
         async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1:8750") as client:
             return await client.request(method, path, headers=headers)
 
@@ -62,7 +61,7 @@ def shake(access: Access, headers: dict[str, str]) -> str:
     pairs = [(name.encode(), value.encode()) for name, value in headers.items()]
     scope: dict[str, Any] = {"type": "websocket", "scheme": "ws", "path": "/ws", "query_string": b"", "headers": pairs}
     scope["server"] = ("127.0.0.1", 8750)
-    asyncio.run(Guard(inner, access)(scope, receive, send))
+    asyncio.run(AccessGuard(inner, access)(scope, receive, send))
     return sent[0]["type"]
 
 
@@ -111,7 +110,7 @@ def test_a_link_may_only_get() -> None:
 def test_two_studios_on_one_host_keep_their_own_tokens() -> None:
     def enter(port: int, cookies: list[str]) -> httpx.Response:
         async def run() -> httpx.Response:
-            transport = httpx.ASGITransport(Guard(inner, Access.of("0.0.0.0", f"token{port}")))
+            transport = httpx.ASGITransport(AccessGuard(inner, Access.of("0.0.0.0", f"token{port}")))
             async with httpx.AsyncClient(transport=transport, base_url=f"http://10.0.0.1:{port}") as client:
                 query = "" if cookies else f"?token=token{port}"
                 return await client.get(f"/{query}", headers={"cookie": "; ".join(cookies)})
@@ -177,7 +176,7 @@ def test_a_token_is_made_for_every_address_but_loopback() -> None:
 def studio(tmp_path: Path) -> Iterator[Live]:
     (tmp_path / "shared").mkdir()
     (tmp_path / "secret.ply").write_bytes(b"ply\n")
-    limits = Limits(upload=200_000, picture=100_000, total=400_000, rows=1000)
+    limits = UploadLimits(upload=200_000, picture=100_000, total=400_000, gaussians=1000)
     with live(make_studio(tmp_path, shared=tmp_path / "shared", limits=limits)) as own:
         yield own
 
@@ -256,11 +255,11 @@ def sog_of(rows: int) -> bytes:
         (
             "bomb.ply",
             b"ply\nformat binary_little_endian 1.0\nelement vertex 2000000000\nproperty float x\nend_header\n",
-            "rows",
+            "Gaussians",
         ),
-        ("bomb.spz", spz_of(2_000_000_000), "rows"),
-        ("bomb.sog", sog_of(2_000_000_000), "rows"),
-        ("bomb.splat", b"\1" * 32 * 1001, "rows"),
+        ("bomb.spz", spz_of(2_000_000_000), "Gaussians"),
+        ("bomb.sog", sog_of(2_000_000_000), "Gaussians"),
+        ("bomb.splat", b"\1" * 32 * 1001, "Gaussians"),
         ("long.splat", b"\0" * 200_001, "MiB"),
         ("large.png", bomb(10) + b"\0" * 150_000, "MiB"),
     ],
@@ -272,7 +271,7 @@ def test_uploads_are_judged_before_they_are_decoded(studio: Live, name: str, dat
 
 
 def test_what_is_kept_is_bounded(tmp_path: Path) -> None:
-    store = Blobs(Limits(upload=4000, total=10_000))
+    store = Blobs(UploadLimits(upload=4000, total=10_000))
     try:
         kept = [store.put(bytes([k]) * 3200, f"{k}.splat") for k in range(6)]
         assert store.size <= 10_000 and store.get(kept[-1].sha256).size == 3200

@@ -15,13 +15,13 @@ from splatbench import studio_client
 from splatbench.studio_client import Browser, after
 
 from splatpainter.io import write
-from splatpainter.server import visitors
-from splatpainter.server.actions import HANDLERS, Call, Handler
-from splatpainter.server.hub import WAITING, Client, Hub
-from splatpainter.server.messages import Answer
-from splatpainter.server.messages.files import Receipt
-from splatpainter.server.messages.layers import Conflicts, Redo
-from splatpainter.server.socket import AHEAD
+from splatpainter.server import page_state
+from splatpainter.server.client import BACKPRESSURE_MESSAGES, MAX_QUEUED_COMMANDS, Client
+from splatpainter.server.commands.context import HANDLERS, CommandContext, Handler
+from splatpainter.server.commands.files import ReceiptShow
+from splatpainter.server.commands.layers import ConflictsList, Redo
+from splatpainter.server.hub import Hub
+from splatpainter.server.protocol import Answer
 from splatpainter.session import project
 from splatpainter.splats import rows_sha256
 from tests.support.studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
@@ -182,14 +182,14 @@ def test_a_command_that_is_still_in_work_is_waited_for(
 ) -> None:
     release, begun, count = threading.Event(), threading.Event(), []
 
-    def slow(call: Call, command: Any) -> Answer:
+    def slow(context: CommandContext, request: Any) -> Answer:
         count.append(1)
         begun.set()
         while not release.wait(0.02):
-            call.ticket.report(0.5, "working")
+            context.ticket.report(0.5, "working")
         return Answer(python="slow()")
 
-    monkeypatch.setitem(HANDLERS, Redo, Handler(slow, writes=True, aside=False))
+    monkeypatch.setitem(HANDLERS, Redo, Handler(slow, writes=True, background=False))
     with studio.browser() as browser:
         browser.hello(page)
         browser.number = 20
@@ -236,34 +236,34 @@ def test_a_stroke_goes_on_after_a_break(studio: Live, page: str) -> None:
 
 
 def test_pages_that_do_not_come_back_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(visitors, "GRACE", 0.05)
-    monkeypatch.setattr(visitors, "MOST", 3)
+    monkeypatch.setattr(page_state, "RECONNECT_SECONDS", 0.05)
+    monkeypatch.setattr(page_state, "MAX_ABSENT_PAGES", 3)
 
     async def run() -> None:
-        known, hub = visitors.Visitors(), cast(Hub, None)
+        pages, hub = page_state.PageStates(), cast(Hub, None)
         clients = [Client(hub, cast(Any, None)) for _ in range(6)]
         for k, client in enumerate(clients):
-            assert not known.enter(client, f"{k:032x}")
-        known.enter(Client(hub, cast(Any, None)), None)
-        assert len(known) == 6
+            assert not pages.attach(client, f"{k:032x}")
+        pages.attach(Client(hub, cast(Any, None)), None)
+        assert len(pages) == 6
         for client in clients[:5]:
-            known.leave(client)
-        assert len(known) == 4  # one is here, three are waited for
+            pages.detach(client)
+        assert len(pages) == 4  # one is here, three are waited for
         back = Client(hub, cast(Any, None))
-        assert known.enter(back, f"{4:032x}") and back.visitor is clients[4].visitor
-        known.leave(clients[4])  # heard late: it is back already
+        assert pages.attach(back, f"{4:032x}") and back.page is clients[4].page
+        pages.detach(clients[4])  # heard late: it is back already
         await asyncio.sleep(0.2)
-        assert len(known) == 2
+        assert len(pages) == 2
         done = []
 
         async def work() -> Answer:
             done.append(1)
             return Answer()
 
-        for number in range(visitors.REMEMBERED + 5):
-            await back.visitor.once(number, work)
-        await back.visitor.once(visitors.REMEMBERED, work)
-        assert len(done) == visitors.REMEMBERED + 5 and len(back.visitor._outcomes) == visitors.REMEMBERED
+        for number in range(page_state.MAX_OUTCOMES + 5):
+            await back.page.once(number, work)
+        await back.page.once(page_state.MAX_OUTCOMES, work)
+        assert len(done) == page_state.MAX_OUTCOMES + 5 and len(back.page._outcomes) == page_state.MAX_OUTCOMES
 
     asyncio.run(run())
 
@@ -304,12 +304,12 @@ def test_wrong_messages_are_told_why(studio: Live, text: str, said: str) -> None
 def test_long_looks_do_not_hold_up_the_next_commands_and_can_be_cancelled(
     studio: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def endless(call: Call, command: Any) -> Answer:
+    def endless(context: CommandContext, request: Any) -> Answer:
         while True:
-            call.ticket.report(0.25, "thinking")
+            context.ticket.report(0.25, "thinking")
             time.sleep(0.01)
 
-    monkeypatch.setitem(HANDLERS, Receipt, Handler(endless, writes=False, aside=True))
+    monkeypatch.setitem(HANDLERS, ReceiptShow, Handler(endless, writes=False, background=True))
     with studio.greeted() as browser:
         number = browser.send("receipt")
         while "progress" not in browser.order:
@@ -323,18 +323,18 @@ def test_long_looks_do_not_hold_up_the_next_commands_and_can_be_cancelled(
 def test_answers_come_in_order_and_too_many_commands_are_refused(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     release = threading.Event()
 
-    def slow(call: Call, command: Any) -> Answer:
+    def slow(context: CommandContext, request: Any) -> Answer:
         release.wait(20)
         return Answer()
 
-    monkeypatch.setitem(HANDLERS, Conflicts, Handler(slow, writes=False, aside=False))
+    monkeypatch.setitem(HANDLERS, ConflictsList, Handler(slow, writes=False, background=False))
     with studio.greeted() as browser:
-        numbers = [browser.send("conflicts"), *(browser.send("undo") for _ in range(AHEAD + 20))]
+        numbers = [browser.send("conflicts"), *(browser.send("undo") for _ in range(MAX_QUEUED_COMMANDS + 20))]
         refused = [browser.answer(number) for number in numbers[-15:]]  # while the first is still in work
         assert {data["error"]["kind"] for data in refused} == {"busy"}
         release.set()
         done = []
-        while len(done) < AHEAD:
+        while len(done) < MAX_QUEUED_COMMANDS:
             data = browser.receive()
             if data is not None and data.get("ok"):
                 done.append(data["re"])
@@ -344,11 +344,11 @@ def test_answers_come_in_order_and_too_many_commands_are_refused(studio: Live, m
 def test_others_are_served_while_the_writer_works(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     release = threading.Event()
 
-    def slow(call: Call, command: Any) -> Answer:
+    def slow(context: CommandContext, request: Any) -> Answer:
         release.wait(20)
         return Answer()
 
-    monkeypatch.setitem(HANDLERS, Redo, Handler(slow, writes=True, aside=False))
+    monkeypatch.setitem(HANDLERS, Redo, Handler(slow, writes=True, background=False))
     with studio.greeted() as busy, studio.greeted() as other:
         number = busy.send("redo")
         other.do("pick", camera=wire(view()), x=48.0, y=48.0)
@@ -359,10 +359,10 @@ def test_others_are_served_while_the_writer_works(studio: Live, monkeypatch: pyt
 
 
 def test_a_fault_of_ours_is_an_answer_and_changes_nothing(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(call: Call, command: Any) -> Answer:
+    def broken(context: CommandContext, request: Any) -> Answer:
         raise KeyError("oh")
 
-    monkeypatch.setitem(HANDLERS, Redo, Handler(broken, writes=True, aside=False))
+    monkeypatch.setitem(HANDLERS, Redo, Handler(broken, writes=True, background=False))
     with studio.greeted() as browser:
         error = browser.ask("redo")["error"]
         assert error["kind"] == "fault" and "KeyError" in error["message"]
@@ -409,7 +409,9 @@ def test_looks_are_previewed_on_every_row_and_taken_back(studio: Live) -> None:
         browser.do("layer.set", layer=layer.id, parameters={"saturation": -1, "strength": 0})
         assert browser.mirror.agrees(session.splats)
         assert rows_sha256(session.splats) == rows_sha256(session.original)
-        assert "expected" in browser.ask("layer.set", layer=layer.id, parameters={"glow": 1})["error"]["message"]
+        assert (
+            "unknown key 'glow'" in browser.ask("layer.set", layer=layer.id, parameters={"glow": 1})["error"]["message"]
+        )
 
 
 def test_whoever_does_not_read_gets_no_more_work_done(studio: Live) -> None:
@@ -427,10 +429,10 @@ def test_whoever_does_not_read_gets_no_more_work_done(studio: Live) -> None:
         socket = Stuck()
         client = Client(Hub(studio.studio), socket)
         sender = asyncio.create_task(client.send_all())
-        for number in range(WAITING + 1):
-            client.say(Answer(re=number))
+        for number in range(BACKPRESSURE_MESSAGES + 1):
+            client.send(Answer(re=number))
             await asyncio.sleep(0)
-        waiting = asyncio.create_task(client.room())
+        waiting = asyncio.create_task(client.backpressure())
         await asyncio.sleep(0.05)
         assert not waiting.done()
         socket.go.set()

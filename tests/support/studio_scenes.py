@@ -16,10 +16,10 @@ from splatbench.studio_client import Mirror, encoded, wire
 from websockets.sync.client import connect
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.server.blobs import Limits
-from splatpainter.server.core import Options, Studio
+from splatpainter.server.launch import listen, make_server
 from splatpainter.server.security import Access
-from splatpainter.server.server import listen, make_server
+from splatpainter.server.storage import UploadLimits
+from splatpainter.server.studio import Options, Studio
 from splatpainter.session import Session
 from splatpainter.splats import Splats
 
@@ -45,10 +45,10 @@ def view(size: int = 96, angle: float = 0.0) -> Camera:
 
 
 def make_studio(
-    folder: Path, splats: Splats | None = None, *, shared: Path | None = None, limits: Limits | None = None
+    folder: Path, splats: Splats | None = None, *, shared: Path | None = None, limits: UploadLimits | None = None
 ) -> Studio:
     """A studio whose projects lie in `folder`; shared: the folder that clients may name files of."""
-    options = Options(shared, folder / "projects", limits or Limits())
+    options = Options(shared, folder / "projects", limits or UploadLimits())
     session = Session(ball() if splats is None else splats, folder / "own.splatproj")
     return Studio(session, "ball", options)
 

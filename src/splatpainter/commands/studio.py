@@ -44,12 +44,12 @@ class Config:
 def run(config: Config) -> Outcome:
     """Serve until interrupted."""
     try:
-        from splatpainter.server.server import address, listen, make_server, open_session, warm
+        from splatpainter.server.launch import address, listen, make_server, open_session, warm
     except ImportError as error:
         raise ValueError(f"splatpainter studio: needs {error.name}; pip install 'splatpainter[studio]'") from None
     from splatpainter.kernels.compile import ensure_compiled
-    from splatpainter.server.core import Options, Studio
     from splatpainter.server.security import Access
+    from splatpainter.server.studio import Options, Studio
 
     if config.port is not None and not 0 <= config.port <= 65535:
         raise ValueError(f"splatpainter studio: expected --port from 0 to 65535, got {config.port}")

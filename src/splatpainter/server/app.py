@@ -21,25 +21,24 @@ from starlette.requests import ClientDisconnect
 from starlette.staticfiles import StaticFiles
 
 from splatpainter._version import __version__
-from splatpainter.server import frames, watch
-from splatpainter.server.actions import Call, Desk
-from splatpainter.server.actions.looking import render_view
-from splatpainter.server.core import Studio
-from splatpainter.server.hub import Hub
+from splatpainter.server import frames, watched_folder
+from splatpainter.server.client import serve
+from splatpainter.server.commands import COMMANDS
+from splatpainter.server.commands.context import CommandContext
+from splatpainter.server.commands.viewing import ViewRender, render_view
+from splatpainter.server.hub import CommandError, Hub, log, problem_of
 from splatpainter.server.limits import BadBody, BodyLimit, CommandRoute, body_limit
-from splatpainter.server.messages import COMMANDS, Command, Failure, Problem
-from splatpainter.server.messages.connection import Cancel, Hello, Sync
-from splatpainter.server.messages.looking import ViewRender
-from splatpainter.server.messages.state import State
-from splatpainter.server.problems import Refused, TooLarge, failure, first_fault, log, problem_of
-from splatpainter.server.queue import Ticket
+from splatpainter.server.page_state import PageState
+from splatpainter.server.protocol import Cancel, Command, Failure, Hello, Problem, State, Sync, first_fault
 from splatpainter.server.schema import schema_hash
-from splatpainter.server.security import Access, Guard
-from splatpainter.server.socket import serve
+from splatpainter.server.security import Access, AccessGuard
+from splatpainter.server.storage import TooLarge
+from splatpainter.server.studio import Studio
+from splatpainter.server.work_queue import Ticket
 
 STATIC = Path(__file__).with_name("static")
 PAGE_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-"""File ending -> what browsers must be told, as they do not guess (x-content-type-options)."""
+"""File ending -> its content type: browsers do not guess (x-content-type-options)."""
 STATUS = {"input": 400, "cancelled": 409, "busy": 503, "schema": 409, "fault": 500}
 SOCKET_ONLY: tuple[type[Command], ...] = (Hello, Sync, Cancel)
 NO_STORE = {"cache-control": "no-store"}
@@ -53,12 +52,12 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        watching = asyncio.create_task(watch.watch(hub))
+        watching = asyncio.create_task(watched_folder.watch(hub))
         try:
             yield
         finally:
             watching.cancel()
-            await asyncio.wait([watching, *hub.leaving])  # whatever they end with
+            await asyncio.wait([watching, *hub.closing])  # whatever they end with
             if not watching.cancelled() and watching.exception() is not None:
                 log.error("the watched folder", exc_info=watching.exception())
             await asyncio.to_thread(hub.close)
@@ -72,8 +71,8 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
         lifespan=lifespan,
     )
     app.state.hub = hub
-    _commands(app, hub)
-    _data(app, hub)
+    _add_commands(app, hub)
+    _add_data(app, hub)
 
     @app.websocket("/ws")
     async def socket(connection: WebSocket) -> None:
@@ -86,20 +85,20 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
     else:
         app.get("/", include_in_schema=False)(lambda: PlainTextResponse(UNBUILT))
     app.add_middleware(BodyLimit, limit=body_limit)
-    app.add_middleware(Guard, access=access or Access())
+    app.add_middleware(AccessGuard, access=access or Access())
     return app
 
 
-def _commands(app: FastAPI, hub: Hub) -> None:
-    desk, strokes = Desk("http"), asyncio.Lock()
+def _add_commands(app: FastAPI, hub: Hub) -> None:
+    page, strokes = PageState("http"), asyncio.Lock()
 
     def add(name: str, kind: type[Command]) -> None:
         async def run(command: Any) -> Response:
             try:
                 async with strokes if name.startswith("paint.") else contextlib.nullcontext():
-                    answer = await hub.carry_out(command, desk, Ticket(), None)
-            except Refused as refused:
-                return _failed(refused.problem)
+                    answer = await hub.execute(command, page, Ticket(), None)
+            except CommandError as error:
+                return _failed(error.problem)
             return Response(answer.model_dump_json(), media_type="application/json", headers=NO_STORE)
 
         run.__annotations__ = {"command": kind, "return": Response}
@@ -131,16 +130,16 @@ def _commands(app: FastAPI, hub: Hub) -> None:
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
         fault = error.errors()[0]
-        place = ".".join(str(part) for part in fault["loc"] if part != "body")
-        text = f"{request.url.path}: {place}: {fault['msg']}"[:300]
+        field = ".".join(str(part) for part in fault["loc"] if part != "body")
+        text = f"{request.url.path}: {field}: {fault['msg']}"[:300]
         return _failed(Problem(kind="input", message=" ".join(text.encode("utf-8", "replace").decode().split())))
 
 
-def _data(app: FastAPI, hub: Hub) -> None:
-    """State, rows, pictures, files."""
+def _add_data(app: FastAPI, hub: Hub) -> None:
+    """State, Gaussians, pictures, files."""
     studio = hub.studio
 
-    @app.get("/api/state", response_model=State, summary="What every client knows")
+    @app.get("/api/state", response_model=State, summary="What every client has")
     async def state() -> Response:
         return Response(hub.state().model_dump_json(), media_type="application/json", headers=NO_STORE)
 
@@ -148,10 +147,10 @@ def _data(app: FastAPI, hub: Hub) -> None:
     async def version() -> JSONResponse:
         return JSONResponse({"version": __version__, "schema": schema_hash()}, headers=NO_STORE)
 
-    @app.get("/api/splats", response_class=Response, summary="All rows as one binary frame (frames.py)")
+    @app.get("/api/splats", response_class=Response, summary="All Gaussians as one binary frame (frames.py)")
     async def splats() -> Response:
-        shown = studio.session.shown
-        data = await asyncio.to_thread(frames.snapshot, shown.splats, shown.version)
+        now = studio.session.shown
+        data = await asyncio.to_thread(frames.snapshot, now.splats, now.version)
         return Response(data, media_type="application/octet-stream", headers=NO_STORE)
 
     @app.get("/api/view.png", response_class=Response, summary="The render of a camera (JSON), with it inside")
@@ -162,9 +161,9 @@ def _data(app: FastAPI, hub: Hub) -> None:
             return _failed(Problem(kind="input", message=first_fault(error, "view")))
         except (ValueError, RecursionError):
             return _failed(Problem(kind="input", message="view: expected a camera as JSON"))
-        call = Call(studio, Desk("http"), Ticket())
+        context = CommandContext(studio, PageState("http"), Ticket())
         try:
-            made = await hub.queue.read(lambda ticket: render_view(call, command), call.ticket)
+            made = await hub.queue.read(lambda _: render_view(context, command), context.ticket)
             data, media = await asyncio.to_thread(studio.picture_bytes, made.picture)
         except Exception as error:
             return _failed(problem_of(error))
@@ -183,11 +182,11 @@ def _data(app: FastAPI, hub: Hub) -> None:
         except ClientDisconnect:
             return Response(status_code=400)  # nobody reads it
         except Exception as error:
-            problem = studio.problem(problem_of(error))
+            problem = studio.public_problem(problem_of(error))
             return _failed(problem, 413 if isinstance(error, TooLarge) else None)
-        claim = blob.claim
-        facts = {"blob": blob.sha256, "kind": claim.kind, "bytes": blob.size, "name": blob.name}
-        return JSONResponse({**facts, "width": claim.width, "height": claim.height, "rows": claim.rows})
+        info = blob.info
+        values = {"blob": blob.sha256, "kind": info.kind, "bytes": blob.size, "name": blob.name}
+        return JSONResponse({**values, "width": info.width, "height": info.height, "rows": info.gaussians})
 
     @app.get("/api/blobs/{blob}", response_class=Response, summary="A picture that was sent or made")
     async def picture(blob: str) -> Response:
@@ -208,6 +207,6 @@ def _data(app: FastAPI, hub: Hub) -> None:
 
 
 def _failed(problem: Problem, status: int | None = None) -> Response:
-    text = failure(0, problem).model_dump_json()
+    text = Failure(re=0, error=problem).model_dump_json()
     code = STATUS[problem.kind] if status is None else status
     return Response(text, code, media_type="application/json", headers=NO_STORE)

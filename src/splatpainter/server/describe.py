@@ -1,4 +1,4 @@
-"""The session as clients see it: values of messages/state.py from what a session says. Knows no client."""
+"""The session as clients see it: values of protocol.py from what a session says. Knows no client."""
 
 from __future__ import annotations
 
@@ -15,27 +15,25 @@ from splatpainter import cameras
 from splatpainter.cameras import FRAME_MARGIN, UPS, bounding_sphere
 from splatpainter.io import FORMATS, frame_line
 from splatpainter.receipts import changed_rows
-from splatpainter.server.messages import state
-from splatpainter.server.messages.connection import StateEvent
+from splatpainter.server import protocol
 from splatpainter.session import Layer, Session
 from splatpainter.session.project import Bookmark, Step
 from splatpainter.splats import Splats
 
-HOME = {"elevation": 15.0, "fov": 40.0}
+HOME_VIEW = {"elevation": 15.0, "fov": 40.0}
 BACKGROUND = (0.16, 0.17, 0.18)
 
 
-def camera_to_wire(camera: cameras.Camera) -> state.Camera:
+def camera_to_wire(camera: cameras.Camera) -> protocol.CameraInfo:
     """The same camera."""
-    return state.Camera.model_validate_json(camera.to_json())
+    return protocol.CameraInfo.model_validate_json(camera.to_json())
 
 
-def camera_from_wire(camera: state.Camera, pixels: int) -> cameras.Camera:
-    """The same camera. Raises ValueError: not rigid, not finite, or more than `pixels` pixels."""
-    if camera.width * camera.height > pixels:
-        raise ValueError(
-            f"camera: expected at most {pixels / 1e6:g} megapixels, got {camera.width}x{camera.height}; zoom out"
-        )
+def camera_from_wire(camera: protocol.CameraInfo) -> cameras.Camera:
+    """The same camera. Raises ValueError: not rigid, not finite, or more than MAX_VIEW_PIXELS."""
+    if camera.width * camera.height > protocol.MAX_VIEW_PIXELS:
+        limit, size = protocol.MAX_VIEW_PIXELS / 1e6, f"{camera.width}x{camera.height}"
+        raise ValueError(f"camera: expected at most {limit:g} megapixels, got {size}; zoom out")
     return cameras.Camera.from_json(camera.model_dump_json(), "camera")
 
 
@@ -44,25 +42,25 @@ def up_axis(session: Session) -> tuple[int, int, int]:
     return UPS[session.up]
 
 
-def home(splats: Splats, up: tuple[int, int, int]) -> tuple[np.ndarray, float, cameras.Camera]:
-    """([3] middle, radius of nearly all opaque rows, a view of them)."""
+def home_view(splats: Splats, up: tuple[int, int, int]) -> tuple[np.ndarray, float, cameras.Camera]:
+    """([3] centre and radius of nearly all opaque Gaussians, a view of them)."""
     center, radius = bounding_sphere(splats)
-    distance = FRAME_MARGIN * radius / math.sin(math.radians(HOME["fov"] / 2))
+    distance = FRAME_MARGIN * radius / math.sin(math.radians(HOME_VIEW["fov"] / 2))
     # An asset that is upside down is mostly half a turn about x away: then this is its front again.
     start = 180.0 if up == UPS["+y"] else 0.0
-    view = cameras.orbit(center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME)[
-        0
-    ]
+    view = cameras.orbit(
+        center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME_VIEW
+    )[0]
     return center, radius, view
 
 
-def asset_info(session: Session, name: str) -> state.AssetInfo:
+def asset_info(session: Session, name: str) -> protocol.AssetInfo:
     """What there is to say of the asset as it was opened; `counted` says how it is now."""
     original = session.original
     up = up_axis(session)
-    center, radius, view = home(original, up)
+    center, radius, view = home_view(original, up)
     source = original.source
-    return state.AssetInfo(
+    return protocol.AssetInfo(
         name=name,
         format="" if source is None else source.format,
         sha256=original.sha256,
@@ -82,18 +80,18 @@ def asset_info(session: Session, name: str) -> state.AssetInfo:
     )
 
 
-def counted(info: state.AssetInfo, original: Splats, now: Splats) -> state.AssetInfo:
-    """The same with the rows of now, every one compared with the original."""
+def counted(info: protocol.AssetInfo, original: Splats, now: Splats) -> protocol.AssetInfo:
+    """The same with the counts of now, every Gaussian compared with the original."""
     same = len(original) - len(changed_rows(original, now))
     return info.model_copy(update={"rows": len(now), "rows_same": same})
 
 
-def layer_info(session: Session, layer: Layer) -> state.LayerInfo:
-    """A layer with what is known of its last computation."""
+def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
+    """A layer with the figures of its last computation."""
     facts = session.facts(layer.id)
     scores: list[dict[str, Any]] = [*facts.get("views", ()), *({} for _ in layer.views)]
     views = [
-        state.LayerView(
+        protocol.LayerViewInfo(
             camera=camera_to_wire(view.camera),
             picture=view.picture,
             mask=view.mask,
@@ -101,7 +99,7 @@ def layer_info(session: Session, layer: Layer) -> state.LayerInfo:
         )
         for view, score in zip(layer.views, scores, strict=False)
     ]
-    return state.LayerInfo(
+    return protocol.LayerInfo(
         id=layer.id,
         name=layer.name,
         kind=layer.kind,
@@ -121,10 +119,10 @@ def layer_info(session: Session, layer: Layer) -> state.LayerInfo:
     )
 
 
-def conflict_infos(session: Session) -> list[state.Conflict]:
-    """Layers that wrote the same rows from different views."""
+def conflict_infos(session: Session) -> list[protocol.ConflictInfo]:
+    """Layers that edited the same Gaussians from different views."""
     return [
-        state.Conflict(lower=c.lower, upper=c.upper, rows=len(c.rows), share=min(c.share, 1), policy=c.policy)
+        protocol.ConflictInfo(lower=c.lower, upper=c.upper, rows=len(c.rows), share=min(c.share, 1), policy=c.policy)
         for c in session.conflicts()
     ]
 
@@ -134,50 +132,50 @@ class Lists:
     `history_change` and whoever else wants to know what is new need not compare what they say."""
 
     def __init__(self) -> None:
-        self._steps: dict[Step, state.Step] = {}
-        self._bookmarks: dict[int, tuple[Bookmark, state.Bookmark]] = {}
+        self._steps: dict[Step, protocol.StepInfo] = {}
+        self._bookmarks: dict[int, tuple[Bookmark, protocol.BookmarkInfo]] = {}
 
-    def history(self, session: Session) -> list[state.Step]:
+    def history(self, session: Session) -> list[protocol.StepInfo]:
         """Oldest first."""
-        known = self._steps
-        self._steps = {s: known.get(s) or state.Step(id=s.id, label=s.label) for s in session.history}
+        earlier = self._steps
+        self._steps = {s: earlier.get(s) or protocol.StepInfo(id=s.id, label=s.label) for s in session.history}
         return list(self._steps.values())
 
-    def bookmarks(self, session: Session) -> list[state.Bookmark]:
+    def bookmarks(self, session: Session) -> list[protocol.BookmarkInfo]:
         """Views to come back to."""
-        known = self._bookmarks
-        self._bookmarks = {id(b): known.get(id(b)) or (b, _bookmark_info(b)) for b in session.bookmarks()}
+        earlier = self._bookmarks
+        self._bookmarks = {id(b): earlier.get(id(b)) or (b, _bookmark_info(b)) for b in session.bookmarks()}
         return [info for _, info in self._bookmarks.values()]
 
 
-def _bookmark_info(bookmark: Bookmark) -> state.Bookmark:
-    return state.Bookmark(id=bookmark.id, name=bookmark.name, camera=camera_to_wire(bookmark.camera))
+def _bookmark_info(bookmark: Bookmark) -> protocol.BookmarkInfo:
+    return protocol.BookmarkInfo(id=bookmark.id, name=bookmark.name, camera=camera_to_wire(bookmark.camera))
 
 
-def changes(before: state.State, now: state.State, clients: int) -> StateEvent:
-    """What a client that was told `before` is to be told; lists made by Lists."""
-    present = state.Present.model_validate(
-        {k: getattr(now, k) for k in state.Present.model_fields} | {"clients": clients}
+def changes(before: protocol.State, now: protocol.State, clients: int) -> protocol.StateEvent:
+    """The event for a client that was sent `before`; lists made by Lists."""
+    present = protocol.Present.model_validate(
+        {k: getattr(now, k) for k in protocol.Present.model_fields} | {"clients": clients}
     )
     history = history_change(before.history, now.history)
     marks = None if _same(before.bookmarks, now.bookmarks) else now.bookmarks
-    return StateEvent(state=present, history=history, bookmarks=marks)
+    return protocol.StateEvent(state=present, history=history, bookmarks=marks)
 
 
-def history_change(before: list[state.Step], now: list[state.Step]) -> state.HistoryChange | None:
+def history_change(before: list[protocol.StepInfo], now: list[protocol.StepInfo]) -> protocol.HistoryChange | None:
     """How one list of steps (of one Lists) became the other; None: it did not change."""
     if _same(before, now):
         return None
     dropped = next((k for k, step in enumerate(before) if now and step is now[0]), len(before))
     kept = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(before[dropped:], now, strict=False)))
-    return state.HistoryChange(dropped=dropped, kept=kept, steps=now[kept:])
+    return protocol.HistoryChange(dropped=dropped, kept=kept, steps=now[kept:])
 
 
 def _same(before: Sequence[object], now: Sequence[object]) -> bool:
     return len(before) == len(now) and all(map(operator.is_, before, now))
 
 
-def methods(session: Session) -> list[state.Method]:
+def methods(session: Session) -> list[protocol.Method]:
     """Those that this session's painter has."""
     return ["auto", "lift", "fit"] if session.painter.model is None else ["auto", "ttt", "lift", "fit"]
 

@@ -1,19 +1,21 @@
-"""Rows on the wire: the binary frames of snapshots, deltas and previews. Knows no session.
+"""Gaussians on the wire: the binary frames of snapshots, deltas and previews. Knows no session.
 
-Little endian. Header, eight u32: magic, format, flags, version_from, version_to, rows_total, count, K.
+Little endian. Header, eight u32: magic, format, flags, version_from, version_to, total, count, K.
 Then, one array after the other:
-  indices   u32[count]           absent in a snapshot, whose rows are 0 .. count - 1
+  indices   u32[count]           absent in a snapshot, whose Gaussians are 0 .. count - 1
   means     f32[count][3]        }
   scales    f32[count][3]        } absent with COLORS_ONLY; scales are linear
   quats     f32[count][4]        } w, x, y, z, unit length
   opacities f32[count]           0..1
   sh        f32[count][K][3]     coefficient after coefficient, red green blue; colour = 0.5 + sum_k Y_k sh_k
-or, with PACKED (texels.py), only
-  indices   u32[count]           absent where count = rows_total: all rows
+or, with PACKED, only colours as the page's textures hold them: a third of the bytes, and nothing to convert on arrival
+(the same numbers as web/src/splats/rows.ts and sh.ts make of floats)
+  indices   u32[count]           absent where count = total: all Gaussians
   base      f16[count][3]        0.5 + Y_0 sh_0, and two bytes more where that makes whole words
   codes     u32[count][K - 1]    the other coefficients; K = 1: they stay as they are
-A delta turns version_from into version_to; rows_total is the number of rows afterwards (it may shrink after an undo:
-rows from there on no longer exist). A preview changes no version: its rows are shown until the next frame names them.
+A delta turns version_from into version_to; total is the number of Gaussians afterwards (it may shrink after an undo:
+those from there on no longer exist). A preview changes no version: its Gaussians stay so until the next frame names
+them.
 """
 
 from __future__ import annotations
@@ -23,13 +25,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.server.texels import base_halves, harmonic_codes, sh_of
+from splatpainter.color import base_color, sh_from_color
+from splatpainter.kernels.parallel import each
 from splatpainter.splats import SH_COUNTS, Splats
 
 MAGIC = 0x53504C44
 FORMAT = 1
 SNAPSHOT = 1
-"""All rows; forget what was there."""
+"""All Gaussians; forget what was there."""
 PREVIEW = 2
 """Not part of the asset: version_from = version_to = the version that is previewed on (or put back)."""
 COLORS_ONLY = 4
@@ -37,6 +40,9 @@ COLORS_ONLY = 4
 PACKED = 8
 """Only colours travel, as the screen's textures hold them."""
 HEADER = struct.Struct("<8I")
+MAX_HALF = 65504.0
+CHUNK_SIZE = 8192
+"""Gaussians whose colours are packed at a time: they fit the processor's cache, and threads share the chunks."""
 
 
 @dataclass(frozen=True)
@@ -46,55 +52,58 @@ class SplatFrame:
     flags: int
     version_from: int
     version_to: int
-    rows_total: int
-    rows: np.ndarray
-    """[C] row indices."""
+    total: int
+    """Gaussians of the asset."""
+    gaussian_ids: np.ndarray
+    """[C] indices."""
     splats: Splats
-    """[C] rows; with COLORS_ONLY the geometry is empty arrays of shape [C, 0], with PACKED also the opacities."""
+    """[C] Gaussians; with COLORS_ONLY the geometry is empty arrays of shape [C, 0], with PACKED also the opacities."""
 
 
 def snapshot(splats: Splats, version: int) -> bytes:
-    """All rows."""
+    """All Gaussians."""
     return pack(splats, None, len(splats), version, version)
 
 
-def delta(splats: Splats, rows: np.ndarray, version_from: int, version_to: int, recolored: bool = False) -> bytes:
-    """The given rows ([C] ascending) of the whole asset `splats`, which is at version_to. recolored: means, scales and
+def delta(
+    splats: Splats, gaussian_ids: np.ndarray, version_from: int, version_to: int, recolored: bool = False
+) -> bytes:
+    """The given Gaussians ([C] ascending) of the asset `splats`, which is at version_to. recolored: means, scales and
     rotations are as they were."""
-    return pack(splats.take(rows), rows, len(splats), version_from, version_to, COLORS_ONLY * recolored)
+    return pack(splats.take(gaussian_ids), gaussian_ids, len(splats), version_from, version_to, COLORS_ONLY * recolored)
 
 
-def preview(some: Splats, rows: np.ndarray, total: int, version: int) -> bytes:
-    """Colours and opacities to show for given rows ([C] ascending; `some` has C rows) of an asset of `total` rows."""
-    return pack(some, rows, total, version, version, PREVIEW | COLORS_ONLY)
+def preview(splats: Splats, gaussian_ids: np.ndarray, total: int, version: int) -> bytes:
+    """Colours and opacities (of the C in `splats`) to show for given Gaussians ([C] ascending) of `total`."""
+    return pack(splats, gaussian_ids, total, version, version, PREVIEW | COLORS_ONLY)
 
 
-def tints(sh: np.ndarray, rows: np.ndarray, total: int, version: int) -> bytes:
-    """Colours to show for given rows ([C] ascending) of an asset of `total` rows, as near as a screen shows them. sh:
-    [C, K, 3], or [C, 1, 3] where only base colours change."""
-    head = HEADER.pack(MAGIC, FORMAT, PREVIEW | PACKED, version, version, total, len(rows), sh.shape[1])
-    index = b"" if len(rows) == total else np.asarray(rows, "<u4").tobytes()
-    base = base_halves(sh).astype("<f2").tobytes()
-    return b"".join([head, index, base, b"\0" * (-len(base) % 4), harmonic_codes(sh).astype("<u4").tobytes()])
+def preview_colors(sh: np.ndarray, gaussian_ids: np.ndarray, total: int, version: int) -> bytes:
+    """Colours to show for given Gaussians ([C] ascending) of `total`, as near as a screen shows them. sh: [C, K, 3], or
+    [C, 1, 3] where only base colours change."""
+    head = HEADER.pack(MAGIC, FORMAT, PREVIEW | PACKED, version, version, total, len(gaussian_ids), sh.shape[1])
+    index = b"" if len(gaussian_ids) == total else np.asarray(gaussian_ids, "<u4").tobytes()
+    base = pack_base(sh).astype("<f2").tobytes()
+    return b"".join([head, index, base, b"\0" * (-len(base) % 4), pack_harmonics(sh).astype("<u4").tobytes()])
 
 
 def pack(
-    some: Splats, rows: np.ndarray | None, total: int, version_from: int, version_to: int, flags: int = 0
+    splats: Splats, gaussian_ids: np.ndarray | None, total: int, version_from: int, version_to: int, flags: int = 0
 ) -> bytes:
-    """A frame of the C rows of `some`, which are `rows` of an asset of `total` rows (None: all of it, a snapshot).
+    """A frame of C Gaussians, which are those of `gaussian_ids` of an asset of `total` (None: all of it, a snapshot).
 
-    Values that the screen cannot show (NaN, infinite) travel as rows of opacity 0."""
-    flags |= SNAPSHOT * (rows is None)
-    shown = some.drawable
-    bands = int(some.sh.shape[1])
-    parts = [HEADER.pack(MAGIC, FORMAT, flags, version_from, version_to, total, len(some), bands)]
-    if rows is not None:
-        parts.append(np.asarray(rows, "<u4").tobytes())
+    Gaussians with values that the screen cannot show (NaN, infinite) travel with opacity 0."""
+    flags |= SNAPSHOT * (gaussian_ids is None)
+    drawable = splats.drawable
+    coefficients = int(splats.sh.shape[1])
+    parts = [HEADER.pack(MAGIC, FORMAT, flags, version_from, version_to, total, len(splats), coefficients)]
+    if gaussian_ids is not None:
+        parts.append(np.asarray(gaussian_ids, "<u4").tobytes())
     if not flags & COLORS_ONLY:
-        norm = np.linalg.norm(some.quats, axis=1, keepdims=True)
-        quats = some.quats / np.where(shown[:, None] & (norm > 0), norm, 1)
-        parts += [_bytes(some.means, shown), _bytes(some.scales, shown), _bytes(quats, shown)]
-    parts += [_bytes(np.clip(some.opacities, 0, 1), shown), _bytes(some.sh, shown)]
+        norm = np.linalg.norm(splats.quats, axis=1, keepdims=True)
+        quats = splats.quats / np.where(drawable[:, None] & (norm > 0), norm, 1)
+        parts += [_bytes(splats.means, drawable), _bytes(splats.scales, drawable), _bytes(quats, drawable)]
+    parts += [_bytes(np.clip(splats.opacities, 0, 1), drawable), _bytes(splats.sh, drawable)]
     return b"".join(parts)
 
 
@@ -102,44 +111,86 @@ def unpack(data: bytes) -> SplatFrame:
     """The inverse of `pack`. Raises ValueError where the bytes are no frame."""
     if len(data) < HEADER.size:
         raise ValueError(f"frame: expected at least {HEADER.size} bytes, got {len(data)}")
-    magic, form, flags, first, last, total, count, bands = HEADER.unpack_from(data)
-    if magic != MAGIC or form != FORMAT or bands not in SH_COUNTS:
-        raise ValueError(f"frame: expected magic {MAGIC:#x}, format {FORMAT}, got {magic:#x}, {form}, K = {bands}")
+    magic, form, flags, first, last, total, count, coefficients = HEADER.unpack_from(data)
+    if magic != MAGIC or form != FORMAT or coefficients not in SH_COUNTS:
+        raise ValueError(
+            f"frame: expected magic {MAGIC:#x}, format {FORMAT}, got {magic:#x}, {form}, K = {coefficients}"
+        )
     if flags & PACKED:
-        return _unpacked(data)
+        return _unpack_colors(data)
     snapshot, colors = bool(flags & SNAPSHOT), bool(flags & COLORS_ONLY)
-    widths = [0 if snapshot else 1, *((0, 0, 0) if colors else (3, 3, 4)), 1, 3 * bands]
-    wanted = HEADER.size + 4 * count * sum(widths)
-    if len(data) != wanted:
-        raise ValueError(f"frame: expected {wanted} bytes for {count} rows, got {len(data)}")
+    widths = [0 if snapshot else 1, *((0, 0, 0) if colors else (3, 3, 4)), 1, 3 * coefficients]
+    expected = HEADER.size + 4 * count * sum(widths)
+    if len(data) != expected:
+        raise ValueError(f"frame: expected {expected} bytes for {count} Gaussians, got {len(data)}")
     ends = HEADER.size + 4 * count * np.cumsum([0, *widths])
     kinds = ["<u4", *["<f4"] * 5]
     arrays = [
         np.frombuffer(data, kind, count * width, int(start)).reshape(count, width)
         for kind, width, start in zip(kinds, widths, ends[:-1], strict=True)
     ]
-    rows = np.arange(count) if snapshot else arrays[0][:, 0].astype(np.int64)
-    splats = Splats(arrays[1], arrays[3], arrays[2], arrays[4][:, 0], arrays[5].reshape(count, bands, 3))
-    return SplatFrame(flags, first, last, total, rows, splats)
+    gaussian_ids = np.arange(count) if snapshot else arrays[0][:, 0].astype(np.int64)
+    splats = Splats(arrays[1], arrays[3], arrays[2], arrays[4][:, 0], arrays[5].reshape(count, coefficients, 3))
+    return SplatFrame(flags, first, last, total, gaussian_ids, splats)
 
 
-def _unpacked(data: bytes) -> SplatFrame:
-    """`unpack` of `tints`."""
-    _, _, flags, first, last, total, count, bands = HEADER.unpack_from(data)
+def _unpack_colors(data: bytes) -> SplatFrame:
+    """`unpack` of `preview_colors`."""
+    _, _, flags, first, last, total, count, coefficients = HEADER.unpack_from(data)
     index = 0 if count == total else 4 * count
     base = 6 * count + (-6 * count) % 4
-    wanted = HEADER.size + index + base + 4 * count * (bands - 1)
-    if len(data) != wanted:
-        raise ValueError(f"frame: expected {wanted} bytes for {count} rows, got {len(data)}")
+    expected = HEADER.size + index + base + 4 * count * (coefficients - 1)
+    if len(data) != expected:
+        raise ValueError(f"frame: expected {expected} bytes for {count} Gaussians, got {len(data)}")
     at = HEADER.size + index
-    rows = np.frombuffer(data, "<u4", count, HEADER.size).astype(np.int64) if index else np.arange(count)
+    gaussian_ids = np.frombuffer(data, "<u4", count, HEADER.size).astype(np.int64) if index else np.arange(count)
     halves = np.frombuffer(data, "<f2", 3 * count, at).reshape(count, 3)
-    codes = np.frombuffer(data, "<u4", count * (bands - 1), at + base).reshape(count, bands - 1)
-    none = np.zeros((count, 0), np.float32)
-    return SplatFrame(flags, first, last, total, rows, Splats(none, none, none, none, sh_of(halves, codes)))
+    codes = np.frombuffer(data, "<u4", count * (coefficients - 1), at + base).reshape(count, coefficients - 1)
+    absent = np.zeros((count, 0), np.float32)
+    splats = Splats(absent, absent, absent, absent, unpack_sh(halves, codes))
+    return SplatFrame(flags, first, last, total, gaussian_ids, splats)
 
 
-def _bytes(values: np.ndarray, shown: np.ndarray) -> bytes:
-    if not shown.all():
-        values = np.where(shown.reshape(-1, *[1] * (values.ndim - 1)), values, 0)
+def _bytes(values: np.ndarray, drawable: np.ndarray) -> bytes:
+    if not drawable.all():
+        values = np.where(drawable.reshape(-1, *[1] * (values.ndim - 1)), values, 0)
     return np.ascontiguousarray(values, "<f4").tobytes()
+
+
+def pack_base(sh: np.ndarray) -> np.ndarray:
+    """[N, K, 3] SH -> [N, 3] float16 base colours 0.5 + Y_0 sh_0; NaN becomes 0."""
+    colors = np.nan_to_num(base_color(sh[:, :1].astype(np.float64)), nan=0, posinf=MAX_HALF, neginf=-MAX_HALF)
+    return np.clip(colors, -MAX_HALF, MAX_HALF).astype(np.float32).astype(np.float16)
+
+
+def pack_harmonics(sh: np.ndarray) -> np.ndarray:
+    """[N, K, 3] SH -> [N, K - 1] uint32, one per coefficient but the first: three 8-bit magnitudes over a shared power
+    of two, value = byte / 255 * 2^(exponent - 15), the exponent's 5 bits and three sign bits (red lowest)."""
+    if not len(sh) or sh.shape[1] == 1:
+        return np.zeros((len(sh), sh.shape[1] - 1), np.uint32)
+    return np.concatenate(each(_codes, [sh[start : start + CHUNK_SIZE] for start in range(0, len(sh), CHUNK_SIZE)]))
+
+
+def _codes(sh: np.ndarray) -> np.ndarray:
+    red, green, blue = (np.nan_to_num(np.ascontiguousarray(sh[:, 1:, k], np.float32)) for k in range(3))
+    largest = np.maximum(np.maximum(np.abs(red), np.abs(green)), np.abs(blue))
+    share, power = np.frexp(largest)
+    exponent = np.clip(power - (share == 0.5) + 15, 0, 31)  # ceil(log2(largest)) + 15
+    scale = np.ldexp(np.float32(255), 15 - exponent)
+    code = exponent.astype(np.uint32) << 27
+    for k, channel in enumerate((red, green, blue)):
+        magnitude = np.minimum(np.abs(channel) * scale + np.float32(0.5), 255)
+        code |= magnitude.astype(np.uint32) << (8 * k)
+        code |= (channel < 0).astype(np.uint32) << (24 + k)
+    return np.where(largest > 0, code, np.uint32(0))
+
+
+def unpack_sh(halves: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """What a screen makes of them: [N, 3] and [N, K - 1] -> SH [N, K, 3] float32."""
+    out = np.empty((len(halves), 1 + codes.shape[1], 3), np.float32)
+    out[:, 0] = sh_from_color(halves.astype(np.float64))
+    unit = np.ldexp(np.float32(1 / 255), (codes >> 27).astype(np.int32) - 15)
+    for k in range(3):
+        sign = np.where(codes >> (24 + k) & 1, np.float32(-1), np.float32(1))
+        out[:, 1:, k] = (codes >> (8 * k) & 255).astype(np.float32) * unit * sign
+    return out

@@ -1,26 +1,36 @@
-"""Bodies of requests are bounded before anything reads them, and JSON before anything parses it. Pure ASGI."""
+"""What a client may use up: bodies are bounded before anything reads them, JSON before anything parses it, and
+connections that ask for nothing, or read nothing, are closed.
+
+A browser sends a request's head at once and reads what it asked for. What does not, holds memory and one of the
+process's file handles for as long as it likes: heads that come a byte at a time, bodies that stop, downloads and
+sockets that nobody reads.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
 from collections.abc import Callable, Coroutine, MutableMapping
+from dataclasses import dataclass
 from typing import Any
 
+import h11
 from fastapi import HTTPException, Request, Response
 from fastapi.routing import APIRoute
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from splatpainter.server.messages.base import PIXELS
+from splatpainter.server.protocol import MAX_VIEW_PIXELS
 
 MAX_COMMAND_BYTES = 1 << 18
-"""Of a command as JSON; the largest but one are four views with their cameras."""
-MAX_DAB_BYTES = 6 * PIXELS + MAX_COMMAND_BYTES
-"""Of `paint.dab`: over the whole of the largest view it is 16/3 bytes a pixel."""
+"""Of a command as JSON; all but `paint.dab` fit easily."""
+MAX_DAB_BYTES = 6 * MAX_VIEW_PIXELS + MAX_COMMAND_BYTES
+"""Of `paint.dab`: over all of the largest view it is 16/3 bytes a pixel."""
 DAB = "paint.dab"
-MAX_JSON_SIGNS = 20_000
+MAX_JSON_SEPARATORS = 20_000
 """Commas, brackets and braces of a command. Text costs next to nothing to parse; what they separate costs a thousand
 times as much, and nobody else is served meanwhile."""
-INLINE_BYTES = 1 << 16
+MAX_INLINE_JSON_BYTES = 1 << 16
 """Up to here JSON is parsed on the event loop: half a millisecond."""
 
 
@@ -80,15 +90,15 @@ def body_limit(path: str) -> int | None:
 
 async def parse_json(text: str | bytes) -> Any:
     """The values of a command's text. Raises ValueError of one line: no JSON, too many values."""
-    if len(text) <= INLINE_BYTES:
+    if len(text) <= MAX_INLINE_JSON_BYTES:
         return _parsed(text)
     return await asyncio.to_thread(_parsed, text)
 
 
 def _parsed(text: str | bytes) -> Any:
-    signs = b",[{" if isinstance(text, bytes) else ",[{"
-    if sum(text.count(signs[k : k + 1]) for k in range(3)) > MAX_JSON_SIGNS:  # type: ignore[arg-type]
-        raise ValueError(f"expected JSON of at most {MAX_JSON_SIGNS} values")
+    separators = b",[{" if isinstance(text, bytes) else ",[{"
+    if sum(text.count(separators[k : k + 1]) for k in range(3)) > MAX_JSON_SEPARATORS:  # type: ignore[arg-type]
+        raise ValueError(f"expected JSON of at most {MAX_JSON_SEPARATORS} values")
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
@@ -116,3 +126,145 @@ class CommandRoute(APIRoute):
             return await handler(_CommandRequest(request.scope, request.receive))
 
         return run
+
+
+@dataclass(frozen=True)
+class ConnectionLimits:
+    """Of the server."""
+
+    connections: int = 256
+    """Open at a time, sockets of pages included; one more is answered 503 and closed."""
+    head_seconds: float = 10.0
+    """From a connection's beginning, or the end of the request before, until a request's head is complete."""
+    body_seconds: float = 20.0
+    """In which `body_bytes` of a request's body must come, while the server is ready to take them."""
+    body_bytes: int = 1024
+    send_seconds: float = 30.0
+    """After which a client that has read nothing of what waits for it is closed."""
+    check_seconds: float = 1.0
+    """Between two checks of a connection."""
+
+
+class _Watchdog:
+    """Looks at one connection again and again, and aborts it where it is idle."""
+
+    def __init__(self, protocol: Any, limits: ConnectionLimits) -> None:
+        self.protocol, self.limits, self.loop = protocol, limits, protocol.loop
+        self.received = 0
+        """Bytes so far."""
+        now = self.loop.time()
+        self._sent: tuple[int, int] = (0, 0)
+        self._sent_since = self._head_since = self._body_since = now
+        self._body_from = 0
+        self.drained = 0
+        """How often the buffer of what is to be sent ran empty."""
+        self._timer = self.loop.call_later(limits.check_seconds, self._check)
+
+    def head_expected(self) -> None:
+        """A new request may come now."""
+        self._head_since = self.loop.time()
+
+    def stop(self) -> None:
+        """The connection has ended, or is a WebSocket now."""
+        self._timer.cancel()
+
+    def _check(self) -> None:
+        now = self.loop.time()
+        if self._is_idle(now):
+            self.protocol.transport.abort()  # close() would wait until all is sent
+            return
+        self._timer = self.loop.call_later(self.limits.check_seconds, self._check)
+
+    def _is_idle(self, now: float) -> bool:
+        waiting = self.protocol.transport.get_write_buffer_size()
+        sent = (waiting, self.drained)
+        if not waiting or sent != self._sent:
+            self._sent, self._sent_since = sent, now
+        if now - self._sent_since > self.limits.send_seconds:
+            return True
+        return isinstance(self.protocol, BoundedHttp) and self._receives_nothing(self.protocol, now)
+
+    def _receives_nothing(self, http: BoundedHttp, now: float) -> bool:
+        if http.conn.their_state is h11.IDLE:
+            self._body_since, self._body_from = now, self.received
+            return now - self._head_since > self.limits.head_seconds
+        if http.conn.their_state is not h11.SEND_BODY or http.flow.read_paused:
+            self._body_since, self._body_from = now, self.received
+            return False
+        if now - self._body_since <= self.limits.body_seconds:
+            return False
+        slow = self.received - self._body_from < self.limits.body_bytes
+        self._body_since, self._body_from = now, self.received
+        return slow
+
+
+class BoundedHttp(H11Protocol):
+    """uvicorn's HTTP connection with limits; `bounded` gives the class for some limits."""
+
+    limits = ConnectionLimits()
+    watchdog: _Watchdog | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        if len(self.connections) > self.limits.connections:
+            transport.write(b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-length: 0\r\n\r\n")
+            transport.close()
+            return
+        self.watchdog = _Watchdog(self, self.limits)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._stop_watchdog()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        if self.transport.is_closing():
+            return
+        if self.watchdog is not None:
+            self.watchdog.received += len(data)
+        super().data_received(data)
+
+    def on_response_complete(self) -> None:
+        if self.watchdog is not None:
+            self.watchdog.head_expected()
+        super().on_response_complete()
+
+    def resume_writing(self) -> None:
+        if self.watchdog is not None:
+            self.watchdog.drained += 1
+        super().resume_writing()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        self._stop_watchdog()
+        super().handle_websocket_upgrade(event)
+
+    def _stop_watchdog(self) -> None:
+        if self.watchdog is not None:
+            self.watchdog.stop()
+            self.watchdog = None
+
+
+class BoundedSocket(WebSocketsSansIOProtocol):
+    """uvicorn's WebSocket connection with limits."""
+
+    limits = ConnectionLimits()
+    watchdog: _Watchdog | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self.watchdog = _Watchdog(self, self.limits)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self.watchdog is not None:
+            self.watchdog.stop()
+        super().connection_lost(exc)
+
+    def resume_writing(self) -> None:
+        if self.watchdog is not None:
+            self.watchdog.drained += 1
+        super().resume_writing()
+
+
+def bounded(limits: ConnectionLimits) -> tuple[type[BoundedHttp], type[BoundedSocket]]:
+    """The classes of connections with these limits, as uvicorn.Config takes them (`http`, `ws`)."""
+    http = type("BoundedHttp", (BoundedHttp,), {"limits": limits})
+    return http, type("BoundedSocket", (BoundedSocket,), {"limits": limits})

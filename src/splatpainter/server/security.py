@@ -88,7 +88,7 @@ def is_loopback(host: str) -> bool:
     return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
 
 
-class Guard:
+class AccessGuard:
     """ASGI middleware: refuses (400, 403, 401) what the rules forbid; adds HEADERS to every answer."""
 
     def __init__(self, app: Any, access: Access) -> None:
@@ -146,9 +146,9 @@ class Guard:
             await _answer(send, 401, "This studio needs its token: open the address that it printed when it started.")
             return
         rest = urlencode([pair for pair in query if pair[0] != "token"])
-        place = "/" + quote(scope["path"].lstrip("/")) + (f"?{rest}" if rest else "")
+        location = "/" + quote(scope["path"].lstrip("/")) + (f"?{rest}" if rest else "")
         cookie = f"{cookie_name(scope)}={self.access.token}; Path=/; HttpOnly; SameSite=Strict"
-        await _answer(send, 303, "", {"location": place, "set-cookie": cookie})
+        await _answer(send, 303, "", {"location": location, "set-cookie": cookie})
 
 
 def cookie_name(scope: MutableMapping[str, Any]) -> str:
@@ -197,15 +197,15 @@ def _with_headers(send: Any) -> Any:
 
     async def outgoing(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            known = {name.lower() for name, _ in message.get("headers", ())}
-            message["headers"] = [*message.get("headers", ()), *(pair for pair in extra if pair[0] not in known)]
+            present = {name.lower() for name, _ in message.get("headers", ())}
+            message["headers"] = [*message.get("headers", ()), *(pair for pair in extra if pair[0] not in present)]
         await send(message)
 
     return outgoing
 
 
 async def _answer(send: Any, status: int, text: str, headers: dict[str, str] | None = None) -> None:
-    own = {"content-type": "text/plain; charset=utf-8", "cache-control": "no-store", **(headers or {})}
-    pairs = [(name.encode(), value.encode("latin-1")) for name, value in own.items()]
+    values = {"content-type": "text/plain; charset=utf-8", "cache-control": "no-store", **(headers or {})}
+    pairs = [(name.encode(), value.encode("latin-1")) for name, value in values.items()]
     await send({"type": "http.response.start", "status": status, "headers": pairs})
     await send({"type": "http.response.body", "body": text.encode()})

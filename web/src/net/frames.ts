@@ -1,4 +1,4 @@
-/** The binary frames of splats: snapshots and deltas. Little endian; layout in splatpainter/studio/frames.py. */
+/** The binary frames of splats: snapshots and deltas. Little endian; layout in splatpainter/server/frames.py. */
 
 import { FRAME_COLORS_ONLY, FRAME_FORMAT, FRAME_MAGIC, FRAME_PACKED, FRAME_PREVIEW, FRAME_SNAPSHOT } from "../messages";
 import type { Rows } from "../splats/rows";

@@ -13,7 +13,7 @@ import {
   type Failure,
   type Greeting,
   type Problem,
-  type Progress,
+  type CommandProgress,
 } from "../messages";
 import { parseFrame, type Frame } from "./frames";
 
@@ -174,7 +174,7 @@ export class Link {
 
   private receive(data: string | ArrayBuffer): void {
     if (typeof data !== "string") return this.rows(parseFrame(data));
-    const message = JSON.parse(data) as Answer | Failure | Progress | Event;
+    const message = JSON.parse(data) as Answer | Failure | CommandProgress | Event;
     if ("event" in message) return this.handlers.event(message);
     const pending = this.pending.get(message.re);
     if (!pending) return;

@@ -2,7 +2,7 @@
 
 import { computed, signal } from "@preact/signals";
 
-import type { Checked } from "../messages";
+import type { PictureChecked } from "../messages";
 import { blobUrl, sendBlob } from "../net/blobs";
 import { CommandError } from "../net/link";
 import { maskPng } from "../paint/picture";
@@ -18,7 +18,7 @@ export interface Drop {
   name: string;
   /** The picture as it came. */
   blob: string;
-  checked: Checked | null;
+  checked: PictureChecked | null;
   /** Why it could not be used as it is. */
   problem: string;
   threshold: number | null;
@@ -65,7 +65,8 @@ export async function check(id: number, given: { camera?: CameraJson; threshold?
   const drop = drops.value.find((one) => one.id === id);
   if (!drop) return;
   const threshold = given.threshold ?? drop.threshold;
-  const at = given.camera ?? (drop.checked?.found === "given" ? (drop.checked.camera as CameraJson) : undefined);
+  const at =
+    given.camera ?? (drop.checked?.camera_source === "given" ? (drop.checked.camera as CameraJson) : undefined);
   try {
     const checked = await link.do("picture.check", {
       picture: drop.blob,

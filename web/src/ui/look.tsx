@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
-import type { Look as LookValues } from "../messages";
+import type { GradeSliders } from "../messages";
 import { sendBlob } from "../net/blobs";
 import { maskPng } from "../paint/picture";
 import { selectedArea } from "../paint/selection";
@@ -13,7 +13,7 @@ import type { CameraJson } from "../view/camera";
 import { Curve } from "./curve";
 import { Button, Check, Percent, Slider } from "./parts";
 
-type Full = Required<LookValues>;
+type Full = Required<GradeSliders>;
 const NEUTRAL: Full = {
   exposure: 0,
   temperature: 0,

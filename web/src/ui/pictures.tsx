@@ -134,7 +134,7 @@ function Entry({ one }: { one: Drop }) {
       {checked && (
         <>
           <p class="quiet">
-            {FOUND[checked.found]}; {(checked.share * 100).toFixed(1)} % changed
+            {FOUND[checked.camera_source]}; {(checked.share * 100).toFixed(1)} % changed
             {Math.hypot(...checked.shift) > 0.05
               ? `; moved back by ${checked.shift.map((v) => v.toFixed(1)).join(", ")} px`
               : ""}

@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 
-import type { Bookmark, Conflict } from "../messages";
+import type { BookmarkInfo, ConflictInfo } from "../messages";
 import { blobUrl, download } from "../net/blobs";
 import { camera, readOnly, state, toast, view } from "../state/store";
 import { go, run } from "../state/studio";
@@ -161,7 +161,7 @@ function AddBookmark() {
   );
 }
 
-function BookmarkRow({ one }: { one: Bookmark }) {
+function BookmarkRow({ one }: { one: BookmarkInfo }) {
   return (
     <li>
       <button type="button" onClick={() => goTo(one.camera)}>
@@ -177,7 +177,7 @@ function BookmarkRow({ one }: { one: Bookmark }) {
   );
 }
 
-function ConflictRow({ one }: { one: Conflict }) {
+function ConflictRow({ one }: { one: ConflictInfo }) {
   const name = (id: string) => state.value?.layers.find((layer) => layer.id === id)?.name ?? "a layer";
   return (
     <div class="conflict">

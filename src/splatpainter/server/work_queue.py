@@ -12,8 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 Result = TypeVar("Result")
-READERS, ASIDES = 2, 1
-LONGEST = 512
+READER_THREADS, BACKGROUND_THREADS = 2, 1
+MAX_JOBS = 512
 """Jobs that may wait; beyond that a client is told to come back later."""
 
 
@@ -50,13 +50,13 @@ class Ticket:
 
 class WorkQueue:
     """Three lanes: `write` runs jobs one after the other, in the order in which they came; `read` is for quick looks at
-    snapshots; `aside` for long work that changes nothing, so that it holds up neither."""
+    snapshots; `background` for long work that changes nothing, so that it holds up neither."""
 
-    def __init__(self, longest: int = LONGEST) -> None:
+    def __init__(self, max_jobs: int = MAX_JOBS) -> None:
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="studio-writer")
-        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="studio-reader")
-        self._asides = ThreadPoolExecutor(ASIDES, thread_name_prefix="studio-aside")
-        self._longest, self._waiting = longest, 0
+        self._readers = ThreadPoolExecutor(READER_THREADS, thread_name_prefix="studio-reader")
+        self._background = ThreadPoolExecutor(BACKGROUND_THREADS, thread_name_prefix="studio-background")
+        self._max_jobs, self._waiting = max_jobs, 0
 
     async def write(self, job: Callable[[Ticket], Result], ticket: Ticket) -> Result:
         """The result of a job that may change the asset. Raises what it raises, Cancelled and Busy."""
@@ -66,12 +66,12 @@ class WorkQueue:
         """The result of a job that only looks at snapshots."""
         return await self._run(self._readers, job, ticket)
 
-    async def aside(self, job: Callable[[Ticket], Result], ticket: Ticket) -> Result:
+    async def background(self, job: Callable[[Ticket], Result], ticket: Ticket) -> Result:
         """The result of a long job that only looks at snapshots."""
-        return await self._run(self._asides, job, ticket)
+        return await self._run(self._background, job, ticket)
 
     async def _run(self, lane: ThreadPoolExecutor, job: Callable[[Ticket], Result], ticket: Ticket) -> Result:
-        if self._waiting >= self._longest:
+        if self._waiting >= self._max_jobs:
             raise Busy
 
         def checked() -> Result:
@@ -86,5 +86,5 @@ class WorkQueue:
 
     def close(self) -> None:
         """Wait for the jobs in work; those that have not begun are dropped."""
-        for lane in (self._writer, self._readers, self._asides):
+        for lane in (self._writer, self._readers, self._background):
             lane.shutdown(wait=True, cancel_futures=True)

@@ -5,22 +5,25 @@ from __future__ import annotations
 import socket
 import sys
 import threading
+import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 
+import uvicorn
+
 from splatpainter.io import read
-from splatpainter.server.connections import ConnectionLimits, bounded
-from splatpainter.server.core import Options, Studio
-from splatpainter.server.demo import demo
-from splatpainter.server.places import PROJECT, Projects
+from splatpainter.server.app import create_app
+from splatpainter.server.limits import MAX_DAB_BYTES, ConnectionLimits, bounded
 from splatpainter.server.security import Access
+from splatpainter.server.storage import PROJECT, Projects, demo
+from splatpainter.server.studio import Options, Studio
 from splatpainter.session import Session
 from splatpainter.splats import Frame, Splats
 from splatpainter.user_folders import projects_folder
 
-PORT = 8750
-TRIES = 20
-"""Ports after the wanted one that are tried where none was asked for."""
+DEFAULT_PORT = 8750
+PORT_TRIES = 20
+"""Ports from the default one on that are tried where none was given."""
 
 
 def open_session(
@@ -37,43 +40,43 @@ def open_session(
 
 
 def listen(host: str, port: int | None) -> socket.socket:
-    """A bound socket. port None: PORT or one of the next, 0: any. Raises ValueError where none is free."""
+    """A bound socket. port None: DEFAULT_PORT or one of the next, 0: any. Raises ValueError where none is free."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    wanted = range(PORT, PORT + TRIES) if port is None else [port]
-    said = ""
-    for number in wanted:
+    candidates = range(DEFAULT_PORT, DEFAULT_PORT + PORT_TRIES) if port is None else [port]
+    reason = ""
+    for number in candidates:
         # asyncio turns Nagle's delays (40 ms an answer) off for sockets that say that they are TCP
-        own = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        bound = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         if sys.platform == "win32":  # there REUSEADDR lets two programs listen on one port
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
         else:
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            own.bind((host, number))
-            own.listen(128)
-            return own
+            bound.bind((host, number))
+            bound.listen(128)
+            return bound
         except OSError as error:
-            own.close()
-            said = error.strerror or str(error)
-    raise ValueError(f"studio: cannot listen on {host} port {wanted[0]} ({said}); choose another --port")
+            bound.close()
+            reason = error.strerror or str(error)
+    raise ValueError(f"studio: cannot listen on {host} port {candidates[0]} ({reason}); choose another --port")
 
 
 def address(access: Access, bound: socket.socket) -> str:
     """What to open in a browser, the token included."""
     port = bound.getsockname()[1]
     host = "localhost" if access.host in ("0.0.0.0", "::") else access.host
-    shown = f"[{host}]" if ":" in host else host
-    return f"http://{shown}:{port}/" + (f"?token={access.token}" if access.token else "")
+    host = f"[{host}]" if ":" in host else host
+    return f"http://{host}:{port}/" + (f"?token={access.token}" if access.token else "")
 
 
 def warm() -> threading.Thread:
     """Load the compiled kernels beside everything else, so that the first stroke need not wait a second for them. To be
     joined before the process ends."""
-    from splatpainter.kernels import compile as warmup
+    from splatpainter.kernels.compile import ensure_compiled, run_group
 
     def load() -> None:
-        warmup.ensure_compiled(progress=False)
-        warmup.run_group(0, 1)
+        ensure_compiled(progress=False)
+        run_group(0, 1)
 
     thread = threading.Thread(target=load, name="splatpainter-warm")
     thread.start()
@@ -82,18 +85,13 @@ def warm() -> threading.Thread:
 
 def make_server(studio: Studio, access: Access, limits: ConnectionLimits | None = None):
     """A uvicorn server of the studio; run it with `server.run(sockets=[bound])`."""
-    import uvicorn
-
-    from splatpainter.server.app import create_app
-    from splatpainter.server.limits import MAX_DAB_BYTES
-
     http, socket_class = bounded(limits or ConnectionLimits())
     config = uvicorn.Config(
         create_app(studio, access),
         http=http,
         ws=socket_class,
         ws_max_size=MAX_DAB_BYTES,
-        ws_per_message_deflate=False,  # rows do not pack well, and packing them costs more than sending them
+        ws_per_message_deflate=False,  # Gaussians do not pack well, and packing them costs more than sending them
         log_level="warning",
         access_log=False,  # addresses may hold the token
         server_header=False,
@@ -135,27 +133,25 @@ def studio(
 ) -> Running:
     """Start the studio on 127.0.0.1 in the background, from a notebook or a script: `s = sp.studio("vase.ply"); s.url`.
 
-    asset: rows, a splat file, a project, or None: the demo asset. folder: what clients may open and save; watched for
+    asset: splats, a splat file, a project, or None: the demo asset. folder: what clients may open and save; watched for
     pictures. frame: of a splat file, as in io.read. Raises ValueError as `open_session` and `listen`."""
     access = Access.of("127.0.0.1")
     bound = listen(access.host, port)
-    place = None if projects is None else Path(projects)
+    projects_path = None if projects is None else Path(projects)
     session = None
     try:
-        session, name = open_session(asset, place, frame)
-        own = Studio(session, name, Options(None if folder is None else Path(folder), place))
+        session, name = open_session(asset, projects_path, frame)
+        opened = Studio(session, name, Options(None if folder is None else Path(folder), projects_path))
     except BaseException:
         if session is not None:
             session.close()
         bound.close()
         raise
-    server = make_server(own, access)
+    server = make_server(opened, access)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, name="splatpainter-studio", daemon=True)
     thread.start()
     warming = warm()
     url = address(access, bound)
     if browser:
-        import webbrowser
-
         webbrowser.open(url)
     return Running(url, session, server, (thread, warming))

@@ -1,4 +1,4 @@
-"""What uploaded bytes claim to be (kind, pixels, rows), from headers alone: nothing is decoded to find out."""
+"""What uploaded bytes claim to be (kind, pixels, Gaussians), from headers alone: nothing is decoded to find out."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ENDINGS = {"PNG": ".png", "JPEG": ".jpg", "WEBP": ".webp", "TIFF": ".tif"}
 
 
 @dataclass(frozen=True)
-class Claim:
+class UploadInfo:
     """What a file says of itself."""
 
     kind: Kind
@@ -30,36 +30,36 @@ class Claim:
     """Content type that it is served with; of pictures only, for nothing else may be opened by a browser."""
     width: int = 0
     height: int = 0
-    rows: int = 0
+    gaussians: int = 0
 
 
-def claim_of(path: Path, name: str, most_rows: int) -> Claim:
+def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
     """Judge the file at `path`; `name` is what its owner called it (splat formats without a magic need its ending).
-    Raises ValueError: neither picture, splat file nor project, or more pixels or rows than are allowed."""
+    Raises ValueError: neither picture, splat file nor project, or more pixels or Gaussians than are allowed."""
     head = read_head(path, 16)
     if head == SQLITE:
-        return Claim("project", ".splatproj", "application/octet-stream")
+        return UploadInfo("project", ".splatproj", "application/octet-stream")
     picture = _picture(path, name)
     if picture is not None:
         return picture
     if head[:4] == ZIP and _is_layer(path):
-        return Claim("layer", ".splatlayer", "application/octet-stream")
-    shown = name or "the upload"
+        return UploadInfo("layer", ".splatlayer", "application/octet-stream")
+    title = name or "the upload"
     key = _detected(path, name)
     if key is None:
-        raise ValueError(f"{shown}: expected a picture (PNG, JPEG, WebP, TIFF), a splat file or a project")
+        raise ValueError(f"{title}: expected a picture (PNG, JPEG, WebP, TIFF), a splat file or a project")
     from splatpainter.io import FORMATS
 
     try:
-        rows = _rows(path, key)
-        if rows < 0:
-            raise ValueError(f"{path}: {rows} rows")
+        count = _declared_count(path, key)
+        if count < 0:
+            raise ValueError(f"{path}: {count} Gaussians")
     except (ValueError, struct.error, OSError) as error:
-        said = " ".join(str(error).replace(str(path), shown).split())
-        raise ValueError(f"{shown}: damaged ({said.removeprefix(f'{shown}: ')[:200]})") from None
-    if rows > most_rows:
-        raise ValueError(f"{shown}: expected at most {most_rows:,} rows, it claims {rows:,}")
-    return Claim("asset", FORMATS[key].suffixes[0], "application/octet-stream", rows=rows)
+        reason = " ".join(str(error).replace(str(path), title).split())
+        raise ValueError(f"{title}: damaged ({reason.removeprefix(f'{title}: ')[:200]})") from None
+    if count > max_gaussians:
+        raise ValueError(f"{title}: expected at most {max_gaussians:,} Gaussians, it claims {count:,}")
+    return UploadInfo("asset", FORMATS[key].suffixes[0], "application/octet-stream", gaussians=count)
 
 
 def _is_layer(path: Path) -> bool:
@@ -78,7 +78,7 @@ def _detected(path: Path, name: str) -> str | None:
         return {".splat": "splat", ".ksplat": "ksplat"}.get(Path(name.lower()).suffix)
 
 
-def _picture(path: Path, name: str) -> Claim | None:
+def _picture(path: Path, name: str) -> UploadInfo | None:
     from PIL import Image, UnidentifiedImageError
 
     with warnings.catch_warnings():
@@ -94,11 +94,11 @@ def _picture(path: Path, name: str) -> Claim | None:
             raise ValueError(f"{name or 'picture'}: cannot be read as a picture ({str(error)[:120]})") from None
     if width * height > LIMIT:
         raise ValueError(f"{name or 'picture'}: expected at most {LIMIT // 10**6} megapixels, got {width}x{height}")
-    return Claim("picture", ENDINGS[kind], MEDIA[kind], width, height)
+    return UploadInfo("picture", ENDINGS[kind], MEDIA[kind], width, height)
 
 
-def _rows(path: Path, key: str) -> int:
-    """Rows that the header speaks of."""
+def _declared_count(path: Path, key: str) -> int:
+    """Gaussians that the header declares."""
     size = path.stat().st_size
     if key in ("ply", "compressed.ply"):
         from splatpainter.io.ply_container import read_header

@@ -11,12 +11,12 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.splats import Splats
 
-VEIL = 0.65
-"""Opacity of the coverage over the view."""
-RING, TILTS, EDGE = 12, (-15.0, 15.0, 45.0), 96
-"""Views that are tried for the next one: around, at these elevations, of this many pixels."""
-WORTH = 12.0
-"""Pixels (of EDGE x EDGE) of predicted surface that make a view worth showing."""
+OVERLAY_OPACITY = 0.65
+"""Of the coverage over the view."""
+ORBIT_VIEWS, ELEVATIONS_DEGREES, VIEW_PX = 12, (-15.0, 15.0, 45.0), 96
+"""Views that are tried for the next one: around, at these elevations, of this size."""
+MIN_PREDICTED_PIXELS = 12.0
+"""Of VIEW_PX x VIEW_PX: as much predicted surface makes a view worth showing."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,12 @@ class Hit:
     """z, world units."""
     point: np.ndarray
     """[3] world coordinates."""
-    row: int
-    """Which gives the pixel most of its colour."""
+    gaussian_id: int
+    """The one that gives the pixel most of its colour."""
 
 
-def hit(splats: Splats, camera: Camera, x: float, y: float) -> tuple[np.ndarray, Hit | None]:
-    """([3] the pixel's colour in the asset's space, what lies there or None where the asset covers less than half).
+def pick(splats: Splats, camera: Camera, x: float, y: float) -> tuple[np.ndarray, Hit | None]:
+    """([3] the pixel's colour in the asset's space, what lies there, or None where the asset covers less than half).
     x, y: pixels, the first one's centre at 0.5, 0.5. Raises ValueError outside the view."""
     column, line = int(np.floor(x)), int(np.floor(y))
     if not (0 <= column < camera.width and 0 <= line < camera.height):
@@ -50,37 +50,40 @@ def hit(splats: Splats, camera: Camera, x: float, y: float) -> tuple[np.ndarray,
 
 
 def coverage_picture(splats: Splats, coverage: np.ndarray, camera: Camera) -> np.ndarray:
-    """[H, W, 4] uint8: green where the view shows rows that edits saw, red where it shows predicted ones, transparent
-    elsewhere. coverage: [N] conflicts.ORIGINAL, SEEN, PREDICTED."""
+    """[H, W, 4] uint8: green where the view shows Gaussians that edits saw, red where predicted ones, else transparent.
+    coverage: [N] conflicts.ORIGINAL, SEEN, PREDICTED."""
     shares = _shares(splats, coverage, camera)
     amount = shares[..., :2].sum(-1, keepdims=True)
     colors = shares[..., :2] / np.maximum(amount, 1e-6) @ np.array([[70, 200, 90], [235, 70, 60]], np.float32)
-    return np.concatenate([colors, 255 * VEIL * np.clip(amount, 0, 1)], -1).round().astype(np.uint8)
+    return np.concatenate([colors, 255 * OVERLAY_OPACITY * np.clip(amount, 0, 1)], -1).round().astype(np.uint8)
 
 
 def next_view(
     splats: Splats, coverage: np.ndarray, camera: Camera, center: np.ndarray, up: tuple[float, float, float]
 ) -> Camera | None:
-    """The view around `center`, from as far away as `camera` and with its lens, that shows most predicted rows; None
-    where none shows any worth mentioning."""
+    """The view around `center`, from as far away as `camera` and with its lens, that shows most predicted Gaussians;
+    None where none shows enough."""
     if not (coverage == PREDICTED).any():
         return None
     distance = float(np.linalg.norm(camera.position - center))
-    best, most = None, WORTH
-    for tilt in TILTS:
-        for look in orbit(center, max(distance, 1e-6), RING, elevation=tilt, up=up, width=EDGE, height=EDGE):
-            scale = EDGE / max(camera.width, camera.height)
-            view = replace(look, fx=camera.fx * scale, fy=camera.fy * scale)
-            found = float(_shares(splats, coverage, view)[..., 1].sum())
-            if found > most:
-                best, most = view, found
+    scale = VIEW_PX / max(camera.width, camera.height)
+    best, max_predicted = None, MIN_PREDICTED_PIXELS
+    for elevation in ELEVATIONS_DEGREES:
+        ring = orbit(
+            center, max(distance, 1e-6), ORBIT_VIEWS, elevation=elevation, up=up, width=VIEW_PX, height=VIEW_PX
+        )
+        for view in ring:
+            view = replace(view, fx=camera.fx * scale, fy=camera.fy * scale)
+            predicted = float(_shares(splats, coverage, view)[..., 1].sum())
+            if predicted > max_predicted:
+                best, max_predicted = view, predicted
     if best is None:
         return None
     return replace(camera, world_to_camera=best.world_to_camera)
 
 
 def _shares(splats: Splats, coverage: np.ndarray, camera: Camera) -> np.ndarray:
-    """[H, W, 3] parts of each pixel: rows seen, rows predicted, all others."""
+    """[H, W, 3] parts of each pixel: Gaussians seen, predicted, all others."""
     frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
     kinds = coverage[frame.gaussian_ids]
     colors = np.stack([kinds == SEEN, kinds == PREDICTED, np.ones(len(kinds), bool)], -1)

@@ -1,4 +1,4 @@
-"""The studio without HTTP: one open session, what was uploaded, the folders, and the state that clients are told.
+"""The studio without HTTP: one open session, what was uploaded, the folders, and the state that clients get.
 
 `open`, `refresh` and everything that changes the session run on the queue's one writer thread; `state`, `session.shown`
 and blobs may be read from anywhere.
@@ -20,18 +20,15 @@ from pydantic import ValidationError
 from splatpainter.cameras import AUTO_UP, Camera
 from splatpainter.io import files
 from splatpainter.server import describe
-from splatpainter.server.blobs import Blobs, Limits
-from splatpainter.server.messages.base import Problem
-from splatpainter.server.messages.state import AssetInfo, ProjectInfo, State
-from splatpainter.server.places import Downloads, Folder, Projects
-from splatpainter.server.problems import first_fault
+from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, State, first_fault
+from splatpainter.server.storage import Blobs, Downloads, Folder, Projects, UploadLimits
 from splatpainter.session import Session
 from splatpainter.session.scratch import ScratchFolder, sweep_folder, sweep_scratch
 from splatpainter.splats import Splats
 from splatpainter.user_folders import projects_folder
 
-EXPORTS = 64
-"""Exported views that a returning picture is compared with."""
+MAX_EXPORTED_VIEWS = 64
+"""The latest ones, which a returning picture is compared with."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +38,8 @@ class Options:
     folder: Path | None = None
     """The one folder whose files clients may open and write, and which is watched for saved pictures."""
     projects: Path | None = None
-    """Where projects live that have no place of their own; None: the user's data folder."""
-    limits: Limits = field(default_factory=Limits)
+    """Where new projects are saved; None: the user's data folder."""
+    limits: UploadLimits = field(default_factory=UploadLimits)
 
 
 @dataclass(frozen=True)
@@ -51,8 +48,8 @@ class ExportedView:
 
     name: str
     camera: Camera
-    small: np.ndarray = field(repr=False)
-    """[S, S, 3] float32 what it looked like, shrunk."""
+    thumbnail: np.ndarray = field(repr=False)
+    """[S, S, 3] float32 what it looked like."""
 
 
 class Studio:
@@ -65,13 +62,13 @@ class Studio:
         self.folder = None if options.folder is None else Folder(options.folder)
         self.projects = Projects(options.projects or projects_folder())
         sweep_scratch()
-        places = {self.projects.root, self.folder and self.folder.root, session.path and session.path.parent}
-        for place in places - {None}:
-            sweep_folder(place)
+        folders = {self.projects.root, self.folder and self.folder.root, session.path and session.path.parent}
+        for folder in folders - {None}:
+            sweep_folder(folder)
         self.blobs = Blobs(options.limits)
         self.scratch = ScratchFolder("studio")
         self.downloads = Downloads(self.scratch.path)
-        self.exports: deque[ExportedView] = deque(maxlen=EXPORTS)
+        self.exports: deque[ExportedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
         try:
@@ -96,11 +93,11 @@ class Studio:
             fresh.close()
             raise
         self.exports.clear()
-        _leave(old, self.projects)
+        _close(old, self.projects)
 
     def _adopt(self, session: Session, name: str) -> None:
         session_id, lists, shown = secrets.token_hex(8), describe.Lists(), session.shown
-        with _described(name):
+        with _one_line_errors(name):
             asset = describe.counted(describe.asset_info(session, name), session.original, shown.splats)
             state = self._state_of(session, session_id, name, asset, lists)
         self.session, self.session_id, self.name = session, session_id, name
@@ -108,14 +105,14 @@ class Studio:
         self.state = state
 
     def refresh(self) -> None:
-        """Describe the session anew; cheap where the rows are the same."""
+        """Describe the session anew; cheap where the Gaussians are the same."""
         session, shown = self.session, self.session.shown
         if self._asset.up != list(describe.up_axis(session)):
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
         if self._counted != shown.version:
             self._asset = describe.counted(self._asset, session.original, shown.splats)
             self._counted = shown.version
-        with _described(self.name):
+        with _one_line_errors(self.name):
             self.state = self._state_of(session, self.session_id, self.name, self._asset, self._lists)
 
     def _state_of(self, session: Session, session_id: str, name: str, asset: AssetInfo, lists: describe.Lists) -> State:
@@ -144,14 +141,14 @@ class Studio:
         return ProjectInfo(name=name, file=file, read_only=bool(reason), read_only_reason=self.public(reason))
 
     def public(self, text: str) -> str:
-        """A message without the folders that clients have no business with: of what lies there the name is said."""
+        """A message without the folders that clients have no business with; names of files in them stay."""
         roots = [self.projects.root, self.blobs.folder, self.scratch.path]
         roots += [] if self.folder is None else [self.folder.root]
         for root in sorted(map(str, roots), key=len, reverse=True):
             text = re.sub(re.escape(root) + r"[/\\]([0-9a-f]{16}[/\\])?", "", text)
         return text
 
-    def problem(self, problem: Problem) -> Problem:
+    def public_problem(self, problem: Problem) -> Problem:
         """The same with `public` texts."""
         return problem.model_copy(update={"message": self.public(problem.message), "hint": self.public(problem.hint)})
 
@@ -159,20 +156,20 @@ class Studio:
         """(bytes, content type) of a picture that was sent or made, or that a layer holds. Raises ValueError."""
         with contextlib.suppress(ValueError):
             blob = self.blobs.get(sha256)
-            return blob.path.read_bytes(), blob.claim.media
+            return blob.path.read_bytes(), blob.info.media
         with contextlib.suppress(ValueError):
             return self.session.blob(sha256), "image/png"
         raise ValueError(f"blob {sha256[:12]}...: not here (any more)")
 
     def close(self) -> None:
         """Leave nothing but the project file."""
-        _leave(self.session, self.projects)
+        _close(self.session, self.projects)
         self.blobs.close()
         self.scratch.close()
 
 
-def _leave(session: Session, projects: Projects) -> None:
-    """Close a session; a project of the studio's own folder in which nothing was done is not kept."""
+def _close(session: Session, projects: Projects) -> None:
+    """Close a session; a project of the studio's own folder in which nothing was done is removed."""
     path = session.path
     unused = path is not None and path.parent == projects.root and not session.read_only
     unused = unused and len(session.history) == 1 and not session.bookmarks() and session.up == AUTO_UP
@@ -182,8 +179,8 @@ def _leave(session: Session, projects: Projects) -> None:
 
 
 @contextlib.contextmanager
-def _described(name: str) -> Iterator[None]:
-    """Values of a project that cannot be told to clients are an error of one line."""
+def _one_line_errors(name: str) -> Iterator[None]:
+    """Values of a project that no message can hold are an error of one line."""
     try:
         yield
     except ValidationError as error:

@@ -1,0 +1,333 @@
+"""One WebSocket connection: its commands in order and each of them once, `hello` first, `cancel` at once.
+
+What a client is sent is always in this order: Gaussians that bring it to the present version, the state, then what was
+waiting for it (answers, previews). So an answer never comes before the Gaussians that it speaks of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Protocol
+
+import numpy as np
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from splatpainter.server import frames
+from splatpainter.server.hub import CommandError, Hub, is_id, parse
+from splatpainter.server.limits import parse_json
+from splatpainter.server.page_state import PageState
+from splatpainter.server.protocol import (
+    Answer,
+    Cancel,
+    Command,
+    CommandProgress,
+    Failure,
+    Greeting,
+    Hello,
+    Message,
+    Problem,
+    State,
+    Sync,
+)
+from splatpainter.server.schema import schema_hash
+from splatpainter.server.work_queue import Ticket
+
+MAX_QUEUED_COMMANDS = 64
+"""Commands of one client that may wait; those beyond fail."""
+PROGRESS_SECONDS = 0.1
+"""Between progress messages of one command."""
+BACKPRESSURE_MESSAGES = 64
+"""Messages that may wait for a client that reads slowly, before its next command has to wait too, ..."""
+BACKPRESSURE_BYTES = 64 << 20
+"""... and bytes of them."""
+MAX_UNSENT_MESSAGES = 1024
+"""Messages that may wait for a client; one that reads none of more is closed."""
+
+
+protocol_hash = cache(schema_hash)
+"""Of the protocol of this process; some milliseconds of work."""
+
+
+class Socket(Protocol):
+    """What a client is sent through; may wait where the client is slow."""
+
+    async def send_text(self, data: str) -> None: ...
+    async def send_bytes(self, data: bytes) -> None: ...
+
+
+async def serve(hub: Hub, socket: WebSocket) -> None:
+    """Until the client's connection ends."""
+    await socket.accept()
+    client = Client(hub, socket)
+    hub.clients.add(client)
+    reader = CommandReader(hub, client)
+    worker = asyncio.create_task(reader.work_all())
+    tasks = [asyncio.create_task(work) for work in (client.send_all(), reader.read_all(socket), client.overrun.wait())]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        hub.clients.discard(client)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        hub.closing.add(worker)
+        worker.add_done_callback(hub.closing.discard)
+        reader.close()
+        hub.mark_dirty()
+
+
+class Client:
+    """What one connection has been sent so far, and what waits to be."""
+
+    def __init__(self, hub: Hub, socket: Socket) -> None:
+        self.hub, self.socket = hub, socket
+        self.name = secrets.token_hex(4)
+        self.page = PageState("")
+        """Whose connection it is; `hello` says so."""
+        self.session, self.version = "", -1
+        """Which Gaussians it has; -1: none yet."""
+        self.greeted = self._closed = False
+        self._state: State | None = None
+        """The state that it was sent last; None: no greeting has gone out yet."""
+        self._state_due = False
+        self._unsent: list[str | _Preview | Greeting] = []
+        self._unsent_bytes = 0
+        self.overrun = asyncio.Event()
+        """Set where it reads so little that it has to be closed."""
+        self._wake, self._writable = asyncio.Event(), asyncio.Event()
+        self._writable.set()
+
+    def send(self, message: Message) -> None:
+        """Send a message after everything that it may speak of. A greeting goes out with the state of that moment."""
+        self._append(message if isinstance(message, Greeting) else message.model_dump_json())
+
+    def mark_dirty(self) -> None:
+        """Something changed: send what this client lacks."""
+        self._state_due = True
+        self._wake.set()
+
+    def show_preview(self, frame: bytes | None, gaussian_ids: np.ndarray | None) -> None:
+        """Send a preview, if there is one, and end the one before where its page's `clear_preview` says so."""
+        if frame is not None and gaussian_ids is not None:
+            self._append(_Preview(frame, gaussian_ids, self.hub.studio.session_id))
+        self._wake.set()
+
+    def _append(self, item: str | _Preview | Greeting) -> None:
+        if self._closed:
+            return
+        self._unsent.append(item)
+        self._unsent_bytes += item.size if isinstance(item, _Preview) else len(item) if isinstance(item, str) else 0
+        if len(self._unsent) >= BACKPRESSURE_MESSAGES or self._unsent_bytes >= BACKPRESSURE_BYTES:
+            self._writable.clear()
+        if len(self._unsent) > MAX_UNSENT_MESSAGES:
+            self._unsent.clear()
+            self.overrun.set()
+        self._wake.set()
+
+    def closed(self) -> None:
+        """Nobody reads any more: nothing is kept for it, nothing waits for it."""
+        self._closed = True
+        self._writable.set()
+
+    async def backpressure(self) -> None:
+        """Wait until not too much waits to be sent: whoever does not read gets no more work done."""
+        await self._writable.wait()
+
+    async def send_all(self) -> None:
+        """Send until cancelled or the connection breaks."""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            items, self._unsent = self._unsent, []
+            self._unsent_bytes = 0
+            self._writable.set()
+            if self.greeted:
+                await self._send_gaussians([item for item in items if isinstance(item, _Preview)])
+                if self._state_due and self._state is not None:
+                    self._state_due = False
+                    self._state, text = self.hub.state_diff(self._state)
+                    await self.socket.send_text(text)
+            for item in items:
+                if isinstance(item, str):
+                    await self.socket.send_text(item)
+                elif isinstance(item, Greeting):
+                    self._state, self._state_due = self.hub.studio.state, False
+                    state = self.hub.state()
+                    await self.socket.send_text(item.model_copy(update={"state": state}).model_dump_json())
+                elif item.session == self.session and item.version == self.version:
+                    old = self.page.previewed_ids
+                    self.page.previewed_ids = np.union1d(old, item.gaussian_ids) if len(old) else item.gaussian_ids
+                    await self.socket.send_bytes(item.frame)
+
+    async def _send_gaussians(self, previews: list[_Preview]) -> None:
+        """Those that changed since this client's version, and the true colours of those whose preview is over."""
+        studio, page = self.hub.studio, self.page
+        clear, page.clear_preview = page.clear_preview, False
+        version, session_id = studio.session.shown.version, studio.session_id
+        if self.session == session_id and self.version == version and not clear:
+            return
+        old, page.previewed_ids = page.previewed_ids, np.zeros(0, np.int64)
+        stale_ids = old if clear else np.zeros(0, np.int64)
+        if clear and previews:  # Gaussians that are about to be previewed anew need not flicker
+            stale_ids = np.setdiff1d(stale_ids, previews[-1].gaussian_ids, assume_unique=True)
+        since = self.version if self.session == session_id and self.version >= 0 else None
+        version, packed = await self.hub.frames(since, stale_ids)
+        if not clear:
+            page.previewed_ids = old
+        for frame in packed:
+            await self.socket.send_bytes(frame)
+        self.session, self.version = session_id, version
+
+
+class _Preview:
+    """A frame that shows what is not (yet) so."""
+
+    def __init__(self, frame: bytes, gaussian_ids: np.ndarray, session: str) -> None:
+        self.frame, self.gaussian_ids, self.session = frame, gaussian_ids, session
+        self.size = len(frame) + gaussian_ids.nbytes
+        self.version = frames.HEADER.unpack_from(frame)[4]
+
+
+class CommandReader:
+    """The commands of one client."""
+
+    def __init__(self, hub: Hub, client: Client) -> None:
+        self.hub, self.client = hub, client
+        self._commands: asyncio.Queue[tuple[int, Command, Ticket] | None] = asyncio.Queue(MAX_QUEUED_COMMANDS + 1)
+        self._active: set[int] = set()
+        """Numbers of its commands that wait or are in work."""
+        self._background: dict[asyncio.Task[None], Ticket] = {}
+
+    async def read_all(self, socket: WebSocket) -> None:
+        """Take messages until the connection ends."""
+        with contextlib.suppress(WebSocketDisconnect):
+            while True:
+                await self._take(await socket.receive_text())
+
+    async def _take(self, text: str) -> None:
+        number = 0
+        try:
+            try:
+                data = await parse_json(text)
+            except ValueError as error:
+                raise CommandError(Problem(kind="input", message=str(error))) from None
+            if isinstance(data, dict) and is_id(data.get("id")):
+                number = data["id"]
+            number, command = parse(data)
+            if isinstance(command, Cancel):
+                self._cancel(number, command)
+                return
+            if not self.client.greeted and not isinstance(command, Hello):
+                raise CommandError(Problem(kind="input", message="expected hello as the first message"))
+            if number in self._active or self._commands.qsize() >= MAX_QUEUED_COMMANDS:
+                why = "is still in work" if number in self._active else "came too fast"
+                raise CommandError(
+                    Problem(kind="busy", message=f"command {number} {why}", hint="Wait for the answers.")
+                )
+        except CommandError as error:
+            self.client.send(Failure(re=number, error=error.problem))
+            return
+        if isinstance(command, Hello):
+            self._greet(number, command)
+            return
+        ticket = Ticket(throttled_progress(self.client, number, asyncio.get_running_loop()))
+        self._active.add(number)
+        self.client.page.tickets.setdefault(number, ticket)
+        self._commands.put_nowait((number, command, ticket))
+
+    def _greet(self, number: int, command: Hello) -> None:
+        """Answer `hello`; Gaussians go out before it by themselves."""
+        if command.schema_hash != protocol_hash():
+            text = "This page is of another version than the studio."
+            problem = Problem(kind="schema", message=text, hint="Reload the page.")
+            self.client.send(Failure(re=number, error=problem))
+            return
+        studio, client = self.hub.studio, self.client
+        if command.session == studio.session_id and command.since is not None and command.since >= 0:
+            client.session, client.version = studio.session_id, command.since
+        greeting = Greeting(
+            re=number,
+            version=studio.session.version,
+            schema_hash=protocol_hash(),
+            client=client.name,
+            known=self.hub.pages.attach(client, command.page),
+            state=self.hub.state(),
+        )
+        client.greeted = True
+        client.send(greeting)
+        for other in self.hub.clients - {client}:
+            other.mark_dirty()
+
+    def _cancel(self, number: int, command: Cancel) -> None:
+        ticket = self.client.page.tickets.get(command.of)
+        if ticket is not None:
+            ticket.cancel()
+        self.client.send(Answer(re=number, version=self.hub.studio.session.version))
+
+    async def work_all(self) -> None:
+        """Execute commands, one after the other; long ones that change nothing run beside the rest."""
+        while (entry := await self._commands.get()) is not None:
+            number, command, ticket = entry
+            await self.client.backpressure()
+            if isinstance(command, Sync):
+                self.client.version = -1 if command.since is None else command.since
+                self.client.send(Answer(re=number, version=self.hub.studio.session.version))
+                self._done(number, ticket)
+            elif self.hub.handlers[type(command)].background:
+                task = asyncio.create_task(self._work(number, command, ticket))
+                self._background[task] = ticket
+                task.add_done_callback(self._background.pop)
+            else:
+                await self._work(number, command, ticket)
+
+    async def _work(self, number: int, command: Command, ticket: Ticket) -> None:
+        client, page = self.client, self.client.page
+
+        async def work() -> Answer:
+            return await self.hub.execute(command, page, ticket, client)
+
+        # What runs in the background ends with its connection, and may be done again.
+        background = self.hub.handlers[type(command)].background
+        try:
+            answer = await (work() if background else page.once(number, work))
+            client.send(answer.model_copy(update={"re": number}))
+        except CommandError as error:
+            client.send(Failure(re=number, error=error.problem))
+        finally:
+            self._done(number, ticket)
+
+    def _done(self, number: int, ticket: Ticket) -> None:
+        self._active.discard(number)
+        if self.client.page.tickets.get(number) is ticket:
+            del self.client.page.tickets[number]
+
+    def close(self) -> None:
+        """The connection has ended. Its commands are still done (the page may come back for the answers), but for long
+        ones that change nothing."""
+        for ticket in self._background.values():
+            ticket.cancel()
+        self._commands.put_nowait(None)
+        self.client.closed()
+        self.hub.pages.detach(self.client)
+
+
+def throttled_progress(client: Client, number: int, loop: asyncio.AbstractEventLoop) -> Callable[[float, str], None]:
+    """CommandProgress of a command from a worker thread to its page, at most every PROGRESS_SECONDS."""
+    last_time, last_stage = 0.0, ""
+
+    def report(share: float, stage: str) -> None:
+        nonlocal last_time, last_stage
+        now = time.monotonic()
+        if now - last_time < PROGRESS_SECONDS and stage == last_stage:
+            return
+        last_time, last_stage = now, stage
+        receiver = client.page.client or client
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(receiver.send, CommandProgress(re=number, progress=share, stage=stage))
+
+    return report

@@ -1,0 +1,147 @@
+"""What each command gets, and what several of them need: renders, uploaded masks, progress, Python lines.
+
+`@command(Kind, writes=True)` registers a function of (context, request), which runs on a worker thread and returns the
+answer. Those that write run one after the other, in the order in which their commands came; the others look at
+snapshots and may run beside them. Wrong input is a ValueError of one line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.rendering.profiles import Profile
+from splatpainter.server.describe import layer_info
+from splatpainter.server.image_registration import same_shape
+from splatpainter.server.page_state import PageState
+from splatpainter.server.protocol import Answer, Command, LayerMade
+from splatpainter.server.studio import Studio
+from splatpainter.server.work_queue import Ticket
+from splatpainter.sources.color import to_display
+from splatpainter.sources.pictures import read_mask, resample
+from splatpainter.splats import Splats
+
+Run = Callable[["CommandContext", Any], Answer]
+Function = TypeVar("Function", bound=Callable[..., Answer])
+
+
+@dataclass
+class CommandContext:
+    """One command on its way."""
+
+    studio: Studio
+    page: PageState
+    ticket: Ticket
+    preview: bytes | None = None
+    """A frame of Gaussians to show to this page alone, with the answer."""
+    previewed_ids: np.ndarray | None = None
+    """[C] the Gaussians in it."""
+    clear_preview: bool = False
+    """Whether Gaussians that this page previews shall show their true colours again."""
+
+
+@dataclass(frozen=True)
+class Handler:
+    """How a command is executed."""
+
+    run: Run
+    writes: bool
+    """Whether it may change the session."""
+    background: bool
+    """Whether the client's next commands need not wait for it (long work that changes nothing)."""
+
+
+HANDLERS: dict[type[Command], Handler] = {}
+
+
+def command(kind: type[Command], *, writes: bool = False, background: bool = False) -> Callable[[Function], Function]:
+    """Register the function for a command; the words are those of Handler."""
+
+    def register(run: Function) -> Function:
+        HANDLERS[kind] = Handler(run, writes, background)
+        return run
+
+    return register
+
+
+class RawExpr(str):
+    """A Python expression in a `python_line`, not a string literal."""
+
+    __repr__ = str.__str__
+
+
+def python_line(function: str, *args: Any, **kwargs: Any) -> str:
+    """A call as one would write it; keywords that are None are left out."""
+    parts = [repr(value) for value in args]
+    parts += [f"{name}={value!r}" for name, value in kwargs.items() if value is not None]
+    return f"{function}({', '.join(parts)})"
+
+
+@contextlib.contextmanager
+def naming_errors(path: Path, name: str) -> Iterator[None]:
+    """Errors about the file at `path` name it as its owner does."""
+    try:
+        yield
+    except ValueError as error:
+        if str(path) not in str(error):
+            raise
+        raise ValueError(str(error).replace(str(path), name)) from None
+
+
+def render_display(splats: Splats, camera: Camera, profile: Profile = "inria") -> np.ndarray:
+    """[H, W, 3] display colours."""
+    from splatpainter.rendering import render
+
+    return to_display(render(splats, camera, profile=profile).colors[0], splats.color_space)
+
+
+def render_alpha(splats: Splats, camera: Camera) -> np.ndarray:
+    """[H, W] how much of each pixel the asset covers, 0..1."""
+    from splatpainter.rendering import render
+
+    return render(splats, camera).alphas[0, ..., 0]
+
+
+@contextlib.contextmanager
+def progress(context: CommandContext, stage: str) -> Iterator[None]:
+    """Let the session report what it computes, and stop it where the command was cancelled."""
+    session = context.studio.session
+    context.ticket.report(0, stage)
+    session.progress = lambda done, total, name: context.ticket.report(done / max(total, 1), name)
+    try:
+        yield
+    finally:
+        session.progress = None
+
+
+def layer_made(context: CommandContext, layer: str, python: str) -> LayerMade:
+    """The answer with a layer as it now is."""
+    session = context.studio.session
+    return LayerMade(layer=layer_info(session, session.layer(layer)), python=python)
+
+
+def mask_from_upload(context: CommandContext, blob: str, camera: Camera) -> np.ndarray:
+    """[H, W] bool of an uploaded mask. Raises ValueError where it is empty or of another shape than the camera."""
+    stored = context.studio.blobs.get(blob, "picture")
+    name, size = stored.name or "mask", (camera.width, camera.height)
+    with naming_errors(stored.path, name):
+        mask = read_mask(stored.path)
+    check_shape(name, (mask.shape[1], mask.shape[0]), size)
+    if not mask.any():
+        raise ValueError(f"{name}: is empty; expected some pixels that are not black")
+    return mask if mask.shape[::-1] == size else resample(mask.astype(np.float32), *size) > 0.25
+
+
+def check_shape(name: str, size: tuple[int, int], expected: tuple[int, int]) -> None:
+    """Raises ValueError where an upload of `size` (width, height) is not its view, resized."""
+    if not same_shape(size, expected):
+        raise ValueError(
+            f"{name}: expected the shape of its view ({expected[0]}x{expected[1]}), got {size[0]}x{size[1]}; "
+            "resize without cropping"
+        )

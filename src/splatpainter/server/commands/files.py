@@ -1,0 +1,310 @@
+"""Bookmarks, assets, projects, exports, receipts."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+from pathlib import Path
+from typing import Any, Literal
+
+from splatpainter.io import FORMATS, files, read
+from splatpainter.server.commands.context import CommandContext, command, naming_errors, python_line
+from splatpainter.server.describe import camera_from_wire, camera_to_wire
+from splatpainter.server.protocol import (
+    Answer,
+    Blob,
+    BookmarkInfo,
+    CameraInfo,
+    Command,
+    Exported,
+    FileName,
+    Message,
+    Name,
+)
+from splatpainter.server.storage import PROJECT, StoredBlob, demo
+from splatpainter.server.studio import Studio
+from splatpainter.session import Session
+from splatpainter.session.scratch import scratch_folder
+
+
+class BookmarkMade(Answer):
+    bookmark: BookmarkInfo
+
+
+class BookmarkAdd(Command):
+    NAME = "bookmark.add"
+    ANSWER = BookmarkMade
+    name: Name
+    camera: CameraInfo
+
+
+@command(BookmarkAdd, writes=True)
+def add_bookmark(context: CommandContext, request: BookmarkAdd) -> BookmarkMade:
+    camera = camera_from_wire(request.camera)
+    id = context.studio.session.add_bookmark(request.name, camera)
+    info = BookmarkInfo(id=id, name=request.name, camera=camera_to_wire(camera))
+    line = python_line("session.add_bookmark", request.name)[:-1] + ", camera)"
+    return BookmarkMade(bookmark=info, python=line)
+
+
+class BookmarkDelete(Command):
+    NAME = "bookmark.delete"
+    bookmark: str
+
+
+@command(BookmarkDelete, writes=True)
+def delete_bookmark(context: CommandContext, request: BookmarkDelete) -> Answer:
+    context.studio.session.delete_bookmark(request.bookmark)
+    return Answer(python=python_line("session.delete_bookmark", request.bookmark))
+
+
+class AssetOpen(Command):
+    """A new session. Exactly one of: a blob that was sent, a file of the studio's folder, the demo asset."""
+
+    NAME = "asset.open"
+    blob: Blob | None = None
+    file: FileName | None = None
+    demo: bool = False
+
+
+@command(AssetOpen, writes=True)
+def open_asset(context: CommandContext, request: AssetOpen) -> Answer:
+    studio = context.studio
+    if (request.blob is not None) + (request.file is not None) + request.demo != 1:
+        raise ValueError("asset: expected one of blob, file or demo")
+    context.ticket.report(0, "reading")
+    name, path = "demo", None
+    if request.blob is not None:
+        blob = studio.blobs.get(request.blob, "asset")
+        name, path = blob.name or f"asset{blob.info.ending}", blob.path
+    elif request.file is not None:
+        name, path = request.file, _folder_file(studio, request.file)
+    with contextlib.nullcontext() if path is None else naming_errors(path, name):
+        studio.open(lambda: Session(demo() if path is None else read(path), studio.projects.fresh(name)), name)
+    return Answer(python=python_line("session = sp.Session", name))
+
+
+class AssetUp(Command):
+    """Turn the asset on the screen; no Gaussian changes, and the project remembers it."""
+
+    NAME = "asset.up"
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    """World axis that is to point up."""
+
+
+@command(AssetUp, writes=True)
+def set_up_axis(context: CommandContext, request: AssetUp) -> Answer:
+    context.studio.session.set_up(request.up)
+    return Answer(python=python_line("session.set_up", request.up))
+
+
+class ProjectOpen(Command):
+    """Exactly one of: a file of the studio's folder, an id of `project.recent`, a blob that was sent."""
+
+    NAME = "project.open"
+    file: FileName | None = None
+    recent: str | None = None
+    blob: Blob | None = None
+
+
+@command(ProjectOpen, writes=True)
+def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
+    studio = context.studio
+    if sum(source is not None for source in (request.blob, request.file, request.recent)) != 1:
+        raise ValueError("project: expected one of file, recent or blob")
+    context.ticket.report(0, "opening")
+    if request.blob is not None:
+        blob = studio.blobs.get(request.blob, "project")
+        name = Path(blob.name).stem or "project"
+        studio.open(lambda: _open_upload(studio, blob, name), name)
+        return Answer(python=python_line("session = sp.Session.load", f"{name}{PROJECT}"))
+    options: dict[str, Any] = {"embedded": True}
+    if request.recent is not None:
+        path = studio.projects.find(request.recent)
+        name = request.recent.rsplit("_", 1)[0]
+    else:
+        path = _folder_file(studio, request.file or "")
+        name = path.stem
+        assert studio.folder is not None
+        options = {"folder": studio.folder.root}
+    if studio.session.path is None or path.resolve() != studio.session.path.resolve():
+        studio.open(lambda: Session.load(path, **options), name)
+    return Answer(python=python_line("session = sp.Session.load", path.name))
+
+
+def _open_upload(studio: Studio, blob: StoredBlob, name: str) -> Session:
+    """A session on an uploaded project, which then lies in the studio's own folder. Only one that opens gets there."""
+    title = blob.name or "the project"
+    with scratch_folder("studio") as folder:
+        copy = folder / f"upload{PROJECT}"
+        try:
+            shutil.copyfile(blob.path, copy)
+        except OSError as error:
+            raise ValueError(f"{title}: cannot be copied ({error.strerror or error})") from None
+        with naming_errors(copy, title):
+            session = Session.load(copy, embedded=True, readonly=False)
+            try:
+                session.save_as(studio.projects.fresh(name))
+            except BaseException:
+                session.close()
+                raise
+    return session
+
+
+class ProjectSaveAs(Command):
+    """Move the project to a file in the studio's folder; from then on it lives there."""
+
+    NAME = "project.save_as"
+    file: FileName
+    overwrite: bool = False
+
+
+@command(ProjectSaveAs, writes=True)
+def save_as(context: CommandContext, request: ProjectSaveAs) -> Answer:
+    studio = context.studio
+    if studio.folder is None:
+        raise ValueError("project: the studio was started without a folder; export it as a download instead")
+    name = request.file if request.file.lower().endswith(PROJECT) else request.file + PROJECT
+    path = studio.folder.file(name, new=True)
+    before = studio.session.path
+    studio.session.save_as(path, overwrite=request.overwrite)
+    if before is not None and before.parent == studio.projects.root:
+        files.remove(before)  # it moved
+    studio.name = path.stem
+    return Answer(python=python_line("session.save_as", name))
+
+
+class ProjectDownload(Command):
+    """A copy of the project, whole, to download."""
+
+    NAME = "project.download"
+    ANSWER = Exported
+
+
+@command(ProjectDownload)
+def download_project(context: CommandContext, request: ProjectDownload) -> Exported:
+    studio = context.studio
+    path = studio.downloads.folder() / f"{Path(studio.state.project.name).stem or 'project'}{PROJECT}"
+    studio.session.save_copy(path)
+    url = studio.downloads.add(path)
+    return Exported(
+        url=url, file=path.name, bytes=path.stat().st_size, python=python_line("session.save_copy", path.name)
+    )
+
+
+class RecentInfo(Message):
+    id: str
+    name: str
+    changed: float
+    """Seconds since 1970."""
+
+
+class RecentProjects(Answer):
+    recent: list[RecentInfo]
+    """Newest first."""
+    files: list[str]
+    """Assets and projects in the studio's folder."""
+
+
+class ProjectRecent(Command):
+    NAME = "project.recent"
+    ANSWER = RecentProjects
+
+
+@command(ProjectRecent)
+def recent_projects(context: CommandContext, request: ProjectRecent) -> RecentProjects:
+    studio = context.studio
+    recent = [RecentInfo(id=p.id, name=p.name, changed=p.changed) for p in studio.projects.recent()]
+    return RecentProjects(recent=recent, files=[] if studio.folder is None else studio.folder.names())
+
+
+class AssetExport(Command):
+    """The asset as it is, as a file of the format that the name's ending says (`formats` of the state)."""
+
+    NAME = "export"
+    ANSWER = Exported
+    file: FileName
+
+
+@command(AssetExport, background=True)
+def export_asset(context: CommandContext, request: AssetExport) -> Exported:
+    studio = context.studio
+    context.ticket.report(0, "writing and verifying")
+    path = studio.downloads.folder() / Path(request.file).name
+    studio.session.export(path)
+    receipt = path.with_name(path.name + ".receipt.json")
+    return Exported(
+        url=studio.downloads.add(path),
+        file=path.name,
+        bytes=path.stat().st_size,
+        receipt_url=studio.downloads.add(receipt),
+        python=python_line("session.export", path.name),
+    )
+
+
+class ReceiptMade(Answer):
+    receipt: dict[str, Any]
+    """Of the whole session: original against now."""
+    text: str
+    """One line for people."""
+
+
+class ReceiptShow(Command):
+    NAME = "receipt"
+    ANSWER = ReceiptMade
+
+
+@command(ReceiptShow, background=True)
+def show_receipt(context: CommandContext, request: ReceiptShow) -> ReceiptMade:
+    receipt = context.studio.session.receipt()
+    appended = f", {receipt.appended_rows:,} appended" if receipt.appended_rows else ""
+    text = f"{receipt.untouched_rows:,} of {receipt.asset_rows:,} rows byte-identical{appended}"
+    return ReceiptMade(receipt=json.loads(receipt.to_json()), text=text, python="session.receipt()")
+
+
+class Verified(Answer):
+    proved: bool
+    rows: int
+    same: int
+    changed: int
+    appended: int
+    problems: list[str]
+    exact: str
+    """How the rows of the file were compared."""
+
+
+class AssetVerify(Command):
+    """Write the asset, read it again, and compare it row by row with the original."""
+
+    NAME = "verify"
+    ANSWER = Verified
+
+
+@command(AssetVerify, background=True)
+def verify_asset(context: CommandContext, request: AssetVerify) -> Verified:
+    session = context.studio.session
+    source = session.original.source
+    entry = None if source is None else FORMATS.get(source.format)
+    ending = ".ply" if entry is None or entry.write is None or not entry.suffixes else entry.suffixes[0]
+    context.ticket.report(0, "writing and reading again")
+    with scratch_folder("verify") as folder:
+        _, proof = session.export(folder / f"asset{ending}")
+    context.ticket.report(0.5, "replaying the layers")
+    problems = [*proof.problems, *session.verify()]
+    return Verified(
+        proved=not problems,
+        rows=proof.rows,
+        same=proof.same,
+        changed=proof.changed,
+        appended=proof.appended,
+        problems=problems,
+        exact=proof.exact,
+        python="session.verify()",
+    )
+
+
+def _folder_file(studio: Studio, name: str) -> Path:
+    if studio.folder is None:
+        raise ValueError(f"{name}: the studio was started without a folder; drop the file into the page instead")
+    return studio.folder.file(name)

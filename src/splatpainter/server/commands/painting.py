@@ -1,0 +1,238 @@
+"""Strokes with their preview, and layers from edited pictures."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import secrets
+import threading
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from splatpainter.cameras import find_alpha
+from splatpainter.painter import Edit
+from splatpainter.server import frames
+from splatpainter.server.commands.context import (
+    CommandContext,
+    RawExpr,
+    check_shape,
+    command,
+    layer_made,
+    mask_from_upload,
+    naming_errors,
+    progress,
+    python_line,
+)
+from splatpainter.server.describe import camera_from_wire
+from splatpainter.server.protocol import (
+    MAX_VIEW_PIXELS,
+    Answer,
+    Blend,
+    Blob,
+    CameraInfo,
+    Command,
+    LayerMade,
+    Message,
+    Method,
+    Mode,
+    Name,
+    Previewed,
+    Unit,
+)
+from splatpainter.server.stroke import Stroke
+from splatpainter.session.replay import WITHIN
+from splatpainter.sources.color import from_display
+from splatpainter.sources.files import FileEdit, unmultiplied
+from splatpainter.sources.pictures import read_picture
+
+
+class StrokeStarted(Answer):
+    stroke: str
+
+
+class PaintBegin(Command):
+    """Start a stroke on a view; the server keeps the view's projection, so that dabs are quick. One stroke per page:
+    a second one cancels the first."""
+
+    NAME = "paint.begin"
+    ANSWER = StrokeStarted
+    camera: CameraInfo
+    kind: Literal["paint", "clone", "erase"] = "paint"
+    """erase: back to the original; the patches' alpha counts, their colours do not."""
+
+
+@command(PaintBegin)
+def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
+    studio = context.studio
+    stroke = Stroke(camera_from_wire(request.camera), request.kind == "erase")
+    now = studio.session.shown
+    stroke.prepare(now.splats, studio.original, now.version)
+    threading.Thread(target=studio.session.prepare, daemon=True).start()  # ready when the pen goes up
+    context.clear_preview = True
+    name = secrets.token_hex(6)
+    context.page.strokes = {name: stroke}
+    return StrokeStarted(stroke=name)
+
+
+class PaintDab(Command):
+    """New pixels of the stroke. The patch replaces what the stroke holds in that rectangle (send the composite of all
+    dabs so far). Straight alpha: 0 is unpainted, colours are what the view shall show where alpha is 1."""
+
+    NAME = "paint.dab"
+    ANSWER = Previewed
+    stroke: str
+    x: int = Field(ge=0)
+    y: int = Field(ge=0)
+    """Left upper corner in pixels of the view."""
+    width: int = Field(ge=1, le=16384)
+    height: int = Field(ge=1, le=16384)
+    rgba: str = Field(max_length=6 * MAX_VIEW_PIXELS)
+    """Base64 of width * height * 4 bytes, row by row from the top (canvas ImageData)."""
+
+
+@command(PaintDab)
+def dab(context: CommandContext, request: PaintDab) -> Previewed:
+    studio, stroke = context.studio, _stroke(context, request.stroke)
+    try:
+        rgba = base64.b64decode(request.rgba, validate=True)
+    except binascii.Error:
+        raise ValueError("dab: expected base64 of RGBA bytes") from None
+    box = stroke.patch(request.x, request.y, request.width, request.height, rgba)
+    now = studio.session.shown
+    ids, sh = stroke.preview(now.splats, studio.original, now.version, box)
+    if len(ids):
+        context.preview = frames.preview_colors(sh, ids, len(now.splats), now.version)
+        context.previewed_ids = ids
+    return Previewed(rows=len(ids))
+
+
+class PaintEnd(Command):
+    """Commit the stroke as a layer (the chosen method runs on the server's own copy of the stroke's pixels, over its
+    float render: nothing to upload). Its Gaussians come as a delta; previewed ones that it leaves alone get
+    their colours back."""
+
+    NAME = "paint.end"
+    ANSWER = LayerMade
+    stroke: str
+    name: Name = "Stroke"
+    method: Method = "auto"
+    opacity: Unit = 1.0
+    blend: Blend = "normal"
+
+
+@command(PaintEnd, writes=True)
+def end(context: CommandContext, request: PaintEnd) -> LayerMade:
+    studio, stroke = context.studio, _stroke(context, request.stroke)
+    if not stroke.mask.any():
+        raise ValueError("stroke: nothing was painted")
+    session = studio.session
+    now = session.shown
+    picture = stroke.picture(now.splats, studio.original, now.version)
+    image = from_display(picture.astype(np.float32), now.splats.color_space)
+    edit = Edit(image, stroke.camera, stroke.mask, request.name)
+    kind = "erase" if stroke.erase else "paint"
+    options = {"name": request.name, "method": request.method, "opacity": request.opacity, "blend": request.blend}
+    with progress(context, "painting"):
+        layer = session.add(kind, [edit], **options)
+    context.page.strokes.pop(request.stroke, None)
+    context.clear_preview = True
+    line = python_line("session.add", kind, [RawExpr("sp.Edit(picture, camera, mask)")], **options)
+    return layer_made(context, layer.id, line)
+
+
+class PaintCancel(Command):
+    """Drop the stroke; previewed Gaussians get their colours back."""
+
+    NAME = "paint.cancel"
+    stroke: str
+
+
+@command(PaintCancel)
+def cancel(context: CommandContext, request: PaintCancel) -> Answer:
+    context.page.strokes.pop(request.stroke, None)
+    context.clear_preview = True
+    return Answer()
+
+
+class EditedView(Message):
+    """One edited picture, of its camera's size (other sizes of the same shape are resampled)."""
+
+    camera: CameraInfo
+    picture: Blob
+    """Transparent pixels: unchanged."""
+    mask: Blob | None = None
+    """What is not black was edited; None: found by comparing with the render."""
+
+
+class EditAdd(Command):
+    """A layer from 1 to 4 edited pictures. mode local: only what was edited; global: regrades or relights everything.
+    kind erase: Gaussians that the masks reach go back to the original."""
+
+    NAME = "edit"
+    ANSWER = LayerMade
+    views: list[EditedView] = Field(min_length=1, max_length=4)
+    kind: Literal["paint", "picture", "clone", "erase"] = "picture"
+    mode: Mode = "local"
+    method: Method = "auto"
+    name: Name = "Picture"
+    opacity: Unit = 1.0
+    blend: Blend = "normal"
+    within: bool = False
+    """Of mode global: only Gaussians that the masks reach change, and only masked pixels count."""
+    stroke: str | None = None
+    """A previewed stroke that this edit replaces."""
+
+
+@command(EditAdd, writes=True)
+def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
+    session = context.studio.session
+    if request.kind == "erase":
+        edits = [_eraser_from_upload(context, view) for view in request.views]
+    else:
+        edits = [edit_from_upload(context, view, request.mode) for view in request.views]
+    options: dict[str, Any] = {"name": request.name, "mode": request.mode, "method": request.method}
+    options |= {"opacity": request.opacity, "blend": request.blend}
+    if request.within and request.mode == "global":
+        edits = [edit for edit in edits if edit.mask is not None]
+        if not edits:
+            raise ValueError("edit: expected a mask in one of the views; select an area on one of them")
+        options["parameters"] = {WITHIN: True}
+    with progress(context, "editing"):
+        layer = session.add(request.kind, edits, **options)
+    if request.stroke is not None:
+        context.page.strokes.pop(request.stroke, None)
+    context.clear_preview = True
+    words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
+    return layer_made(context, layer.id, python_line("session.add", request.kind, words, **options))
+
+
+def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> Edit:
+    """An uploaded picture as an edit of the asset as it now is; transparent pixels change nothing."""
+    camera = camera_from_wire(view.camera)
+    blob = context.studio.blobs.get(view.picture, "picture")
+    name = Path(blob.name or "picture")
+    with naming_errors(blob.path, str(name)):
+        picture = read_picture(blob.path)
+    check_shape(str(name), picture.size, (camera.width, camera.height))
+    mask = None if view.mask is None else mask_from_upload(context, view.mask, camera)
+    alpha = find_alpha(blob.path)
+    resized = unmultiplied(picture, alpha).resized(camera.width, camera.height)
+    source = FileEdit(name, resized, picture.size, camera, mask, picture.notes, cut_out=alpha is not None)
+    return source.edit(context.studio.session.splats, mode)
+
+
+def _eraser_from_upload(context: CommandContext, view: EditedView) -> Edit:
+    """Of an eraser only the mask counts: the mask given, else the picture as one."""
+    camera = camera_from_wire(view.camera)
+    mask = mask_from_upload(context, view.mask or view.picture, camera)
+    return Edit(np.zeros((camera.height, camera.width, 3), np.float32), camera, mask, "erase")
+
+
+def _stroke(context: CommandContext, name: str) -> Stroke:
+    stroke = context.page.strokes.get(name)
+    if stroke is None:
+        raise ValueError("stroke: there is no such stroke (any more); begin a new one")
+    return stroke

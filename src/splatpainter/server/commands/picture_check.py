@@ -1,0 +1,227 @@
+"""A picture that comes back: its camera found, put straight, compared. Changes nothing."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from splatpainter.cameras import Alpha, Camera, find_alpha, find_camera
+from splatpainter.server import image_registration as registration
+from splatpainter.server.commands.context import CommandContext, command, render_alpha, render_display
+from splatpainter.server.describe import camera_from_wire, camera_to_wire
+from splatpainter.server.image_registration import Crop, find_crop
+from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
+from splatpainter.server.storage import StoredBlob
+from splatpainter.sources.color import to_display
+from splatpainter.sources.files import over_render, unmultiplied
+from splatpainter.sources.pictures import Picture, read_picture
+
+MAX_CROP_CANDIDATES = 8
+"""Latest exported views that a picture without a camera may be a part of."""
+MAX_CROP_ERROR_RATIO = 0.5
+"""A picture of its view's shape is a part of it only where that agrees better by this factor."""
+CameraSource = Literal["given", "chunk", "sidecar", "export"]
+
+
+class PictureWarning(Message):
+    message: str
+    picture: Blob | None = None
+    """Shows where, of the camera's size, transparent elsewhere."""
+
+
+class PictureChecked(Answer):
+    camera: CameraInfo
+    camera_source: CameraSource
+    """Where the camera came from; "export": the export that the picture resembles most."""
+    picture: Blob
+    """PNG at the camera's size, put straight: use this one in `edit`."""
+    mask: Blob
+    """PNG of the change mask (white: changed), of the camera's size."""
+    share: Unit
+    """Of the pixels, changed."""
+    shift: tuple[float, float]
+    """Pixels (right, down) that the picture had been moved by, and that were taken back."""
+    notes: list[str]
+    """What was done to the picture (resampled, converted from a colour profile), one line each."""
+    warnings: list[PictureWarning]
+    """E.g. that the whole picture changed, also where nothing was painted."""
+
+
+class PictureCheck(Command):
+    """What a dropped picture is: its camera, its size and shift corrected, what changed in it. Changes nothing."""
+
+    NAME = "picture.check"
+    ANSWER = PictureChecked
+    picture: Blob
+    name: str = Field(default="", max_length=300)
+    """File name, for the sidecar and the exports of the watched folder."""
+    camera: CameraInfo | None = None
+    threshold: Unit | None = None
+    """Differences (0..1) from which a pixel counts as changed; None: found from the picture's noise."""
+
+
+@command(PictureCheck)
+def check_picture(context: CommandContext, request: PictureCheck) -> PictureChecked:
+    studio = context.studio
+    blob = studio.blobs.get(request.picture, "picture")
+    name = request.name or blob.name or "picture"
+    picture = read_picture(blob.path)
+    camera, source = _camera(context, request, blob, name, picture)
+    alpha = _alpha_kind(context, blob, name)
+    picture = unmultiplied(picture, alpha)
+    notes, warnings = list(picture.notes), []
+    size = (camera.width, camera.height)
+    render = _render(context, camera)
+    crop = _crop(picture, render)
+    if crop is None and not registration.same_shape(picture.size, size):
+        got, expected = f"{picture.size[0]}x{picture.size[1]}", f"{size[0]}x{size[1]}"
+        raise ValueError(
+            f"{name}: expected the shape of its view ({expected}) or a part of it, got {got}, which is like no part; "
+            "resize without cropping"
+        )
+    shift = (0, 0)
+    if crop is not None:
+        colors = render.copy()
+        colors[crop.window] = _flat(picture, render[crop.window], (crop.width, crop.height))
+        notes.append(f"a part of its view: {crop.width}x{crop.height} at {crop.x}, {crop.y}; the rest is unchanged")
+    else:
+        if picture.size != size:
+            notes.append(f"resampled from {picture.size[0]}x{picture.size[1]} to its camera's {size[0]}x{size[1]}")
+        colors = _flat(picture, render, size) if alpha is None else _cut_out(context, picture, render, camera)
+        shift = registration.find_shift(colors, render)
+    if shift != (0, 0):
+        colors = registration.undo_shift(colors, render, *shift)
+        notes.append(f"moved back by {shift[0]}, {shift[1]} pixels")
+    mask = registration.changed_mask(colors, render, request.threshold)
+    share = float(mask.mean())
+    if camera.asset_sha256 not in (None, studio.original.sha256):
+        text = "The picture was rendered from another asset: every difference counts as an edit."
+        warnings.append(PictureWarning(message=text))
+    if share > registration.REGRADED_SHARE:
+        text = f"{100 * share:.0f} % of the picture changed. If it was regraded as a whole, use it as a global edit."
+        warnings.append(PictureWarning(message=text))
+    else:
+        faint = registration.faint_changes(colors, render, mask)
+        if faint.mean() > registration.FAINT_WARNING_SHARE * (1 - share):
+            text = (
+                f"{100 * faint.mean():.0f} % of the picture changed a little outside the edit; it will be left alone."
+            )
+            overlay = studio.blobs.put(registration.png_bytes(registration.overlay(faint)), "outside.png").sha256
+            warnings.append(PictureWarning(message=text, picture=overlay))
+    if not mask.any():
+        warnings.append(PictureWarning(message="The picture does not differ from the asset as it is now."))
+    return PictureChecked(
+        camera=camera_to_wire(camera),
+        camera_source=source,
+        picture=studio.blobs.put(registration.png_bytes(colors), name).sha256,
+        mask=studio.blobs.put(registration.png_bytes(mask), "mask.png").sha256,
+        share=share,
+        shift=shift,
+        notes=notes,
+        warnings=warnings,
+    )
+
+
+def _camera(
+    context: CommandContext, request: PictureCheck, blob: StoredBlob, name: str, picture: Picture
+) -> tuple[Camera, CameraSource]:
+    """The camera of a picture and where that came from. Raises ValueError where there is none."""
+    camera, source = _find_camera(context, request, blob, name, picture)
+    pixels = camera.width * camera.height
+    if pixels > MAX_VIEW_PIXELS:  # a view that was exported larger than one is painted: the picture is shrunk with it
+        scale = (MAX_VIEW_PIXELS / pixels) ** 0.5
+        camera = camera.resized(max(1, int(scale * camera.width)), max(1, int(scale * camera.height)))
+    return camera, source
+
+
+def _alpha_kind(context: CommandContext, blob: StoredBlob, name: str) -> Alpha | None:
+    """How a picture that was exported without a background keeps its colours, as it or its sidecar says."""
+    kind = find_alpha(blob.path)
+    if kind is None and context.studio.folder is not None:
+        with contextlib.suppress(ValueError):
+            kind = find_alpha(blob.path, context.studio.folder.file(f"{Path(Path(name).name).stem}.json"))
+    return kind
+
+
+def _cut_out(context: CommandContext, picture: Picture, render: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W, 3] a picture that was exported without a background, with the view's background."""
+    resized = picture.resized(camera.width, camera.height)
+    if resized.alpha is None:
+        return resized.colors
+    splats = context.studio.session.splats
+    cover = render_alpha(splats, camera)
+    red, green, blue = to_display(np.array(camera.background), splats.color_space).tolist()
+    return over_render(resized.colors, resized.alpha, render, cover, (red, green, blue))
+
+
+def _find_camera(
+    context: CommandContext, request: PictureCheck, blob: StoredBlob, name: str, picture: Picture
+) -> tuple[Camera, CameraSource]:
+    studio = context.studio
+    if request.camera is not None:
+        return camera_from_wire(request.camera), "given"
+    with contextlib.suppress(ValueError):
+        return find_camera(blob.path), "chunk"
+    stem = Path(Path(name).name).stem
+    if studio.folder is not None and stem:
+        with contextlib.suppress(ValueError):
+            sidecar = studio.folder.file(f"{stem}.json")
+            return find_camera(blob.path, sidecar), "sidecar"
+    candidates = [e for e in studio.exports if registration.same_shape(picture.size, (e.camera.width, e.camera.height))]
+    for export in reversed(candidates):
+        if Path(export.name).stem == stem and stem != "view":
+            return export.camera, "export"
+    colors = picture.colors if picture.alpha is None else picture.colors * picture.alpha[..., None]
+    best = registration.most_alike(colors, [export.thumbnail for export in candidates])
+    if best is None:
+        camera = _cropped_from(context, colors)
+        if camera is not None:
+            return camera, "export"
+        raise ValueError(
+            f"{name}: it carries no camera and is like no exported view; turn to its view and drop it there"
+        )
+    return candidates[best].camera, "export"
+
+
+def _crop(picture: Picture, render: np.ndarray) -> Crop | None:
+    """The part of the view that the picture shows; None where it shows all of it, or none that can be told."""
+    height, width = render.shape[:2]
+    if picture.size == (width, height):
+        return None
+    crop = find_crop(_opaque(picture), render)
+    if crop is not None and registration.same_shape(picture.size, (width, height)):
+        uncropped_error = registration.error_at(_opaque(picture, (width, height)), render)
+        return crop if crop.error < MAX_CROP_ERROR_RATIO * uncropped_error else None
+    return crop
+
+
+def _cropped_from(context: CommandContext, colors: np.ndarray) -> Camera | None:
+    """The latest exported view that a picture is a part of."""
+    for export in list(context.studio.exports)[: -MAX_CROP_CANDIDATES - 1 : -1]:
+        context.ticket.check()
+        if find_crop(colors, _render(context, export.camera)) is not None:
+            return export.camera
+    return None
+
+
+def _render(context: CommandContext, camera: Camera) -> np.ndarray:
+    return np.clip(render_display(context.studio.session.splats, camera), 0, 1)
+
+
+def _opaque(picture: Picture, size: tuple[int, int] | None = None) -> np.ndarray:
+    """[H, W, 3] its colours over black."""
+    resized = picture.resized(*(size or picture.size))
+    return resized.colors if resized.alpha is None else resized.colors * resized.alpha[..., None]
+
+
+def _flat(picture: Picture, render: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """[H, W, 3] the picture at a size over the render, where it is transparent."""
+    resized = picture.resized(*size)
+    if resized.alpha is None:
+        return resized.colors
+    alpha = resized.alpha[..., None]
+    return alpha * resized.colors + (1 - alpha) * render

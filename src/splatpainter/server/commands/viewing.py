@@ -1,0 +1,263 @@
+"""Renders, turntables, picking, coverage. Nothing here changes the asset."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from splatpainter.aovs import Aov
+from splatpainter.cameras import Camera, orbit, to_uint8
+from splatpainter.io.files import sha256, writing
+from splatpainter.rendering.profiles import Profile
+from splatpainter.server import picking
+from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line, render_display
+from splatpainter.server.describe import camera_from_wire, camera_to_wire, up_axis
+from splatpainter.server.image_registration import png_bytes, thumbnail
+from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, FileName, Point, Rgb
+from splatpainter.server.studio import ExportedView
+from splatpainter.session.conflicts import PREDICTED, SEEN
+from splatpainter.session.conflicts import coverage as covered
+from splatpainter.session.export import view_files_of
+from splatpainter.sources.color import to_display
+from splatpainter.view_files import PictureOptions
+
+MAX_EXPORT_PIXELS = 1 << 24
+"""Of an exported view: 4096 x 4096."""
+PNG_LEVEL = 1
+"""Fast: nobody waits for the last few per cent."""
+MAX_TURNTABLE_PIXELS = 40_000_000
+"""Of all its frames together: they are held in memory."""
+MAX_FRAME_MS = 60_000
+"""Of a turntable."""
+
+
+class PictureMade(Answer):
+    picture: Blob
+    """A PNG (a WebP for `turntable`)."""
+    file: str | None = None
+    """Its name in the watched folder, where it was written there."""
+
+
+class ViewRender(Command):
+    """The server's float render of a view, as a PNG with its camera inside."""
+
+    NAME = "view.render"
+    ANSWER = PictureMade
+    camera: CameraInfo
+    which: Literal["now", "original"] = "now"
+    profile: Profile = "inria"
+    """Whose formula for alpha; pictures to be painted on have the default."""
+
+
+@command(ViewRender)
+def render_view(context: CommandContext, request: ViewRender) -> PictureMade:
+    studio, camera = context.studio, camera_from_wire(request.camera)
+    splats = studio.session.splats if request.which == "now" else studio.original
+    blob = studio.blobs.put(png_bytes(render_display(splats, camera, request.profile), camera), "render.png")
+    keyword = "" if request.profile == "inria" else f", profile={request.profile!r}"
+    return PictureMade(picture=blob.sha256, python=f"sp.render(session.splats, camera{keyword})")
+
+
+class ViewExported(PictureMade):
+    picture: Blob
+    """The exported picture where it is an 8-bit PNG with a background at the view's size, else such a preview."""
+    url: str | None = None
+    """To download from: the picture, or a zip of it, its AOVs and its sidecar; None for "folder"."""
+    name: str = ""
+    """Of what is downloaded."""
+
+
+class ViewExport(Command):
+    """A render to edit elsewhere. to "folder": written into the watched folder as NAME.png with its sidecar; when it is
+    saved over, a `picture` event follows."""
+
+    NAME = "view.export"
+    ANSWER = ViewExported
+    camera: CameraInfo
+    to: Literal["download", "folder"] = "download"
+    name: FileName = "view"
+    size: int | None = Field(default=None, ge=16, le=8192)
+    """Pixels of the longer side; None: as the camera says."""
+    format: Literal["png", "exr"] = "png"
+    bits: Literal[8, 16, 32] | None = None
+    """Of a colour sample: PNG 8 or 16, OpenEXR 16 or 32; None: the smaller."""
+    transparent: Literal["straight", "premultiplied"] | None = None
+    """An alpha channel in place of the background; OpenEXR is always premultiplied."""
+    aovs: list[Aov] = Field(default_factory=list, max_length=5)
+    """Files beside the picture, NAME.AOV.png or .exr."""
+    profile: Profile = "inria"
+
+
+@command(ViewExport, background=True)
+def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
+    studio, camera = context.studio, camera_from_wire(request.camera)
+    now = studio.session.shown
+    bits, aovs = request.bits, tuple(request.aovs)
+    options = PictureOptions(request.format, bits, request.transparent, aovs, request.profile, PNG_LEVEL)
+    sized = camera if request.size is None else _resized(camera, request.size)
+    image = render_display(now.splats, camera, request.profile)
+    context.ticket.report(0, "rendering the view")
+    outputs = view_files_of(now.splats, now.level.touches, sized, request.name, options)
+    first, file, url, download = next(iter(outputs)), None, None, ""
+    if request.to == "folder":
+        file = _write_to_folder(context, outputs)
+    else:
+        path = studio.downloads.folder() / (first if len(outputs) == 2 else f"{request.name}.zip")
+        with writing(path) as out:
+            if len(outputs) == 2:  # it carries what the sidecar says
+                out.write(outputs[first])
+            else:
+                with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as bundle:
+                    for name, data in outputs.items():
+                        bundle.writestr(name, data)
+        url, download = studio.downloads.add(path), path.name
+    plain = (options.format, options.depth, options.transparent, sized) == ("png", 8, None, camera)
+    preview = outputs[first] if plain else png_bytes(image, camera)
+    blob = studio.blobs.put(preview, f"{request.name}.png")
+    studio.exports.append(ExportedView(first, sized, thumbnail(image)))
+    keywords = {"bits": bits, "transparent": request.transparent, "aovs": list(aovs) or None}
+    keywords["profile"] = None if request.profile == "inria" else request.profile
+    line = python_line("session.export_view", first, RawExpr("camera"), **keywords)
+    return ViewExported(picture=blob.sha256, file=file, url=url, name=download, python=line)
+
+
+def _resized(camera: Camera, size: int) -> Camera:
+    """The same view with `size` pixels on its longer side. Raises ValueError: too many in all."""
+    scale = size / max(camera.width, camera.height)
+    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    if width * height > MAX_EXPORT_PIXELS:
+        raise ValueError(f"view: expected at most {MAX_EXPORT_PIXELS / 1e6:.1f} megapixels, got {width}x{height}")
+    return camera.resized(width, height)
+
+
+def _write_to_folder(context: CommandContext, outputs: Mapping[str, bytes]) -> str:
+    """Write files into the watched folder; returns the name of the first."""
+    studio = context.studio
+    if studio.folder is None:
+        raise ValueError("view: the studio was started without a folder; download the picture instead")
+    paths = [studio.folder.file(name, new=True) for name in outputs]
+    for path, data in zip(paths, outputs.values(), strict=True):
+        studio.written[path.name] = sha256(data)  # before the watcher sees it
+        with writing(path) as file:
+            file.write(data)
+    return paths[0].name
+
+
+class Turntable(Command):
+    """An animated WebP of a turn around the asset, seen as by `camera`."""
+
+    NAME = "turntable"
+    ANSWER = PictureMade
+    camera: CameraInfo
+    frames: int = Field(default=36, ge=2, le=240)
+    fps: float = Field(default=18, gt=0, le=60)
+
+
+@command(Turntable, background=True)
+def turntable(context: CommandContext, request: Turntable) -> PictureMade:
+    from PIL import Image
+
+    studio, camera = context.studio, camera_from_wire(request.camera)
+    if request.frames * camera.width * camera.height > MAX_TURNTABLE_PIXELS:
+        side = int((MAX_TURNTABLE_PIXELS / request.frames) ** 0.5)
+        raise ValueError(
+            f"turntable: {request.frames} frames of this size are too many; make them {side}x{side} or less"
+        )
+    splats, center = studio.session.splats, np.array(studio.state.asset.center)
+    pictures = []
+    for k, view in enumerate(_turn(camera, center, request.frames, up_axis(studio.session))):
+        context.ticket.report(k / request.frames, "turntable")
+        pictures.append(Image.fromarray(to_uint8(render_display(splats, view))))
+    file = io.BytesIO()
+    rest, ms = pictures[1:], round(min(1000 / request.fps, MAX_FRAME_MS))
+    pictures[0].save(file, "WEBP", save_all=True, append_images=rest, duration=ms, loop=0, quality=88, method=2)
+    blob = studio.blobs.put(file.getvalue(), "turntable.webp")
+    return PictureMade(picture=blob.sha256, python="sp.render(session.splats, sp.orbit(center, distance, frames))")
+
+
+def _turn(camera: Camera, center: np.ndarray, count: int, up: tuple[int, int, int]) -> list[Camera]:
+    """Views around the centre, from `camera` on, at its height and distance and with its lens."""
+    axis = np.asarray(up, float)
+    away = camera.position - center
+    height = float(away @ axis)
+    flat = away - height * axis
+    distance = float(np.linalg.norm(away))
+    tilt = float(np.degrees(np.arctan2(height, max(np.linalg.norm(flat), 1e-9))))
+    first = orbit(center, max(distance, 1e-6), 1, elevation=tilt, up=axis)[0].position - center
+    first = first - (first @ axis) * axis
+    turned = np.degrees(np.arctan2(float(np.cross(first, flat) @ axis), float(first @ flat)))
+    ring = orbit(center, max(distance, 1e-6), count, elevation=tilt, start=float(turned), up=axis)
+    return [replace(camera, world_to_camera=view.world_to_camera) for view in ring]
+
+
+class Picked(Answer):
+    hit: bool
+    """Whether the asset covers the pixel by more than half; else depth, point and gaussian_id are None."""
+    depth: float | None
+    """z, world units."""
+    point: Point | None
+    """World coordinates."""
+    gaussian_id: int | None
+    """The Gaussian that gives the pixel most of its colour."""
+    color: Rgb
+    """As seen, display sRGB 0..1."""
+
+
+class Pick(Command):
+    NAME = "pick"
+    ANSWER = Picked
+    camera: CameraInfo
+    x: float
+    y: float
+    """Pixels; the first pixel's centre is 0.5, 0.5."""
+
+
+@command(Pick)
+def pick(context: CommandContext, request: Pick) -> Picked:
+    splats, camera = context.studio.session.splats, camera_from_wire(request.camera)
+    color, hit = picking.pick(splats, camera, request.x, request.y)
+    rgb = np.clip(to_display(color, splats.color_space), 0, 1).tolist()
+    if hit is None:
+        return Picked(hit=False, depth=None, point=None, gaussian_id=None, color=rgb)
+    return Picked(hit=True, depth=hit.depth, point=hit.point.tolist(), gaussian_id=hit.gaussian_id, color=rgb)
+
+
+class Covered(Answer):
+    seen: int
+    """Gaussians that edited views show."""
+    predicted: int
+    """Gaussians that global layers changed without having seen them."""
+    picture: Blob
+    """PNG of the view, of its size: green seen, red predicted, transparent neither."""
+    next_view: CameraInfo | None
+    """Faces the largest area that was predicted and not seen; None where there is none."""
+
+
+class CoverageShow(Command):
+    """What of the current asset was seen by edited views and what is predicted."""
+
+    NAME = "coverage"
+    ANSWER = Covered
+    camera: CameraInfo
+
+
+@command(CoverageShow)
+def coverage(context: CommandContext, request: CoverageShow) -> Covered:
+    studio, camera = context.studio, camera_from_wire(request.camera)
+    now = studio.session.shown
+    splats, kinds = now.splats, covered(now.level.touches, len(now.splats))
+    picture = picking.coverage_picture(splats, kinds, camera)
+    view = picking.next_view(splats, kinds, camera, np.array(studio.state.asset.center), up_axis(studio.session))
+    return Covered(
+        seen=int((kinds == SEEN).sum()),
+        predicted=int((kinds == PREDICTED).sum()),
+        picture=studio.blobs.put(png_bytes(picture), "coverage.png").sha256,
+        next_view=None if view is None else camera_to_wire(view),
+        python="session.coverage()",
+    )

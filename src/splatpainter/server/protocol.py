@@ -1,0 +1,340 @@
+"""What travels between the studio and its pages: the state, the frame of commands and answers, and events.
+
+Over the socket /ws a client sends {"id": n, "do": NAME, ...fields} and gets, for the same n, first any number of
+{"re": n, "progress": 0..1, "stage": "..."} and then one of
+  {"re": n, "ok": true, "python": "...", "version": v, ...fields of the answer}
+  {"re": n, "ok": false, "error": {"kind", "message", "hint"}}.
+Binary frames with changed Gaussians (frames.py) come BEFORE the answer of the command that changed them. The server
+also sends events: {"event": "state" | "toast" | "picture", ...}. First message of a client: `hello`.
+Over HTTP the same: POST /api/do/NAME with the fields as body, the answer as response (Gaussians: GET /api/splats).
+Big things in: POST /api/blobs (raw body) -> {"blob": sha256, "kind": ..., "name": ...}.  Out: GET /api/blobs/{blob}.
+Commands are defined beside what they do (commands/); those of the connection itself are here, client.py answers them.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from splatpainter.io.files import printable
+
+MAX_VIEW_PIXELS = 4_000_000
+"""Most pixels of a view that is painted or rendered."""
+Blob = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+"""Hex SHA-256 of bytes that were sent to POST /api/blobs, or that the server made; GET /api/blobs/{blob} has them."""
+Unit = Annotated[float, Field(ge=0, le=1)]
+Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
+Point = Annotated[list[float], Field(min_length=3, max_length=3)]
+MatrixRow = Annotated[list[float], Field(min_length=4, max_length=4)]
+Mode = Literal["local", "global"]
+Method = Literal["auto", "ttt", "lift", "fit"]
+Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
+LayerKind = Literal["paint", "picture", "look", "clone", "erase", "merged"]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+FileName = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\\\x00-\x1f:]+$")]
+"""A plain name inside the studio's folder, never a path."""
+
+
+class Message(BaseModel):
+    """Base of everything that travels: unknown fields are errors, NaN and infinity are too."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        json_schema_serialization_defaults_required=True,
+    )
+
+
+class CameraInfo(Message):
+    """splatpainter.cameras.Camera as JSON: OpenCV axes (x right, y down, z forward), pixel centres at +0.5."""
+
+    version: Literal[1]
+    width: int = Field(ge=1, le=16384)
+    height: int = Field(ge=1, le=16384)
+    fx: float = Field(gt=0)
+    """Pixels."""
+    fy: float = Field(gt=0)
+    cx: float
+    """Principal point, pixels (width / 2 for a centred one)."""
+    cy: float
+    world_to_camera: list[MatrixRow] = Field(min_length=4, max_length=4)
+    """4 x 4, row-major, rigid."""
+    background: Rgb
+    """Behind the asset, 0..1, in the asset's colour space."""
+    asset_sha256: str | None = None
+
+
+class AssetInfo(Message):
+    """The asset that is open, as it is shown now."""
+
+    name: str
+    format: str
+    """Key of the file format it came from; "" for the demo asset."""
+    sha256: str
+    """Of the original."""
+    rows: int
+    """Now, appended ones included."""
+    rows_original: int
+    rows_same: int
+    """Rows of the original that are bit for bit what they were."""
+    sh_coefficients: int
+    """K per row and channel: 1, 4, 9, 16 or 25."""
+    color_space: Literal["srgb", "linear"]
+    antialiased: bool
+    center: Point
+    """Of nearly all opaque rows, world units."""
+    radius: float
+    up: Point
+    """Unit vector, world axes, that is up on the screen."""
+    home: CameraInfo
+    """A good first view; keep its field of view and change its size to that of the window."""
+    frame: str
+    """Which way the numbers in the file point, and who says so; "" for rows without a file."""
+    frame_said: bool
+    """False: files of this format differ in it and this one does not say, so it may be upside down (`asset.up`)."""
+    problems: list[str]
+    """What the reader found odd, one line each."""
+
+
+class LayerViewInfo(Message):
+    """One edited picture of a layer."""
+
+    camera: CameraInfo
+    picture: Blob | None = None
+    mask: Blob | None = None
+    psnr_before: float | None = None
+    """dB against the picture inside the mask, before the layer (999: identical; None: no such pixel, or not known)."""
+    psnr_after: float | None = None
+    psnr_outside: float | None = None
+    """dB of the render after against the one before, outside the mask."""
+
+
+class LayerInfo(Message):
+    """One layer; the list of layers goes from bottom to top."""
+
+    id: str
+    name: str
+    kind: LayerKind
+    visible: bool
+    opacity: Unit
+    blend: Blend
+    mode: Mode
+    method: Method
+    views: list[LayerViewInfo]
+    parameters: dict[str, Any]
+    rows_touched: int
+    rows_appended: int
+    seconds: float
+    """That its computation took."""
+    note: str = ""
+    """Why the method was chosen, or what could not be painted."""
+    problem: str = ""
+    """Why it changes nothing where it now stands (its rows are hidden below); "" where it works."""
+    thumbnail: Blob | None = None
+    """PNG of what was edited, 96 pixels at most."""
+
+
+class StepInfo(Message):
+    """One entry of the history, oldest first."""
+
+    id: int
+    label: str
+
+
+class ConflictInfo(Message):
+    """A layer overwrites rows that another layer touched from another view."""
+
+    lower: str
+    """Layer id."""
+    upper: str
+    rows: int
+    share: Unit
+    """Of the lower layer's touched rows."""
+    policy: Literal["latest", "first", "blend"]
+
+
+class BookmarkInfo(Message):
+    id: str
+    name: str
+    camera: CameraInfo
+
+
+class ProjectInfo(Message):
+    """Where the session lives. There is no unsaved state: every acknowledged command is in the file."""
+
+    name: str
+    file: str | None
+    """Its name in the studio's folder; None while it only lives in the studio's own data folder (autosave)."""
+    read_only: bool
+    """Nothing can be changed: somebody else has it open, or it cannot be written."""
+    read_only_reason: str = ""
+    """Why, one line; "" where it can be changed."""
+
+
+class Present(Message):
+    """What is so now, and bounded by what is on the screen."""
+
+    session: str
+    """Changes when another asset or project is opened: forget all versions and sync."""
+    version: int
+    """Of the asset; goes up by one or more with every change of its rows."""
+    asset: AssetInfo
+    layers: list[LayerInfo]
+    cursor: int
+    """Place in the history of the step in effect: undo: cursor - 1, redo: cursor + 1; 0 is as it was opened, or the
+    oldest step that is still kept."""
+    conflicts: list[ConflictInfo]
+    project: ProjectInfo
+    methods: list[Method]
+    """That work on this machine with what is installed (trained weights or not)."""
+    folder: str | None
+    """Name of the watched folder, for people; None: there is none."""
+    clients: int
+    """Browser windows on this session."""
+    formats: list[str]
+    """File name endings that `export` can write."""
+
+
+class State(Present):
+    """Everything but pixels and rows."""
+
+    history: list[StepInfo]
+    bookmarks: list[BookmarkInfo]
+
+
+class HistoryChange(Message):
+    """How a history became another: without its first `dropped` steps, with the next `kept`, and then `steps`."""
+
+    dropped: int
+    kept: int
+    steps: list[StepInfo]
+
+
+class Answer(Message):
+    """What every command returns when it worked; most add fields."""
+
+    re: int = 0
+    ok: Literal[True] = True
+    python: str = ""
+    """The equivalent Python line; "" where there is none (looking at things)."""
+    version: int = 0
+    """Of the asset after the request."""
+    seconds: float = 0.0
+    """In the server, waiting for earlier work not included."""
+
+
+class Command(Message):
+    """Base of all commands. NAME is what `do` says, ANSWER the class of the answer."""
+
+    NAME: ClassVar[str]
+    ANSWER: ClassVar[type[Answer]] = Answer
+
+
+class CommandProgress(Message):
+    re: int
+    progress: Unit
+    stage: str
+
+
+class Problem(Message):
+    kind: Literal["input", "cancelled", "busy", "schema", "fault"]
+    """input: the user can mend it; busy: too much is waiting; schema: reload the page; fault: ours."""
+    message: str
+    hint: str = ""
+
+
+class Failure(Message):
+    re: int
+    ok: Literal[False] = False
+    error: Problem
+
+
+class LayerMade(Answer):
+    layer: LayerInfo
+
+
+class Previewed(Answer):
+    rows: int
+    """Whose colours the preview changed; they come as a binary frame with the PREVIEW flag."""
+
+
+class Exported(Answer):
+    url: str
+    """To download from, once or more, until the studio ends."""
+    file: str
+    bytes: int
+    receipt_url: str | None = None
+    """Where the receipt of an asset is."""
+
+
+class Greeting(Answer):
+    schema_hash: str
+    client: str
+    """This connection's name."""
+    known: bool
+    """Whether this page has been here before: then commands that it sends again are not carried out again."""
+    state: State
+
+
+class Hello(Command):
+    """Start, or go on after a lost connection. The missing rows follow as a binary frame, before the answer: a delta if
+    `session` and `since` are known to the server, else a snapshot; none if nothing changed."""
+
+    NAME = "hello"
+    ANSWER = Greeting
+    schema_hash: str
+    """SCHEMA_HASH of messages.ts; where it differs the error says to reload the page."""
+    session: str | None = None
+    since: int | None = None
+    page: str | None = Field(default=None, pattern=r"^[0-9a-f]{32}$")
+    """A random name that a page keeps over all its connections. Its command ids must then never repeat: one that came
+    before is answered with what came of it, and not carried out again."""
+
+
+class Sync(Command):
+    """Ask for the rows again (a frame's version_from was not the version you have). since None: a snapshot."""
+
+    NAME = "sync"
+    since: int | None = None
+
+
+class Cancel(Command):
+    """Stop the command `of` (its id) of this connection; that command then fails with kind "cancelled"."""
+
+    NAME = "cancel"
+    of: int
+
+
+class StateEvent(Message):
+    """After every change of anything in the state, by whomever: what is so now, and what is new in the long lists."""
+
+    event: Literal["state"] = "state"
+    state: Present
+    history: HistoryChange | None = None
+    """Against the state that this connection was told before; None: as it was."""
+    bookmarks: list[BookmarkInfo] | None = None
+    """All of them; None: as they were."""
+
+
+class ToastEvent(Message):
+    event: Literal["toast"] = "toast"
+    level: Literal["info", "warning", "error"]
+    message: str
+    hint: str = ""
+
+
+class PictureEvent(Message):
+    """A picture was saved into the watched folder: check it and offer it as an edit."""
+
+    event: Literal["picture"] = "picture"
+    picture: Blob
+    name: str
+
+
+def first_fault(error: ValidationError, where: str) -> str:
+    """One line about the first field that is wrong."""
+    fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    field_path = printable(".".join(map(str, fault["loc"])))  # a client's own words
+    return f"{where}: {field_path}: {fault['msg']}" if field_path else f"{where}: {fault['msg']}"
