@@ -106,7 +106,9 @@ def run(config: SpeedBench, report: Report | None = None) -> list[Speed]:
     def add(lines: Iterator[Speed]) -> None:
         for line in lines:
             results.append(line)
-            report(f"{line.operation}, {tables.shown(line.rows)} Gaussians: {tables.shown(line.milliseconds)} ms")
+            report(
+                f"{line.operation}, {tables.cell_text(line.rows)} Gaussians: {tables.cell_text(line.milliseconds)} ms"
+            )
 
     with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as temporary:
         folder = Path(temporary)

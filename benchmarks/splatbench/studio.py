@@ -106,9 +106,9 @@ def run(config: StudioBench, report: Report | None = None) -> list[Line]:
     def add(lines: Iterator[Line]) -> None:
         for entry in lines:
             results.append(entry)
-            end = "" if entry.target is None else f", target {tables.shown(entry.target)}"
+            end = "" if entry.target is None else f", target {tables.cell_text(entry.target)}"
             verdict = {None: "", True: ": met", False: ": MISSED"}[entry.met]
-            median, worst = tables.shown(entry.median), tables.shown(entry.worst)
+            median, worst = tables.cell_text(entry.median), tables.cell_text(entry.worst)
             edge = "" if entry.size is None else f" at {entry.size} px"
             report(f"{entry.what}{edge}: {median} {entry.unit} (worst {worst}){end}{verdict}")
 

@@ -100,7 +100,7 @@ def test_tables_hold_every_value(tmp_path: Path) -> None:
     assert text.startswith("machine\n\n| operation |") and text.endswith("note\n")
     assert "| a | 1,000 | – | 0.123 | 0.100 | 1,000,000,000 | – | 3 | – |" in text
     assert "| b/c | – | 64 | 1,234 |" in text  # a bar would begin another cell
-    cells = [tables.shown(value) for value in (True, False, 0.0, 12.345, 0.012345, math.nan)]
+    cells = [tables.cell_text(value) for value in (True, False, 0.0, 12.345, 0.012345, math.nan)]
     assert cells == ["yes", "NO", "0", "12.3", "0.0123", "–"]
 
 

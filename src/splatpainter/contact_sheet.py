@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +13,8 @@ from splatpainter.cameras import to_uint8
 from splatpainter.io import files
 
 PAPER, INK, FAINT = (250, 250, 248), (20, 20, 22), (110, 110, 115)
-GAP = 6
-"""Pixels between pictures."""
+GAP_PX = 6
+"""Between pictures."""
 
 
 @dataclass(frozen=True)
@@ -28,27 +29,27 @@ class Strip:
 
 def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
     """[H, W, 3] uint8: one strip below the other, every picture fitted into cell x cell pixels, a strip as high as the
-    highest of its pictures. A strip without a caption stands close below the one before."""
+    highest of its pictures. A strip without a caption stands close below the one before; labels end where their cell
+    does."""
     from PIL import Image, ImageDraw, ImageFont
 
     small, large = max(cell // 18, 9), max(cell // 14, 11)
-    most = max(len(strip.cells) for strip in strips)
-    width = most * (cell + GAP) + GAP
+    width = max(len(strip.cells) for strip in strips) * (cell + GAP_PX) + GAP_PX
     body, fine = ImageFont.load_default(large), ImageFont.load_default(small)
-    head = _title_size(title, width - 2 * GAP, small, round(large * 1.4))
+    head = _title_size(title, width - 2 * GAP_PX, small, round(large * 1.4))
     heights = [round(large * 1.7) if strip.caption else 0 for strip in strips]
     label, top = round(small * 1.5), round(head * 1.8) if title else 0
-    tall = [max(_fitted(np.asarray(picture), cell) for _, picture in strip.cells) for strip in strips]
-    page = Image.new("RGB", (width, top + sum(heights) + sum(tall) + len(strips) * (label + GAP) + GAP), PAPER)
+    inner = [max(_fitted(np.asarray(picture), cell) for _, picture in strip.cells) for strip in strips]
+    page = Image.new("RGB", (width, top + sum(heights) + sum(inner) + len(strips) * (label + GAP_PX) + GAP_PX), PAPER)
     pen = ImageDraw.Draw(page)
     if title:
-        pen.text((GAP, head // 3), title, INK, ImageFont.load_default(head))
+        pen.text((GAP_PX, head // 3), title, INK, ImageFont.load_default(head))
     y = top
-    for strip, line, high in zip(strips, heights, tall, strict=True):
-        pen.text((GAP, y + line // 5), strip.caption, INK, body)
+    for strip, line, high in zip(strips, heights, inner, strict=True):
+        pen.text((GAP_PX, y + line // 5), strip.caption, INK, body)
         for column, (name, picture) in enumerate(strip.cells):
-            x = GAP + column * (cell + GAP)
-            pen.text((x, y + line), name, FAINT, fine)
+            x = GAP_PX + column * (cell + GAP_PX)
+            pen.text((x, y + line), _shortened(name, fine, cell), FAINT, fine)
             image = Image.fromarray(to_uint8(np.asarray(picture)))
             image.thumbnail((cell, cell), Image.Resampling.LANCZOS)
             if image.width < cell and image.height < cell:
@@ -56,7 +57,7 @@ def sheet(strips: Sequence[Strip], cell: int, title: str = "") -> np.ndarray:
                 size = (max(1, round(scale * image.width)), max(1, round(scale * image.height)))
                 image = image.resize(size, Image.Resampling.NEAREST)
             page.paste(image, (x, y + line + label))
-        y += line + label + high + GAP
+        y += line + label + high + GAP_PX
     return np.asarray(page)
 
 
@@ -66,18 +67,28 @@ def _fitted(picture: np.ndarray, cell: int) -> int:
     return min(cell, -(-cell * height // width))
 
 
-def _title_size(title: str, width: int, least: int, most: int) -> int:
-    """The largest size of letters within least..most pixels that fits the title into the width; else the least."""
+def _shortened(text: str, font: Any, width: int) -> str:
+    """The text, or its beginning and an ellipsis, within `width` pixels."""
+    if font.getlength(text) <= width:
+        return text
+    while text and font.getlength(text + "…") > width:
+        text = text[:-1]
+    return text.rstrip() + "…"
+
+
+def _title_size(title: str, width: int, smallest: int, largest: int) -> int:
+    """The largest size of letters within smallest..largest pixels that fits the title into the width; else the
+    smallest."""
     from PIL import ImageFont
 
-    fits = (k for k in range(most, least, -1) if ImageFont.load_default(k).getlength(title) <= width)
-    return next(fits, least)
+    fits = (k for k in range(largest, smallest, -1) if ImageFont.load_default(k).getlength(title) <= width)
+    return next(fits, smallest)
 
 
-def error_map(image: np.ndarray, wanted: np.ndarray, most: float = 0.25) -> np.ndarray:
+def error_map(image: np.ndarray, target: np.ndarray, white: float = 0.25) -> np.ndarray:
     """[H, W, 3] largest channel difference of two pictures [H, W, 3], black at 0 through red and yellow to white at
-    `most`."""
-    level = np.clip(np.abs(image - wanted).max(-1) / most, 0, 1)[..., None]
+    `white`."""
+    level = np.clip(np.abs(image - target).max(-1) / white, 0, 1)[..., None]
     return np.clip(3 * level - np.array([0.0, 1.0, 2.0]), 0, 1)
 
 

@@ -45,11 +45,11 @@ def markdown(rows: Sequence[Any]) -> str:
         "| " + " | ".join(name.replace("_", " ") for name in names) + " |",
         "|" + "|".join("---:" if right else "---" for right in numeric) + "|",
     ]
-    lines += ["| " + " | ".join(shown(value) for value in _values(row)) + " |" for row in rows]
+    lines += ["| " + " | ".join(cell_text(value) for value in _values(row)) + " |" for row in rows]
     return "\n".join(lines)
 
 
-def shown(value: Any) -> str:
+def cell_text(value: Any) -> str:
     """A cell for people."""
     if value is None:
         return "–"

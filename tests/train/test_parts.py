@@ -32,7 +32,7 @@ from splatpainter.train.loss import (
 )
 from splatpainter.train.optim import Average, Guard, adamw, decays, rate_at
 from splatpainter.train.prefetch import Ahead, packed, unpacked
-from splatpainter.train.report import Table, mosaic
+from splatpainter.train.report import Table
 from splatpainter.train.training_data import Lanes, Stock, Supply, open_material
 from tests.support.train_scenes import RECIPE, SAMPLES, stream
 
@@ -214,13 +214,6 @@ def test_a_table_keeps_what_was_done_and_grows_columns(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [row["step"] for row in rows] == ["1", "2", "3"]
     assert float(rows[0]["loss"]) == 0.1 + 0.2 and rows[0]["other"] == rows[2]["loss"] == "" and rows[2]["other"] == "7"
-
-
-def test_a_mosaic_holds_all_pictures() -> None:
-    white = np.ones((8, 4, 3), np.float32)
-    page = mosaic([[("a", white), ("b", 0 * white)], [("c", white)]], cell=32)
-    assert page.shape == (2 * (32 + 16 + 4) + 4, 2 * (32 + 4) + 4, 3) and page.dtype == np.uint8
-    assert page[16 + 4 + 5, 4 + 5].tolist() == [255] * 3 and page[16 + 4 + 5, 4 + 36 + 5].tolist() == [0] * 3
 
 
 def test_validation_objects_are_never_trained_on(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from splatbench.report import published
 from splatbench.report.published import MARK
 from splatbench.report.summary import MEASURED, Estimate, MethodNames, SummaryRow, best_methods
 from splatpainter.io import files
-from splatpainter.text_tables import shown, write_csv
+from splatpainter.text_tables import cell_text, write_csv
 
 NONE = "–"
 ARROWS = {"higher": " ↑", "lower": " ↓", "": ""}
@@ -176,7 +176,7 @@ def markdown(table: Grid) -> str:
     lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * len(table.heads)]
     for name, rows in table.blocks:
         if name:
-            lines.append("| **" + shown(name) + "** |" + " |" * len(table.heads))
+            lines.append("| **" + cell_text(name) + "** |" + " |" * len(table.heads))
         for row in rows:
             cells = []
             for head, cell in zip(table.heads, row.cells, strict=True):
@@ -185,8 +185,8 @@ def markdown(table: Grid) -> str:
                     text = f"*{text}*"
                 cells.append(f"{text} {cell.interval}".strip())
             if row.state:
-                cells[0] = shown(row.state)
-            lines.append("| " + " | ".join([shown(row.label), *cells]) + " |")
+                cells[0] = cell_text(row.state)
+            lines.append("| " + " | ".join([cell_text(row.label), *cells]) + " |")
     return "\n".join(lines)
 
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from splatpainter.contact_sheet import Strip, sheet, write_sheet
 from splatpainter.text_tables import markdown, write_csv, write_markdown
 from splatpainter.train.judge import COPY, CopyRow, EditRow, Finding, sheet_strips
-from splatpainter.train.report import mosaic, write_picture
+from splatpainter.train.report import SHEET_CELL_PX
 from splatpainter.train.trials import MANY_VIEWS
 
 Rows: TypeAlias = Sequence[EditRow] | Sequence[CopyRow]
@@ -65,7 +66,7 @@ def write(folder: Path, rows: Rows, findings: Sequence[Finding], heading: str, n
     strips = [strip for strip in sheet_strips(findings) if strip]
     if not strips:
         return paths[:2]
-    write_picture(paths[2], mosaic(strips))
+    write_sheet(paths[2], sheet([Strip("", tuple(strip)) for strip in strips], SHEET_CELL_PX))
     return paths
 
 

@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import torch
 
+from splatpainter.contact_sheet import Strip, sheet, write_sheet
 from splatpainter.train import state
 from splatpainter.train.distributed import Group, quiet, spread
 from splatpainter.train.optim import Average, Guard, adamw, rate_at
 from splatpainter.train.prefetch import Ahead
-from splatpainter.train.report import Board, Table, mosaic, write_picture
+from splatpainter.train.report import SHEET_CELL_PX, Board, Table
 from splatpainter.train.stages.task import Task, Verdict
 
 if TYPE_CHECKING:
@@ -247,9 +248,9 @@ class Loop:
             self.board.add(step, flat, "validation")
             strips = [verdict.strip for verdict in verdicts if verdict.strip][:SHEET_ROWS]
             if strips:
-                picture = mosaic(strips)
+                picture = sheet([Strip("", tuple(strip)) for strip in strips], SHEET_CELL_PX)
                 (self.out / "sheets").mkdir(parents=True, exist_ok=True)
-                write_picture(self.out / "sheets" / f"step_{step:07d}.png", picture)
+                write_sheet(self.out / "sheets" / f"step_{step:07d}.png", picture)
                 self.board.picture(step, "validation", picture)
         for kind, f in self.validation.items():
             self.say(f"step {step}: validation {kind}: " + ", ".join(f"{n} {v:.3f}" for n, v in f.items()))

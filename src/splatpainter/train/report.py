@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.cameras import to_uint8
 from splatpainter.io.files import writing
 
-GAP = 4
-"""Pixels between the pictures of a sheet."""
+SHEET_CELL_PX = 160
+"""Edge of a picture of a sheet."""
 
 
 class Table:
@@ -85,31 +84,3 @@ class Board:
     def close(self) -> None:
         if self._writer is not None:
             self._writer.close()
-
-
-def mosaic(rows: Sequence[Sequence[tuple[str, np.ndarray]]], cell: int = 160) -> np.ndarray:
-    """[H, W, 3] uint8: one strip of (label, picture [h, w, 3] float 0..1) below the other, each picture fitted into
-    cell x cell pixels, labels above."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    font, line = ImageFont.load_default(11), 16
-    most = max(len(row) for row in rows)
-    page = Image.new("RGB", (most * (cell + GAP) + GAP, len(rows) * (cell + line + GAP) + GAP), (250, 250, 248))
-    pen = ImageDraw.Draw(page)
-    for r, row in enumerate(rows):
-        for c, (label, picture) in enumerate(row):
-            x, y = GAP + c * (cell + GAP), GAP + r * (cell + line + GAP)
-            pen.text((x, y), label, (30, 30, 30), font)
-            image = Image.fromarray(to_uint8(np.asarray(picture)))
-            scale = cell / max(image.size)
-            size = (max(round(image.width * scale), 1), max(round(image.height * scale), 1))
-            page.paste(image.resize(size, Image.Resampling.BILINEAR), (x, y + line))
-    return np.asarray(page)
-
-
-def write_picture(path: Path, picture: np.ndarray) -> None:
-    """[H, W, 3] uint8 as a PNG."""
-    from PIL import Image
-
-    with writing(path) as file:
-        Image.fromarray(picture).save(file, "PNG")
