@@ -15,8 +15,8 @@ import numpy as np
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
+    from splatbench.cases import Setup
     from splatbench.ground_truth import Shown, Subject
-    from splatbench.tables import Setup
     from splatpainter.data.lights import Light
     from splatpainter.fit.optimize import View
 

@@ -1,30 +1,149 @@
-"""What a table asks of a method: an asset, one or more edits by pictures, and the truth to compare with.
+"""What a table asks of a method and what came of it, and every path and digest under which either lies on disk.
 
-A case knows no method. `Case.save` and `Case.load` keep it on disk, so that ground truth is path traced once.
-V views of H x W pixels, N rows.
+    OUT/TABLE/setup.json                  the setup that the cases are of
+    OUT/TABLE/cases/LABEL/                case.json, case.npz, input.png, before.png, truth.png, and, last, stamp.json
+    OUT/TABLE/failed/LABEL.json           what could not be made, and why; tried again by the next run
+    OUT/TABLE/records/METHOD/LABEL.json   one method on one case, LABEL.png beside it
+    OUT/TABLE/logs/                       of worker processes
+
+Knows no method. `Case.save` and `Case.load` keep ground truth on disk, so that it is path traced once.
+V views of H x W pixels, W novel views, N Gaussians.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, write_png
 from splatpainter.io import files
 from splatpainter.painter import Mode
 from splatpainter.splats import ATTRIBUTES, Splats
 
 VERSION = 2
-"""Of the files: another one is made anew."""
+"""Of the files of a case: those of another one are made anew."""
+MAX_NAME_CHARS = 80
+Redo = Literal["nothing", "errors", "all"]
+"""Which records that are up to date are made anew."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Pictures:
+class Setup:
+    """Data, sizes and seed of all tables of a run. Equal setups give equal cases."""
+
+    data: Path | None = None
+    """Folder of meshes (or, where a table takes them, of splat assets); None: procedural objects."""
+    environments: Path | None = None
+    """Folder of .hdr/.exr pictures; None: procedural light."""
+    decals: Path | None = None
+    fonts: Path | None = None
+    textures: Path | None = None
+    objects: int = 8
+    """How many objects."""
+    held_out: bool = True
+    """Only objects that training never sees (data.scenes.split with its defaults); False: any."""
+    size: int = 256
+    """Pixels of every picture's edge; the paper: 512."""
+    detail: int = 4
+    """Zoom of close-ups: they are crops of pictures `detail` times larger (2K for the paper's 512)."""
+    samples: int = 64
+    """Paths per pixel of path traced truth."""
+    truth: str = "traced"
+    """"traced" (Mitsuba) or "surfels" (dense Gaussians, seconds instead of minutes; approximate light)."""
+    base_views: int = 9
+    rows: int = 30_000
+    """Of assets that are built here."""
+    asset_steps: int = 500
+    """Optimisation steps in building an asset from its base views."""
+    novel_views: int = 6
+    lights: int = 3
+    """Target environments per object in relighting; the paper: 24."""
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a method may spend, and where it finds what it needs; the same for every method of a run."""
+
+    steps: int = 1000
+    """Of methods that optimise."""
+    device: str = "cpu"
+    """"cpu" or "cuda"."""
+    seed: int = 0
+    weights: dict[str, str] = field(default_factory=dict)
+    """Name of a model -> folder of its weights, for methods that need other weights than the shipped ones, e.g.
+    {"compact": ..., "genden": ..., "cross-attention": ..., "latent-query": ...}."""
+    adapters: Path | None = None
+    """TOML file that says how systems outside this package are called; None: none is installed."""
+    scratch: Path | None = None
+    """Folder for a method's working files; None: it makes a temporary one."""
+    curve: bool = False
+    """Methods that take many steps also return what they had on the way (EditResult.curve)."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One run of one table; the same for all its parts."""
+
+    protocol: str
+    """Name of the table."""
+    setup: Setup
+    methods: Sequence[str]
+    """Names, in any order."""
+    budget: Budget
+    out: Path
+    processes: int = 1
+    """That make ground truth at once."""
+    shard: tuple[int, int] = (0, 1)
+    """(k, n): only the objects k, k + n, ...; machines with the other k fill the same folder."""
+    redo: Redo = "nothing"
+    perceptual: Path | None = None
+    """Folder of the LPIPS-Alex weights; None: no LPIPS."""
+    parallel_methods: bool = False
+    """Methods run side by side, `processes` at a time: their seconds say less, and the table says so."""
+    named: bool = False
+    """The methods were given by name: one that cannot run here then leaves the table incomplete."""
+
+
+def to_json(value: Setup | Budget) -> dict[str, Any]:
+    """A setup or a budget as JSON values; paths become absolute."""
+    return {k: str(v.absolute()) if isinstance(v, Path) else v for k, v in asdict(value).items()}
+
+
+def from_json(kind: type[T], values: dict[str, Any]) -> T:
+    """Setup or Budget of `to_json`."""
+    paths = path_fields(kind)
+    return kind(**{k: Path(v) if k in paths and v is not None else v for k, v in values.items()})
+
+
+def path_fields(kind: Any) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(kind) if "Path" in str(f.type))
+
+
+@dataclass(frozen=True)
+class CaseKey:
+    """A case before it is made."""
+
+    label: str
+    """File-name safe, unique in its table."""
+    name: str
+    """Of the object."""
+    settings: dict[str, Any]
+    """JSON values that, with the setup, say everything about it."""
+
+
+@dataclass(frozen=True)
+class PosedImages:
     """V pictures of one size and their cameras."""
 
     cameras: tuple[Camera, ...]
@@ -41,20 +160,30 @@ class Pictures:
     def __len__(self) -> int:
         return len(self.cameras)
 
-    def take(self, places: Any) -> Pictures:
-        """The views at these places (indices, or bools), in their order."""
-        chosen = np.arange(len(self))[np.asarray(places)]
-        return Pictures(tuple(self.cameras[k] for k in chosen), self.colors[chosen])
+    def __iter__(self) -> Iterator[tuple[Camera, np.ndarray]]:
+        """(camera, [H, W, 3]) of each view."""
+        return zip(self.cameras, self.colors, strict=True)
+
+    def take(self, views: Any) -> PosedImages:
+        """These views (indices, or bools), in their order."""
+        chosen = np.arange(len(self))[np.asarray(views)]
+        return PosedImages(tuple(self.cameras[k] for k in chosen), self.colors[chosen])
+
+    @staticmethod
+    def joined(parts: Sequence[PosedImages]) -> PosedImages:
+        """All views of pictures of one size, in order."""
+        cameras = tuple(camera for part in parts for camera in part.cameras)
+        return PosedImages(cameras, np.concatenate([part.colors for part in parts]))
 
 
 @dataclass(frozen=True)
-class Step:
+class EditStep:
     """One edit: what an artist hands in at once."""
 
     mode: Mode
     kind: str
     """zoom, stroke, text, sticker, photo, recolor, relight, ..."""
-    edited: Pictures
+    edited: PosedImages
     """V >= 1 edited views."""
     masks: np.ndarray = field(repr=False)
     """[V, H, W] bool what was edited; where the object is, for zooms and global kinds."""
@@ -65,41 +194,51 @@ class Case:
     """One question of a table."""
 
     protocol: str
+    """Name of the table."""
     name: str
     """Of the object."""
     label: str
-    """Of the case among those of its protocol: file-name safe and unique, e.g. "gso_dino_3-relight-2views"."""
+    """Of the case among those of its table: file-name safe and unique, e.g. "gso_dino_3-relight-2views"."""
     asset: Splats = field(repr=False)
-    """As the artist has it: numpy float32, N rows."""
-    base: Pictures
+    """As the artist has it: numpy float32, N Gaussians."""
+    base: PosedImages
     """Views of the unedited truth that the asset was built from."""
-    steps: tuple[Step, ...]
+    steps: tuple[EditStep, ...]
     """The edits, in order; most tables have one."""
-    before: Pictures
+    before: PosedImages
     """Novel views of the object before the edits (truth)."""
-    after: Pictures
+    after: PosedImages
     """The same views after the last edit (truth)."""
     near: np.ndarray = field(repr=False)
     """[W] bool: the novel view is near the edit."""
-    oracle: Pictures | None = None
-    """True edited views from all around, for methods that are upper bounds; others never see them. None: there are
-    none (edits made on a picture alone)."""
+    true_views: PosedImages | None = None
+    """Edited views of the truth from all around, for methods that are upper bounds; no other method gets them. None:
+    there are none (edits made on a picture alone)."""
     setup_seconds: float = 0.0
     """What building the asset took, where it was built for this case."""
     facts: dict[str, Any] = field(default_factory=dict)
     """JSON values for notes and plots: views, environment, samples per pixel, source of truth, ..."""
 
+    @property
+    def most_changed_view(self) -> int | None:
+        """The novel view with the largest change of its truth, among those near the edit where there are any; None
+        without novel views."""
+        if not len(self.after):
+            return None
+        change = np.abs(self.after.colors - self.before.colors).sum((1, 2, 3))
+        return int(np.argmax(np.where(self.near, change, -1.0) if self.near.any() else change))
+
     def save(self, folder: Path) -> None:
         """Write the case as case.json and case.npz (pictures as float16: 66 dB and more)."""
         arrays: dict[str, np.ndarray] = {f"asset_{name}": getattr(self.asset, name) for name in ATTRIBUTES}
         arrays["near"] = self.near
-        shown = {"base": self.base, "before": self.before, "after": self.after}
-        if self.oracle is not None:
-            shown["oracle"] = self.oracle
-        shown |= {f"step{k}": step.edited for k, step in enumerate(self.steps)}
-        arrays |= {name: pictures.colors.astype(np.float16) for name, pictures in shown.items()}
+        images = {"base": self.base, "before": self.before, "after": self.after}
+        if self.true_views is not None:
+            images["oracle"] = self.true_views
+        images |= {f"step{k}": step.edited for k, step in enumerate(self.steps)}
+        arrays |= {name: some.colors.astype(np.float16) for name, some in images.items()}
         arrays |= {f"step{k}_masks": np.packbits(step.masks, axis=-1) for k, step in enumerate(self.steps)}
-        told = {
+        values = {
             "version": VERSION,
             "protocol": self.protocol,
             "name": self.name,
@@ -109,55 +248,292 @@ class Case:
             "antialiased": self.asset.antialiased,
             "color_space": self.asset.color_space,
             "steps": [{"mode": step.mode, "kind": step.kind} for step in self.steps],
-            "cameras": {name: [c.to_json() for c in pictures.cameras] for name, pictures in shown.items()},
+            "cameras": {name: [c.to_json() for c in some.cameras] for name, some in images.items()},
         }
         folder.mkdir(parents=True, exist_ok=True)
         with files.writing(folder / "case.npz") as file:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-        with files.writing(folder / "case.json") as file:
-            file.write(json.dumps(told, indent=1).encode())
+        _write_json(folder / "case.json", values)
 
     @staticmethod
     def load(folder: Path) -> Case:
-        """Raises ValueError where the folder holds no whole case of this version."""
+        """Raises ValueError where the folder holds no complete case of this version."""
         try:
-            told = json.loads((folder / "case.json").read_bytes())
-            if told["version"] != VERSION:
-                raise ValueError(f"version {told['version']}")
+            values = json.loads((folder / "case.json").read_bytes())
+            if values["version"] != VERSION:
+                raise ValueError(f"version {values['version']}")
             with np.load(folder / "case.npz", allow_pickle=False) as arrays:
-                return _case(told, dict(arrays))
+                return _case(values, dict(arrays))
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{folder}: expected a case as `splatpainter bench` keeps it ({error})") from None
 
     @staticmethod
     def digest(folder: Path) -> str:
         """Of a saved case: 16 hex digits."""
-        text = (folder / "case.json").read_bytes() + (folder / "case.npz").read_bytes()
-        return hashlib.sha256(text).hexdigest()[:16]
+        return _sha((folder / "case.json").read_bytes() + (folder / "case.npz").read_bytes())
 
 
-def _case(told: dict[str, Any], arrays: dict[str, np.ndarray]) -> Case:
-    def pictures(name: str) -> Pictures:
-        cameras = tuple(Camera.from_json(c) for c in told["cameras"][name])
-        return Pictures(cameras, arrays[name].astype(np.float32))
+def _case(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> Case:
+    def images(name: str) -> PosedImages:
+        cameras = tuple(Camera.from_json(c) for c in values["cameras"][name])
+        return PosedImages(cameras, arrays[name].astype(np.float32))
 
     steps = []
-    for k, step in enumerate(told["steps"]):
-        edited = pictures(f"step{k}")
+    for k, step in enumerate(values["steps"]):
+        edited = images(f"step{k}")
         masks = np.unpackbits(arrays[f"step{k}_masks"], axis=-1, count=edited.colors.shape[2]).astype(bool)
-        steps.append(Step(step["mode"], step["kind"], edited, masks))
+        steps.append(EditStep(step["mode"], step["kind"], edited, masks))
     attributes: dict[str, Any] = {name: arrays[f"asset_{name}"] for name in ATTRIBUTES}
     return Case(
-        protocol=told["protocol"],
-        name=told["name"],
-        label=told["label"],
-        asset=Splats(**attributes, antialiased=told["antialiased"], color_space=told["color_space"]),
-        base=pictures("base"),
+        protocol=values["protocol"],
+        name=values["name"],
+        label=values["label"],
+        asset=Splats(**attributes, antialiased=values["antialiased"], color_space=values["color_space"]),
+        base=images("base"),
         steps=tuple(steps),
-        before=pictures("before"),
-        after=pictures("after"),
+        before=images("before"),
+        after=images("after"),
         near=arrays["near"],
-        oracle=pictures("oracle") if "oracle" in told["cameras"] else None,
-        setup_seconds=told["setup_seconds"],
-        facts=told["facts"],
+        true_views=images("oracle") if "oracle" in values["cameras"] else None,
+        setup_seconds=values["setup_seconds"],
+        facts=values["facts"],
     )
+
+
+@dataclass(frozen=True)
+class Record:
+    """One method on one case: a JSON file each, so that an interrupted run goes on where it was."""
+
+    protocol: str
+    """Name of the table."""
+    method: str
+    label: str
+    """Of the case."""
+    name: str
+    """Of the object."""
+    fingerprint: str
+    """Of case, method and budget (`fingerprint`): a record with another one is out of date."""
+    error: str = ""
+    """Why there are no figures: what the method raised, or how its process ended. "": it worked."""
+    missing: str = ""
+    """Why the method cannot run on this machine ("not installed: ..."); then there are no figures either."""
+    figures: dict[str, float | None] = field(default_factory=dict)
+    """Column key -> figure."""
+    setup_seconds: float | None = None
+    edit_seconds: float | None = None
+    peak_mib: float | None = None
+    """Largest resident memory of the method's process in this case; where the system cannot forget peaks, so far."""
+    rows: int | None = None
+    """Gaussians of the edited asset."""
+    rows_equal: float | None = None
+    """Share of the asset's Gaussians that kept their bits, 0..1; None for methods that make a new asset."""
+    appended: int | None = None
+    """Gaussians behind the asset's."""
+    numbers: dict[str, float] = field(default_factory=dict)
+    note: str = ""
+    curve: list[dict[str, float | None]] = field(default_factory=list)
+    """Points of quality against time: {"seconds", "steps", column keys ...}."""
+    facts: dict[str, Any] = field(default_factory=dict)
+    """Of the case."""
+    machine: str = ""
+
+    @property
+    def whole(self) -> bool:
+        """Whether it has figures."""
+        return not self.error and not self.missing
+
+    def write(self, path: Path) -> None:
+        _write_json(path, asdict(self))
+
+    @staticmethod
+    def read(path: Path) -> Record:
+        """Raises ValueError for a file that is no record."""
+        try:
+            values = json.loads(files.read_all(path))
+            return Record(**{f.name: values[f.name] for f in fields(Record)})
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path}: expected a record as `splatpainter bench` writes it ({error})") from None
+
+
+def records(folder: Path) -> Iterator[Record]:
+    """All records below OUT/TABLE, by method and label."""
+    for path in sorted((folder / "records").glob("*/*.json")):
+        yield Record.read(path)
+
+
+def fingerprint(digest: str, version: str, budget: Budget, perceptual: bool) -> str:
+    """Of a record: digest of its case, and 16 hex digits of what else decides its figures: the method's version, the
+    budget, whether LPIPS was measured."""
+    values = [version, budget.steps, budget.device, budget.seed, budget.curve, perceptual]
+    return f"{digest}-{_sha(json.dumps(values).encode())}"
+
+
+@dataclass(frozen=True)
+class CaseStore:
+    """Cases and records of one table in OUT/TABLE. Makes none."""
+
+    out: Path
+    protocol: str
+    """Name of the table."""
+
+    @property
+    def folder(self) -> Path:
+        return self.out / self.protocol
+
+    @property
+    def logs(self) -> Path:
+        return self.folder / "logs"
+
+    def case_folder(self, label: str) -> Path:
+        return self.folder / "cases" / label
+
+    def record_path(self, method: str, label: str) -> Path:
+        return self.folder / "records" / method / f"{label}.json"
+
+    def claim(self, setup: Setup, redo: Redo, earlier: Path) -> None:
+        """Note the setup that the folder's cases are of. earlier: a file whose "setup" counts where none was noted.
+
+        Raises ValueError where it holds those of another one, unless all is to be made again: hours of path tracing
+        are not to be lost by a word. Numbers of objects and locations of files may differ."""
+        noted: dict[str, Any] = {}
+        path, new = self.folder / "setup.json", to_json(setup)
+        for file, inside in ((earlier, True), (path, False)):
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+                values = json.loads(file.read_bytes())
+                noted = dict(values["setup"] if inside else values)
+        compared = [name for name in new if name in noted and name not in ("objects", *path_fields(Setup))]
+        changes = [f"{name} {noted[name]}, not {new[name]}" for name in compared if noted[name] != new[name]]
+        if changes and redo != "all":
+            raise ValueError(
+                f"bench {self.protocol}: {self.folder} holds cases of another setup ({'; '.join(changes)}); "
+                "take another --out, or --redo all to make them anew"
+            )
+        _write_json(path, new)
+
+    def stamp(self, key: CaseKey, setup: Setup) -> str:
+        """16 hex digits that change whenever the case may: table, key, setup, and the files that it is made from.
+
+        Folders count by what is in them, not by where they are, so that machines that fill one folder may keep their
+        data in different places; of the objects only the case's files count, so that a grown folder, or asking for
+        more objects, makes no case anew."""
+        values: dict[str, Any] = asdict(setup)
+        values.pop("objects")
+        for folder in ("environments", "decals", "fonts", "textures"):
+            values[folder] = _digest(_listing(values[folder]))
+        listing = _listing(values["data"])
+        of_object = [line for line in listing if key.name in _object_names(line[0])]
+        values["data"] = _digest(of_object or listing)
+        stamped = {"version": VERSION, "protocol": self.protocol, "setup": values, "key": asdict(key)}
+        return _sha(json.dumps(stamped, sort_keys=True, default=str).encode())
+
+    def has(self, key: CaseKey, setup: Setup) -> bool:
+        """Whether the case is there, complete, as the setup wants it."""
+        folder = self.case_folder(key.label)
+        try:
+            values = json.loads((folder / "stamp.json").read_bytes())
+            complete = (folder / "case.json").is_file() and (folder / "case.npz").is_file()
+            return complete and values["stamp"] == self.stamp(key, setup)
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
+
+    def save(self, case: Case, stamp: str, pictures: dict[str, Any]) -> None:
+        """Write a case and its pictures; the stamp comes last, so that what was interrupted counts as not made.
+
+        pictures: Table.pictures of the unedited asset: "result", and "truth" where the table says what to compare it
+        with; otherwise the truth is the most changed view."""
+        folder = self.case_folder(case.label)
+        (folder / "stamp.json").unlink(missing_ok=True)
+        case.save(folder)
+        write_png(folder / "input.png", case.steps[-1].edited.colors[0])
+        write_png(folder / "before.png", np.asarray(pictures["result"]))
+        view = case.most_changed_view
+        if "truth" in pictures:
+            write_png(folder / "truth.png", np.asarray(pictures["truth"]))
+        elif view is not None:
+            write_png(folder / "truth.png", case.after.colors[view])
+        self._failure(case.label).unlink(missing_ok=True)
+        _write_json(folder / "stamp.json", {"stamp": stamp, "name": case.name, "facts": case.facts})
+
+    def load(self, label: str) -> Case:
+        return Case.load(self.case_folder(label))
+
+    def describe(self, label: str) -> tuple[str, dict[str, Any]]:
+        """(name of the object, facts) of a case that is there, without reading its pictures."""
+        values = json.loads((self.case_folder(label) / "stamp.json").read_bytes())
+        return values["name"], values["facts"]
+
+    def digest(self, label: str) -> str:
+        """Of a case that is there: 16 hex digits, as Case.digest."""
+        return Case.digest(self.case_folder(label))
+
+    def save_failure(self, label: str, name: str, reason: str) -> None:
+        """Note that a case could not be made."""
+        _write_json(self._failure(label), {"name": name, "reason": reason})
+
+    def failures(self, labels: Iterable[str]) -> dict[str, tuple[str, str]]:
+        """Label -> (name of the object, reason) of those that could not be made."""
+        reasons = {}
+        for label in labels:
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+                values = json.loads(self._failure(label).read_bytes())
+                reasons[label] = (str(values["name"]), str(values["reason"]))
+        return reasons
+
+    def save_record(self, record: Record) -> None:
+        """A record without figures; the picture of an older one goes."""
+        path = self.record_path(record.method, record.label)
+        path.with_suffix(".png").unlink(missing_ok=True)
+        record.write(path)
+
+    def is_current(self, blank: Record, redo: Redo) -> bool:
+        """Whether there is a record like `blank` that need not be made anew."""
+        path = self.record_path(blank.method, blank.label)
+        if redo == "all" or not path.exists():
+            return False
+        try:
+            record = Record.read(path)
+        except ValueError:
+            return False
+        usable = record.whole or (redo == "nothing" and not record.missing)
+        return usable and record.fingerprint == blank.fingerprint
+
+    def _failure(self, label: str) -> Path:
+        return self.folder / "failed" / f"{label}.json"
+
+
+def safe(name: str) -> str:
+    """A file name for an object or light: itself where it is one, else with a digest that keeps it apart."""
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")
+    if plain == name and len(name) <= MAX_NAME_CHARS:
+        return name
+    return f"{plain[:64]}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"
+
+
+@lru_cache(maxsize=16)
+def _listing(folder: Path | None) -> tuple[tuple[str, int], ...]:
+    """(relative name, bytes) of every file below a folder; once per process."""
+    if folder is None:
+        return ()
+    listed = [file for file in Path(folder).rglob("*") if file.is_file()]
+    return tuple(sorted((file.relative_to(folder).as_posix(), file.stat().st_size) for file in listed))
+
+
+def _object_names(file: str) -> tuple[str, ...]:
+    """What an object in this file (relative) may be called."""
+    path = Path(file)
+    stem = path.with_suffix("").as_posix()
+    return stem, safe(stem), path.name, safe(path.name)
+
+
+def _digest(listing: Iterable[tuple[str, int]]) -> str:
+    return _sha("\n".join(f"{size} {name}" for name, size in listing).encode())
+
+
+def _sha(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def _write_json(path: Path, values: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with files.writing(path) as file:
+        file.write(json.dumps(values, indent=1).encode())

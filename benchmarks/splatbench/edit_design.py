@@ -16,8 +16,8 @@ from splatpainter.cameras import Camera
 from splatpainter.data import viewpoints
 
 if TYPE_CHECKING:
+    from splatbench.cases import Setup
     from splatbench.ground_truth import Shown
-    from splatbench.tables import Setup
     from splatpainter.data.edits.layers import EditResources
 
 KINDS = ("stroke", "sticker", "text", "photo", "recolor")

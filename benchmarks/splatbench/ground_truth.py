@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatbench.cases import Pictures
+from splatbench.cases import PosedImages, Setup
 from splatbench.objects import generator
 from splatpainter.cameras import Camera
 from splatpainter.data.meshes import Mesh
 from splatpainter.data.viewpoints import Optics
 
 if TYPE_CHECKING:
-    from splatbench.tables import Setup
     from splatpainter.data.lights import Light
     from splatpainter.data.surfels import Surfels
 
@@ -55,7 +54,7 @@ class Subject:
 class Shown:
     """V views of a subject."""
 
-    pictures: Pictures
+    pictures: PosedImages
     alphas: np.ndarray = field(repr=False)
     """[V, H, W] float32 share of the pixel that is surface."""
     depths: np.ndarray = field(repr=False)
@@ -88,7 +87,7 @@ def optics(setup: Setup) -> Optics:
 
 
 def show(what: Subject, light: Light, cameras: Sequence[Camera], setup: Setup, purpose: str) -> Shown:
-    """Pictures of the subject; cameras of one size. purpose: keeps the noise of this set apart from that of others
+    """PosedImages of the subject; cameras of one size. purpose: keeps the noise of this set apart from that of others
     ("base", "novel", ...). Raises ValueError without Mitsuba."""
     if what.surfels is None:
         return _traced(what, light, cameras, setup, purpose)
@@ -98,7 +97,7 @@ def show(what: Subject, light: Light, cameras: Sequence[Camera], setup: Setup, p
 
     shots = render_views(to_splats(what.surfels, shade(what.surfels, light, DEGREE)), cameras)
     colors, alphas, depths = (x.numpy() for x in (shots.views.colors, shots.alphas, shots.depths))
-    return Shown(Pictures(tuple(cameras), colors), alphas, depths)
+    return Shown(PosedImages(tuple(cameras), colors), alphas, depths)
 
 
 def blocked(mesh: Mesh, eye: np.ndarray, spot: np.ndarray, slack: float = 0.01) -> bool:
@@ -141,4 +140,4 @@ def _traced(what: Subject, light: Light, cameras: Sequence[Camera], setup: Setup
     environment = light.environment.cpu().numpy()
     done = path_trace(what.mesh, environment, cameras, PathOptions(setup.samples, seed=seed))
     colors = display(done, float(light.exposure), cameras)
-    return Shown(Pictures(tuple(cameras), colors), done.alphas, done.depths)
+    return Shown(PosedImages(tuple(cameras), colors), done.alphas, done.depths)

@@ -11,8 +11,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from tyro.conf import Positional, arg
 
 from splatbench import strokes
 from splatbench.closeups import Closeup, closeup
@@ -43,12 +45,14 @@ NOTES = (
 
 @dataclass(frozen=True)
 class LiftBench:
-    """Quality of local edits on given assets, as a table and a contact sheet.
+    """Paint on a close-up of every given asset, edit it, and measure how well, how cleanly and how fast.
 
-    Example: splatpainter bench lift assets/ --out out/bench-lift"""
+    example:
+      splatpainter bench lift vase.ply assets/ --out out/bench-lift
+    """
 
-    assets: tuple[Path, ...] = ()
-    """Splat files, or folders of them (one file per name up to the first dot)."""
+    assets: Annotated[Positional[tuple[Path, ...]], arg(metavar="ASSET ...", help_behavior_hint="")] = ()
+    """Splat files, or folders of them (one file per name up to the first dot); none: the bundled demo asset."""
     without_demo: bool = False
     """Leave out the bundled demo asset, which otherwise comes first."""
     out: Path = Path("out/bench-lift")

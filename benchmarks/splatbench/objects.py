@@ -1,8 +1,8 @@
 """Which objects and which lights a setup means, by name. Knows no protocol and renders nothing.
 
 Objects are meshes that training never sees (the split of train/training_data.py, by the objects' names), richly
-textured ones first where a MANIFEST.csv beside the folder tells; without a folder, procedural ones of seeds of their own. Lights
-are used as their files have them, exposed by the rule of the training data.
+textured ones first where a MANIFEST.csv beside the folder tells; without a folder, procedural ones whose seeds no
+training uses. Lights are used as their files have them, exposed by the rule of the training data.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from splatbench.tables import Setup
+    from splatbench.cases import Setup
     from splatpainter.data.lights import Light
     from splatpainter.data.meshes import Mesh
 
@@ -90,14 +90,6 @@ def drawn_lights(names: Sequence[str], name: str, count: int, seed: int) -> list
 def generator(seed: int, what: str, name: str) -> np.random.Generator:
     """Random numbers for one purpose and one object: the same whatever other objects there are."""
     return np.random.default_rng([seed, *hashlib.sha256(f"{what}:{name}".encode()).digest()])
-
-
-def safe(name: str) -> str:
-    """A file name for an object or light: itself where it is one, else with a digest that keeps it apart."""
-    plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")
-    if plain == name and len(name) <= 80:
-        return name
-    return f"{plain[:64]}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
 def _of_folder(setup: Setup, folder: Path) -> Objects:

@@ -16,8 +16,8 @@ from splatbench import ground_truth as ground
 from splatpainter.cameras import Camera
 
 if TYPE_CHECKING:
+    from splatbench.cases import Setup
     from splatbench.ground_truth import Shown, Subject
-    from splatbench.tables import Setup
     from splatpainter.data.edits.layers import PaintCoverage
     from splatpainter.data.lights import Light
 
@@ -80,13 +80,13 @@ class Truth:
         """As ground.show; equal cameras and purposes have equal noise, whatever is painted."""
         if self.sh is None:
             return ground.show(self.subject, self.light, cameras, self.setup, purpose)
-        from splatbench.cases import Pictures
+        from splatbench.cases import PosedImages
         from splatpainter.data.lit_scenes import render_views
         from splatpainter.data.surfels import to_splats
 
         shots = render_views(to_splats(self.subject.surfels, self.sh), cameras)  # type: ignore[arg-type]
         colors, alphas, depths = (x.numpy() for x in (shots.views.colors, shots.alphas, shots.depths))
-        return ground.Shown(Pictures(tuple(cameras), colors), alphas, depths)
+        return ground.Shown(PosedImages(tuple(cameras), colors), alphas, depths)
 
     def painted(self, paint: Paint) -> Truth:
         """With one more edit. Raises ValueError as data.edits.on_mesh.repaint_mesh."""

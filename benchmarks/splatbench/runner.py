@@ -1,50 +1,65 @@
 """Cases x methods: make the cases that are not on disk, let every method answer those it has not, write the table.
 
-Everything is a file (stock.py, records.py), so that a run goes on where another one stopped, several machines fill one
-folder, and the table depends on what was answered, not on how. Ground truth may be made by several processes; methods
-run one at a time, for their seconds are compared.
+Everything is a file (cases.py), so that a run goes on where another one stopped, several machines fill one folder, and
+the table depends on what was answered, not on how. The work is done by worker processes: ground truth by several,
+methods one at a time, for their seconds are compared. Jobs of the workers (process.py):
+
+    make   values {"task", "protocol", "setup", "out"}, items {"label", "name", "settings", "stamp"}
+    edit   values {"task", "protocol", "method", "version", "budget", "out", "perceptual", "machine"},
+           items {"label", "name", "fingerprint", "facts"}
+
+What fails is said in the record (edit) or in the worker's message (make), and the next case begins.
 """
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import json
-import os
+import math
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from splatbench import case_store as stock
+import numpy as np
+
 from splatbench import methods as registry
-from splatbench import tables as protocols
-from splatbench import timing
-from splatbench.methods import Budget, Method
-from splatbench.notes import Told, complete, lines
-from splatbench.process import WorkerJob, Workers, one_line
-from splatbench.records import Record, records
-from splatbench.report import tables
+from splatbench import tables, timing
+from splatbench.cases import (
+    Budget,
+    Case,
+    CaseKey,
+    CaseStore,
+    Record,
+    RunConfig,
+    Setup,
+    fingerprint,
+    from_json,
+    records,
+    to_json,
+)
+from splatbench.methods import EditResult, EditTask, Method, changed
+from splatbench.notes import RunState, complete, notes
+from splatbench.process import WorkerJob, Workers, answer_jobs, forget_peak, one_line, peak_mib
+from splatbench.report import tables as report_tables
 from splatbench.report.summary import RUN_FILE, MethodNames, SummaryRow, summarize
-from splatbench.tables import Key, Setup
-from splatbench.worker import SETUP_PATHS, to_json
+from splatbench.tables import Table
+from splatpainter.cameras import write_png
 from splatpainter.io import files
 from splatpainter.kernels.parallel import threads
+from splatpainter.splats import Splats, rows_sha256
 
-Redo = Literal["nothing", "errors", "all"]
-"""Which records that are up to date are made anew."""
-COMMAND: tuple[str, ...] = (sys.executable, "-m", "splatbench.worker")
-SETUP = "setup.json"
-"""In OUT/PROTOCOL: what its cases were made with."""
+WORKER: tuple[str, ...] = (sys.executable, "-c", "from splatbench.runner import work; work()")
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Finished:
+class RunResult:
     """What a run left."""
 
     folder: Path
-    """OUT/PROTOCOL."""
+    """OUT/TABLE."""
     rows: list[SummaryRow]
     table: str
     """Markdown."""
@@ -54,254 +69,184 @@ class Finished:
     """Whether all rows that could run have all figures, for as many objects as asked."""
 
 
-@dataclass(frozen=True)
-class Asked:
-    """One run; the same for all its parts."""
-
-    protocol: str
-    setup: Setup
-    methods: Sequence[str]
-    """Names, in any order."""
-    budget: Budget
-    out: Path
-    processes: int = 1
-    """That make ground truth at once."""
-    shard: tuple[int, int] = (0, 1)
-    """(k, n): only the objects k, k + n, ...; machines with the other k fill the same folder."""
-    redo: Redo = "nothing"
-    perceptual: Path | None = None
-    """Folder of the LPIPS-Alex weights; None: no LPIPS."""
-    parallel_methods: bool = False
-    """Methods run side by side, `processes` at a time: their seconds say less, and the table says so."""
-    named: bool = False
-    """The methods were asked for one by one: one that cannot run here then leaves the table incomplete."""
-
-
-def run(asked: Asked, say: Callable[[str], None]) -> Finished:
+def run(config: RunConfig, say: Say) -> RunResult:
     """Make, measure, write the table. say: gets a line whenever something is done.
 
-    Raises ValueError before any work: unknown protocol or method, data that gives no case, a folder with cases of
-    another setup (unless all is to be made again)."""
-    table = protocols.table(asked.protocol)
-    known = registry.all_methods()
-    chosen = [known[name] for name in known if name in asked.methods]
-    if missing := sorted(set(asked.methods) - set(known)):
-        raise ValueError(f"bench {asked.protocol}: expected methods of {', '.join(known)}, got {missing[0]!r}")
-    keys = table.keys(asked.setup)
-    own = of_shard(keys, asked.shard)
-    folder = asked.out / asked.protocol
+    Raises ValueError before any work: unknown table or method, data that gives no case, a folder with cases of another
+    setup (unless all is to be made again)."""
+    table, methods = tables.table(config.protocol), registry.all_methods()
+    if unknown := sorted(set(config.methods) - set(methods)):
+        raise ValueError(f"bench {config.protocol}: expected methods of {', '.join(methods)}, got {unknown[0]!r}")
+    chosen = [methods[name] for name in methods if name in config.methods]
+    keys = table.keys(config.setup)
+    shard_keys = of_shard(keys, config.shard)
+    store = CaseStore(config.out, config.protocol)
     machine = timing.machine()
-    _claim(asked, folder)
-    with Workers(COMMAND) as children:
-        _make(asked, own, children, say)
-        made = [key for key in own if _made(asked, key)]
-        _answer(asked, made, chosen, machine, children, say)
-    return report(asked, keys, own, known, folder, machine)
+    store.claim(config.setup, config.redo, store.folder / RUN_FILE)
+    with Workers(WORKER) as workers:
+        _make_cases(config, store, shard_keys, workers, say)
+        made = [key.label for key in shard_keys if store.has(key, config.setup)]
+        _answer_cases(config, store, made, chosen, machine, workers, say)
+    return write_table(config, store, keys, shard_keys, methods, machine)
 
 
-def of_shard(keys: Sequence[Key], shard: tuple[int, int]) -> list[Key]:
+def of_shard(keys: Sequence[CaseKey], shard: tuple[int, int]) -> list[CaseKey]:
     """The cases of every n-th object from the k-th on: cases of one object share their ground truth."""
-    names = list(dict.fromkeys(key.name for key in keys))
-    own = set(names[shard[0] :: shard[1]])
-    return [key for key in keys if key.name in own]
+    objects = list(dict.fromkeys(key.name for key in keys))
+    chosen = set(objects[shard[0] :: shard[1]])
+    return [key for key in keys if key.name in chosen]
 
 
-def fingerprint(digest: str, version: str, budget: Budget, perceptual: bool) -> str:
-    """Of a record: digest of its case, and 16 hex digits of what else decides its figures: the method's version, the
-    budget, whether LPIPS was measured."""
-    told = [version, budget.steps, budget.device, budget.seed, budget.curve, perceptual]
-    return f"{digest}-{hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]}"
-
-
-def report(
-    asked: Asked, keys: Sequence[Key], own: Sequence[Key], known: dict[str, Method], folder: Path, machine: str
-) -> Finished:
+def write_table(
+    config: RunConfig,
+    store: CaseStore,
+    keys: Sequence[CaseKey],
+    shard_keys: Sequence[CaseKey],
+    methods: dict[str, Method],
+    machine: str,
+) -> RunResult:
     """The table of everything in the folder that belongs to these cases, also from earlier runs and other machines."""
-    table = protocols.table(asked.protocol)
-    digests = {key.label: stock.digest(asked.out, asked.protocol, key.label) for key in keys if _made(asked, key)}
-    current = [r for r in records(folder) if r.label in digests and r.fingerprint.startswith(f"{digests[r.label]}-")]
-    versions = {m.name: _version(m, asked.budget) for m in known.values() if any(r.method == m.name for r in current)}
-    told = Told(
-        asked=asked,
+    table = tables.table(config.protocol)
+    digests = {key.label: store.digest(key.label) for key in keys if store.has(key, config.setup)}
+    current = [
+        r for r in records(store.folder) if r.label in digests and r.fingerprint.startswith(f"{digests[r.label]}-")
+    ]
+    perceptual = config.perceptual is not None
+    versions = {
+        name: _version(m, config.budget) for name, m in methods.items() if any(r.method == name for r in current)
+    }
+
+    def is_outdated(record: Record) -> bool:
+        if record.method not in versions:  # a method that is no more
+            return True
+        expected = fingerprint(digests[record.label], versions[record.method], config.budget, perceptual)
+        return record.fingerprint != expected
+
+    state = RunState(
+        config=config,
         objects=tuple(dict.fromkeys(key.name for key in keys)),
-        own=frozenset(key.label for key in own),
-        failed=stock.failures(asked.out, asked.protocol, [key.label for key in keys if key.label not in digests]),
+        shard_labels=frozenset(key.label for key in shard_keys),
+        failed=store.failures([key.label for key in keys if key.label not in digests]),
         records=tuple(current),
-        outdated=tuple(r for r in current if r.whole and r.fingerprint != _wanted(asked, r, digests, versions)),
+        outdated=tuple(r for r in current if r.whole and is_outdated(r)),
         table=table,
-        labels={name: method.label for name, method in known.items()},
+        labels={name: method.label for name, method in methods.items()},
     )
-    rows = summarize(current, table.split_by, tuple(known))
-    names = MethodNames.of(known, (r.method for r in current))
-    layout = tables.grid(asked.protocol, table.columns, rows, names, table.split_by)
-    notes = lines(told)
-    folder.mkdir(parents=True, exist_ok=True)
-    figures, means = tables.case_figures(current), tables.mean_figures(asked.protocol, rows)
-    tables.write_tables(folder, table.title, layout, figures, means, notes)
+    rows = summarize(current, table.split_by, tuple(methods))
+    names = MethodNames.of(methods, (r.method for r in current))
+    layout = report_tables.grid(config.protocol, table.columns, rows, names, table.split_by)
+    lines = notes(state)
+    store.folder.mkdir(parents=True, exist_ok=True)
+    figures, means = report_tables.case_figures(current), report_tables.mean_figures(config.protocol, rows)
+    report_tables.write_tables(store.folder, table.title, layout, figures, means, lines)
     about = {
-        "protocol": asked.protocol,
+        "protocol": config.protocol,
         "title": table.title,
-        "setup": to_json(asked.setup),
-        "budget": to_json(asked.budget),
-        "perceptual": asked.perceptual is not None,
+        "setup": to_json(config.setup),
+        "budget": to_json(config.budget),
+        "perceptual": perceptual,
         "labels": [key.label for key in keys],
         "machine": machine,
-        "notes": notes,
+        "notes": lines,
     }
-    with files.writing(folder / RUN_FILE) as file:
+    with files.writing(store.folder / RUN_FILE) as file:
         file.write(json.dumps(about, indent=1).encode())
-    return Finished(folder, rows, tables.markdown(layout), notes, complete(told))
+    return RunResult(store.folder, rows, report_tables.markdown(layout), lines, complete(state))
 
 
-def _claim(asked: Asked, folder: Path) -> None:
-    """Note the setup that the folder's cases are of. Raises ValueError where it holds those of another one: hours of
-    path tracing are not to be lost by a word. Numbers of objects and places of files may differ."""
-    own, there = to_json(asked.setup), _claimed(folder)
-    compared = [name for name in own if name in there and name not in ("objects", *SETUP_PATHS)]
-    if other := [f"{name} {there[name]}, not {own[name]}" for name in compared if there[name] != own[name]]:
-        if asked.redo != "all":
-            raise ValueError(
-                f"bench {asked.protocol}: {folder} holds cases of another setup ({'; '.join(other)}); "
-                "take another --out, or --redo all to make them anew"
-            )
-    folder.mkdir(parents=True, exist_ok=True)
-    with files.writing(folder / SETUP) as file:
-        file.write(json.dumps(own, indent=1).encode())
+# What the runner asks of its workers.
 
 
-def _claimed(folder: Path) -> dict[str, Any]:
-    """The setup that was noted; of folders without a note, that of the last run that ended; {}: none is known."""
-    for path, inside in ((folder / SETUP, False), (folder / RUN_FILE, True)):
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            told = json.loads(path.read_bytes())
-            return dict(told["setup"] if inside else told)
-    return {}
-
-
-def _made(asked: Asked, key: Key) -> bool:
-    folder = stock.case_folder(asked.out, asked.protocol, key.label)
-    return stock.is_made(folder, stock.stamp(asked.protocol, key, asked.setup))
-
-
-def _make(asked: Asked, keys: Sequence[Key], children: Workers, say: Callable[[str], None]) -> None:
-    wanted: dict[str, list[dict[str, Any]]] = {}
+def _make_cases(config: RunConfig, store: CaseStore, keys: Sequence[CaseKey], workers: Workers, say: Say) -> None:
+    by_object: dict[str, list[dict[str, Any]]] = {}
     for key in keys:
-        if not _made(asked, key):
-            stamp = stock.stamp(asked.protocol, key, asked.setup)
-            wanted.setdefault(key.name, []).append({**asdict(key), "stamp": stamp})
-    if not wanted:
+        if not store.has(key, config.setup):
+            item = {**asdict(key), "stamp": store.stamp(key, config.setup)}
+            by_object.setdefault(key.name, []).append(item)
+    if not by_object:
         return
-    count = min(asked.processes, len(wanted))
-    objects = list(wanted.values())
-    job = {
+    count = min(config.processes, len(by_object))
+    objects = list(by_object.values())
+    values = {
         "task": "make",
-        "protocol": asked.protocol,
-        "setup": to_json(asked.setup),
-        "out": str(asked.out.absolute()),
+        "protocol": config.protocol,
+        "setup": to_json(config.setup),
+        "out": str(config.out.absolute()),
     }
     share = None if count == 1 else max(1, threads() // count)
-    log = asked.out / asked.protocol / "logs"
-    plans = [
-        WorkerJob(
-            f"cases {k}", job, tuple(item for items in objects[k::count] for item in items), log / f"cases-{k}.log"
-        )
-        for k in range(count)
-    ]
-    plans = [replace(plan, threads=share) for plan in plans]
+    jobs = []
+    for k in range(count):
+        items = tuple(item for items in objects[k::count] for item in items)
+        jobs.append(WorkerJob(f"cases {k}", values, items, store.logs / f"cases-{k}.log", share))
     names = {item["label"]: item["name"] for items in objects for item in items}
-    for number, event in enumerate(children.run(plans, count), 1):
+    for number, event in enumerate(workers.run(jobs, count), 1):
         reason = event.message or event.crash
         if reason:
-            stock.fail(asked.out, asked.protocol, event.label, names[event.label], reason)
-        say(f"{asked.protocol}: case {number} of {len(names)}: {event.label}" + (f": {reason}" if reason else ""))
+            store.save_failure(event.label, names[event.label], reason)
+        say(f"{config.protocol}: case {number} of {len(names)}: {event.label}" + (f": {reason}" if reason else ""))
 
 
-def _answer(
-    asked: Asked,
-    keys: Sequence[Key],
+def _answer_cases(
+    config: RunConfig,
+    store: CaseStore,
+    labels: Sequence[str],
     chosen: Sequence[Method],
     machine: str,
-    children: Workers,
-    say: Callable[[str], None],
+    workers: Workers,
+    say: Say,
 ) -> None:
-    cases = []
-    for key in keys:
-        place = asked.out, asked.protocol, key.label
-        cases.append((key.label, stock.digest(*place), *stock.about(*place)))
-    side_by_side = asked.parallel_methods and asked.processes > 1 and len(chosen) > 1
-    where = f"{machine}; {asked.processes} methods side by side" if side_by_side else machine
+    cases = [(label, store.digest(label), *store.describe(label)) for label in labels]
+    side_by_side = config.parallel_methods and config.processes > 1 and len(chosen) > 1
+    where = f"{machine}; {config.processes} methods side by side" if side_by_side else machine
     blanks: dict[tuple[str, str], Record] = {}
-    plans = []
+    jobs = []
     for method in chosen:
-        version, why = _version(method, asked.budget), _missing(method, asked.budget)
+        version, missing = _version(method, config.budget), _missing(method, config.budget)
+        pending = []
         for label, digest, name, facts in cases:
-            print_ = fingerprint(digest, version, asked.budget, asked.perceptual is not None)
-            blank = Record(asked.protocol, method.name, label, name, print_, facts=facts, machine=where)
-            if why:
-                _write(asked, replace(blank, missing=why))
-            elif not _up_to_date(asked, blank):
+            print_ = fingerprint(digest, version, config.budget, config.perceptual is not None)
+            blank = Record(config.protocol, method.name, label, name, print_, facts=facts, machine=where)
+            if missing:
+                store.save_record(replace(blank, missing=missing))
+            elif not store.is_current(blank, config.redo):
+                pending.append(blank)
                 blanks[method.name, label] = blank
-        if why:
-            say(f"{asked.protocol}: {method.name}: {why}")
-        own = [blank for (name, _), blank in blanks.items() if name == method.name]
-        if own:
-            plans.append(_plan(asked, method, version, own, where, side_by_side))
-    for number, event in enumerate(children.run(plans, asked.processes if side_by_side else 1), 1):
+        if missing:
+            say(f"{config.protocol}: {method.name}: {missing}")
+        if pending:
+            jobs.append(edit_job(config, store, method, version, pending, where, side_by_side))
+    for number, event in enumerate(workers.run(jobs, config.processes if side_by_side else 1), 1):
         if event.crash:
-            _write(asked, replace(blanks[event.job.name, event.label], error=event.crash))
+            store.save_record(replace(blanks[event.job.name, event.label], error=event.crash))
         reason = event.crash or event.message
-        line = f"{asked.protocol}: {number} of {len(blanks)}: {event.job.name} on {event.label}"
+        line = f"{config.protocol}: {number} of {len(blanks)}: {event.job.name} on {event.label}"
         say(line + (f": {reason}" if reason else ""))
 
 
-def _plan(
-    asked: Asked, method: Method, version: str, blanks: Iterable[Record], machine: str, side_by_side: bool
+def edit_job(
+    config: RunConfig,
+    store: CaseStore,
+    method: Method,
+    version: str,
+    blanks: Iterable[Record],
+    machine: str,
+    side_by_side: bool,
 ) -> WorkerJob:
-    logs = asked.out / asked.protocol / "logs"
-    budget = asked.budget if asked.budget.scratch else replace(asked.budget, scratch=logs)
-    job = {
+    """One method on the cases of these records, which have no figures yet."""
+    budget = config.budget if config.budget.scratch else replace(config.budget, scratch=store.logs)
+    values = {
         "task": "edit",
-        "protocol": asked.protocol,
+        "protocol": config.protocol,
         "method": method.name,
         "version": version,
         "budget": to_json(budget),
-        "out": str(asked.out.absolute()),
-        "perceptual": None if asked.perceptual is None else str(asked.perceptual.absolute()),
+        "out": str(config.out.absolute()),
+        "perceptual": None if config.perceptual is None else str(config.perceptual.absolute()),
         "machine": machine,
     }
-    items = [{k: getattr(blank, k) for k in ("label", "name", "fingerprint", "facts")} for blank in blanks]
-    log = logs / f"{method.name}.log"
-    return WorkerJob(
-        method.name, job, tuple(items), log, max(1, threads() // asked.processes) if side_by_side else None
-    )
-
-
-def _record_path(asked: Asked, record: Record) -> Path:
-    return asked.out / asked.protocol / "records" / record.method / f"{record.label}.json"
-
-
-def _write(asked: Asked, record: Record) -> None:
-    """A record without figures; the picture of an older one goes."""
-    path = _record_path(asked, record)
-    path.with_suffix(".png").unlink(missing_ok=True)
-    record.write(path)
-
-
-def _up_to_date(asked: Asked, blank: Record) -> bool:
-    if asked.redo == "all" or not os.path.exists(_record_path(asked, blank)):
-        return False
-    try:
-        there = Record.read(_record_path(asked, blank))
-    except ValueError:
-        return False
-    wanted = there.whole or (asked.redo == "nothing" and not there.missing)
-    return wanted and there.fingerprint == blank.fingerprint
-
-
-def _wanted(asked: Asked, record: Record, digests: dict[str, str], versions: dict[str, str]) -> str:
-    if record.method not in versions:  # a method that is no more
-        return ""
-    return fingerprint(digests[record.label], versions[record.method], asked.budget, asked.perceptual is not None)
+    items = tuple({k: getattr(blank, k) for k in ("label", "name", "fingerprint", "facts")} for blank in blanks)
+    share = max(1, threads() // config.processes) if side_by_side else None
+    return WorkerJob(method.name, values, items, store.logs / f"{method.name}.log", share)
 
 
 def _missing(method: Method, budget: Budget) -> str:
@@ -316,3 +261,145 @@ def _version(method: Method, budget: Budget) -> str:
         return method.version(budget)
     except ValueError as error:
         return f"none: {one_line(error)}"
+
+
+# What the workers do.
+
+
+def work(ready: Callable[[], None] | None = None) -> None:
+    """Do the job on stdin. ready: called before the first edit, so that no method pays for loading what all share."""
+
+    def begin(values: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
+        if values["task"] == "make":
+            return _maker(values)
+        (load_kernels if ready is None else ready)()
+        return _editor(values)
+
+    answer_jobs(begin)
+
+
+def load_kernels() -> None:
+    """Load the compiled kernels of the renderer and the lift."""
+    from splatpainter.kernels.compile import run_group
+
+    run_group(0, 1)
+
+
+def _maker(values: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
+    table, setup = tables.table(values["protocol"]), from_json(Setup, values["setup"])
+    store = CaseStore(Path(values["out"]), values["protocol"])
+
+    def make(item: dict[str, Any]) -> str:
+        try:
+            case = table.make(CaseKey(item["label"], item["name"], item["settings"]), setup)
+            unedited = [EditResult(case.asset, 0.0, 0.0)] * len(case.steps)
+            store.save(case, item["stamp"], table.pictures(case, unedited))
+        except Exception as error:
+            return _logged(item["label"], error)
+        return ""
+
+    return make
+
+
+def _editor(values: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
+    table, budget = tables.table(values["protocol"]), from_json(Budget, values["budget"])
+    store = CaseStore(Path(values["out"]), values["protocol"])
+    method = registry.all_methods()[values["method"]]
+    perceptual = None
+    if values["perceptual"] is not None:
+        from splatpainter.metrics import Lpips
+
+        perceptual = Lpips.load("alex", values["perceptual"])
+    machine = values["machine"] + _gpu(budget)
+
+    def edit(item: dict[str, Any]) -> str:
+        label = item["label"]
+        record = Record(values["protocol"], method.name, label, item["name"], item["fingerprint"], facts=item["facts"])
+        record = replace(record, machine=machine)
+        path = store.record_path(method.name, label)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            if method.version(budget) != values["version"]:
+                raise ValueError(f"{method.name}: its weights or settings changed since the run began; start it again")
+            case = store.load(label)
+            results, peak = edited(case, method, budget)
+            record = measured(record, table, case, results, perceptual, peak)
+            write_png(path.with_suffix(".png"), np.asarray(table.pictures(case, results)["result"]))
+        except Exception as error:
+            record = replace(record, error=_logged(label, error), figures={}, curve=[])
+        record.write(path)
+        return record.error
+
+    return edit
+
+
+def edited(case: Case, method: Method, budget: Budget) -> tuple[list[EditResult], float]:
+    """(what the method made of each step, each begun from the one before, peak memory in MiB meanwhile or NaN).
+
+    Raises what the method raises, and ValueError where it wrote into the asset that it was given."""
+    forget_peak()  # scoring the case before is not the method's
+    results: list[EditResult] = []
+    asset, state = case.asset, None
+    for step in case.steps:
+        before = rows_sha256(asset)
+        task = EditTask(case.protocol, asset, case.base, step, case.true_views if method.oracle else None, state)
+        result = method.edit(task, budget)
+        if rows_sha256(asset) != before:
+            raise ValueError(f"{method.name}: wrote into the asset that it was given; its answer cannot be compared")
+        result = replace(result, splats=result.splats.numpy())
+        results.append(result)
+        asset, state = result.splats, result.state
+    return results, peak_mib()
+
+
+def measured(
+    record: Record, table: Table, case: Case, results: Sequence[EditResult], perceptual: Any | None, peak: float
+) -> Record:
+    """The record with all its figures. Seconds of set-up and of edits are sums over the steps."""
+    keeps = all(result.keeps_rows for result in results)
+    last = results[-1]
+    numbers = {key: value for result in results for key, value in result.numbers.items()}
+    points = []
+    for seconds, steps, splats in last.curve:
+        then = [*results[:-1], replace(last, splats=splats.numpy(), curve=())]
+        points.append({"seconds": seconds, "steps": steps, **_figures(table.score(case, then, perceptual))})
+    return replace(
+        record,
+        figures=_figures(table.score(case, results, perceptual)),
+        setup_seconds=sum(result.setup_seconds for result in results),
+        edit_seconds=sum(result.edit_seconds for result in results),
+        peak_mib=None if math.isnan(peak) else peak,
+        rows=len(last.splats),
+        rows_equal=share_equal(case.asset, last.splats) if keeps else None,
+        appended=len(last.splats) - len(case.asset) if keeps else None,
+        numbers={key: float(value) for key, value in numbers.items()},
+        note="; ".join(dict.fromkeys(result.note for result in results if result.note)),
+        curve=points,
+    )
+
+
+def share_equal(before: Splats, after: Splats) -> float:
+    """Share of the Gaussians of `before` whose every attribute kept its bits in the same one of `after`, which has at
+    least as many. Raises ValueError where it has fewer."""
+    if len(after) < len(before):
+        raise ValueError(f"rows equal: an answer that keeps rows has {len(after)} of the asset's {len(before)}")
+    return 1.0 - float(changed(before, after).mean()) if len(before) else 1.0
+
+
+def _figures(values: dict[str, float | None]) -> dict[str, float | None]:
+    """NaN becomes None: there is no number."""
+    return {k: None if v is None or math.isnan(v) else float(v) for k, v in values.items()}
+
+
+def _gpu(budget: Budget) -> str:
+    if budget.device != "cuda":
+        return ""
+    import torch
+
+    return f"; {torch.cuda.get_device_name()}" if torch.cuda.is_available() else ""
+
+
+def _logged(label: str, error: Exception) -> str:
+    print(f"{label}:", file=sys.stderr)
+    traceback.print_exc()
+    return one_line(error)

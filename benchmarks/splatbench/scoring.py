@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splatbench.cases import Pictures
+from splatbench.cases import PosedImages
 from splatpainter.cameras import Camera
 from splatpainter.metrics import psnr, ssim
 from splatpainter.metrics.images import RADIUS
@@ -31,7 +31,7 @@ def drawn(splats: Splats, cameras: Sequence[Camera]) -> np.ndarray:
     return np.clip(render(splats.numpy(), list(cameras)).colors, 0, 1).astype(np.float32)
 
 
-def object_masks(pictures: Pictures) -> np.ndarray:
+def object_masks(pictures: PosedImages) -> np.ndarray:
     """[W, H, W] bool where the pictures are not exactly their camera's background, as far as float16 tells them apart
     (cases are kept so). Where a picture's alpha is known, `alpha > 0` says it better: an object may have the
     background's colour."""
@@ -40,7 +40,7 @@ def object_masks(pictures: Pictures) -> np.ndarray:
 
 
 def scored(
-    splats: Splats, pictures: Pictures, masks: np.ndarray | None, perceptual: Any | None
+    splats: Splats, pictures: PosedImages, masks: np.ndarray | None, perceptual: Any | None
 ) -> dict[str, float | None]:
     """{"psnr", "ssim", "lpips"} of the renders of `splats` against `pictures`; see `compared`."""
     if not _some(len(pictures), masks):

@@ -14,11 +14,10 @@ import numpy as np
 from splatbench import assets
 from splatbench import edit_design as designs
 from splatbench import ground_truth as ground
-from splatbench.cases import Case, Pictures, Step
+from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
 from splatbench.edit_design import KINDS, SMALLEST, Spot
 from splatbench.objects import environments, generator, objects
 from splatbench.painted_truth import Paint, Truth, changed
-from splatbench.tables import Key, Setup
 from splatpainter.cameras import Camera
 from splatpainter.data import viewpoints
 
@@ -43,7 +42,7 @@ LIGHTLY = 0.25
 class Scene:
     """An object that is about to be edited."""
 
-    key: Key
+    key: CaseKey
     setup: Setup
     truth: Truth
     base: Shown = field(repr=False)
@@ -61,7 +60,9 @@ class Scene:
         novel += viewpoints.ring(self.truth.subject.radius, self.optics, count - near, self.rng)
         return novel, np.arange(count) < near
 
-    def case(self, steps: Sequence[Step], before: Pictures, after: Pictures, near: np.ndarray, **facts: Any) -> Case:
+    def case(
+        self, steps: Sequence[EditStep], before: PosedImages, after: PosedImages, near: np.ndarray, **facts: Any
+    ) -> Case:
         built = assets.build(self.truth.subject, self.truth.light, self.base, self.setup)
         told = {**ground.told(self.setup), "asset": built.how, "light": self.truth.light.name, "steps": len(steps)}
         return Case(
@@ -82,7 +83,7 @@ class Scene:
         return ValueError(f"{self.key.name}: {TRIES} choices of {what} changed nothing that can be seen")
 
 
-def scene(key: Key, setup: Setup) -> Scene:
+def scene(key: CaseKey, setup: Setup) -> Scene:
     """Raises ValueError where the object cannot be read or shown."""
     what = ground.subject(key.name, objects(setup).load(key.name), setup)
     truth = Truth(what, environments(setup).load(key.settings["light"]), setup)
@@ -105,7 +106,7 @@ def painted_views(at: Scene, count: int) -> Case:
             break
     else:
         raise at.fail(f"a {kind} edit in {count} views")
-    steps = [Step("local", kind, after.pictures.take([k]), masks[k : k + 1]) for k in range(count)]
+    steps = [EditStep("local", kind, after.pictures.take([k]), masks[k : k + 1]) for k in range(count)]
     rest = range(count, count + len(novel))
     return at.case(steps, before.pictures.take(rest), after.pictures.take(rest), near, edit="paint", kind=kind)
 
@@ -123,7 +124,7 @@ def zoomed_views(at: Scene, count: int) -> Case:
     views = [zoom, *designs.beside(at.truth, zoom, spot, count - 1, NEAR, at.rng)]
     novel, near = at.near_and_around(zoom, spot)
     shown = at.truth.show([*views, *novel], "novel")
-    steps = [Step("local", "zoom", shown.pictures.take([k]), shown.masks[k : k + 1]) for k in range(count)]
+    steps = [EditStep("local", "zoom", shown.pictures.take([k]), shown.masks[k : k + 1]) for k in range(count)]
     after = shown.pictures.take(range(count, count + len(novel)))
     return at.case(steps, after, after, near, edit="zoom", kind="zoom")
 
@@ -135,7 +136,7 @@ def relit_views(at: Scene, count: int) -> Case:
     views = viewpoints.ring(radius, at.optics, count, at.rng)
     novel = viewpoints.ring(radius, at.optics, at.setup.novel_views, at.rng)
     shown = target.show([*views, *novel], "relit")
-    steps = [Step("global", "relight", shown.pictures.take([k]), shown.masks[k : k + 1]) for k in range(count)]
+    steps = [EditStep("global", "relight", shown.pictures.take([k]), shown.masks[k : k + 1]) for k in range(count)]
     after = shown.pictures.take(range(count, count + len(novel)))
     before = at.truth.show(novel, "novel").pictures
     near = np.zeros(len(novel), bool)
@@ -147,8 +148,8 @@ def different_edits(at: Scene, count: int) -> Case:
 
     The first views of `before` and `after` are those close-ups: just before the edit made there, and after the last."""
     truth, rough = at.truth, at.truth.rough()
-    steps: list[Step] = []
-    earlier: list[Pictures] = []
+    steps: list[EditStep] = []
+    earlier: list[PosedImages] = []
     made: list[tuple[Paint, Spot]] = []
     for k in range(count):
         paint, spot = _another(at, rough, KINDS[k % len(KINDS)], [spot for _, spot in made])
@@ -160,7 +161,7 @@ def different_edits(at: Scene, count: int) -> Case:
         truth, rough = painted, rough.painted(paint)
         made.append((paint, spot))
         earlier.append(before.pictures)
-        steps.append(Step("local", paint.kind, after.pictures, masks))
+        steps.append(EditStep("local", paint.kind, after.pictures, masks))
     if len(steps) < 2:
         raise at.fail("different edits")
     last = [truth.show(step.edited.cameras, f"edit {k}").pictures for k, step in enumerate(steps)]
@@ -194,8 +195,8 @@ def conflict(at: Scene) -> Case:
     else:
         raise at.fail("edits that conflict")
     steps = [
-        Step("local", first_kind, one.pictures, masks),
-        Step("local", second_kind, two_there.pictures, later),
+        EditStep("local", first_kind, one.pictures, masks),
+        EditStep("local", second_kind, two_there.pictures, later),
     ]
     novel, near = at.near_and_around(view, spot)
     before, after = (t.show(novel, "novel").pictures for t in (at.truth, twice))
@@ -203,10 +204,10 @@ def conflict(at: Scene) -> Case:
     return at.case(steps, joined([plain.pictures, before]), joined([two.pictures, after]), near, kind="conflict")
 
 
-def joined(parts: Sequence[Pictures]) -> Pictures:
+def joined(parts: Sequence[PosedImages]) -> PosedImages:
     """All views in a row."""
     cameras = tuple(camera for part in parts for camera in part.cameras)
-    return Pictures(cameras, np.concatenate([part.colors for part in parts]))
+    return PosedImages(cameras, np.concatenate([part.colors for part in parts]))
 
 
 def _another(at: Scene, rough: Truth, kind: str, spots: Sequence[Spot]) -> tuple[Paint, Spot]:

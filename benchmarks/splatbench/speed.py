@@ -48,9 +48,11 @@ NOTES = (
 
 @dataclass(frozen=True)
 class SpeedBench:
-    """Time and peak memory of every stage, as a table with the machine named.
+    """Measure time and peak memory of every stage; write them as a table with the machine named.
 
-    Example: splatpainter bench speed --out out/bench-speed"""
+    example:
+      splatpainter bench speed --rows 10000 100000 --out out/bench-speed
+    """
 
     out: Path = Path("out/bench-speed")
     """Folder for speed.csv and speed.md; made if missing."""

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatbench import edit_design as designs
-from splatbench.cases import Pictures
+from splatbench.cases import PosedImages
 from splatbench.ground_truth import Shown
 from splatbench.painted_truth import changes
 from splatpainter.cameras import Camera
 
 if TYPE_CHECKING:
+    from splatbench.cases import Setup
     from splatbench.painted_truth import Paint
-    from splatbench.tables import Setup
     from splatpainter.data.edits.layers import EditResources
     from splatpainter.data.viewpoints import Optics
     from splatpainter.splats import Splats
@@ -57,12 +57,12 @@ class SplatSubject:
         return designs.Spot((spot.place - self.center) * self.scale * turn, spot.normal * turn)
 
     def show(self, cameras: Sequence[Camera]) -> Shown:
-        """Pictures from cameras of the asset's frame."""
+        """PosedImages from cameras of the asset's frame."""
         from splatpainter.rendering import render
 
         drawn = render(self.splats, list(cameras))
         colors = np.clip(drawn.colors, 0, 1).astype(np.float32)
-        return Shown(Pictures(tuple(cameras), colors), drawn.alphas[..., 0], drawn.depths[..., 0])
+        return Shown(PosedImages(tuple(cameras), colors), drawn.alphas[..., 0], drawn.depths[..., 0])
 
 
 def is_splat_folder(folder: Path | None) -> bool:

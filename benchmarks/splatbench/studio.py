@@ -48,9 +48,11 @@ NOTES = (
 
 @dataclass(frozen=True)
 class StudioBench:
-    """Waiting times, bytes and memory of the studio's server, as a table with the machine named.
+    """Drive the studio's server as a page does; measure every wait, the bytes sent and the server's memory.
 
-    Example: splatpainter bench studio --out out/bench-studio"""
+    example:
+      splatpainter bench studio --edits 200 --clients 20 --out out/bench-studio
+    """
 
     out: Path = Path("out/bench-studio")
     """Folder for studio.csv and studio.md; made if missing."""

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from splatbench.cases import Case
-from splatbench.methods import Budget, Done, Work, ablations, learned, lift
+from splatbench.cases import Budget, Case, Setup
+from splatbench.methods import EditResult, EditTask, ablations, lift, ttt
 from splatbench.methods.ablations import AS_TRAINED, Change, altered
-from splatbench.tables import Setup
 from splatbench.tables import ablation as ablate
 
 from splatpainter.data.shards import INDEX
@@ -81,9 +80,9 @@ def test_figures_are_those_of_the_judge(place: int) -> None:
     numbers = (
         refine_task(replace(RECIPE, samples=RECIPE.samples), SplatPainterModel(TRAINED), None).judge(sample).numbers
     )
-    lifted = lift.edit(Work("ablate", case.asset, case.base, case.steps[0]), Budget())
+    lifted = lift.edit(EditTask("ablate", case.asset, case.base, case.steps[0]), Budget())
     for name, splats in (("nothing", case.asset), ("lift", lifted.splats)):
-        found = TABLE.score(case, [Done(splats, 0, 0)], None)
+        found = TABLE.score(case, [EditResult(splats, 0, 0)], None)
         assert found["psnr"] == pytest.approx(numbers[name], abs=2e-3)
         assert found["ssim"] == pytest.approx(numbers[f"{name} SSIM"], abs=1e-3)
         assert found["lpips"] is None
@@ -91,7 +90,7 @@ def test_figures_are_those_of_the_judge(place: int) -> None:
 
 def test_the_sheet_shows_the_view_with_most_of_the_edit() -> None:
     case = made(1)
-    shown = TABLE.pictures(case, [Done(case.asset, 0, 0)])
+    shown = TABLE.pictures(case, [EditResult(case.asset, 0, 0)])
     change = np.abs(case.after.colors - case.before.colors).max(-1) > 0.02
     most = int(np.argmax(np.where(case.near, change.sum((1, 2)), -1)))
     assert list(shown) == ["result", "truth"]
@@ -188,16 +187,16 @@ def test_weights_are_shared_and_the_model_stays_as_it_was() -> None:
 
 
 @torch.no_grad()
-def test_what_is_silenced_is_not_told() -> None:
+def test_zeroed_inputs_have_no_effect() -> None:
     model = wide_awake()
     latents = torch.randn(5, model.config.compress.dim)
     columns = model.state_dict()["refiner.lift.weight"].shape[1]
     features = [torch.rand(5, columns), torch.rand(5, columns)]
     drifts = [torch.rand(5, 7), torch.rand(5, 7)]
-    deaf = altered(model, Change(silent=("refiner.lift.weight",)))
+    deaf = altered(model, Change(zeroed=("refiner.lift.weight",)))
     heard = [m.refiner.prepare(latents, f, drifts[0]) for m in (model, deaf) for f in features]
     assert not torch.equal(heard[0], heard[1]) and torch.equal(heard[2], heard[3])
-    still = altered(model, Change(silent=("refiner.drift.weight",)))
+    still = altered(model, Change(zeroed=("refiner.drift.weight",)))
     heard = [m.refiner.prepare(latents, features[0], d) for m in (model, still) for d in drifts]
     assert not torch.equal(heard[0], heard[1]) and torch.equal(heard[2], heard[3])
 
@@ -206,7 +205,7 @@ def test_rows_that_teach_can_be_left_out_and_sizes_cannot_change() -> None:
     model = wide_awake(with_refine(LIFT, row_tokens=64))
     changed = altered(model, Change({"row_tokens": 0}))
     assert changed.state_dict().keys() < model.state_dict().keys() and changed.config.refine.row_tokens == 0
-    with pytest.raises(ValueError, match="as this setting wants it; train with it"):
+    with pytest.raises(ValueError, match="as this setting needs it; train with it"):
         altered(model, Change({"fast_hidden": 16}))
     with pytest.raises(ValueError, match="train with it"):
         altered(changed, Change({"row_tokens": 64}))
@@ -232,8 +231,8 @@ def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> N
 def test_a_row_runs_end_to_end_and_differs_from_the_weights_own_settings(tmp_path: Path) -> None:
     wide_awake().save(tmp_path, dtype="float32")
     budget, case = Budget(weights={"compact": str(tmp_path)}), made(0)
-    asked = Work("ablate", case.asset, case.base, case.steps[0])
-    plain, still = learned.METHODS[0].edit(asked, budget), ROWS["same-strength-0"].edit(asked, budget)
+    asked = EditTask("ablate", case.asset, case.base, case.steps[0])
+    plain, still = ttt.METHODS[0].edit(asked, budget), ROWS["same-strength-0"].edit(asked, budget)
     assert not np.array_equal(plain.splats.means, still.splats.means) and still.keeps_rows
     assert len(still.splats) == len(plain.splats)
 
@@ -248,7 +247,7 @@ def test_separate_models_answer_for_their_own_kind_of_edit(tmp_path: Path) -> No
     assert row.missing(budget) == ""
     for place, same in ((0, False), (1, True)):
         case = made(place)
-        asked = Work("ablate", case.asset, case.base, case.steps[0])
+        asked = EditTask("ablate", case.asset, case.base, case.steps[0])
         ours, lifted = row.edit(asked, budget).splats, lift.edit(asked, budget).splats
         assert np.array_equal(ours.sh, lifted.sh) == same
 

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from splatbench.adapters import config, frames, systems
-from splatbench.methods import Budget
+from splatbench.cases import Budget
 from splatbench.methods import external as adapters
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial

@@ -8,11 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from splatbench import command as bench
-from splatbench import runner
-from splatbench import table_commands as bench_paper
+from splatbench import command, runner
 from splatbench import tables as protocols
-from splatbench.table_commands import Config
+from splatbench.command import TableOptions
 
 from benchmarks.tests.support import stubs as paper_stubs
 from splatpainter.cli import main
@@ -25,10 +23,10 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "trouble").mkdir()
     monkeypatch.setenv(paper_stubs.VARIABLE, str(tmp_path / "trouble"))
     monkeypatch.delenv("SPLATPAINTER_PERCEPTUAL", raising=False)
-    monkeypatch.setattr(runner, "COMMAND", (sys.executable, paper_stubs.__file__))
+    monkeypatch.setattr(runner, "WORKER", (sys.executable, paper_stubs.__file__))
     monkeypatch.setattr(warmup, "ensure_compiled", lambda progress: None)
     monkeypatch.setattr(protocols, "NAMES", ("toy",))
-    monkeypatch.setitem(bench.PAPER, "toy", "for the tests")
+    monkeypatch.setitem(command.TABLES, "toy", "for the tests")
     paper_stubs.register(monkeypatch)
     return tmp_path / "out"
 
@@ -86,17 +84,17 @@ def test_report_wants_folders_of_benches(toy: Path, tmp_path: Path, capfd: pytes
         assert said in capfd.readouterr().err
     (tmp_path / "x" / "toy" / "records").mkdir(parents=True)
     own = tmp_path / "x" / "toy"
-    assert bench_paper.table_folders([tmp_path / "x"], "") == bench_paper.table_folders([own], "") == [own]
+    assert command.table_folders([tmp_path / "x"], "") == command.table_folders([own], "") == [own]
 
 
 def test_presets_give_way_to_words() -> None:
-    quick = bench_paper.preset(Config(quick=True, size=64), ["--quick", "--size", "64", "--held-out"], "refine")
+    quick = command.preset(TableOptions(quick=True, size=64), ["--quick", "--size", "64", "--held-out"], "refine")
     assert (quick.objects, quick.size, quick.held_out, quick.truth) == (2, 64, True, "surfels")
-    assert quick.out != Config.out, "its cases are of another setup"
-    assert bench_paper.preset(Config(quick=True), ["--quick"], "ablate").objects == 1
-    full = bench_paper.preset(Config(full=True, novel_views=5), ["--full", "--novel-views=5"], "refine")
+    assert quick.out != TableOptions.out, "its cases are of another setup"
+    assert command.preset(TableOptions(quick=True), ["--quick"], "ablate").objects == 1
+    full = command.preset(TableOptions(full=True, novel_views=5), ["--full", "--novel-views=5"], "refine")
     assert (full.objects, full.size, full.base_views, full.lights, full.novel_views) == (370, 512, 9, 24, 5)
-    assert bench_paper.preset(Config(), [], "refine") == Config()
+    assert command.preset(TableOptions(), [], "refine") == TableOptions()
 
 
 def test_help_is_light() -> None:
@@ -108,4 +106,4 @@ def test_help_is_light() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "[]\n")
     assert "--perceptual-weights DIR" in done.stdout
-    assert all(f"  {name:<8} {line}" in done.stdout for name, line in bench.PAPER.items())
+    assert all(f"  {name:<8} {line}" in done.stdout for name, line in command.TABLES.items())

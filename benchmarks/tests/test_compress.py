@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from splatbench.cases import Case, Pictures, Step
-from splatbench.methods import Budget, Done, Work, stage_one
-from splatbench.tables import Setup
+from splatbench.cases import Budget, Case, EditStep, PosedImages, Setup
+from splatbench.methods import EditResult, EditTask, reconstruction
 from splatbench.tables import compression as compress
 
 from splatpainter.cameras import orbit
@@ -20,7 +19,7 @@ from tests.support.lift_scenes import sheet
 from tests.support.painter_scenes import built
 from tests.support.train_scenes import SMALL
 
-ROWS = {method.name: method for method in stage_one.METHODS}
+ROWS = {method.name: method for method in reconstruction.METHODS}
 COPY = replace(SMALL, representation="copy", refine=replace(SMALL.refine, lift_features=False))
 TABLE = compress.protocol()
 
@@ -30,15 +29,15 @@ def case() -> Case:
     own = sheet(20, degree=1)
     cameras = tuple(replace(c, background=(0.5, 0.5, 0.5)) for c in orbit((0, 0, 0), 3.0, 2, width=32, height=32))
     drawn = render(own, list(cameras))
-    base = Pictures(cameras, drawn.colors)
-    truth = Pictures(cameras, np.where(drawn.alphas > 0, drawn.colors + np.float32(0.1), 0.5).astype(np.float32))
-    step = Step("global", "plain", base, drawn.alphas[..., 0] > 0.5)
+    base = PosedImages(cameras, drawn.colors)
+    truth = PosedImages(cameras, np.where(drawn.alphas > 0, drawn.colors + np.float32(0.1), 0.5).astype(np.float32))
+    step = EditStep("global", "plain", base, drawn.alphas[..., 0] > 0.5)
     near = np.zeros(len(cameras), bool)
     return Case("compress", "sheet", "sheet-compress", own, base, (step,), truth, truth, near)
 
 
-def work(asked: Case) -> Work:
-    return Work(asked.protocol, asked.asset, asked.base, asked.steps[0])
+def work(asked: Case) -> EditTask:
+    return EditTask(asked.protocol, asked.asset, asked.base, asked.steps[0])
 
 
 def weights(folder: Path, config: ModelConfig) -> str:
@@ -49,7 +48,7 @@ def weights(folder: Path, config: ModelConfig) -> str:
 def test_scores_are_against_the_truth_and_against_the_asset() -> None:
     asked = case()
     numbers = {"gaussians_before": 8000.0, "gaussians_kept": 2000.0, "voxels": 900.0}
-    found = TABLE.score(asked, [Done(asked.asset, 0, 0, numbers=numbers)], None)
+    found = TABLE.score(asked, [EditResult(asked.asset, 0, 0, numbers=numbers)], None)
     assert found["psnr"] == pytest.approx(20.0, abs=1e-3)  # 0.1 everywhere on the object: -20 log10 0.1
     assert found["psnr_asset"] == 100.0 and found["lpips"] is None  # its own render
     assert found["ssim"] is not None and 0.5 < found["ssim"] < 1
@@ -57,7 +56,7 @@ def test_scores_are_against_the_truth_and_against_the_asset() -> None:
     # Colours that are 0.1 brighter where rows are opaque: the truth is met, the asset no longer.
     sh = asked.asset.sh.copy()
     sh[:, 0] += np.float32(0.1 / SH_C0)
-    brighter = TABLE.score(asked, [Done(replace(asked.asset, sh=sh), 0, 0)], None)
+    brighter = TABLE.score(asked, [EditResult(replace(asked.asset, sh=sh), 0, 0)], None)
     assert brighter["psnr"] is not None and brighter["psnr"] > 25 and brighter["psnr_asset"] == pytest.approx(20, abs=2)
     assert brighter["voxels"] is None and brighter["share_kept"] is None
     assert {column.key for column in TABLE.columns} <= set(found)
@@ -65,7 +64,7 @@ def test_scores_are_against_the_truth_and_against_the_asset() -> None:
 
 def test_the_sheet_shows_a_view_beside_its_truth() -> None:
     asked = case()
-    shown = TABLE.pictures(asked, [Done(asked.asset, 0, 0)])
+    shown = TABLE.pictures(asked, [EditResult(asked.asset, 0, 0)])
     assert list(shown) == ["result", "truth"]
     np.testing.assert_allclose(shown["result"], np.clip(asked.base.colors[0], 0, 1), atol=1e-6)
 
@@ -77,9 +76,9 @@ def test_without_weights_the_rows_say_how_to_get_them() -> None:
         assert line.endswith(f"--weights {name}=FOLDER")
 
 
-@pytest.mark.parametrize("name", stage_one.GROUPINGS)
+@pytest.mark.parametrize("name", reconstruction.GROUPINGS)
 def test_each_grouping_keeps_a_quarter_of_each_voxel(tmp_path: Path, name: str) -> None:
-    grouping = stage_one.GROUPINGS[name][0]
+    grouping = reconstruction.GROUPINGS[name][0]
     config = replace(COPY, compress=replace(COPY.compress, grouping=grouping, keep=0.25))
     budget = Budget(weights={name: weights(tmp_path, config)})
     row = ROWS[f"stage1-{name}"]
@@ -130,8 +129,8 @@ def test_a_case_is_made_of_a_held_out_object_and_nothing_is_edited() -> None:
     assert step.mode == "global" and step.kind == "plain" and step.edited is made.base and len(step.edited) == 3
     assert 0.02 < step.masks.mean() < 0.95
     # What the asset shows from new sides is like the truth: the conventions of both agree.
-    found = TABLE.score(made, [Done(made.asset, 0, 0)], None)
-    grey = TABLE.score(made, [Done(replace(made.asset, sh=np.zeros_like(made.asset.sh)), 0, 0)], None)
+    found = TABLE.score(made, [EditResult(made.asset, 0, 0)], None)
+    grey = TABLE.score(made, [EditResult(replace(made.asset, sh=np.zeros_like(made.asset.sh)), 0, 0)], None)
     assert found["psnr"] is not None and grey["psnr"] is not None and found["psnr_asset"] == 100.0
     again = TABLE.make(key, setup)
     assert np.array_equal(again.asset.means, made.asset.means) and np.array_equal(again.base.colors, made.base.colors)

@@ -11,10 +11,9 @@ from splatbench import edit_design as designs
 from splatbench import ground_truth as ground
 from splatbench import painted_truth as painted
 from splatbench import splat_cases
-from splatbench.cases import Case, Pictures, Step
-from splatbench.methods import Done
+from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
+from splatbench.methods import EditResult
 from splatbench.scoring import drawn
-from splatbench.tables import Key, Setup
 from splatbench.tables.creative_editing import protocol, rows
 
 from splatpainter.cameras import orbit
@@ -72,7 +71,7 @@ def test_a_case_asks_for_what_its_truth_shows(made: Case, truth: painted.Truth) 
     assert (made.protocol, step.mode, step.kind, len(step.edited)) == ("creative", "local", "stroke", 1)
     assert step.masks.shape == (1, 48, 48) and designs.SMALLEST <= step.masks.mean() <= designs.LARGEST
     assert len(made.after) == 3 and made.near.tolist() == [True, True, False]
-    assert made.oracle is not None and len(made.oracle) == 12 and len(made.asset) <= 600
+    assert made.true_views is not None and len(made.true_views) == 12 and len(made.asset) <= 600
     before = truth.show(step.edited.cameras, "novel").pictures.colors  # unpainted, path tracing would have equal noise
     differs = np.abs(before - step.edited.colors).max(-1) > 0.02
     assert not (differs & ~step.masks).sum() > 5 and (differs & step.masks).sum() > 0.5 * differs.sum()
@@ -117,15 +116,15 @@ def test_a_folder_of_splats_gives_cases_with_no_truth_but_the_picture(tmp_path: 
     setup = replace(SETUP, data=tmp_path, objects=1)
     (key,) = TABLE.keys(setup)
     case = TABLE.make(key, setup)
-    assert case.oracle is None and len(case.after) == 0 and case.near.shape == (0,)
+    assert case.true_views is None and len(case.after) == 0 and case.near.shape == (0,)
     (step,) = case.steps
     was = drawn(case.asset, step.edited.cameras)
     assert (was != GREY).any(-1).mean() > 0.1  # the camera finds the asset where the file has it
     assert np.abs(was - step.edited.colors)[~step.masks].max() < 0.021
     assert np.abs(was - step.edited.colors)[step.masks].max() > 0.2
-    figures = TABLE.score(case, [Done(case.asset, 0, 0)], None)
+    figures = TABLE.score(case, [EditResult(case.asset, 0, 0)], None)
     assert figures["psnr_novel"] is None and figures["psnr_outside"] == 100 and figures["psnr"] is not None
-    assert set(TABLE.pictures(case, [Done(case.asset, 0, 0)])) == {"result", "truth"}
+    assert set(TABLE.pictures(case, [EditResult(case.asset, 0, 0)])) == {"result", "truth"}
 
 
 def test_cameras_of_the_frame_show_the_asset_where_it_is() -> None:
@@ -166,33 +165,33 @@ def test_figures_of_answers_known_by_hand() -> None:
     front, side, back = orbit([0, 0, 0], 4, 3, width=48, height=48, fov=40, background=GREY, start=0)
     cameras = sorted((front, side, back), key=lambda c: -c.position[2])  # the cap is at +z
 
-    def pictures(splats: Splats, views: list) -> Pictures:
-        return Pictures(tuple(views), drawn(splats, views))
+    def pictures(splats: Splats, views: list) -> PosedImages:
+        return PosedImages(tuple(views), drawn(splats, views))
 
     first = pictures(edited, cameras[:1])
     masks = painted.changes(drawn(asset, cameras[:1]), first.colors)
     assert masks.any()
-    step = Step("local", "stroke", first, masks)
+    step = EditStep("local", "stroke", first, masks)
     before, after = pictures(asset, cameras), pictures(edited, cameras)
     near = np.array([True, False, False])
     case = Case("creative", "ball", "ball", asset, before, (step,), before, after, near)
 
-    right = TABLE.score(case, [Done(edited, 0, 0)], None)
+    right = TABLE.score(case, [EditResult(edited, 0, 0)], None)
     assert right["psnr"] == right["psnr_novel"] == 100 and right["ssim"] == pytest.approx(1)
     assert right["psnr_outside"] is not None and right["psnr_outside"] > 40  # what is below the mask's threshold
     assert (right["touched"], right["appended"]) == (len(cap), 0)
     assert right["equal"] == pytest.approx(100 * (1 - len(cap) / 1500))
 
-    none = TABLE.score(case, [Done(asset, 0, 0)], None)
+    none = TABLE.score(case, [EditResult(asset, 0, 0)], None)
     assert none["psnr_outside"] == 100 and none["touched"] == 0 and none["equal"] == 100
     error = ((before.colors[0] - first.colors[0]) ** 2)[masks[0]].mean()
     assert none["psnr"] == pytest.approx(-10 * np.log10(error), abs=1e-4)
 
     everything = colored(asset, np.arange(1500), -1.0)
-    spoiled = TABLE.score(case, [Done(everything, 0, 0, keeps_rows=False)], None)
+    spoiled = TABLE.score(case, [EditResult(everything, 0, 0, keeps_rows=False)], None)
     assert spoiled["psnr_outside"] is not None and spoiled["psnr_outside"] < 20
     assert spoiled["touched"] is None and spoiled["equal"] is None
-    assert TABLE.pictures(case, [Done(edited, 0, 0)])["truth"].shape == (48, 48, 3)
+    assert TABLE.pictures(case, [EditResult(edited, 0, 0)])["truth"].shape == (48, 48, 3)
     assert {column.key for column in TABLE.columns} <= set(right)
 
 
@@ -203,7 +202,7 @@ def test_rows_count_any_attribute_and_appended_rows() -> None:
     scales = asset.scales.copy()
     scales[[7, 9], 0] *= 2
     made = replace(asset, opacities=opacities, scales=scales).append(asset.take(np.arange(3)))
-    assert rows(asset, Done(made, 0, 0)) == {"touched": 2.0, "appended": 3.0, "equal": pytest.approx(96.0)}
+    assert rows(asset, EditResult(made, 0, 0)) == {"touched": 2.0, "appended": 3.0, "equal": pytest.approx(96.0)}
 
 
 def test_an_object_that_no_edit_shows_on_is_refused_by_name(truth: painted.Truth) -> None:
@@ -221,4 +220,4 @@ def test_an_object_that_no_edit_shows_on_is_refused_by_name(truth: painted.Truth
 
 def test_keys_without_a_light_are_of_splats() -> None:
     with pytest.raises(AssertionError):
-        TABLE.make(Key("x", "x", {"kind": "text", "framing": "whole"}), SETUP)  # no folder
+        TABLE.make(CaseKey("x", "x", {"kind": "text", "framing": "whole"}), SETUP)  # no folder

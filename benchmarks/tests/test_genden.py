@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from splatbench.cases import Pictures, Step
-from splatbench.methods import Budget, Work, genden
+from splatbench.cases import Budget, EditStep, PosedImages
+from splatbench.methods import EditTask, genden
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.metrics import psnr
@@ -40,24 +40,24 @@ def cameras(count: int, size: int = 40) -> tuple[Camera, ...]:
     return tuple(near[:count])
 
 
-def half_dark(splats: Splats, shown: tuple[Camera, ...], left: bool) -> Pictures:
+def half_dark(splats: Splats, shown: tuple[Camera, ...], left: bool) -> PosedImages:
     """The wall's renders with rows of one half much darker."""
     dark = splats.sh.copy()
     dark[splats.means[:, 0] < 0 if left else splats.means[:, 0] >= 0, 0] = -1.2
     return pictures(replace(splats, sh=dark), shown)
 
 
-def pictures(splats: Splats, shown: tuple[Camera, ...]) -> Pictures:
-    return Pictures(shown, render(splats, list(shown)).colors.clip(0, 1).astype(np.float32))
+def pictures(splats: Splats, shown: tuple[Camera, ...]) -> PosedImages:
+    return PosedImages(shown, render(splats, list(shown)).colors.clip(0, 1).astype(np.float32))
 
 
-def step(edited: Pictures) -> Step:
-    return Step("local", "zoom", edited, np.ones(edited.colors.shape[:3], bool))
+def step(edited: PosedImages) -> EditStep:
+    return EditStep("local", "zoom", edited, np.ones(edited.colors.shape[:3], bool))
 
 
-def work(left: bool = True) -> Work:
+def work(left: bool = True) -> EditTask:
     own = wall()
-    return Work("refine", own, pictures(own, cameras(3)), step(half_dark(own, cameras(1, 56), left)))
+    return EditTask("refine", own, pictures(own, cameras(3)), step(half_dark(own, cameras(1, 56), left)))
 
 
 @pytest.fixture
@@ -89,8 +89,8 @@ def test_rows_that_the_edit_changes_are_replaced_and_the_others_stay(budget: Bud
 def test_a_second_step_knows_the_first_and_starts_from_the_same_asset(budget: Budget) -> None:
     first = ROW.edit(work(), budget)
     right = half_dark(wall(), cameras(1, 56), left=False)
-    second = ROW.edit(Work("refine", first.splats, work().base, step(right), memory=first.memory), budget)
-    both = Pictures(
+    second = ROW.edit(EditTask("refine", first.splats, work().base, step(right), state=first.state), budget)
+    both = PosedImages(
         work().step.edited.cameras + right.cameras, np.concatenate([work().step.edited.colors, right.colors])
     )
     at_once = ROW.edit(replace(work(), step=step(both)), budget)
@@ -126,7 +126,7 @@ def test_other_weights_are_another_version(budget: Budget, tmp_path: Path) -> No
 
 
 def test_packaged_weights_are_of_a_densifier() -> None:
-    if genden.found(Budget()) is None:
+    if genden.WEIGHTS.folder(Budget()) is None:
         pytest.skip("no weights of the densifier are packaged")
     assert ROW.missing(Budget()) == ""
     done = ROW.edit(work(), Budget())

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from splatbench import ground_truth as ground
-from splatbench.cases import Pictures
+from splatbench.cases import PosedImages, Setup, safe
 from splatbench.ground_truth import BACKGROUND, Shown, blocked, places, show, subject
-from splatbench.objects import drawn_lights, environments, objects, safe
+from splatbench.objects import drawn_lights, environments, objects
 from splatbench.surface_points import textured
-from splatbench.tables import Setup
 
 from splatpainter.cameras import look_at
 from splatpainter.data.lights import WHITE, make_light, uniform_light
@@ -206,7 +205,7 @@ def wall_shown(colors: np.ndarray, depths: np.ndarray | None = None, **camera: A
     view = look_at([0, 0, 2], [0, 0, 0], width=size, height=size, fov=40, **camera)
     depth = np.full((1, size, size), 2, np.float32) if depths is None else depths[None]
     alphas = (depth > 0).astype(np.float32)
-    return Shown(Pictures((view,), colors[None].astype(np.float32)), alphas, depth)
+    return Shown(PosedImages((view,), colors[None].astype(np.float32)), alphas, depth)
 
 
 def test_spots_lie_on_texture_and_apart() -> None:

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from splatbench.cases import Pictures, Step
-from splatbench.methods import Budget, Done, Method, Work, ablations, changed, learned, lift, stage_one
+from splatbench.cases import Budget, EditStep, PosedImages
+from splatbench.methods import EditResult, EditTask, Method, ablations, changed, lift, reconstruction, ttt
+from splatbench.methods.weights import SHIPPED, Weights
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.commands import train
@@ -26,21 +27,21 @@ from tests.support.model_scenes import TINY, with_compress, with_refine
 from tests.support.painter_scenes import BLUE, CAMERA, GREEN, LIFT, REAR, RED, built, dab, grade, thing
 from tests.support.train_scenes import SMALL
 
-ROWS = {method.name: method for method in (*lift.METHODS, *learned.METHODS)}
+ROWS = {method.name: method for method in (*lift.METHODS, *ttt.METHODS, *reconstruction.METHODS)}
 AWAKE = 0.002
 """Spread of a head that says a little."""
 
 
-def pictures(splats: Splats, cameras: tuple[Camera, ...]) -> Pictures:
-    return Pictures(cameras, render(splats, list(cameras)).colors.astype(np.float32))
+def pictures(splats: Splats, cameras: tuple[Camera, ...]) -> PosedImages:
+    return PosedImages(cameras, render(splats, list(cameras)).colors.astype(np.float32))
 
 
-def work(edit: Edit, mode: Mode = "local", memory: object = None, splats: Splats | None = None) -> Work:
+def work(edit: Edit, mode: Mode = "local", state: object = None, splats: Splats | None = None) -> EditTask:
     own = thing() if splats is None else splats
     assert edit.mask is not None or mode == "global"
     mask = np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask
-    step = Step(mode, "stroke", Pictures((edit.camera,), edit.image[None]), mask[None])
-    return Work("creative", own, pictures(own, (CAMERA, REAR)), step, memory=memory)
+    step = EditStep(mode, "stroke", PosedImages((edit.camera,), edit.image[None]), mask[None])
+    return EditTask("creative", own, pictures(own, (CAMERA, REAR)), step, state=state)
 
 
 def saved(model: SplatPainterModel, folder: Path) -> str:
@@ -79,7 +80,7 @@ def test_seconds_are_those_of_the_stages_without_the_proof() -> None:
 def test_a_second_step_starts_from_the_first() -> None:
     own = thing()
     first = row_of("lift").edit(work(dab(own, RED, x=20)), Budget())
-    second = row_of("lift").edit(work(dab(first.splats, BLUE, x=44), memory=first.memory), Budget())
+    second = row_of("lift").edit(work(dab(first.splats, BLUE, x=44), state=first.state), Budget())
     assert second.setup_seconds == 0
     drawn = render(second.splats, CAMERA).colors[0]
     assert drawn[32, 20, 0] > drawn[32, 20, 2] + 0.3 and drawn[32, 44, 2] > drawn[32, 44, 0] + 0.3
@@ -99,10 +100,10 @@ def test_fast_weights_go_on_to_the_next_step_and_polish_comes_after_the_network(
     budget = Budget(weights={"compact": saved(built(LIFT, awake=AWAKE), tmp_path)})
     first = row_of("ttt").edit(work(grade(thing()), "global"), budget)
     again = grade(first.splats)
-    state = first.memory.learnt.state.blocks[0]
-    second = row_of("ttt").edit(work(again, "global", memory=first.memory), budget)
+    state = first.state.learnt.state.blocks[0]
+    second = row_of("ttt").edit(work(again, "global", state=first.state), budget)
     assert second.setup_seconds == 0
-    assert not torch.equal(second.memory.learnt.state.blocks[0].w0, state.w0)
+    assert not torch.equal(second.state.learnt.state.blocks[0].w0, state.w0)
     asked = work(dab(thing(), RED))
     plain, polished = (row_of(name).edit(asked, budget) for name in ("ttt", "ttt-polish"))
     errors = [db(render(d.splats, CAMERA).colors[0], asked.step.edited.colors[0]) for d in (plain, polished)]
@@ -120,11 +121,11 @@ def test_cross_attention_wants_a_model_of_its_kind(tmp_path: Path) -> None:
     fit = Budget(weights={"cross-attention": saved(built(config, awake=AWAKE), tmp_path / "cross")})
     assert method.missing(fit) == ""
     done = method.edit(work(dab(thing(), RED)), fit)
-    assert done.memory.learnt.state.blocks[0].shape[1] == config.compress.dim  # tokens, not fast weights
+    assert done.state.learnt.state.blocks[0].shape[1] == config.compress.dim  # tokens, not fast weights
 
 
 def test_versions_follow_the_weights_and_nothing_else(tmp_path: Path) -> None:
-    model, needed = built(LIFT), learned.COMPACT
+    model, needed = built(LIFT), SHIPPED
     budget = Budget(weights={"compact": saved(model, tmp_path)})
     first = needed.version(budget)
     model.save(tmp_path, dtype="float32", notes={"gain": {"local": 1.0}})
@@ -148,11 +149,11 @@ def ring(count: int, size: int = 32, background: tuple[float, float, float] = (0
     return tuple(replace(c, background=background) for c in orbit((0, 0, 0), 3.0, count, width=size, height=size))
 
 
-def lrm_work(base: int = 3, size: int = 32) -> Work:
+def lrm_work(base: int = 3, size: int = 32) -> EditTask:
     own = thing()
     near = replace(ring(1, size)[0], fx=2.0 * ring(1, size)[0].fx, fy=2.0 * ring(1, size)[0].fy)
-    step = Step("local", "zoom", pictures(own, (near,)), np.ones((1, size, size), bool))
-    return Work("refine", own, pictures(own, ring(base, size)), step)
+    step = EditStep("local", "zoom", pictures(own, (near,)), np.ones((1, size, size), bool))
+    return EditTask("refine", own, pictures(own, ring(base, size)), step)
 
 
 def test_the_lrm_puts_the_pixels_of_all_views_on_the_asset(tmp_path: Path) -> None:
@@ -174,9 +175,9 @@ def test_the_lrm_puts_the_pixels_of_all_views_on_the_asset(tmp_path: Path) -> No
 
 def test_views_of_one_focal_length_are_the_models_own_copy() -> None:
     model = built(SMALL).eval()
-    views = learned.all_views(model, lrm_work(), pictures(thing(), ring(2)[1:]))
+    views = reconstruction.all_views(model, lrm_work(), pictures(thing(), ring(2)[1:]))
     with torch.no_grad():
-        own, ours = model.copy_rows(views), learned.dense(model, views)
+        own, ours = model.copy_rows(views), reconstruction.dense(model, views)
     assert np.array_equal(own.links.patches, ours.links.patches)
     for name in ATTRIBUTES:
         torch.testing.assert_close(getattr(ours.rows, name), getattr(own.rows, name))
@@ -185,9 +186,9 @@ def test_views_of_one_focal_length_are_the_models_own_copy() -> None:
 def test_gaussians_of_a_close_up_are_as_small_as_its_pixels() -> None:
     model = built(SMALL).eval()
     asked = lrm_work()
-    views = learned.all_views(model, asked, asked.step.edited)
+    views = reconstruction.all_views(model, asked, asked.step.edited)
     with torch.no_grad():
-        own, ours = model.lrm(views).splats, learned.dense(model, views)
+        own, ours = model.lrm(views).splats, reconstruction.dense(model, views)
     places = torch.from_numpy(ours.links.patches[:, 0]) >= 3 * 16  # patches of the fourth view, with twice the focal
     close = ours.rows.scales[places]
     assert views.alpha is not None
@@ -199,33 +200,33 @@ def test_gaussians_of_a_close_up_are_as_small_as_its_pixels() -> None:
 def test_pictures_for_the_lrm_lie_before_black_as_in_training() -> None:
     """A pixel is surface colour + (1 - alpha) background; before black, the surface's part alone remains."""
     asked = lrm_work()
-    views = learned.all_views(built(SMALL), asked, asked.step.edited)
+    views = reconstruction.all_views(built(SMALL), asked, asked.step.edited)
     black = render(asked.asset, [replace(camera, background=(0, 0, 0)) for camera in views.cameras])
     np.testing.assert_allclose(views.colors.numpy(), np.clip(black.colors, 0, 1), atol=2e-6)
 
 
 def test_base_views_give_way_where_there_are_too_many() -> None:
     edited = pictures(thing(), ring(4))
-    views = learned.all_views(built(SMALL), lrm_work(base=15), edited)
+    views = reconstruction.all_views(built(SMALL), lrm_work(base=15), edited)
     assert isinstance(views, AssetViews) and len(views.cameras) == 16
     np.testing.assert_array_equal(views.cameras[-1].position, edited.cameras[-1].position)
     with pytest.raises(ValueError, match="at most 16 edited views"):
-        learned.all_views(built(SMALL), lrm_work(), pictures(thing(), ring(17)))
+        reconstruction.all_views(built(SMALL), lrm_work(), pictures(thing(), ring(17)))
     with pytest.raises(ValueError, match="32x32 and 16x16"):
-        learned.all_views(built(SMALL), lrm_work(), pictures(thing(), ring(1, 16)))
+        reconstruction.all_views(built(SMALL), lrm_work(), pictures(thing(), ring(1, 16)))
 
 
 def test_large_pictures_are_averaged_down_with_their_cameras() -> None:
     camera = replace(ring(1, 256)[0])
     steps = np.arange(256, dtype=np.float32)
     ramp = np.broadcast_to(steps[None, None, :, None] / 256, (1, 256, 256, 3))
-    small = learned.sized(Pictures((camera,), np.array(ramp)), SMALL.lrm)
+    small = reconstruction.sized(PosedImages((camera,), np.array(ramp)), SMALL.lrm)
     assert small.colors.shape == (1, 64, 64, 3) and small.cameras[0].fx == pytest.approx(camera.fx / 4)
     np.testing.assert_allclose(small.colors[0, 5, :, 1], (4 * np.arange(64) + 1.5) / 256, atol=1e-6)
-    fits = Pictures(ring(1, 32), np.zeros((1, 32, 32, 3), np.float32))
-    assert learned.sized(fits, SMALL.lrm) is fits
-    odd = Pictures((replace(camera, width=50, height=30),), np.zeros((1, 30, 50, 3), np.float32))
-    assert learned.sized(odd, SMALL.lrm).colors.shape == (1, 24, 48, 3)  # whole patches
+    fits = PosedImages(ring(1, 32), np.zeros((1, 32, 32, 3), np.float32))
+    assert reconstruction.sized(fits, SMALL.lrm) is fits
+    odd = PosedImages((replace(camera, width=50, height=30),), np.zeros((1, 30, 50, 3), np.float32))
+    assert reconstruction.sized(odd, SMALL.lrm).colors.shape == (1, 24, 48, 3)  # whole patches
 
 
 def test_stage_one_keeps_a_quarter_of_every_voxel_and_later_steps_see_earlier_views(
@@ -236,17 +237,17 @@ def test_stage_one_keeps_a_quarter_of_every_voxel_and_later_steps_see_earlier_vi
     budget = Budget(weights={"copy": saved(model, tmp_path)})
     method, asked = row_of("stage-1"), lrm_work()
     done = method.edit(asked, budget)
-    views = learned.all_views(model, asked, asked.step.edited)
+    views = reconstruction.all_views(model, asked, asked.step.edited)
     with torch.no_grad(), autocast("cpu", precision):
-        rows = learned.dense(model, views).rows.numpy()
+        rows = reconstruction.dense(model, views).rows.numpy()
     lo, size = bounding_cube(rows)
     cells = np.clip(np.floor((rows.means - lo) / size * config.compress.resolution), 0, config.compress.resolution - 1)
     _, counts = np.unique(cells.astype(int), axis=0, return_counts=True)
     kept = int(np.maximum(counts // 4, 1).sum())
     assert done.numbers["gaussians_before"] == len(rows) and done.numbers["voxels"] == len(counts)
     assert done.numbers["gaussians_kept"] == done.numbers["latents"] == len(done.splats) == kept
-    more = replace(asked, memory=done.memory)
-    assert len(method.edit(more, budget).memory) == 2
+    more = replace(asked, state=done.state)
+    assert len(method.edit(more, budget).state) == 2
 
 
 def test_native_weights_are_no_copy(tmp_path: Path) -> None:
@@ -256,10 +257,16 @@ def test_native_weights_are_no_copy(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "needed",
-    [learned.CROSS, learned.COPY, ablations.LOCAL, ablations.GLOBAL, *map(stage_one.needed, stage_one.GROUPINGS)],
+    [
+        ttt.CROSS,
+        reconstruction.COPY,
+        ablations.LOCAL,
+        ablations.GLOBAL,
+        *map(reconstruction.grouping_weights, reconstruction.GROUPINGS),
+    ],
     ids=lambda n: n.names[0],
 )
-def test_how_to_train_what_is_missing_is_a_command_line_that_works(needed: learned.Needed) -> None:
+def test_how_to_train_what_is_missing_is_a_command_line_that_works(needed: Weights) -> None:
     trains(needed.train)
 
 
@@ -278,11 +285,11 @@ def test_how_to_train_an_ablation_works_too(method: Method) -> None:
 def test_groupings_are_told_apart(tmp_path: Path) -> None:
     copy = replace(with_refine(SMALL, lift_features=False), representation="copy")
     folder = saved(built(with_compress(copy, grouping="voxel_mean")), tmp_path)
-    assert stage_one.needed("voxel-att").missing(Budget(weights={"voxel-att": folder})) == ""
-    wrong = stage_one.needed("latent-query").missing(Budget(weights={"latent-query": folder}))
+    assert reconstruction.grouping_weights("voxel-att").missing(Budget(weights={"voxel-att": folder})) == ""
+    wrong = reconstruction.grouping_weights("latent-query").missing(Budget(weights={"latent-query": folder}))
     assert "of no model of representation copy with compress.grouping latent_query" in wrong
 
 
 def test_results_are_plain_splats() -> None:
     done = row_of("lift").edit(work(dab(thing(), RED)), Budget())
-    assert isinstance(done, Done) and isinstance(done.splats.means, np.ndarray)
+    assert isinstance(done, EditResult) and isinstance(done.splats.means, np.ndarray)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from splatbench.cases import Pictures, Step
-from splatbench.methods import Budget, Work
-from splatbench.methods.optimized import METHODS, Settings, edit, local_views, reached, share_of, views_of_asset
+from splatbench.cases import Budget, EditStep, PosedImages
+from splatbench.methods import EditTask
+from splatbench.methods.gs3d import METHODS, Settings, edit, local_views, reached, share_of, views_of_asset
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.rendering import render
@@ -28,20 +28,20 @@ def beside(x: float) -> Camera:
     return look_at((x, 0.2, 2.9), (0, 0, 0), width=SIZE, height=SIZE, fov=42, background=(0.5, 0.5, 0.5))
 
 
-def drawn(splats: Splats, cameras: list[Camera]) -> Pictures:
-    return Pictures(tuple(cameras), np.clip(render(splats, cameras).colors, 0, 1))
+def drawn(splats: Splats, cameras: list[Camera]) -> PosedImages:
+    return PosedImages(tuple(cameras), np.clip(render(splats, cameras).colors, 0, 1))
 
 
-def dab(splats: Splats, x: float, color: np.ndarray = GREEN, kind: str = "stroke") -> Step:
+def dab(splats: Splats, x: float, color: np.ndarray = GREEN, kind: str = "stroke") -> EditStep:
     mask = disk(front(SIZE), x, 24, 5)
     colors = drawn(splats, [front(SIZE)]).colors.copy()
     colors[0, mask] = color
-    return Step("local", kind, Pictures((front(SIZE),), colors), mask[None])
+    return EditStep("local", kind, PosedImages((front(SIZE),), colors), mask[None])
 
 
-def work(step: Step | None = None, own: Splats | None = None, memory: object = None) -> Work:
+def work(step: EditStep | None = None, own: Splats | None = None, state: object = None) -> EditTask:
     own = own or asset()
-    return Work("creative", own, drawn(asset(), [front(SIZE), beside(1.5)]), step or dab(own, 17), memory=memory)
+    return EditTask("creative", own, drawn(asset(), [front(SIZE), beside(1.5)]), step or dab(own, 17), state=state)
 
 
 def test_shares_are_those_of_a_dense_compositor() -> None:
@@ -77,7 +77,7 @@ def test_close_ups_contradict_the_assets_own_views_only() -> None:
 def test_earlier_edits_stay_but_for_what_a_later_one_covers() -> None:
     own = asset()
     first, second = dab(own, 17), dab(own, 24, np.array([0.9, 0.1, 0.1], np.float32))
-    this = work(second, memory=(first,))
+    this = work(second, state=(first,))
     views = local_views(this, (first,), None)
     base, kept = views[0], views[2]
     assert base.mask is not None and not base.mask[first.masks[0] | second.masks[0]].any()
@@ -93,7 +93,7 @@ def test_it_edits_and_keeps_the_rest(settings: Settings) -> None:
     after = render(done.splats, front(SIZE)).colors[0]
     assert db(after, this.step.edited.colors[0], mask) > db(before, this.step.edited.colors[0], mask) + 4
     assert not done.keeps_rows and done.numbers["steps"] == 120 and done.curve == ()
-    assert done.memory == (this.step,) and done.edit_seconds > 0
+    assert done.state == (this.step,) and done.edit_seconds > 0
     novel = beside(-1.0)
     far = share_of(this.asset, novel, reached(this.asset, [this.step])) < 0.01
     kept = db(render(done.splats, novel).colors[0], render(this.asset, novel).colors[0], far)
@@ -103,7 +103,7 @@ def test_it_edits_and_keeps_the_rest(settings: Settings) -> None:
 def test_sh_and_opacity_alone_leave_the_geometry_bit_for_bit() -> None:
     own = asset()
     relit = np.clip(drawn(own, [front(SIZE)]).colors * [1.2, 0.9, 0.6], 0, 1).astype(np.float32)
-    step = Step("global", "relight", Pictures((front(SIZE),), relit), np.ones((1, SIZE, SIZE), bool))
+    step = EditStep("global", "relight", PosedImages((front(SIZE),), relit), np.ones((1, SIZE, SIZE), bool))
     done = edit(Settings(appearance=True), replace(work(step), protocol="relight"), Budget(steps=40))
     assert done.keeps_rows and len(done.splats) == len(own)
     for name in ("means", "quats", "scales"):

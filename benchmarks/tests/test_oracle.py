@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from splatbench.cases import Pictures, Step
-from splatbench.methods import Budget, Work, oracle
-from splatbench.methods.curve import Curve, is_point
+from splatbench.cases import Budget, EditStep, PosedImages
+from splatbench.methods import Curve, EditTask, is_curve_point, upper_bound
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.painter import Mode
@@ -16,7 +15,7 @@ from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import SH_C0, back, bits, db, disk, front, sheet
 
-BY_NAME = {method.name: method for method in oracle.METHODS}
+BY_NAME = {method.name: method for method in upper_bound.METHODS}
 SIZE = 48
 
 
@@ -24,8 +23,8 @@ def camera(x: float, y: float, z: float) -> Camera:
     return look_at((x, y, z), (0, 0, 0), width=SIZE, height=SIZE, fov=42, background=(0.5, 0.5, 0.5))
 
 
-def pictures(truth: Splats, cameras: list[Camera]) -> Pictures:
-    return Pictures(tuple(cameras), render(truth, cameras).colors)
+def pictures(truth: Splats, cameras: list[Camera]) -> PosedImages:
+    return PosedImages(tuple(cameras), render(truth, cameras).colors)
 
 
 def two_sheets() -> Splats:
@@ -41,17 +40,17 @@ def spotted(splats: Splats, color: tuple[float, float, float]) -> Splats:
     return replace(splats, sh=sh)
 
 
-def given(mode: Mode, asset: Splats, truth: Splats) -> Work:
+def given(mode: Mode, asset: Splats, truth: Splats) -> EditTask:
     view = front(SIZE)
     edited = pictures(truth, [view])
     masks = disk(view, SIZE / 2, SIZE / 2, 11)[None] if mode == "local" else np.ones((1, SIZE, SIZE), bool)
     around = pictures(truth, [camera(1, 0.3, 2.8), camera(-1, 0.2, 2.8), camera(0.2, -0.9, 2.9)])
-    return Work("creative", asset, pictures(asset, [view]), Step(mode, "stroke", edited, masks), around)
+    return EditTask("creative", asset, pictures(asset, [view]), EditStep(mode, "stroke", edited, masks), around)
 
 
 def test_without_true_views_there_is_no_bound() -> None:
     asset = two_sheets()
-    work = replace(given("local", asset, asset), oracle=None)
+    work = replace(given("local", asset, asset), true_views=None)
     for method in BY_NAME.values():
         assert method.oracle and method.missing(Budget()) == ""
         with pytest.raises(ValueError, match="no true edited views"):
@@ -82,7 +81,7 @@ def test_a_global_fit_moves_all_rows_that_the_true_views_show_and_learns_unseen_
     asset = two_sheets()
     truth = replace(asset, sh=asset.sh * 0.6 - 0.1)
     work = given("global", asset, truth)
-    work = replace(work, oracle=pictures(truth, [*work.oracle.cameras, back(SIZE)]))  # type: ignore[union-attr]
+    work = replace(work, true_views=pictures(truth, [*work.true_views.cameras, back(SIZE)]))  # type: ignore[union-attr]
     done = BY_NAME["oracle-fit"].edit(work, Budget(steps=150))
     assert np.array_equal(bits(done.splats.means), bits(asset.means)) and "rows_reached" not in done.numbers
     behind = slice(26 * 26, None)
@@ -121,7 +120,7 @@ def test_equal_seeds_give_equal_bits_and_a_curve_changes_nothing() -> None:
 
 
 def test_points_of_a_curve() -> None:
-    assert [k for k in range(1, 40_000) if is_point(k)] == [10, 30, 100, 300, 1000, 3000, 10_000, 30_000]
+    assert [k for k in range(1, 40_000) if is_curve_point(k)] == [10, 30, 100, 300, 1000, 3000, 10_000, 30_000]
     assert Curve(False).watch is None
     curve, drawn = Curve(True), sheet(2)
     assert curve.watch is not None

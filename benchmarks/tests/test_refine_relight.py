@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from splatbench import assets
 from splatbench import ground_truth as ground
-from splatbench.cases import Case
-from splatbench.methods import Done
+from splatbench.cases import Case, Setup
+from splatbench.methods import EditResult
 from splatbench.objects import environments, objects
 from splatbench.scoring import object_masks
-from splatbench.tables import Setup, table
 from splatbench.tables import local_refinement as refine
 from splatbench.tables import relighting as relight
+from splatbench.tables import table
 
 from splatpainter.data import viewpoints
 from splatpainter.data.lights import shade
@@ -68,7 +68,7 @@ def test_a_refine_case_has_the_papers_parts() -> None:
     step = case.steps[0]
     assert (step.mode, step.kind, len(step.edited)) == ("local", "zoom", 2)
     assert step.masks.shape == (2, size, size) and step.masks.mean((1, 2)).min() > 0.1
-    assert case.oracle is not None and len(case.oracle) == refine.ORACLE
+    assert case.true_views is not None and len(case.true_views) == refine.ORACLE
     assert case.facts["truth"] == "surfels" and case.facts["samples"] is None
 
 
@@ -109,14 +109,14 @@ def _surface(case: Case, camera) -> float:
 
 def test_the_truth_itself_scores_far_above_the_asset_in_refine() -> None:
     case, protocol = refined(), table("refine")
-    best = protocol.score(case, [Done(dense(case, case.facts["light"]), 0, 0)], None)
-    nothing = protocol.score(case, [Done(case.asset, 0, 0)], None)
+    best = protocol.score(case, [EditResult(dense(case, case.facts["light"]), 0, 0)], None)
+    nothing = protocol.score(case, [EditResult(case.asset, 0, 0)], None)
     assert set(best) >= {column.key for column in protocol.columns}
     for key in ("psnr", "psnr_around"):
         one, other = best[key], nothing[key]
         assert one is not None and other is not None and one > 45 and 10 < other < one - 8
     assert best["lpips"] is None
-    shown = protocol.pictures(case, [Done(case.asset, 0, 0)])
+    shown = protocol.pictures(case, [EditResult(case.asset, 0, 0)])
     assert list(shown)[:2] == ["result", "truth"] and shown["result"].shape == shown["truth"].shape
 
 
@@ -149,7 +149,7 @@ def test_an_asset_of_base_views_is_nearer_to_them_after_some_steps() -> None:
     errors = []
     for steps in (0, 60):
         built = assets.build(what, light, base, replace(SETUP, asset_steps=steps))
-        drawn = ground.Pictures(base.pictures.cameras, assets_drawn(built.splats, base))
+        drawn = ground.PosedImages(base.pictures.cameras, assets_drawn(built.splats, base))
         errors.append(float(((drawn.colors - base.pictures.colors) ** 2).mean()))
         assert isinstance(built.splats.means, np.ndarray) and str(steps) in built.how
     assert errors[1] < 0.6 * errors[0]
@@ -204,8 +204,8 @@ def test_a_relight_case_has_the_papers_parts() -> None:
 
 def test_the_relit_truth_scores_far_above_the_asset_in_relight() -> None:
     case, protocol = relit()[0], table("relight")
-    best = protocol.score(case, [Done(dense(case, case.facts["environment"]), 0, 0)], None)
-    nothing = protocol.score(case, [Done(case.asset, 0, 0)], None)
+    best = protocol.score(case, [EditResult(dense(case, case.facts["environment"]), 0, 0)], None)
+    nothing = protocol.score(case, [EditResult(case.asset, 0, 0)], None)
     one, other = best["psnr"], nothing["psnr"]
     assert one is not None and other is not None and one > 45 and other < one - 8
     assert set(best) == {column.key for column in protocol.columns} and protocol.split_by in case.facts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from splatbench.cases import Pictures
+from splatbench.cases import PosedImages
 from splatbench.scoring import MOST_DB, bounding_box, compared, drawn, object_masks, scored
 
 from splatpainter.cameras import orbit
@@ -64,7 +64,7 @@ def test_without_any_pixel_nothing_is_scored() -> None:
     assert compared(wanted, wanted, np.zeros(wanted.shape[:3], bool), Squares()) == dict.fromkeys(
         ("psnr", "ssim", "lpips")
     )
-    empty = Pictures((), wanted[:0])
+    empty = PosedImages((), wanted[:0])
     assert scored(ball(10), empty, None, None) == dict.fromkeys(("psnr", "ssim", "lpips"))
 
 
@@ -120,9 +120,9 @@ def test_object_masks_are_where_the_background_is_not_also_after_a_case_was_kept
     colors[1, 4:6] = 0
     wanted = np.zeros((2, 8, 8), bool)
     wanted[0, 2, 3], wanted[1, 4:6] = True, True
-    assert np.array_equal(object_masks(Pictures(cameras, colors)), wanted)
+    assert np.array_equal(object_masks(PosedImages(cameras, colors)), wanted)
     kept = colors.astype(np.float16).astype(np.float32)
-    assert np.array_equal(object_masks(Pictures(cameras, kept)), wanted)
+    assert np.array_equal(object_masks(PosedImages(cameras, kept)), wanted)
 
 
 def test_renders_of_an_asset_against_themselves_are_perfect() -> None:
@@ -130,7 +130,7 @@ def test_renders_of_an_asset_against_themselves_are_perfect() -> None:
     cameras = tuple(orbit([0, 0, 0], 3, 2, width=32, height=32))
     pictures = drawn(asset, cameras)
     assert pictures.dtype == np.float32 and pictures.min() >= 0 and pictures.max() <= 1
-    found = scored(asset, Pictures(cameras, pictures), None, None)
+    found = scored(asset, PosedImages(cameras, pictures), None, None)
     assert found["psnr"] == MOST_DB
-    inverse = scored(asset, Pictures(cameras, 1 - pictures), None, None)["psnr"]
+    inverse = scored(asset, PosedImages(cameras, 1 - pictures), None, None)["psnr"]
     assert inverse is not None and inverse < 30

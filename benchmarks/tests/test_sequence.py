@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from splatbench import ground_truth as ground
 from splatbench import sequences
-from splatbench.cases import Case, Pictures, Step
-from splatbench.methods import Done
+from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
+from splatbench.methods import EditResult
 from splatbench.painted_truth import changes
 from splatbench.scoring import drawn
-from splatbench.tables import Key, Setup
 from splatbench.tables.sequential_edits import PARTS, protocol
 
 from splatpainter.cameras import Camera, orbit
@@ -36,22 +35,22 @@ def colored(splats: Splats, towards: Camera, level: float, size: float = 0.85) -
     return replace(splats, sh=sh)
 
 
-def pictures(splats: Splats, *cameras: Camera) -> Pictures:
-    return Pictures(tuple(cameras), drawn(splats, cameras))
+def pictures(splats: Splats, *cameras: Camera) -> PosedImages:
+    return PosedImages(tuple(cameras), drawn(splats, cameras))
 
 
-def step(before: Splats, after: Splats, camera: Camera) -> Step:
+def step(before: Splats, after: Splats, camera: Camera) -> EditStep:
     edited = pictures(after, camera)
-    return Step("local", "stroke", edited, changes(drawn(before, [camera]), edited.colors))
+    return EditStep("local", "stroke", edited, changes(drawn(before, [camera]), edited.colors))
 
 
-def case(steps: list[Step], before: Pictures, after: Pictures, near: list[bool], **facts: str) -> Case:
+def case(steps: list[EditStep], before: PosedImages, after: PosedImages, near: list[bool], **facts: str) -> Case:
     base = pictures(ASSET, CAMERAS[0])
     return Case("sequence", "ball", "ball", ASSET, base, tuple(steps), before, after, np.array(near), facts=dict(facts))
 
 
-def answers(*splats: Splats) -> list[Done]:
-    return [Done(each, 0, 0) for each in splats]
+def answers(*splats: Splats) -> list[EditResult]:
+    return [EditResult(each, 0, 0) for each in splats]
 
 
 # Cases
@@ -124,7 +123,7 @@ def test_conflicting_views_paint_one_region(cases: dict[str, Case]) -> None:
 def test_an_unknown_light_or_object_is_refused() -> None:
     key = TABLE.keys(SETUP)[0]
     with pytest.raises((ValueError, IndexError)):
-        TABLE.make(Key(key.label, "nonsense", key.settings), SETUP)
+        TABLE.make(CaseKey(key.label, "nonsense", key.settings), SETUP)
 
 
 # Figures

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from splatbench.cases import Pictures, Step
-from splatbench.methods import Budget, Work, srgs, srgs_prior
-from splatbench.methods.srgs_views import Patch, around, loss_by_torch, mixed, patches, srgs_loss
+from splatbench.cases import Budget, EditStep, PosedImages
+from splatbench.methods import EditTask, srgs
+from splatbench.methods.gs3d import mixed
+from splatbench.methods.gs3d import orbit as orbit_views
+from splatbench.methods.srgs_patches import Patch, loss_by_torch, patches, srgs_loss
 
 from splatpainter.cameras import Camera, look_at, orbit
 from splatpainter.fit.optimize import View
@@ -47,11 +49,11 @@ def test_enlarged_pictures_pool_to_the_given_ones_and_stay_in_range(kind: str, f
         "black and white": rng.integers(0, 2, (14, 18, 3)),
         "smooth": np.stack([0.5 + 0.4 * np.sin(5 * x), 0.5 + 0.4 * np.cos(4 * y), x * y], -1),
     }[kind].astype(np.float32)
-    large = srgs_prior.lanczos(picture, factor)
+    large = srgs.lanczos(picture, factor)
     assert large.shape == (14 * factor, 18 * factor, 3) and large.dtype == np.float32
     assert large.min() >= 0 and large.max() <= 1
     np.testing.assert_allclose(means_of_blocks(large, factor), picture, atol=2e-6)
-    np.testing.assert_allclose(srgs_prior.pooled(large, factor), means_of_blocks(large, factor), atol=1e-6)
+    np.testing.assert_allclose(srgs.pooled(large, factor), means_of_blocks(large, factor), atol=1e-6)
 
 
 def test_the_prior_is_where_back_projection_ends() -> None:
@@ -64,27 +66,27 @@ def test_the_prior_is_where_back_projection_ends() -> None:
     out = enlarged(picture)
     for _ in range(80):
         out = out + enlarged((picture - means_of_blocks(out, 4)).astype(np.float32))
-    np.testing.assert_allclose(srgs_prior.lanczos(picture, 4), out, atol=2e-5)
+    np.testing.assert_allclose(srgs.lanczos(picture, 4), out, atol=2e-5)
 
 
 def test_a_plain_picture_stays_plain_and_a_smooth_one_is_better_than_blocks() -> None:
     plain = np.full((16, 16, 3), 0.3, np.float32)
-    np.testing.assert_allclose(srgs_prior.lanczos(plain, 4), 0.3, atol=1e-5)
+    np.testing.assert_allclose(srgs.lanczos(plain, 4), 0.3, atol=1e-5)
     y, x = np.mgrid[:64, :64] / 64
     truth = np.stack([0.5 + 0.4 * np.sin(9 * x + 4 * y)] * 3, -1).astype(np.float32)
-    low = srgs_prior.pooled(truth, 4)
-    assert db(srgs_prior.lanczos(low, 4), truth) > db(low.repeat(4, 0).repeat(4, 1), truth) + 10
+    low = srgs.pooled(truth, 4)
+    assert db(srgs.lanczos(low, 4), truth) > db(low.repeat(4, 0).repeat(4, 1), truth) + 10
 
 
-def base_of(asset: Splats, size: int = 24) -> Pictures:
+def base_of(asset: Splats, size: int = 24) -> PosedImages:
     cameras = [look_at(eye, (0, 0, 0), width=size, height=size, fov=42) for eye in [(0, 0, 3), (1, 0.5, 2.8)]]
-    return Pictures(tuple(cameras), np.clip(render(asset, cameras).colors, 0, 1))
+    return PosedImages(tuple(cameras), np.clip(render(asset, cameras).colors, 0, 1))
 
 
 def test_patches_are_windows_of_the_large_view() -> None:
     asset = sheet(30, half=0.4)
     base = base_of(asset, 64)
-    cut = patches(base, asset, lambda low: srgs_prior.lanczos(low, 4), 4, 64, 5, RNG(2))
+    cut = patches(base, asset, lambda low: srgs.lanczos(low, 4), 4, 64, 5, RNG(2))
     assert len(cut) == 10
     for k, patch in enumerate(cut):
         own = base.cameras[k // 5]
@@ -97,7 +99,7 @@ def test_patches_are_windows_of_the_large_view() -> None:
         assert window.alphas.max() > 0.05  # the asset fills a sixth of the picture: it is looked for
         np.testing.assert_array_equal(patch.low, base.colors[k // 5, y // 4 : y // 4 + 16, x // 4 : x // 4 + 16])
         np.testing.assert_allclose(means_of_blocks(patch.color, 4), patch.low, atol=2e-6)
-    again = patches(base, asset, lambda low: srgs_prior.lanczos(low, 4), 4, 64, 5, RNG(2))
+    again = patches(base, asset, lambda low: srgs.lanczos(low, 4), 4, 64, 5, RNG(2))
     assert all(np.array_equal(a.color, b.color) for a, b in zip(cut, again, strict=True))
 
 
@@ -177,8 +179,8 @@ def test_further_views_lie_evenly_around_the_asset_with_the_optics_of_the_base(u
     asset = sheet(20)
     asset = replace(asset, means=asset.means + np.array([3, 1, -2], np.float32))
     ring = orbit((3, 1, -2), 4.0, 9, up=up, width=40, height=40, fov=35, background=(1, 1, 1))
-    base = Pictures(tuple(ring), np.zeros((9, 40, 40, 3), np.float32))
-    cameras = around(asset, base, 48)
+    base = PosedImages(tuple(ring), np.zeros((9, 40, 40, 3), np.float32))
+    cameras = orbit_views(asset, base, 48)
     places = np.array([c.position for c in cameras]) - (3, 1, -2)
     np.testing.assert_allclose(np.linalg.norm(places, axis=1), 4, rtol=0.02)
     assert np.abs(places.mean(0)).max() < 0.15
@@ -199,7 +201,7 @@ def test_edited_views_get_their_share_of_the_steps() -> None:
     assert len(mixed(views[:30], views[30:], 0.01)) == 62
 
 
-def case() -> tuple[Work, Splats]:
+def case() -> tuple[EditTask, Splats]:
     """A sheet of coarse rows, and a close-up of a finer one."""
     truth, asset = sheet(44), sheet(14)
     x, y = truth.means[:, 0], truth.means[:, 1]
@@ -207,9 +209,9 @@ def case() -> tuple[Work, Splats]:
     sh[:, 0] += (0.25 * np.sign(np.sin(14 * x) * np.sin(14 * y)) / SH_C0)[:, None].astype(np.float32)
     truth = replace(truth, sh=sh)
     zoom = look_at((0.1, 0, 3), (0.1, 0, 0), width=32, height=32, fov=16)
-    edited = Pictures((zoom,), np.clip(render(truth, zoom).colors, 0, 1))
-    step = Step("local", "zoom", edited, np.ones((1, 32, 32), bool))
-    return Work("refine", asset, base_of(truth), step), truth
+    edited = PosedImages((zoom,), np.clip(render(truth, zoom).colors, 0, 1))
+    step = EditStep("local", "zoom", edited, np.ones((1, 32, 32), bool))
+    return EditTask("refine", asset, base_of(truth), step), truth
 
 
 @pytest.mark.parametrize("name", ["srgs", "srgs-released"])
@@ -217,7 +219,7 @@ def test_srgs_brings_the_close_up_into_the_asset(name: str) -> None:
     work, _ = case()
     method = BY_NAME[name]
     assert method.missing(Budget()) == "" and "Lanczos prior" in method.label and method.protocols == ("refine",)
-    done = method.edit(work, Budget(steps=120, curve=True), extra=2)  # type: ignore[call-arg]
+    done = method.edit(work, Budget(steps=120, curve=True), asset_views=2)  # type: ignore[call-arg]
     view, wanted = work.step.edited.cameras[0], work.step.edited.colors[0]
     before, after = (db(render(s, view).colors[0], wanted) for s in (work.asset, done.splats))
     assert after > before + 2
@@ -257,7 +259,7 @@ def adapters(folder: Path, *words: str, device: str = "cpu") -> Path:
 
 def test_a_program_of_the_user_makes_the_large_pictures(tmp_path: Path) -> None:
     file = adapters(tmp_path, "--scale", "3")
-    prior = srgs_prior.program(file, 3, tmp_path / "work")
+    prior = srgs.program(file, 3, tmp_path / "work")
     picture = RNG(5).integers(0, 256, (8, 6, 3)).astype(np.float32) / 255
     np.testing.assert_allclose(prior(picture), picture.repeat(3, 0).repeat(3, 1), atol=1e-6)
     assert [path.name for path in (tmp_path / "work").iterdir()] == ["log.txt"]
@@ -265,7 +267,7 @@ def test_a_program_of_the_user_makes_the_large_pictures(tmp_path: Path) -> None:
     work = replace(work, base=work.base.take([0]))
     method, budget = BY_NAME["srgs-program"], Budget(steps=4, adapters=file, scratch=tmp_path)
     assert method.missing(budget) == "" and method.version(budget) != method.version(Budget())
-    done = method.edit(work, budget, factor=3, extra=0)  # type: ignore[call-arg]
+    done = method.edit(work, budget, factor=3, asset_views=0)  # type: ignore[call-arg]
     assert "adapters file's program" in done.note
     assert not list(tmp_path.glob("super-resolution-*"))
 
@@ -279,13 +281,13 @@ def test_a_program_that_is_missing_or_fails_is_said_in_one_line(tmp_path: Path) 
     empty.write_text("[super-resolution]\ncommand = 3\n")
     assert "expected a list of words" in method.missing(Budget(adapters=empty))
     with pytest.raises(ValueError, match="expected a list of words"):
-        srgs_prior.program(empty, 4, tmp_path)
+        srgs.program(empty, 4, tmp_path)
     picture = np.zeros((4, 4, 3), np.float32)
     with pytest.raises(ValueError, match=r"ended with status 1; out of memory, as it were \(log: .*log.txt\)"):
-        srgs_prior.program(adapters(tmp_path, "--scale", "4", "--fail"), 4, tmp_path)(picture)
+        srgs.program(adapters(tmp_path, "--scale", "4", "--fail"), 4, tmp_path)(picture)
     with pytest.raises(ValueError, match="expected a picture of 16x16 pixels, got 8x8"):
-        srgs_prior.program(adapters(tmp_path, "--scale", "2"), 4, tmp_path)(picture)
+        srgs.program(adapters(tmp_path, "--scale", "2"), 4, tmp_path)(picture)
     quiet = tmp_path / "quiet.toml"
     quiet.write_text("[super-resolution]\ncommand = ['true']\ndevice = 'cpu'\n")
     with pytest.raises(ValueError, match="ended well but wrote no"):
-        srgs_prior.program(quiet, 4, tmp_path)(picture)
+        srgs.program(quiet, 4, tmp_path)(picture)

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from splatbench.methods import Budget, Done, Method, Work
-from splatbench.records import Record
+from splatbench.cases import Budget, Record
+from splatbench.methods import EditResult, EditTask, Method
 from splatbench.report import tables
 from splatbench.report.summary import MethodNames, summarize
 from splatbench.tables import Column
@@ -53,7 +53,7 @@ RECORDS = (
 )
 
 
-def edit(work: Work, budget: Budget) -> Done:
+def edit(work: EditTask, budget: Budget) -> EditResult:
     raise AssertionError
 
 

@@ -6,11 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from splatbench.cases import Pictures, Step
-from splatbench.methods import Budget, Work, nothing, transfer
-from splatbench.methods.transfer_affine import fit_affine, fit_clusters, recolored, shown
-from splatbench.methods.transfer_clusters import kmeans, row_features
-from splatbench.methods.transfer_rows import fit_rows
+from splatbench.cases import Budget, EditStep, PosedImages
+from splatbench.methods import EditTask, color_transfer, unedited
+from splatbench.methods.color_transfer import (
+    cluster_features,
+    fit_affine,
+    fit_clusters,
+    fit_gaussians,
+    kmeans,
+    recolored,
+    view_targets,
+)
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.painter import Mode
@@ -19,7 +25,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import SH_C0, back, bits, db, dense_weights, front, row, same_bits, sheet
 
-BY_NAME = {method.name: method for method in (*transfer.METHODS, *nothing.METHODS)}
+BY_NAME = {method.name: method for method in (*color_transfer.METHODS, *unedited.METHODS)}
 WARM = np.array([[0.8, 0.1, 0.0], [0.05, 0.7, 0.1], [-0.1, 0.0, 0.6], [0.12, 0.06, 0.15]])
 COLD = np.array([[0.5, 0.0, 0.1], [0.0, 0.6, 0.2], [0.1, 0.1, 0.9], [0.02, 0.05, 0.1]])
 
@@ -33,21 +39,21 @@ def mapped(splats: Splats, map: np.ndarray, rows: np.ndarray) -> Splats:
     return replace(splats, sh=sh.astype(np.float32))
 
 
-def step(truth: Splats, cameras: list[Camera], mode: Mode = "global", masks: np.ndarray | None = None) -> Step:
+def step(truth: Splats, cameras: list[Camera], mode: Mode = "global", masks: np.ndarray | None = None) -> EditStep:
     colors = render(truth, cameras).colors
     everywhere = np.ones(colors.shape[:3], bool)
-    return Step(mode, "relight", Pictures(tuple(cameras), colors), everywhere if masks is None else masks)
+    return EditStep(mode, "relight", PosedImages(tuple(cameras), colors), everywhere if masks is None else masks)
 
 
-def work(asset: Splats, wanted: Step) -> Work:
-    return Work("relight", asset, wanted.edited, wanted)
+def work(asset: Splats, wanted: EditStep) -> EditTask:
+    return EditTask("relight", asset, wanted.edited, wanted)
 
 
 def test_one_affine_map_is_found_again_and_acts_on_every_direction() -> None:
     asset = sheet(40, degree=2, opacity=0.6)  # half-transparent over grey: the background shows through
     cameras = [front(), look_at((1, 0.5, 3), (0, 0, 0), width=96, height=96, fov=42, background=(0.1, 0.6, 0.3))]
     truth = mapped(asset, WARM, np.ones(len(asset), bool))
-    views = shown(asset, step(truth, cameras))
+    views = view_targets(asset, step(truth, cameras))
     assert views[0].use.mean() > 0.5
     np.testing.assert_allclose(fit_affine(views), WARM, atol=1e-3)
     done = BY_NAME["transfer-affine"].edit(work(asset, step(truth, cameras)), Budget())
@@ -74,7 +80,7 @@ def test_pixels_outside_the_mask_and_beside_the_asset_are_not_learnt_from() -> N
     masks = np.ones((1, 96, 96), bool)
     masks[0, 48:] = False
     wanted.edited.colors[0, 48:] = (0, 1, 0)
-    np.testing.assert_allclose(fit_affine(shown(asset, replace(wanted, masks=masks))), WARM, atol=1e-3)
+    np.testing.assert_allclose(fit_affine(view_targets(asset, replace(wanted, masks=masks))), WARM, atol=1e-3)
 
 
 def test_each_cluster_has_its_own_map_and_one_out_of_view_the_common_one() -> None:
@@ -84,7 +90,7 @@ def test_each_cluster_has_its_own_map_and_one_out_of_view_the_common_one() -> No
     labels = np.where(np.arange(len(asset)) < 900, side, 2)  # 0: left, 1: right, 2: a sheet behind
     truth = mapped(mapped(asset, WARM, labels == 0), COLD, labels == 1)
     far = front()
-    views = shown(asset, step(truth, [far]))
+    views = view_targets(asset, step(truth, [far]))
     hidden = project(asset, far).backproject(views[0].target, views[0].use.astype(np.float32))
     assert (
         hidden.weight[project(asset, far).gaussian_ids >= 900].sum() > 0
@@ -94,7 +100,7 @@ def test_each_cluster_has_its_own_map_and_one_out_of_view_the_common_one() -> No
     np.testing.assert_allclose(maps[1], COLD, atol=5e-3)
     away = asset.take(np.arange(900)).append(replace(sheet(20, degree=1), means=sheet(20).means + (50, 0, 0)))
     away = replace(away, means=away.means.astype(np.float32))
-    views = shown(away, step(mapped(mapped(away, WARM, labels == 0), COLD, labels == 1), [far]))
+    views = view_targets(away, step(mapped(mapped(away, WARM, labels == 0), COLD, labels == 1), [far]))
     maps, seen = fit_clusters(views, labels, 0.01)
     assert seen[2] == 0 and (seen[:2] > 100).all()
     np.testing.assert_allclose(maps[2], fit_affine(views), atol=1e-12)
@@ -132,10 +138,10 @@ def test_kmeans_finds_blobs_alike_for_alike_seeds_and_makes_no_more_clusters_tha
     assert spread[0] < 1.05 * spread[1]
 
 
-def test_row_features_are_scaled_alike_and_undrawable_rows_are_in_the_middle() -> None:
+def test_cluster_features_are_scaled_alike_and_undrawable_rows_are_in_the_middle() -> None:
     asset = sheet(20)
     broken = replace(asset, scales=np.where(np.arange(400)[:, None] == 7, 0, asset.scales).astype(np.float32))
-    features = row_features(broken)
+    features = cluster_features(broken)
     assert (features[7] == 0).all()
     kept = np.delete(features, 7, 0)
     for group in (kept[:, :3], kept[:, 3:6], kept[:, 6:]):
@@ -170,8 +176,8 @@ def test_rows_are_the_dense_least_squares_solution(degree: int, rounds: int, dam
     rng = np.random.default_rng(8)
     targets = np.clip(render(asset, cameras).colors + rng.uniform(-0.1, 0.3, (2, size, size, 3)), 0, 1)
     targets = targets.astype(np.float32)
-    wanted = Step("global", "relight", Pictures(tuple(cameras), targets), np.ones((2, size, size), bool))
-    views = [replace(view, use=np.ones((size, size), bool)) for view in shown(asset, wanted)]
+    wanted = EditStep("global", "relight", PosedImages(tuple(cameras), targets), np.ones((2, size, size), bool))
+    views = [replace(view, use=np.ones((size, size), bool)) for view in view_targets(asset, wanted)]
 
     inside = asset.take(np.arange(5))
     dense = [dense_weights(inside, camera) for camera in cameras]
@@ -195,7 +201,7 @@ def test_rows_are_the_dense_least_squares_solution(degree: int, rounds: int, dam
             wishes.append(-strength @ (sh[i] - start[i]))
             new[i] += np.linalg.lstsq(np.concatenate(rows), np.concatenate(wishes), rcond=None)[0]
         sh = new
-    fitted, seen = fit_rows(asset, views, rounds, damping, degree)
+    fitted, seen = fit_gaussians(asset, views, rounds, damping, degree)
     assert seen.tolist() == [True] * 5 + [False]
     np.testing.assert_allclose(fitted.sh[:5], sh, atol=2e-4)
     assert np.abs(fitted.sh[:5] - asset.sh[:5]).max() > 0.05
@@ -207,7 +213,7 @@ def test_rows_out_of_view_keep_their_bits_and_no_sh_band_beyond_the_degree_moves
     asset = sheet(30, degree=2).append(sheet(30, z=-1.5, degree=2))
     truth = mapped(asset, WARM, np.ones(len(asset), bool))
     wanted = step(truth, [front()])
-    fitted, seen = fit_rows(asset, shown(asset, wanted), 3, 1.0, 1)
+    fitted, seen = fit_gaussians(asset, view_targets(asset, wanted), 3, 1.0, 1)
     assert seen.any() and not seen.all()
     assert np.array_equal(bits(fitted.sh[~seen]), bits(asset.sh[~seen]))
     assert np.array_equal(bits(fitted.sh[:, 4:]), bits(asset.sh[:, 4:]))

@@ -25,7 +25,7 @@ from typing import Any
 SYSTEMS = ("voxhammer", "vinedresser3d", "dge", "instruct-gs2gs", "relitlrm")
 """Names of tables in the file."""
 PROGRAMS = ("super-resolution",)
-"""Tables that are not about a system (methods/srgs_prior.py)."""
+"""Tables that are not about a system (methods/srgs.py)."""
 GUIDE = "docs/ADAPTERS.md"
 FRAMES = ("asset", "gltf", "trellis", "nerfstudio")
 """Of results (frames.py)."""

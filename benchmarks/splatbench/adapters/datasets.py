@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from splatbench.adapters.frames import Cube, Frame
-from splatbench.cases import Pictures
+from splatbench.cases import PosedImages
 from splatpainter.cameras import Camera, look_at, orbit, to_uint8
 from splatpainter.color import base_color
 from splatpainter.io import files
@@ -138,7 +138,7 @@ def write_nerfstudio(folder: Path, splats: Splats, cameras: Sequence[Camera]) ->
     save_text(folder / "transforms.json", json.dumps(transforms(cameras, names) | {"ply_file_path": "points.ply"}))
 
 
-def write_posed(folder: Path, pictures: Pictures) -> None:
+def write_posed(folder: Path, pictures: PosedImages) -> None:
     """A nerfstudio dataset of pictures as they are."""
     (folder / "images").mkdir(parents=True)
     names = [f"images/{k:03d}.png" for k in range(len(pictures))]
@@ -211,7 +211,7 @@ def occupied(splats: Splats, cube: Cube) -> np.ndarray:
     return grid.occupancy.astype(bool)
 
 
-def edit_region(splats: Splats, cube: Cube, edited: Pictures, masks: np.ndarray) -> np.ndarray:
+def edit_region(splats: Splats, cube: Cube, edited: PosedImages, masks: np.ndarray) -> np.ndarray:
     """[64, 64, 64] bool voxels, the asset's axes, of the Gaussians that edits of the masked pixels [V, H, W] may reach
     (voxels/raycast.py), by their centres and footprints. Raises ValueError where there is none."""
     from splatpainter.voxels import footprints

@@ -18,7 +18,7 @@ import numpy as np
 from splatbench.adapters import datasets
 from splatbench.adapters.config import GUIDE, Section
 from splatbench.adapters.frames import ASSET, Cube, Frame, nerfstudio_frame
-from splatbench.methods import Work
+from splatbench.methods import EditTask
 from splatpainter.cameras import Camera
 
 TRELLIS_VIEWS, TRELLIS_PX = 150, 512
@@ -70,7 +70,7 @@ Commands = tuple[tuple[str, ...], ...]
 class Job:
     """One edit by one system."""
 
-    work: Work
+    work: EditTask
     section: Section
     folder: Path
     """Its files: in/ (for the system), work/ (where it runs), out/ (what it makes), log.txt."""
@@ -399,7 +399,7 @@ def relitlrm(job: Job) -> Plan:
     diffusion.
 
     No code of it is public: there is a row only for a command of the user's own. The paper gives it the target's
-    environment map; methods of these tables get relit views instead (Work has no map), so a command gets those."""
+    environment map; methods of these tables get relit views instead (EditTask has no map), so a command gets those."""
     base = job.work.base
     count = min(job.section.views or RELITLRM_VIEWS, len(base))
     chosen = base.take(np.linspace(0, len(base), count, endpoint=False).astype(int))

@@ -1,90 +1,72 @@
 """Rows of the tables: every file here is one method, or one family that shares its settings.
 
-A method is one function, `edit(work, budget) -> Done`: it gets what an artist's tool would get, never the truth, and
-gives back the edited asset. Files list theirs in METHODS; `all_methods` reads them in the order of the tables.
+A method is one function, `edit(task, budget) -> EditResult`: it gets what an artist's tool would get, never the truth,
+and gives back the edited asset. Files list theirs in METHODS; `all_methods` reads them in the order of the tables.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from splatbench.cases import Pictures, Step
+from splatbench.cases import Budget, EditStep, PosedImages
 from splatpainter.splats import ATTRIBUTES, Splats
 
 MODULES = (
-    "nothing",
+    "unedited",
     "lift",
-    "learned",
-    "transfer",
-    "optimized",
+    "ttt",
+    "reconstruction",
+    "color_transfer",
+    "gs3d",
     "srgs",
     "genden",
-    "oracle",
-    "stage_one",
+    "upper_bound",
     "ablations",
     "external",
 )
 """Files of this folder, in the order of the tables."""
+ALIASES = {"unedited": "nothing", "upper-bound": "oracle-fit", "upper-bound-all": "oracle-fit-all"}
+"""Names that the command line takes as well -> names in records and tables."""
 
 
 @dataclass(frozen=True)
-class Budget:
-    """What a method may spend, and where it finds what it needs; the same for every row of a run."""
-
-    steps: int = 1000
-    """Of methods that optimise."""
-    device: str = "cpu"
-    """"cpu" or "cuda"."""
-    seed: int = 0
-    weights: dict[str, str] = field(default_factory=dict)
-    """Name of a model -> folder of its weights, for rows that need other weights than the shipped ones, e.g.
-    {"compact": ..., "genden": ..., "cross-attention": ..., "latent-query": ...}."""
-    adapters: Path | None = None
-    """TOML file that says how systems outside this package are called; None: none is installed."""
-    scratch: Path | None = None
-    """Folder for a method's own files; None: it makes a temporary one."""
-    curve: bool = False
-    """Methods that take many steps also return what they had on the way (Done.curve)."""
-
-
-@dataclass(frozen=True)
-class Work:
-    """One edit to be made. Everything is as in `Case`; oracle is None except for methods that are upper bounds."""
+class EditTask:
+    """One edit to be made. Everything is as in `Case`; true_views is None except for methods that are upper bounds."""
 
     protocol: str
     asset: Splats = field(repr=False)
-    """Numpy float32, N rows. Not to be changed in place."""
-    base: Pictures
-    step: Step
-    oracle: Pictures | None = None
-    memory: Any = None
-    """`Done.memory` of the step before, where there was one."""
+    """Numpy float32, N Gaussians. Not to be changed in place."""
+    base: PosedImages
+    step: EditStep
+    true_views: PosedImages | None = None
+    state: Any = None
+    """`EditResult.state` of the step before, where there was one."""
 
 
 @dataclass(frozen=True)
-class Done:
+class EditResult:
     """What a method made of it."""
 
     splats: Splats = field(repr=False)
-    """The edited asset; where the method keeps rows, row i is still row i of the asset."""
+    """The edited asset; where the method keeps Gaussians, number i is still number i of the asset."""
     setup_seconds: float
     """Once per asset (encoding, fitting the unedited asset): the paper's first number."""
     edit_seconds: float
     """Per edit: its second one."""
     keeps_rows: bool = True
-    """False: a new asset, so that "rows untouched" means nothing."""
+    """False: a new asset, so that "Gaussians untouched" means nothing."""
     numbers: dict[str, float] = field(default_factory=dict)
-    """Further figures of this method (row counts of stages, steps done, ...)."""
+    """Further figures of this method (Gaussians of stages, steps done, ...)."""
     note: str = ""
     """One line for the table's notes."""
-    memory: Any = None
-    """For the next step of the same case (a state, an encoded asset)."""
+    state: Any = None
+    """For the next step of the same case (a state of the network, an encoded asset)."""
     curve: tuple[tuple[float, int, Splats], ...] = field(default=(), repr=False)
     """(seconds since the start of the edit, steps done, asset then), with Budget.curve."""
 
@@ -97,8 +79,8 @@ class Method:
     """On the command line: lower case, no spaces."""
     label: str
     """In tables."""
-    edit: Callable[[Work, Budget], Done]
-    """Raises ValueError where it cannot do this work; any other exception is a crash. Both become a row's error."""
+    edit: Callable[[EditTask, Budget], EditResult]
+    """Raises ValueError where it cannot do this task; any other exception is a crash. Both become a row's error."""
     protocols: tuple[str, ...]
     """Tables that it has a row in by default."""
     oracle: bool = False
@@ -111,16 +93,55 @@ class Method:
 
 def all_methods() -> dict[str, Method]:
     """Name -> method, in the order of the tables."""
-    found: dict[str, Method] = {}
+    methods: dict[str, Method] = {}
     for module in MODULES:
         for method in import_module(f"{__name__}.{module}").METHODS:
-            assert method.name not in found, f"two methods are called {method.name}"
-            found[method.name] = method
-    return found
+            assert method.name not in methods, f"two methods are called {method.name}"
+            methods[method.name] = method
+    return methods
+
+
+@dataclass
+class Curve:
+    """Quality against time of a method that takes steps: the asset after 10, 30, 100, 300, ... of them. Pass `watch` to
+    fit.optimize. Taking a point is not counted as time."""
+
+    enabled: bool
+    """False: collects nothing."""
+    start: float = field(default_factory=time.perf_counter)
+    """Of the edit."""
+    overhead: float = 0.0
+    """Seconds that taking points took."""
+    points: list[tuple[float, int, Splats]] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """Since the start, without the points."""
+        return time.perf_counter() - self.start - self.overhead
+
+    @property
+    def watch(self) -> Callable[[int, Callable[[], Splats]], None] | None:
+        """To be called after every step, counted from 1."""
+        return self._take if self.enabled else None
+
+    def _take(self, step: int, current: Callable[[], Splats]) -> None:
+        if not is_curve_point(step):
+            return
+        seconds, now = self.seconds, time.perf_counter()
+        self.points.append((seconds, step, current()))
+        self.overhead += time.perf_counter() - now
+
+
+def is_curve_point(step: int) -> bool:
+    """Whether a step is one of 10, 30, 100, 300, 1000, ..."""
+    while step >= 100 and step % 10 == 0:
+        step //= 10
+    return step in (10, 30)
 
 
 def changed(before: Splats, after: Splats) -> np.ndarray:
-    """[N] bool rows of `before` (N) of which an attribute has other bits in the same row of `after` (at least N)."""
+    """[N] bool Gaussians of `before` (N) of which an attribute has other bits in the same one of `after` (at least
+    N)."""
     touched = np.zeros(len(before), bool)
     for name in ATTRIBUTES:
         a, b = (np.ascontiguousarray(getattr(splats.numpy(), name), np.float32) for splats in (before, after))

@@ -14,16 +14,18 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from splatbench.methods import Budget, Done, Method, Work
-from splatbench.methods.learned import COMPACT, Needed, refined
+from splatbench.cases import Budget
+from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.lift import painted
+from splatbench.methods.ttt import refined
+from splatbench.methods.weights import SHIPPED, Weights
 from splatpainter.data import recipes
 from splatpainter.models.config import ModelConfig
 
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
 
-SILENCE = "predictor.expected.weight"
+PREDICTOR = "predictor.expected.weight"
 """Without these weights the predictor counts as untrained, and the lift's own regression takes its place."""
 AS_TRAINED = "as trained: the row 'ttt' of these weights"
 
@@ -34,24 +36,24 @@ class Change:
 
     refine: Mapping[str, Any] = field(default_factory=dict)
     """Fields of config.refine, and their values."""
-    silent: tuple[str, ...] = ()
-    """Weights of the model that become zero: what they tell is not told."""
+    zeroed: tuple[str, ...] = ()
+    """Weights of the model that become zero: what they read has no effect."""
 
     def of(self, config: ModelConfig) -> ModelConfig:
         return dataclasses.replace(config, refine=dataclasses.replace(config.refine, **self.refine))
 
     def idle(self, config: ModelConfig) -> bool:
         """Whether a model of this config has nothing to change."""
-        told = {
+        active = {
             "refiner.lift.weight": config.refine.lift_features,
             "refiner.drift.weight": config.refine.base == "lift",
-            SILENCE: config.predict.features > 0,
+            PREDICTOR: config.predict.features > 0,
         }
-        return self.of(config) == config and not any(told[name] for name in self.silent)
+        return self.of(config) == config and not any(active[name] for name in self.zeroed)
 
 
 def altered(model: SplatPainterModel, change: Change) -> SplatPainterModel:
-    """The same weights (shared, not copied) with another setting; weights that it has no use for are left out. Raises
+    """The same weights (shared, not copied) with another setting; tensors that it has no use for are left out. Raises
     ValueError for a setting that these weights do not fit."""
     import torch
 
@@ -59,31 +61,30 @@ def altered(model: SplatPainterModel, change: Change) -> SplatPainterModel:
 
     with torch.device("meta"):
         other = SplatPainterModel(change.of(model.config))
-    held = model.state_dict()
-    wanted = other.state_dict()
-    unfit = [name for name, tensor in wanted.items() if name not in held or held[name].shape != tensor.shape]
+    tensors, expected = model.state_dict(), other.state_dict()
+    unfit = [name for name, tensor in expected.items() if name not in tensors or tensors[name].shape != tensor.shape]
     if unfit:
-        raise ValueError(f"ablation: these weights have no '{unfit[0]}' as this setting wants it; train with it")
-    used = {name: torch.zeros_like(held[name]) if name in change.silent else held[name] for name in wanted}
+        raise ValueError(f"ablation: these weights have no '{unfit[0]}' as this setting needs it; train with it")
+    used = {name: torch.zeros_like(tensors[name]) if name in change.zeroed else tensors[name] for name in expected}
     other.load_state_dict(used, assign=True)
     other.notes = model.notes
     return other.eval()
 
 
-def _row(change: Change) -> Callable[[Work, Budget], Done]:
-    def edit(work: Work, budget: Budget) -> Done:
+def _row(change: Change) -> Callable[[EditTask, Budget], EditResult]:
+    def edit(task: EditTask, budget: Budget) -> EditResult:
         from splatpainter.painter import Painter
 
-        return painted(Painter(model=altered(COMPACT.load(budget), change)), "ttt", work)
+        return painted(Painter(model=altered(SHIPPED.load(budget), change)), "ttt", task)
 
     return edit
 
 
 def _idle(budget: Budget, change: Change) -> str:
-    problem = COMPACT.missing(budget)
+    problem = SHIPPED.missing(budget)
     if problem:
         return problem
-    config = COMPACT.config(budget)
+    config = SHIPPED.config(budget)
     try:
         return AS_TRAINED if change.idle(config) else ""
     except ValueError as error:
@@ -91,7 +92,7 @@ def _idle(budget: Budget, change: Change) -> str:
 
 
 def _version(budget: Budget, change: Change) -> str:
-    return f"{COMPACT.version(budget)} {change}"
+    return f"{SHIPPED.version(budget)} Change(refine={change.refine}, silent={change.zeroed})"  # as records have it
 
 
 def _changed(name: str, label: str, change: Change) -> Method:
@@ -108,14 +109,14 @@ def _changed(name: str, label: str, change: Change) -> Method:
 
 def _trained(name: str, label: str, fits: Callable[[ModelConfig], bool], what: str, train: str) -> Method:
     """A row "trained so"."""
-    needed = Needed((name,), f"model {what}", fits, train)
+    weights = Weights((name,), model=f"model {what}", fits=fits, train=train)
     return Method(
         name=f"trained-{name}",
         label=f"{label} (trained so)",
-        edit=refined(needed),
+        edit=refined(weights),
         protocols=("ablate",),
-        missing=needed.missing,
-        version=needed.version,
+        missing=weights.missing,
+        version=weights.version,
     )
 
 
@@ -123,17 +124,17 @@ def _trained_without(kinds: tuple[str, ...]) -> str:
     return " ".join(["refine", *(f"--samples.kinds.{kind} 0" for kind in kinds)])
 
 
-LOCAL = Needed(("local",), train=_trained_without(recipes.GLOBAL))
-GLOBAL = Needed(
+LOCAL = Weights(("local",), train=_trained_without(recipes.GLOBAL))
+GLOBAL = Weights(
     ("global",),
     train=f"{_trained_without(recipes.LOCAL)} --samples.kinds.relight 0.75 --samples.kinds.regrade 0.25 "
     "--model.predict.no-alone",
 )
 
 
-def _separate(work: Work, budget: Budget) -> Done:
+def _separate(task: EditTask, budget: Budget) -> EditResult:
     """Each kind of edit by the model that was trained for it, as in the paper."""
-    return refined(LOCAL if work.step.mode == "local" else GLOBAL)(work, budget)
+    return refined(LOCAL if task.step.mode == "local" else GLOBAL)(task, budget)
 
 
 def _either_missing(budget: Budget) -> str:
@@ -156,11 +157,11 @@ SAME = (
     _changed("strength-0.5", "Edit strength 0.5", Change({"edit_strength": 0.5})),
     _changed("strength-1", "Edit strength 1", Change({"edit_strength": 1.0})),
     _changed("strength-2", "Edit strength 2", Change({"edit_strength": 2.0})),
-    _changed("no-lift-features", "Without lift features", Change(silent=("refiner.lift.weight",))),
-    _changed("no-drift", "Without drift features", Change(silent=("refiner.drift.weight",))),
+    _changed("no-lift-features", "Without lift features", Change(zeroed=("refiner.lift.weight",))),
+    _changed("no-drift", "Without drift features", Change(zeroed=("refiner.drift.weight",))),
     _changed("no-mask-tokens", "All tokens teach alike", Change({"mask_tokens": False})),
     _changed("no-row-tokens", "Rows do not teach", Change({"row_tokens": 0})),
-    _changed("no-predictor", "Unseen rows by the lift's regression", Change(silent=(SILENCE,))),
+    _changed("no-predictor", "Unseen rows by the lift's regression", Change(zeroed=(PREDICTOR,))),
 )
 """Strength 0 leaves the fast weights as training left them: what is then lost is what adapting is worth."""
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from splatbench.adapters import config, frames, systems
 from splatbench.adapters.systems import Commands, Job, Plan, System
-from splatbench.methods import Budget, Done, Method, Work
+from splatbench.cases import Budget
+from splatbench.methods import EditResult, EditTask, Method
 from splatbench.process import run_command
 from splatpainter.splats import Splats
 
@@ -51,7 +52,7 @@ def version(system: System, budget: Budget) -> str:
     return f"{VERSION}-{section.digest() if section else 'none'}"
 
 
-def edit(system: System, work: Work, budget: Budget) -> Done:
+def edit(system: System, work: EditTask, budget: Budget) -> EditResult:
     """The asset as the system edits it. Raises ValueError: it is not there (`missing`), it fails or takes too long (the
     last line of its log, and where that is), what it leaves is not an asset in the asset's place."""
     why = missing(system, budget)
@@ -83,7 +84,7 @@ def _keep_only(log: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _edit(system: System, work: Work, section: config.Section, seed: int, folder: Path) -> Done:
+def _edit(system: System, work: EditTask, section: config.Section, seed: int, folder: Path) -> EditResult:
     start = time.perf_counter()
     job = Job(work, section, folder, seed, frames.Cube.of(work.asset))
     for path in (job.inputs, job.workplace):
@@ -106,10 +107,10 @@ def _edit(system: System, work: Work, section: config.Section, seed: int, folder
     similarity = unchanged(work, splats)
     if similarity is not None:
         numbers["unmasked_db"] = similarity
-    return Done(splats, setup, seconds, keeps_rows=False, numbers=numbers, note=_note(plan, section))
+    return EditResult(splats, setup, seconds, keeps_rows=False, numbers=numbers, note=_note(plan, section))
 
 
-def unchanged(work: Work, splats: Splats) -> float | None:
+def unchanged(work: EditTask, splats: Splats) -> float | None:
     """PSNR of the result's renders against the asset's in the edited views, where one of them shows something and the
     mask is not: how well the frames fit, and what the system left as it was. At most 100; None: no such pixel."""
     from splatpainter.metrics import psnr

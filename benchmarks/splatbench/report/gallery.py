@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.records import Record
+from splatbench.cases import Record
 from splatbench.report.summary import (
     MethodLabel,
     MethodNames,

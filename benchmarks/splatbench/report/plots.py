@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from splatbench.records import Record
+from splatbench.cases import Record
 from splatbench.report.summary import (
     MethodNames,
     SummaryRow,

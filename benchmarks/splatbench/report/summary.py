@@ -18,8 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from splatbench.cases import Case
-from splatbench.records import Record, records
+from splatbench.cases import Case, Record, records
 from splatpainter.metrics.bootstrap import interval
 
 RUN_FILE = "run.json"

@@ -13,7 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from splatbench.records import Record
+from splatbench.cases import Record
 from splatbench.report import published
 from splatbench.report.published import MARK
 from splatbench.report.summary import MEASURED, Estimate, MethodNames, SummaryRow, best_methods

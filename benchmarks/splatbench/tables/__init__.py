@@ -1,8 +1,8 @@
 """Tables: which cases each asks, how an answer is scored, and how the table is laid out.
 
-keys(setup)            the cases by name, cheap: nothing is rendered yet
-make(key, setup)       one case, with its ground truth; slow, and kept on disk by the runner
-score(case, done, ..)  figures of one method's answers
+keys(setup)               the cases by name, cheap: nothing is rendered yet
+make(key, setup)          one case, with its ground truth; slow, and kept on disk by the runner
+score(case, results, ..)  figures of one method's answers
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import Any, Protocol
 
-from splatbench.cases import Case
-from splatbench.methods import Done
+from splatbench.cases import Case, CaseKey, Setup
+from splatbench.methods import EditResult
 
 MODULES = {
     "refine": "local_refinement",
@@ -27,52 +26,6 @@ MODULES = {
 """Name of a table, as the command line, its folder and its records have it -> file of this folder, which has a function
 `protocol() -> Table`."""
 NAMES = tuple(MODULES)
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What all protocols are told: data, sizes, seed. Equal setups give equal cases."""
-
-    data: Path | None = None
-    """Folder of meshes (or, where a protocol takes them, of splat assets); None: procedural objects."""
-    environments: Path | None = None
-    """Folder of .hdr/.exr pictures; None: procedural light."""
-    decals: Path | None = None
-    fonts: Path | None = None
-    textures: Path | None = None
-    objects: int = 8
-    """How many objects."""
-    held_out: bool = True
-    """Only objects that training never sees (data.scenes.split with its defaults); False: any."""
-    size: int = 256
-    """Pixels of every picture's edge; the paper: 512."""
-    detail: int = 4
-    """Zoom of close-ups: they are crops of pictures `detail` times larger (2K for the paper's 512)."""
-    samples: int = 64
-    """Paths per pixel of path traced truth."""
-    truth: str = "traced"
-    """"traced" (Mitsuba) or "surfels" (dense Gaussians, seconds instead of minutes; approximate light)."""
-    base_views: int = 9
-    rows: int = 30_000
-    """Of assets that are built here."""
-    asset_steps: int = 500
-    """Optimisation steps in building an asset from its base views."""
-    novel_views: int = 6
-    lights: int = 3
-    """Target environments per object in relighting; the paper: 24."""
-    seed: int = 0
-
-
-@dataclass(frozen=True)
-class Key:
-    """A case before it is made."""
-
-    label: str
-    """File-name safe, unique in its protocol."""
-    name: str
-    """Of the object."""
-    settings: dict[str, Any]
-    """JSON values that, with the setup, say everything about it."""
 
 
 @dataclass(frozen=True)
@@ -99,16 +52,16 @@ def measures(group: str = "", ending: str = "") -> tuple[Column, Column, Column]
     )
 
 
-def view(case: Case, done: Sequence[Done], place: int) -> dict[str, Any]:
+def beside_truth(case: Case, results: Sequence[EditResult], view: int) -> dict[str, Any]:
     """Table.pictures of one novel view: the last answer beside its truth."""
     from splatbench.scoring import drawn
 
-    told = case.after.take([place])
-    return {"result": drawn(done[-1].splats, told.cameras)[0], "truth": told.colors[0]}
+    truth = case.after.take([view])
+    return {"result": drawn(results[-1].splats, truth.cameras)[0], "truth": truth.colors[0]}
 
 
 class Table(Protocol):
-    """A protocol."""
+    """What the files of this folder have."""
 
     name: str
     title: str
@@ -119,25 +72,25 @@ class Table(Protocol):
     """Name of a fact of cases (Case.facts) by which the table has a block of rows or columns each, e.g. "views"; "":
     all cases together."""
 
-    def keys(self, setup: Setup) -> list[Key]:
+    def keys(self, setup: Setup) -> list[CaseKey]:
         """The cases, in order. Raises ValueError for data that gives none; fewer than asked is said in notes."""
         ...
 
-    def make(self, key: Key, setup: Setup) -> Case:
+    def make(self, key: CaseKey, setup: Setup) -> Case:
         """Raises ValueError where this object cannot be used (a line that names it)."""
         ...
 
-    def score(self, case: Case, done: Sequence[Done], perceptual: Any | None) -> dict[str, float | None]:
-        """Column key -> figure, also further keys for plots; None: does not apply. done: one per step of the case.
+    def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
+        """Column key -> figure, also further keys for plots; None: does not apply. results: one per step of the case.
         perceptual: an LPIPS-Alex (metrics.lpips), or None: those figures are None."""
         ...
 
-    def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
+    def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
         """Label -> [H, W, 3] float picture: what the sheet shows of this answer, "result" first; the runner adds the
         input, the truth and the error map (label "truth" -> what to compare "result" with)."""
         ...
 
 
 def table(name: str) -> Table:
-    """The protocol of a name of NAMES."""
+    """The table of a name of NAMES."""
     return import_module(f"{__name__}.{MODULES[name]}").protocol()

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatbench.cases import Case, Pictures, Step
+from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
 from splatbench.scoring import drawn
-from splatbench.tables import Key, Setup, measures
+from splatbench.tables import measures
 from splatpainter.data.recipes import SampleRecipe
 
 if TYPE_CHECKING:
-    from splatbench.methods import Done
+    from splatbench.methods import EditResult
     from splatpainter.data.samples import SampleStream, Views
     from splatpainter.train.loss import Wanted
     from splatpainter.train.training_data import Stock, Supply
@@ -64,14 +64,14 @@ class Ablate:
     columns = measures()
     split_by = "mode"
 
-    def keys(self, setup: Setup) -> list[Key]:
+    def keys(self, setup: Setup) -> list[CaseKey]:
         from splatpainter.train.trials import apportioned
 
         possible = _stream(setup, files=False).kinds  # of splat assets neither zooms nor relighting
         order = apportioned({kind: SHARES[kind] for kind in possible}, PER_OBJECT * setup.objects)
-        return [Key(f"{k:03d}-{kind}", f"sample {k}", {"number": k, "kind": kind}) for k, kind in enumerate(order)]
+        return [CaseKey(f"{k:03d}-{kind}", f"sample {k}", {"number": k, "kind": kind}) for k, kind in enumerate(order)]
 
-    def make(self, key: Key, setup: Setup) -> Case:
+    def make(self, key: CaseKey, setup: Setup) -> Case:
         number, kind = key.settings["number"], key.settings["kind"]
         sample = _of_kind(_stream(setup), kind)[number]
         views = sample.edited.colors.shape[0]
@@ -81,7 +81,7 @@ class Ablate:
             label=key.label,
             asset=sample.asset.numpy(),
             base=_pictures(sample.base),
-            steps=(Step(sample.mode, sample.kind, _pictures(sample.edited), np.asarray(sample.masks, bool)),),
+            steps=(EditStep(sample.mode, sample.kind, _pictures(sample.edited), np.asarray(sample.masks, bool)),),
             before=_pictures(sample.novel_before),
             after=_pictures(sample.novel_after),
             near=np.asarray(sample.near, bool),
@@ -91,20 +91,20 @@ class Ablate:
             raise ValueError(f"{sample.name}: no novel view shows the edit ({kind})")
         return case
 
-    def score(self, case: Case, done: Sequence[Done], perceptual: Any | None) -> dict[str, float | None]:
+    def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
         import torch
 
         from splatpainter.train.figures import figures
 
         places, wanted = _wanted(case)
-        made = torch.from_numpy(drawn(done[-1].splats, [case.after.cameras[k] for k in places]))
+        made = torch.from_numpy(drawn(results[-1].splats, [case.after.cameras[k] for k in places]))
         found = figures("psnr", made, wanted, perceptual)
         return {"psnr": found.get("psnr"), "ssim": found.get("psnr SSIM"), "lpips": found.get("psnr LPIPS-Alex")}
 
-    def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
+    def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
         places, wanted = _wanted(case)
         shown = int(wanted.focus.flatten(1).sum(1).argmax())
-        made = drawn(done[-1].splats, [case.after.cameras[places[shown]]])[0]
+        made = drawn(results[-1].splats, [case.after.cameras[places[shown]]])[0]
         return {"result": made, "truth": wanted.colors[shown].numpy()}
 
 
@@ -156,10 +156,10 @@ def _of_kind(stream: SampleStream, kind: str) -> SampleStream:
     return own
 
 
-def _pictures(views: Views) -> Pictures:
+def _pictures(views: Views) -> PosedImages:
     import torch
 
-    return Pictures(views.cameras, torch.as_tensor(views.colors).cpu().numpy().astype(np.float32))
+    return PosedImages(views.cameras, torch.as_tensor(views.colors).cpu().numpy().astype(np.float32))
 
 
 def _wanted(case: Case) -> tuple[list[int], Wanted]:

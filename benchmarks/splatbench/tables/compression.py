@@ -14,17 +14,17 @@ import numpy as np
 
 from splatbench import assets
 from splatbench import ground_truth as ground
-from splatbench.cases import Case, Pictures, Step
-from splatbench.objects import drawn_lights, environments, generator, objects, safe
+from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup, safe
+from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.scoring import drawn, object_masks, scored
-from splatbench.tables import Column, Key, Setup, measures, view
+from splatbench.tables import Column, beside_truth, measures
 from splatpainter.data import viewpoints
 
 if TYPE_CHECKING:
-    from splatbench.methods import Done
+    from splatbench.methods import EditResult
 
 COUNTS = ("gaussians_before", "voxels", "gaussians_kept")
-"""Of Done.numbers; the asset as it is has none of them."""
+"""Of EditResult.numbers; the asset as it is has none of them."""
 
 
 class Compress:
@@ -41,14 +41,14 @@ class Compress:
     )
     split_by = ""
 
-    def keys(self, setup: Setup) -> list[Key]:
+    def keys(self, setup: Setup) -> list[CaseKey]:
         lights = environments(setup).names
         return [
-            Key(f"{safe(name)}-compress", name, {"light": drawn_lights(lights, name, 1, setup.seed)[0]})
+            CaseKey(f"{safe(name)}-compress", name, {"light": drawn_lights(lights, name, 1, setup.seed)[0]})
             for name in objects(setup).names
         ]
 
-    def make(self, key: Key, setup: Setup) -> Case:
+    def make(self, key: CaseKey, setup: Setup) -> Case:
         what = ground.subject(key.name, objects(setup).load(key.name), setup)
         light = environments(setup).load(key.settings["light"])
         rng = generator(setup.seed, "compress", key.name)
@@ -64,7 +64,7 @@ class Compress:
             label=key.label,
             asset=built.splats,
             base=base.pictures,
-            steps=(Step("global", "plain", base.pictures, base.masks),),
+            steps=(EditStep("global", "plain", base.pictures, base.masks),),
             before=truth,
             after=truth,
             near=np.zeros(len(novel), bool),
@@ -72,18 +72,18 @@ class Compress:
             facts={**ground.told(setup), "asset": built.how, "light": light.name, "views": len(ring)},
         )
 
-    def score(self, case: Case, done: Sequence[Done], perceptual: Any | None) -> dict[str, float | None]:
+    def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
         """Also Gaussians kept per Gaussian before."""
-        last, masks = done[-1], object_masks(case.after)
+        last, masks = results[-1], object_masks(case.after)
         found = scored(last.splats, case.after, masks, perceptual)
-        copied = Pictures(case.after.cameras, drawn(case.asset, case.after.cameras))
+        copied = PosedImages(case.after.cameras, drawn(case.asset, case.after.cameras))
         found["psnr_asset"] = scored(last.splats, copied, masks, None)["psnr"]
         counts = {name: last.numbers.get(name) for name in COUNTS}
         before, kept = counts["gaussians_before"], counts["gaussians_kept"]
         return found | counts | {"share_kept": kept / before if before and kept is not None else None}
 
-    def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
-        return view(case, done, 0)
+    def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
+        return beside_truth(case, results, 0)
 
 
 def protocol() -> Compress:

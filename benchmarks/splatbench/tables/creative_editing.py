@@ -15,17 +15,16 @@ import numpy as np
 from splatbench import assets, splat_cases
 from splatbench import edit_design as designs
 from splatbench import ground_truth as ground
-from splatbench.case_store import telling_view
-from splatbench.cases import Case, Pictures, Step
+from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup, safe
 from splatbench.edit_design import KINDS
-from splatbench.objects import drawn_lights, environments, generator, objects, safe
+from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.painted_truth import Truth, changed, changes
 from splatbench.scoring import compared, drawn, object_masks, scored
-from splatbench.tables import Column, Key, Setup, measures, view
+from splatbench.tables import Column, beside_truth, measures
 from splatpainter.data import viewpoints
 
 if TYPE_CHECKING:
-    from splatbench.methods import Done
+    from splatbench.methods import EditResult
     from splatpainter.splats import Splats
 
 FRAMINGS = ("close-up", "whole")
@@ -56,7 +55,7 @@ class Creative:
     )
     split_by = ""
 
-    def keys(self, setup: Setup) -> list[Key]:
+    def keys(self, setup: Setup) -> list[CaseKey]:
         splats = splat_cases.is_splat_folder(setup.data)
         names = splat_cases.names(setup) if splats else objects(setup).names
         lights = () if splats else environments(setup).names
@@ -65,51 +64,51 @@ class Creative:
             settings: dict[str, Any] = {"kind": KINDS[k % len(KINDS)], "framing": FRAMINGS[k % len(FRAMINGS)]}
             if not splats:
                 settings["light"] = drawn_lights(lights, name, 1, setup.seed)[0]
-            keys.append(Key(f"{safe(name)}-{settings['kind']}", name, settings))
+            keys.append(CaseKey(f"{safe(name)}-{settings['kind']}", name, settings))
         return keys
 
-    def make(self, key: Key, setup: Setup) -> Case:
+    def make(self, key: CaseKey, setup: Setup) -> Case:
         return _of_mesh(key, setup) if "light" in key.settings else _of_splats(key, setup)
 
-    def score(self, case: Case, done: Sequence[Done], perceptual: Any | None) -> dict[str, float | None]:
-        step, last = case.steps[-1], done[-1]
+    def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
+        step, last = case.steps[-1], results[-1]
         found = scored(last.splats, step.edited, step.masks, perceptual)
         novel = changes(case.before.colors, case.after.colors)
         # What an edit may not change: views of it, and around the object where the truth says what it changed there.
         cameras = [*step.edited.cameras, *case.after.cameras]
         was = drawn(case.asset, cameras)
-        outside = object_masks(Pictures(tuple(cameras), was)) & ~np.concatenate([step.masks, novel])
+        outside = object_masks(PosedImages(tuple(cameras), was)) & ~np.concatenate([step.masks, novel])
         kept = compared(drawn(last.splats, cameras), was, outside, perceptual) if outside.any() else {}
         near = scored(last.splats, case.after.take(case.near), novel[case.near], perceptual)
         for name in ("psnr", "ssim", "lpips"):
             found |= {f"{name}_outside": kept.get(name), f"{name}_novel": near[name]}
         return found | rows(case.asset, last)
 
-    def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
+    def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
         edited = case.steps[-1].edited.take([0])
-        first = drawn(done[-1].splats, edited.cameras)[0]
-        place = telling_view(case) if case.near.any() else None
+        first = drawn(results[-1].splats, edited.cameras)[0]
+        place = case.most_changed_view if case.near.any() else None
         if place is None:
             return {"result": first, "truth": edited.colors[0]}
-        return view(case, done, place) | {"edited view": first}
+        return beside_truth(case, results, place) | {"edited view": first}
 
 
 def protocol() -> Creative:
     return Creative()
 
 
-def rows(asset: Splats, done: Done) -> dict[str, float | None]:
+def rows(asset: Splats, results: EditResult) -> dict[str, float | None]:
     """{"touched": rows of the asset whose bits changed, "appended", "equal": per cent}; None for a new asset."""
     from splatbench import methods
 
-    if not done.keeps_rows:
+    if not results.keeps_rows:
         return {"touched": None, "appended": None, "equal": None}
-    count = int(methods.changed(asset, done.splats).sum())
+    count = int(methods.changed(asset, results.splats).sum())
     share = 100 * (1 - count / len(asset))
-    return {"touched": float(count), "appended": float(len(done.splats) - len(asset)), "equal": share}
+    return {"touched": float(count), "appended": float(len(results.splats) - len(asset)), "equal": share}
 
 
-def _of_mesh(key: Key, setup: Setup) -> Case:
+def _of_mesh(key: CaseKey, setup: Setup) -> Case:
     what = ground.subject(key.name, objects(setup).load(key.name), setup)
     light = environments(setup).load(key.settings["light"])
     truth, optics = Truth(what, light, setup), ground.optics(setup)
@@ -141,32 +140,32 @@ def _of_mesh(key: Key, setup: Setup) -> Case:
         label=key.label,
         asset=built.splats,
         base=base.pictures,
-        steps=(Step("local", paint.kind, after.pictures.take([0]), masks),),
+        steps=(EditStep("local", paint.kind, after.pictures.take([0]), masks),),
         before=before.pictures.take(rest),
         after=after.pictures.take(rest),
         near=np.arange(len(novel)) < near,
-        oracle=painted.show(oracle, "oracle").pictures,
+        true_views=painted.show(oracle, "oracle").pictures,
         setup_seconds=built.seconds,
         facts={**ground.told(setup), **facts, **_told(key, masks)},
     )
 
 
-def _of_splats(key: Key, setup: Setup) -> Case:
+def _of_splats(key: CaseKey, setup: Setup) -> Case:
     what, optics = splat_cases.load(key.name, setup), ground.optics(setup)
     rng = generator(setup.seed, "creative", key.name)
     ring = viewpoints.ring(what.radius, optics, setup.base_views, rng)
     base = what.show([what.placed(camera) for camera in ring])
     kind, framing = key.settings["kind"], key.settings["framing"]
     made = splat_cases.painted_view(what, base, kind, framing, optics, designs.stock(setup), rng)
-    none = Pictures((), np.zeros((0, setup.size, setup.size, 3), np.float32))
-    edited = Pictures((made.paint.camera,), made.picture[None])
+    none = PosedImages((), np.zeros((0, setup.size, setup.size, 3), np.float32))
+    edited = PosedImages((made.paint.camera,), made.picture[None])
     return Case(
         protocol="creative",
         name=key.name,
         label=key.label,
         asset=what.splats,
         base=base.pictures,
-        steps=(Step("local", kind, edited, made.mask[None]),),
+        steps=(EditStep("local", kind, edited, made.mask[None]),),
         before=none,
         after=none,
         near=np.zeros(0, bool),
@@ -180,7 +179,7 @@ def _of_splats(key: Key, setup: Setup) -> Case:
     )
 
 
-def _told(key: Key, masks: np.ndarray) -> dict[str, Any]:
+def _told(key: CaseKey, masks: np.ndarray) -> dict[str, Any]:
     share = round(float(masks.mean()), 4)
     return {
         "kind": key.settings["kind"],

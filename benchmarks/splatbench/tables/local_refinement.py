@@ -13,17 +13,17 @@ import numpy as np
 
 from splatbench import assets
 from splatbench import ground_truth as ground
-from splatbench.cases import Case, Step
-from splatbench.objects import drawn_lights, environments, generator, objects, safe
+from splatbench.cases import Case, CaseKey, EditStep, Setup, safe
+from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.scoring import drawn, object_masks, scored
 from splatbench.surface_points import textured
-from splatbench.tables import Key, Setup, measures, view
+from splatbench.tables import beside_truth, measures
 from splatpainter.cameras import Camera
 from splatpainter.data import viewpoints
 from splatpainter.data.meshes import Mesh
 
 if TYPE_CHECKING:
-    from splatbench.methods import Done
+    from splatbench.methods import EditResult
     from splatbench.surface_points import Spot
 
 ZOOMS = 2
@@ -49,15 +49,15 @@ class Refine:
     columns = (*measures("Near the close-ups"), *measures("Whole object", "_around"))
     split_by = ""
 
-    def keys(self, setup: Setup) -> list[Key]:
+    def keys(self, setup: Setup) -> list[CaseKey]:
         lights = environments(setup).names
         keys = []
         for name in objects(setup).names:
             settings = {"light": drawn_lights(lights, name, 1, setup.seed)[0], "zooms": ZOOMS}
-            keys.append(Key(f"{safe(name)}-refine", name, settings))
+            keys.append(CaseKey(f"{safe(name)}-refine", name, settings))
         return keys
 
-    def make(self, key: Key, setup: Setup) -> Case:
+    def make(self, key: CaseKey, setup: Setup) -> Case:
         what = ground.subject(key.name, objects(setup).load(key.name), setup)
         light = environments(setup).load(key.settings["light"])
         rng = generator(setup.seed, "refine", key.name)
@@ -77,7 +77,7 @@ class Refine:
         shown = ground.show(what, light, [*zooms, *novel, *around], setup, "refine")
         count, first = len(zooms), len(zooms) + len(novel)
         truth, oracle = (shown.pictures.take(range(*span)) for span in ((count, first), (first, first + ORACLE)))
-        step = Step("local", "zoom", shown.pictures.take(range(count)), shown.masks[:count])
+        step = EditStep("local", "zoom", shown.pictures.take(range(count)), shown.masks[:count])
         built = assets.build(what, light, base, setup)
         return Case(
             protocol=self.name,
@@ -89,7 +89,7 @@ class Refine:
             before=truth,
             after=truth,
             near=np.arange(len(novel)) < near,
-            oracle=oracle,
+            true_views=oracle,
             setup_seconds=built.seconds,
             facts={
                 **ground.told(setup),
@@ -101,18 +101,18 @@ class Refine:
             },
         )
 
-    def score(self, case: Case, done: Sequence[Done], perceptual: Any | None) -> dict[str, float | None]:
-        splats, masks = done[-1].splats, object_masks(case.after)
+    def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
+        splats, masks = results[-1].splats, object_masks(case.after)
         near, others = case.near, np.logical_not(case.near)
         close = scored(splats, case.after.take(near), masks[near], perceptual)
         around = scored(splats, case.after.take(others), masks[others], perceptual)
         return close | {f"{name}_around": value for name, value in around.items()}
 
-    def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
-        found = view(case, done, int(np.argmax(case.near)))
+    def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
+        found = beside_truth(case, results, int(np.argmax(case.near)))
         whole = np.flatnonzero(np.logical_not(case.near))
         if len(whole):
-            found["whole"] = drawn(done[-1].splats, case.after.take(whole[:1]).cameras)[0]
+            found["whole"] = drawn(results[-1].splats, case.after.take(whole[:1]).cameras)[0]
         return found
 
 

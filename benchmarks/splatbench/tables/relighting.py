@@ -15,14 +15,14 @@ import numpy as np
 
 from splatbench import assets
 from splatbench import ground_truth as ground
-from splatbench.cases import Case, Pictures, Step
-from splatbench.objects import drawn_lights, environments, generator, objects, safe
+from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup, safe
+from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.scoring import object_masks, scored
-from splatbench.tables import Key, Setup, measures, view
+from splatbench.tables import beside_truth, measures
 from splatpainter.data import viewpoints
 
 if TYPE_CHECKING:
-    from splatbench.methods import Done
+    from splatbench.methods import EditResult
     from splatpainter.cameras import Camera
     from splatpainter.data.lights import Light
 
@@ -42,7 +42,7 @@ class Relight:
     columns = measures()
     split_by = "views"
 
-    def keys(self, setup: Setup) -> list[Key]:
+    def keys(self, setup: Setup) -> list[CaseKey]:
         """Cases of one object and light follow each other: they share pictures."""
         lights = environments(setup).names
         if len(lights) < 2:
@@ -53,14 +53,14 @@ class Relight:
             for target in targets:
                 for count in VIEWS:
                     settings = {"source": source, "target": target, "views": count}
-                    keys.append(Key(f"{safe(name)}-{safe(target)}-{count}views", name, settings))
+                    keys.append(CaseKey(f"{safe(name)}-{safe(target)}-{count}views", name, settings))
         return keys
 
-    def make(self, key: Key, setup: Setup) -> Case:
+    def make(self, key: CaseKey, setup: Setup) -> Case:
         source, target, count = (key.settings[k] for k in ("source", "target", "views"))
         stage = _stage(key.name, source, setup)
         relit = _relit(key.name, source, target, setup)
-        step = Step("global", "relight", relit.edited.pictures.take(range(count)), relit.edited.masks[:count])
+        step = EditStep("global", "relight", relit.edited.pictures.take(range(count)), relit.edited.masks[:count])
         return Case(
             protocol=self.name,
             name=key.name,
@@ -71,7 +71,7 @@ class Relight:
             before=stage.novel,
             after=relit.novel,
             near=np.ones(len(stage.novel), bool),  # the edit is everywhere
-            oracle=relit.around,
+            true_views=relit.around,
             setup_seconds=stage.asset.seconds,
             facts={
                 **ground.told(setup),
@@ -82,11 +82,11 @@ class Relight:
             },
         )
 
-    def score(self, case: Case, done: Sequence[Done], perceptual: Any | None) -> dict[str, float | None]:
-        return dict(scored(done[-1].splats, case.after, object_masks(case.after), perceptual))
+    def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
+        return dict(scored(results[-1].splats, case.after, object_masks(case.after), perceptual))
 
-    def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
-        return view(case, done, 0)
+    def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
+        return beside_truth(case, results, 0)
 
 
 def protocol() -> Relight:
@@ -99,8 +99,8 @@ class _Stage:
 
     subject: ground.Subject
     asset: assets.Asset
-    base: Pictures
-    novel: Pictures
+    base: PosedImages
+    novel: PosedImages
     edited: tuple[Camera, ...]
     """As many as the most of VIEWS."""
 
@@ -110,8 +110,8 @@ class _Relit:
     """It in one target light."""
 
     edited: ground.Shown
-    novel: Pictures
-    around: Pictures
+    novel: PosedImages
+    around: PosedImages
     """The base views and the edited ones."""
 
 

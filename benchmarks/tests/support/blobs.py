@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from splatbench.cases import Pictures, Step
-from splatbench.methods import Work
+from splatbench.cases import EditStep, PosedImages
+from splatbench.methods import EditTask
 
 from splatpainter import io
 from splatpainter.cameras import look_at, orbit
@@ -78,16 +78,16 @@ def moved(splats: Splats, turn: np.ndarray, scale: float, shift: np.ndarray) -> 
     return canonical(replace(splats, means=means, quats=quats, scales=splats.scales * scale, sh=sh))
 
 
-def work(kind: str = "stroke") -> Work:
+def work(kind: str = "stroke") -> EditTask:
     before = render(ASSET, FRONT).colors[0]
     where = FRONT.world_to_camera[:3, :3] @ MEANS[PAINTED] + FRONT.world_to_camera[:3, 3]
     x, y = FRONT.fx * where[0] / where[2] + FRONT.cx, FRONT.fy * where[1] / where[2] + FRONT.cy
     rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
     mask = np.hypot(columns - x, rows - y) < 3
     picture = np.where(mask[..., None], np.array(RED, np.float32), before)
-    step = Step("local", kind, Pictures((FRONT,), picture[None]), mask[None])
+    step = EditStep("local", kind, PosedImages((FRONT,), picture[None]), mask[None])
     around = orbit(MIDDLE, 4, 9, width=SIZE, height=SIZE, fov=40)
-    return Work("creative", ASSET, Pictures(tuple(around), np.clip(render(ASSET, around).colors, 0, 1)), step)
+    return EditTask("creative", ASSET, PosedImages(tuple(around), np.clip(render(ASSET, around).colors, 0, 1)), step)
 
 
 def trellis(splats: Splats) -> Splats:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from splatbench.records import Record
+from splatbench.cases import Record
 from splatbench.tables import Column
 
 from splatpainter.cameras import write_png

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from splatbench.methods import Budget
+from splatbench.cases import Budget
 
 from benchmarks.tests.support.blobs import ASSET, COLORS, MEANS, PAINTED
 from splatpainter.voxels.grid import bounding_cube

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from splatbench import methods
 from splatbench import tables as protocols
-from splatbench.cases import Case, Pictures, Step
-from splatbench.methods import Budget, Done, Method, Work
-from splatbench.tables import Column, Key, Setup
+from splatbench.cases import Budget, Case, CaseKey, EditStep, PosedImages, Setup
+from splatbench.methods import EditResult, EditTask, Method
+from splatbench.tables import Column
 
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
@@ -49,9 +49,9 @@ def asset(seed: int) -> Splats:
     return Splats(draw(ROWS, 3), draw(ROWS, 4), draw(ROWS, 3), draw(ROWS), draw(ROWS, 1, 3))
 
 
-def pictures(level: float, number: int = 2) -> Pictures:
+def pictures(level: float, number: int = 2) -> PosedImages:
     camera = Camera(4, 4, 4.0, 4.0, 2.0, 2.0, np.eye(4))
-    return Pictures((camera,) * number, np.full((number, 4, 4, 3), level, np.float32))
+    return PosedImages((camera,) * number, np.full((number, 4, 4, 3), level, np.float32))
 
 
 class Toy:
@@ -62,11 +62,11 @@ class Toy:
     columns = (Column("sum", "Sum", "", "higher"), Column("lpips", "LPIPS", "", "lower", 4))
     split_by = "edits"
 
-    def keys(self, setup: Setup) -> list[Key]:
+    def keys(self, setup: Setup) -> list[CaseKey]:
         names = [f"toy-{k}" for k in range(min(setup.objects, 5))]
-        return [Key(f"{name}-{edits}", name, {"edits": edits}) for name in names for edits in (1, 2)]
+        return [CaseKey(f"{name}-{edits}", name, {"edits": edits}) for name in names for edits in (1, 2)]
 
-    def make(self, key: Key, setup: Setup) -> Case:
+    def make(self, key: CaseKey, setup: Setup) -> Case:
         count(f"make-{key.label}")
         if trouble(f"kill-make-{key.label}"):
             os.kill(os.getpid(), 9)  # SIGKILL; on Windows TerminateProcess
@@ -74,7 +74,7 @@ class Toy:
             raise ValueError(f"{key.name}: a broken mesh")
         number = int(key.name.removeprefix("toy-"))
         edits = key.settings["edits"]
-        step = Step("local", "stroke", pictures(0.75, 1), np.ones((1, 4, 4), bool))
+        step = EditStep("local", "stroke", pictures(0.75, 1), np.ones((1, 4, 4), bool))
         return Case(
             protocol=self.name,
             name=key.name,
@@ -85,25 +85,25 @@ class Toy:
             before=pictures(0.5),
             after=pictures(1.0),
             near=np.array([True, False]),
-            oracle=pictures(1.0),
+            true_views=pictures(1.0),
             facts={"edits": edits, "number": number},
         )
 
-    def score(self, case: Case, done: Sequence[Done], perceptual: Any | None) -> dict[str, float | None]:
+    def score(self, case: Case, done: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
         """How much the opacities of the edited asset grew, in all."""
         grown = done[-1].splats.opacities[:ROWS].sum() - case.asset.opacities.sum()
         return {"sum": float(round(float(grown), 3)), "lpips": None if perceptual is None else 0.5}
 
-    def pictures(self, case: Case, done: Sequence[Done]) -> dict[str, Any]:
+    def pictures(self, case: Case, done: Sequence[EditResult]) -> dict[str, Any]:
         return {"result": np.full((4, 4, 3), 0.25, np.float32), "truth": case.after.colors[0]}
 
 
-def grow(work: Work, budget: Budget) -> Done:
+def grow(work: EditTask, budget: Budget) -> EditResult:
     """One more row is made heavier by 1 at every edit; the row's number is the number of edits before."""
-    assert work.oracle is None, "only upper bounds see the truth"
+    assert work.true_views is None, "only upper bounds see the truth"
     count("grow")
     print("methods may print")
-    number = work.memory or 0
+    number = work.state or 0
     opacities = work.asset.opacities.copy()
     opacities[number] += 1
     if trouble("slow"):
@@ -115,25 +115,25 @@ def grow(work: Work, budget: Budget) -> Done:
     made = replace(work.asset, opacities=opacities)
     half = replace(work.asset, opacities=opacities - np.float32(0.5) * (np.arange(ROWS) == number).astype(np.float32))
     curve = ((0.5, 10, half), (1.0, 20, made)) if budget.curve else ()
-    return Done(made, 0.25, 1.0, numbers={"edits": number + 1}, note="grows", memory=number + 1, curve=curve)
+    return EditResult(made, 0.25, 1.0, numbers={"edits": number + 1}, note="grows", state=number + 1, curve=curve)
 
 
-def raising(work: Work, budget: Budget) -> Done:
+def raising(work: EditTask, budget: Budget) -> EditResult:
     raise RuntimeError("no such thing\nas two lines")
 
 
-def cheating(work: Work, budget: Budget) -> Done:
+def cheating(work: EditTask, budget: Budget) -> EditResult:
     work.asset.opacities[:] = 1
-    return Done(work.asset, 0.0, 0.0)
+    return EditResult(work.asset, 0.0, 0.0)
 
 
-def bound(work: Work, budget: Budget) -> Done:
+def bound(work: EditTask, budget: Budget) -> EditResult:
     """An upper bound makes a new asset of other rows."""
-    assert work.oracle is not None and work.oracle.colors.max() == 1
-    return Done(replace(asset(7).append(asset(8)), opacities=np.full(2 * ROWS, 3.0, np.float32)), 0, 2, False)
+    assert work.true_views is not None and work.true_views.colors.max() == 1
+    return EditResult(replace(asset(7).append(asset(8)), opacities=np.full(2 * ROWS, 3.0, np.float32)), 0, 2, False)
 
 
-def dying(work: Work, budget: Budget) -> Done:
+def dying(work: EditTask, budget: Budget) -> EditResult:
     os._exit(3)
 
 
@@ -161,7 +161,7 @@ def register(patch: Any = None) -> None:
 
 
 if __name__ == "__main__":
-    from splatbench import worker
+    from splatbench import runner
 
     register()
-    worker.main(ready=lambda: None)
+    runner.work(ready=lambda: None)

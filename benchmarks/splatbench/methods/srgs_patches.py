@@ -1,12 +1,8 @@
 """What SRGS is trained on: patches of super-resolved pictures beside their low-resolution originals, and its loss.
-
-The whole method draws each view `factor` times as large as its picture. Here a step draws one patch of that picture,
-or a step on a CPU would cost many times what one of 3DGS costs.
-"""
+Apart from srgs.py because it needs torch, which no other row's process should carry."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,18 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatbench.cases import Pictures
-from splatbench.methods.srgs_prior import Prior, blocks, pooled
-from splatpainter.cameras import Camera
+from splatbench.cases import PosedImages
+from splatbench.methods.srgs import SSIM_SHARE, Prior, blocks, pooled
 from splatpainter.fit.loss import picture_loss, torch_loss
 from splatpainter.fit.optimize import View
-from splatpainter.fit.spread import spread
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 
-SSIM = 0.2
-"""Share of 1 - SSIM in both parts of the loss; the rest is L1."""
-LEAST = 16
+MIN_PATCH_PX = 16
 """Edge of a patch in low-resolution pixels, at least (SSIM's window is 11 wide)."""
 
 
@@ -46,16 +38,16 @@ def srgs_loss(texture: float, factor: int, image: Tensor, view: View) -> Tensor:
     if image.device.type != "cpu":
         return loss_by_torch(texture, factor, image, view)
     value, slope = loss_by_kernels(texture, factor, image.detach().numpy(), view)
-    return _Known.apply(image, torch.from_numpy(slope), value)  # type: ignore[return-value]
+    return _KnownGradient.apply(image, torch.from_numpy(slope), value)  # type: ignore[return-value]
 
 
 def loss_by_kernels(texture: float, factor: int, image: np.ndarray, view: View) -> tuple[float, np.ndarray]:
     """(loss, gradient [H, W, 3]) with the kernels of fit/loss.py: a tenth of the time of a step goes into the loss, not
     nine tenths as with torch on a CPU."""
-    value, slope = picture_loss(image, view.color, view.mask, SSIM)
+    value, slope = picture_loss(image, view.color, view.mask, SSIM_SHARE)
     if not isinstance(view, Patch) or texture == 1:
         return value, slope
-    low_value, low_slope = picture_loss(pooled(image, factor), view.low, view.low_mask, SSIM)
+    low_value, low_slope = picture_loss(pooled(image, factor), view.low, view.low_mask, SSIM_SHARE)
     part = low_slope * np.float32((1 - texture) / factor**2)
     return texture * value + (1 - texture) * low_value, slope * np.float32(texture) + blocks(part, factor)
 
@@ -65,7 +57,7 @@ def loss_by_torch(texture: float, factor: int, image: Tensor, view: View) -> Ten
 
     def part(render: Tensor, color: np.ndarray, mask: np.ndarray | None) -> Tensor:
         weights = None if mask is None else torch.as_tensor(mask, dtype=torch.float32, device=image.device)
-        return torch_loss(render, torch.as_tensor(color, device=image.device), weights, SSIM)
+        return torch_loss(render, torch.as_tensor(color, device=image.device), weights, SSIM_SHARE)
 
     loss = part(image, view.color, view.mask)
     if not isinstance(view, Patch) or texture == 1:
@@ -74,8 +66,8 @@ def loss_by_torch(texture: float, factor: int, image: Tensor, view: View) -> Ten
     return texture * loss + (1 - texture) * part(means, view.low, view.low_mask)
 
 
-class _Known(torch.autograd.Function):
-    """A loss whose gradient is known."""
+class _KnownGradient(torch.autograd.Function):
+    """A loss whose gradient was computed with it."""
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, slope: Tensor, value: float) -> Tensor:
@@ -87,60 +79,41 @@ class _Known(torch.autograd.Function):
         return ctx.saved_tensors[0] * pull[0], None, None
 
 
-def around(splats: Splats, base: Pictures, count: int) -> tuple[Camera, ...]:
-    """`count` square cameras evenly around the asset, as far from it and with the same optics as the base views."""
-    means = splats.means[splats.drawable]
-    low, high = np.quantile(means, [0.01, 0.99], axis=0)
-    center = (low + high) / 2
-    distance = float(np.median([np.linalg.norm(c.position - center) for c in base.cameras]))
-    up = -np.mean([c.world_to_camera[1, :3] for c in base.cameras], axis=0)
-    up = up if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
-    like = base.cameras[0]
-    fov = float(np.degrees(2 * np.arctan(like.height / (2 * like.fy))))
-    optics = {"size": like.height, "fov": fov, "backgrounds": (like.background,)}
-    return tuple(spread(center, distance, count, up=up, **optics))
-
-
 def patches(
-    pictures: Pictures,
+    images: PosedImages,
     asset: Splats,
     prior: Prior,
     factor: int,
     edge: int,
-    each: int,
+    count: int,
     rng: np.random.Generator,
     weights: np.ndarray | None = None,
 ) -> list[Patch]:
-    """`each` random patches of every picture, `edge` pixels wide and high in high resolution (more than
-    LEAST low-resolution pixels, no more than the picture), placed where the asset is. weights: [V, H, W] of the
+    """`count` random patches of every picture, `edge` pixels wide and high in high resolution (more than
+    MIN_PATCH_PX low-resolution pixels, no more than the picture), placed where the asset is. weights: [V, H, W] of the
     pictures' pixels, >= 0; patches without any are left out.
 
-    Their weight is edge / (factor x the picture's edge): a row's pull on the screen, which density control measures in
-    pictures' halves, is then as in the whole picture."""
+    Their weight is edge / (factor x the picture's edge): a Gaussian's pull on the screen, which density control
+    measures in pictures' halves, is then as in the whole picture."""
     out = []
-    alphas = render(asset, list(pictures.cameras)).alphas[..., 0]
-    for k, (camera, color) in enumerate(zip(pictures.cameras, pictures.colors, strict=True)):
+    alphas = render(asset, list(images.cameras)).alphas[..., 0]
+    for k, (camera, color) in enumerate(images):
         large = camera.resized(camera.width * factor, camera.height * factor)
         enlarged = prior(color)
-        wide, high = (min(max(edge // factor, LEAST), size) for size in (camera.width, camera.height))
-        for x, y in _windows(alphas[k] > 0.05, wide, high, each, rng):
+        wide, high = (min(max(edge // factor, MIN_PATCH_PX), size) for size in (camera.width, camera.height))
+        for x, y in _windows(alphas[k] > 0.05, wide, high, count, rng):
             window = large.cropped(x * factor, y * factor, wide * factor, high * factor)
-            shown = enlarged[y * factor : (y + high) * factor, x * factor : (x + wide) * factor]
+            texture = enlarged[y * factor : (y + high) * factor, x * factor : (x + wide) * factor]
             weight = float(np.sqrt(wide * high / (camera.width * camera.height)))
             low = np.ascontiguousarray(color[y : y + high, x : x + wide])
-            some = None if weights is None else weights[k, y : y + high, x : x + wide].astype(np.float32)
-            if some is None or some.min() == 1:
-                out.append(Patch(window, np.ascontiguousarray(shown), weight, None, low))
-            elif some.any():
-                out.append(Patch(window, np.ascontiguousarray(shown), weight, blocks(some, factor), low, some))
+            low_mask = None if weights is None else weights[k, y : y + high, x : x + wide].astype(np.float32)
+            if low_mask is None or low_mask.min() == 1:
+                out.append(Patch(window, np.ascontiguousarray(texture), weight, None, low))
+            elif low_mask.any():
+                out.append(
+                    Patch(window, np.ascontiguousarray(texture), weight, blocks(low_mask, factor), low, low_mask)
+                )
     return out
-
-
-def mixed(edited: Sequence[View], others: Sequence[View], share: float) -> list[View]:
-    """All views, the edited ones repeated until they are about `share` (0..1) of them: each round of training takes
-    every entry once."""
-    times = max(round(share * len(others) / ((1 - share) * len(edited))), 1)
-    return [*others, *(view for _ in range(times) for view in edited)]
 
 
 def _windows(where: np.ndarray, wide: int, high: int, count: int, rng: np.random.Generator) -> list[tuple[int, int]]:

@@ -1,0 +1,43 @@
+"""Test-time training, with and without polish, and a model whose Stage II attends to the pictures instead of adapting.
+
+Weights are read before any clock starts. Their encodings are never taken from the cache on disk, so that set-up is what
+a new asset costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from splatbench.cases import Budget
+from splatbench.methods import EditResult, EditTask, Method
+from splatbench.methods.lift import TABLES, painted
+from splatbench.methods.weights import SHIPPED, Weights
+
+CROSS = Weights(
+    ("cross-attention",),
+    model="model with refine.mixer cross_attention",
+    fits=lambda config: config.refine.mixer == "cross_attention",
+    train="refine --model.refine.mixer cross_attention --model.refine.row-tokens 0",
+)
+
+
+def refined(weights: Weights, *, polish: bool = False) -> Callable[[EditTask, Budget], EditResult]:
+    """A row: Stage II with these weights, and two rounds of the lift afterwards with polish."""
+
+    def edit(task: EditTask, budget: Budget) -> EditResult:
+        from splatpainter.painter import Painter
+
+        return painted(Painter(model=weights.load(budget), polish=polish), "ttt", task)
+
+    return edit
+
+
+def _method(name: str, label: str, weights: Weights, **options: bool) -> Method:
+    return Method(name, label, refined(weights, **options), TABLES, missing=weights.missing, version=weights.version)
+
+
+METHODS = (
+    _method("ttt", "Ours (TTT)", SHIPPED),
+    _method("ttt-polish", "Ours (TTT + polish)", SHIPPED, polish=True),
+    _method("cross-attention", "Ours (cross-attention)", CROSS),
+)
