@@ -17,7 +17,8 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image, PngImagePlugin
 from scipy.spatial.transform import Rotation
 
-from splatpainter.cameras import Camera, find_camera, look_at, orbit, to_uint8, write_png
+from splatpainter.cameras import Camera, look_at, orbit
+from splatpainter.image_files import find_camera, to_uint8, write_png
 
 KEYS = {"version", "width", "height", "fx", "fy", "cx", "cy", "world_to_camera", "background", "asset_sha256"}
 points = arrays(np.float64, 3, elements=st.floats(-100, 100))

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from splatpainter import image_files
-from splatpainter.cameras import find_alpha, find_camera, look_at
-from splatpainter.image_files import encode_exr, encode_png, exr_text, quantized, read_deep
+from splatpainter.cameras import look_at
+from splatpainter.image_files import encode_exr, encode_png, exr_text, find_alpha, find_camera, quantized, read_deep
 from splatpainter.sources.color import to_display, to_light
 from splatpainter.sources.pictures import read_mask, read_picture
 

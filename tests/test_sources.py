@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.cameras import Camera, look_at, write_png
+from splatpainter.cameras import Camera, look_at
+from splatpainter.image_files import write_png
 from splatpainter.rendering import render
 from splatpainter.sources import edit_from_files
 from splatpainter.sources.color import from_display, to_display

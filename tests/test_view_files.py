@@ -14,16 +14,15 @@ from PIL import Image
 
 import splatpainter as sp
 from splatpainter import image_files
-from splatpainter.aovs import draw_passes, normals_of
-from splatpainter.cameras import Camera, find_camera, look_at, orbit_cameras
-from splatpainter.image_files import encode_png, quantized, read_deep
+from splatpainter.cameras import Camera, look_at, orbit_cameras
+from splatpainter.image_files import encode_png, find_camera, quantized, read_deep
 from splatpainter.rendering import reference
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.sources import edit_from_files
 from splatpainter.sources.files import over_render
 from splatpainter.sources.pictures import read_picture
 from splatpainter.splats import Splats
-from splatpainter.view_files import PictureOptions, view_files
+from splatpainter.view_files import PictureOptions, draw_passes, normals_of, view_files
 from tests.support.cli_scenes import BOX, Capture, ball, run, saved
 from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
 

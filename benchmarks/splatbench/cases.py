@@ -24,7 +24,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from splatpainter.cameras import Camera, write_png
+from splatpainter.cameras import Camera
+from splatpainter.image_files import write_png
 from splatpainter.io import files
 from splatpainter.painter import Mode
 from splatpainter.splats import ATTRIBUTES, Splats

@@ -21,8 +21,9 @@ from splatbench.closeups import Closeup, closeup
 from splatbench.reprojection import reproject, surface_depth
 from splatbench.timing import machine, measure
 from splatpainter import text_tables as tables
-from splatpainter.cameras import Camera, to_uint8
+from splatpainter.cameras import Camera
 from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
+from splatpainter.image_files import to_uint8
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.receipts import score
 from splatpainter.sources.layers import filled, over

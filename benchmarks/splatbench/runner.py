@@ -45,7 +45,7 @@ from splatbench.process import WorkerJob, Workers, answer_jobs, forget_peak, one
 from splatbench.report import tables as report_tables
 from splatbench.report.summary import RUN_FILE, MethodNames, SummaryRow, summarize
 from splatbench.tables import Table
-from splatpainter.cameras import write_png
+from splatpainter.image_files import write_png
 from splatpainter.io import files
 from splatpainter.kernels.parallel import threads
 from splatpainter.splats import Splats, rows_sha256

@@ -20,7 +20,7 @@ from splatbench.speed_cases import OPERATIONS
 from splatbench.speed_scenes import Scene, resampled, save_scene
 from splatbench.timing import Timing, machine, measure
 from splatpainter import text_tables as tables
-from splatpainter.cameras import write_png
+from splatpainter.image_files import write_png
 from splatpainter.kernels.parallel import cpus
 
 Report = Callable[[str], None]

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from splatbench import strokes
-from splatpainter.cameras import Camera, to_uint8
+from splatpainter.cameras import Camera
+from splatpainter.image_files import to_uint8
 from splatpainter.sources.layers import over
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.transforms import quat_to_matrix

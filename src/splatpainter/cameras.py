@@ -7,27 +7,15 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
-from splatpainter.atomic import writing
-from splatpainter.image_files import encode_png, exr_text, is_exr, quantized
 from splatpainter.splats import Array, Splats
 
-CHUNK = "splatpainter"
-"""Keyword of the PNG tEXt chunk, or name of the OpenEXR header attribute, that carries a camera."""
 VERSION = 1
-MAX_PICTURE_PIXELS = 1 << 26
-"""Of a picture that is opened: a few hundred bytes can claim any number. 8192 x 8192."""
-Alpha = Literal["straight", "premultiplied"]
-"""How a picture that was rendered without a background keeps its colours: as they are, or multiplied by alpha."""
-ALPHA = "alpha"
-"""Key beside the camera's own that says it."""
 MIN_FRAMED_OPACITY = 0.1
 """Fainter Gaussians are haze and floaters; they do not decide where the asset is."""
 FRAME_MARGIN = 1.08
@@ -35,7 +23,7 @@ FRAME_MARGIN = 1.08
 UPS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 AUTO_UP = "-y"
 """Up of every asset in memory unless its maker thought otherwise: structure from motion has y down, so do INRIA's PLY
-files, and the readers of formats with y up (SPZ, GLB) turn what they read into that frame (io/frames.py)."""
+files, and the readers of formats with y up (SPZ, GLB) turn what they read into that frame (io/axes.py)."""
 
 
 @dataclass(frozen=True)
@@ -303,78 +291,3 @@ def orbit_cameras(
     return orbit(
         center, distance, count, elevation=elevation, up=axis, width=size, height=size, fov=fov, background=background
     )
-
-
-def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None) -> None:
-    """Write [H, W, 3] colours (float 0..1, or uint8) as an 8-bit PNG, with its camera in the tEXt chunk if given.
-    It appears whole or not at all. Raises ValueError where it cannot be written."""
-    data = encode_png(to_uint8(image), None if camera is None else {CHUNK: camera.to_json()})
-    with writing(Path(path)) as file:
-        file.write(data)
-
-
-def to_uint8(image: np.ndarray) -> np.ndarray:
-    """Float 0..1 -> 0..255, rounded to nearest; uint8 passes through."""
-    return image if image.dtype == np.uint8 else quantized(image)
-
-
-def find_camera(png: str | Path, explicit: str | Path | None = None) -> Camera:
-    """The camera of a picture: the explicit JSON file, else the PNG's chunk, else the sidecar NAME.json beside it.
-    Raises ValueError when none is there or the one found is broken."""
-    text, where = _camera_text(Path(png), None if explicit is None else Path(explicit))
-    if text is None:
-        sidecar = Path(png).with_suffix(".json")
-        raise ValueError(
-            f"{png}: no camera; expected one in the PNG ({CHUNK} chunk), in {sidecar.name}, or given with --camera"
-        )
-    return Camera.from_json(text, where)
-
-
-def find_alpha(png: str | Path, explicit: str | Path | None = None) -> Alpha | None:
-    """How a picture that was rendered without a background keeps its colours, as it says beside its camera, looked for
-    as by `find_camera`; None for other pictures. OpenEXR is "straight": its readers take the alpha out again."""
-    try:
-        text, _ = _camera_text(Path(png), None if explicit is None else Path(explicit))
-        data = json.loads(text or "{}")
-    except (ValueError, RecursionError):
-        return None
-    said = data.get(ALPHA) if isinstance(data, dict) else None
-    if said not in get_args(Alpha):
-        return None
-    return "straight" if is_exr(Path(png)) else said
-
-
-def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]:
-    """(the JSON of a camera or None, where it was found)."""
-    from PIL import Image
-
-    if explicit is not None:
-        return _read_text(explicit), str(explicit)
-    if is_exr(picture):
-        text, kind = exr_text(picture, CHUNK, MAX_PICTURE_PIXELS), "EXR header"
-    else:
-        kind = "PNG chunk"
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # Pillow's remarks about damaged tags
-                with Image.open(picture) as image:
-                    # `text` decodes the picture, to look for chunks behind it: only where none stands ahead.
-                    text = image.info.get(CHUNK) or getattr(image, "text", {}).get(CHUNK)
-        except Exception as error:  # decoders of damaged files raise anything
-            raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
-    if text:
-        return text, f"{picture} ({kind})"
-    sidecar = picture.with_suffix(".json")
-    return (_read_text(sidecar), str(sidecar)) if sidecar.exists() else (None, "")
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")  # editors of Windows begin files with a mark
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as a camera ({_reason(error)})") from None
-
-
-def _reason(error: BaseException) -> str:
-    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return " ".join(said.split())[:200]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.cameras import to_uint8
+from splatpainter.image_files import to_uint8
 from splatpainter.io import files
 
 PAPER, INK, FAINT = (250, 250, 248), (20, 20, 22), (110, 110, 115)

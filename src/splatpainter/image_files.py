@@ -1,7 +1,8 @@
-"""Picture files as bytes, with text inside: PNG of 8 and 16 bits, OpenEXR; and samples that Pillow would cut to 8 bits.
+"""Picture files with text inside, first of all their camera: PNG of 8 and 16 bits, OpenEXR; and samples that Pillow
+would cut to 8 bits.
 
 8-bit PNG and 16-bit grey are Pillow's; 16-bit colour, 16-bit TIFF and OpenEXR are OpenImageIO's (extra `pictures`: one
-library of 8 to 10 MB for all of them). Knows no cameras and no splats.
+library of 8 to 10 MB for all of them). Knows no splats.
 """
 
 from __future__ import annotations
@@ -9,13 +10,18 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import json
 import tempfile
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+
+from splatpainter.atomic import writing
+from splatpainter.cameras import Camera
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -31,6 +37,14 @@ HALF_MAX = 65504.0
 """Largest 16-bit float."""
 MAX_CHANNELS = 1024
 """Channels that a header may claim; four of them are read."""
+CAMERA_KEYWORD = "splatpainter"
+"""Keyword of the PNG tEXt chunk, or name of the OpenEXR header attribute, that carries a camera."""
+MAX_PICTURE_PIXELS = 1 << 26
+"""Of a picture that is opened: a few hundred bytes can claim any number. 8192 x 8192."""
+Alpha = Literal["straight", "premultiplied"]
+"""How a picture that was rendered without a background keeps its colours: as they are, or multiplied by alpha."""
+ALPHA_KEY = "alpha"
+"""Key beside the camera's own that says it."""
 
 
 def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
@@ -232,3 +246,79 @@ def _opened(path: Path, most_pixels: int) -> Iterator[tuple[Any, Any]]:
 
 def _short(problem: str) -> str:
     return " ".join(problem.split())[:120] or "no reason given"
+
+
+# ---- cameras in pictures
+
+
+def write_png(path: str | Path, image: np.ndarray, camera: Camera | None = None) -> None:
+    """Write [H, W, 3] colours (float 0..1, or uint8) as an 8-bit PNG, with its camera in the tEXt chunk if given.
+    It appears whole or not at all. Raises ValueError where it cannot be written."""
+    data = encode_png(to_uint8(image), None if camera is None else {CAMERA_KEYWORD: camera.to_json()})
+    with writing(Path(path)) as file:
+        file.write(data)
+
+
+def to_uint8(image: np.ndarray) -> np.ndarray:
+    """Float 0..1 -> 0..255, rounded to nearest; uint8 passes through."""
+    return image if image.dtype == np.uint8 else quantized(image)
+
+
+def find_camera(png: str | Path, explicit: str | Path | None = None) -> Camera:
+    """The camera of a picture: the explicit JSON file, else the PNG's chunk, else the sidecar NAME.json beside it.
+    Raises ValueError when none is there or the one found is broken."""
+    text, where = _camera_text(Path(png), None if explicit is None else Path(explicit))
+    if text is None:
+        where = f"in the PNG ({CAMERA_KEYWORD} chunk), in {Path(png).with_suffix('.json').name}, or given with --camera"
+        raise ValueError(f"{png}: no camera; expected one {where}")
+    return Camera.from_json(text, where)
+
+
+def find_alpha(png: str | Path, explicit: str | Path | None = None) -> Alpha | None:
+    """How a picture that was rendered without a background keeps its colours, as it says beside its camera, looked for
+    as by `find_camera`; None for other pictures. OpenEXR is "straight": its readers take the alpha out again."""
+    try:
+        text, _ = _camera_text(Path(png), None if explicit is None else Path(explicit))
+        data = json.loads(text or "{}")
+    except (ValueError, RecursionError):
+        return None
+    said = data.get(ALPHA_KEY) if isinstance(data, dict) else None
+    if said not in get_args(Alpha):
+        return None
+    return "straight" if is_exr(Path(png)) else said
+
+
+def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]:
+    """(the JSON of a camera or None, where it was found)."""
+    from PIL import Image
+
+    if explicit is not None:
+        return _read_text(explicit), str(explicit)
+    if is_exr(picture):
+        text, kind = exr_text(picture, CAMERA_KEYWORD, MAX_PICTURE_PIXELS), "EXR header"
+    else:
+        kind = "PNG chunk"
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # Pillow's remarks about damaged tags
+                with Image.open(picture) as image:
+                    # `text` decodes the picture, to look for chunks behind it: only where none stands ahead.
+                    text = image.info.get(CAMERA_KEYWORD) or getattr(image, "text", {}).get(CAMERA_KEYWORD)
+        except Exception as error:  # decoders of damaged files raise anything
+            raise ValueError(f"{picture}: cannot be read as a picture ({_reason(error)})") from None
+    if text:
+        return text, f"{picture} ({kind})"
+    sidecar = picture.with_suffix(".json")
+    return (_read_text(sidecar), str(sidecar)) if sidecar.exists() else (None, "")
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")  # editors of Windows begin files with a mark
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read as a camera ({_reason(error)})") from None
+
+
+def _reason(error: BaseException) -> str:
+    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(said.split())[:200]

@@ -1,7 +1,8 @@
 """Receipts: which rows an edit changed, and the proof that it changed no other. Knows no renderer and no network.
 
-A row is untouched when every attribute has the same bits as before. Files prove it by being read again: `verify`
-compares two files part by part (comparison.py), and their rows against the receipt where there is one.
+A row is untouched when every attribute has the same bits as before. Files prove it by being read again, before they
+take the place of anything (`prove`) or at any time later: `verify` compares two files part by part (comparison.py), and
+their rows against the receipt where there is one.
 """
 
 from __future__ import annotations
@@ -9,15 +10,26 @@ from __future__ import annotations
 import json
 import math
 import os
+import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from splatpainter.comparison import Comparison, compare, listed
 from splatpainter.comparison import changed_rows as changed_rows
-from splatpainter.io import frame_is_news, frame_line, option, read
+from splatpainter.io import (
+    FORMATS,
+    format_of_name,
+    frame_is_news,
+    frame_line,
+    frame_of_target,
+    option,
+    read,
+    write,
+)
 from splatpainter.splats import Frame, Splats, rows_sha256
 
 MOST_ROWS = 1 << 27
@@ -273,6 +285,51 @@ def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:
             f"the edited file changed since (sha256 {after.sha256[:12]}..., receipt {receipt.output_sha256[:12]}...)"
         )
     return out
+
+
+def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "auto") -> tuple[Receipt, Verification]:
+    """The receipt of the file at `written`, and the outcome of checking the one against the other.
+
+    A format that rounds may encode rows anew that the edit left alone. Such rows are different in the file, so they
+    are listed as touched, and the note says how many and why. For a format that keeps everything this is a fault.
+    An original that is no file is compared as that format holds it. frame: what it was written with.
+    Raises RuntimeError where the file does not prove the receipt."""
+    key = format_of_name(written)
+    taken = frame if key is None else frame_of_target(original, key, frame)
+    edited = read(written, frame=taken, lenient=True)  # what a lenient original had cut off is kept
+    assert edited.source is not None
+    entry = FORMATS[edited.source.format]
+    found = compare(_as_file(original, written), edited)
+    rounded = np.setdiff1d(found.differs, receipt.touched)
+    notes = [receipt.note]
+    if len(rounded) and entry.lossy:
+        touched = np.union1d(receipt.touched, rounded)
+        before, after = untouched_hashes(found.before, edited, touched)
+        receipt = replace(receipt, touched=touched, untouched_sha256_before=before, untouched_sha256_after=after)
+        notes.append(f"{len(rounded)} rows that the edit left alone were rounded anew by {entry.key}")
+    if original.source is None or original.source.format != entry.key:
+        notes.append(f"rows are compared with the original converted to {entry.key}")
+    if entry.lossy:
+        notes.append(f"dB are of the rows before {entry.key} rounds them")
+    receipt = replace(
+        receipt,
+        output_sha256=edited.sha256,
+        output_rows=len(edited),
+        note="; ".join(filter(None, notes)),
+    )
+    verification = check(found, receipt if original.source else replace(receipt, asset_sha256=found.original_sha256))
+    if not verification.ok:
+        raise RuntimeError(f"the file written does not prove its receipt: {'; '.join(verification.problems)}")
+    return receipt, verification
+
+
+def _as_file(original: Splats, written: Path) -> Splats:
+    if original.source is not None:
+        return original
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / written.name
+        write(place, original)
+        return read(place)
 
 
 def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | None:

@@ -1,30 +1,110 @@
-"""One rendered view as files: the picture with its camera inside, its AOVs, and the sidecar that says how to read them.
+"""One rendered view: what it shows besides colours (arbitrary output variables, as compositors want them), and the
+files that it becomes: the picture with its camera inside, its AOVs, and the sidecar that says how to read them.
 
-PNG holds display colours (sRGB, IEC 61966-2-1), clipped to 0..1. OpenEXR holds linear light of sRGB primaries, not
-clipped, multiplied by alpha as the format wants.
+A pixel's weights are the renderer's, w_i = alpha_i T_i, so that every pass lies exactly over the picture. PNG holds
+display colours (sRGB, IEC 61966-2-1), clipped to 0..1. OpenEXR holds linear light of sRGB primaries, not clipped,
+multiplied by alpha as the format wants.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from splatpainter.aovs import Aov, Passes, draw_passes
-from splatpainter.cameras import ALPHA, CHUNK, Alpha, Camera
-from splatpainter.image_files import HALF_MAX, encode_exr, encode_png, quantized, require_deep
+from splatpainter.cameras import Camera
+from splatpainter.image_files import (
+    ALPHA_KEY,
+    CAMERA_KEYWORD,
+    HALF_MAX,
+    Alpha,
+    encode_exr,
+    encode_png,
+    quantized,
+    require_deep,
+)
+from splatpainter.lift.global_edit import outward_normals
 from splatpainter.rendering.profiles import Profile
 from splatpainter.sources.color import to_display, to_light
 from splatpainter.sources.pictures import straight
 from splatpainter.splats import ColorSpace, Splats
 
+Aov = Literal["alpha", "depth", "normal", "gaussian-ids", "coverage"]
 PictureFormat = Literal["png", "exr"]
 BITS: dict[PictureFormat, tuple[int, ...]] = {"png": (8, 16), "exr": (16, 32)}
 """Bits of a sample that each format can have, the default first."""
 MAX_PNG_IDS = (1 << 24) - 1
 """Rows that three 8-bit channels can name."""
+
+
+@dataclass(frozen=True)
+class Passes:
+    """One view of a splat asset; H, W: the camera's pixels."""
+
+    colors: np.ndarray
+    """[H, W, 3] float32 sum_i w_i c_i + (1 - alpha) background, in the asset's colour space."""
+    alpha: np.ndarray
+    """[H, W] float32 sum_i w_i, 0..1."""
+    depth: np.ndarray
+    """[H, W] float32 sum_i w_i z_i / alpha: distance along the viewing direction, world units; 0 where alpha is 0."""
+    normal: np.ndarray | None = None
+    """[H, W, 3] float32 sum_i w_i n_i, made unit length: outward normals in world axes; 0 where nothing is drawn."""
+    gaussian_ids: np.ndarray | None = None
+    """[H, W] int64 the row with the largest w_i; -1 where nothing is drawn."""
+    coverage: np.ndarray | None = None
+    """[H, W, 3] float32 parts of alpha: rows predicted and not seen, rows seen by edited views, rows as they were."""
+
+
+def normals_of(splats: Splats) -> np.ndarray:
+    """[N, 3] float32 outward unit normals; zeros for rows that cannot be drawn."""
+    return outward_normals(splats) if splats.drawable.any() else np.zeros((len(splats), 3), np.float32)
+
+
+def draw_passes(
+    splats: Splats,
+    camera: Camera,
+    aovs: Collection[Aov] = (),
+    *,
+    profile: Profile = "inria",
+    normals: np.ndarray | None = None,
+    coverage: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Passes:
+    """Draw colours, alpha, depth, and what `aovs` names besides.
+
+    splats: numpy attributes. profile: as in `render`. normals: [N, 3] of `normals_of`, computed where they are
+    wanted and not given (the same for all views of an asset). coverage: [N] bool rows predicted and [N] bool rows seen,
+    both False for rows as they were. Raises ValueError as `render`, and for "coverage" without one."""
+    from splatpainter.rendering import render
+    from splatpainter.rendering.cpu.projected_view import project
+
+    if "coverage" in aovs and coverage is None:
+        raise ValueError("coverage: only a session knows which rows its edits saw; export the view from a session")
+    drawn = render(splats, camera, profile=profile)
+    colors, alpha, depth = drawn.colors[0], drawn.alphas[0, ..., 0], drawn.depths[0, ..., 0]
+    if not {"normal", "gaussian-ids", "coverage"} & {*aovs}:
+        return Passes(colors, alpha, depth)
+    normal = gaussian_ids = parts = None
+    frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+
+    def blend(values: np.ndarray) -> np.ndarray:
+        """[H, W, 3] sum_i w_i v_i of values [N, 3]."""
+        image, weight, distance = np.empty_like(colors), np.empty_like(alpha), np.empty_like(depth)
+        frame.rasterize_into(image, weight, distance, values[frame.gaussian_ids].astype(colors.dtype), profile)
+        return image
+
+    if "normal" in aovs:
+        summed = blend(normals_of(splats) if normals is None else normals)
+        length = np.linalg.norm(summed, axis=-1, keepdims=True)
+        normal = np.where(length > 1e-6, summed / np.maximum(length, 1e-6), 0).astype(np.float32)
+    if "gaussian-ids" in aovs:
+        gaussian_ids = frame.heaviest_gaussians(profile)
+    if "coverage" in aovs and coverage is not None:
+        predicted, seen = coverage
+        parts = blend(np.stack([predicted, seen, ~(predicted | seen)], -1))
+    return Passes(colors, alpha, depth, normal, gaussian_ids, parts)
 
 
 @dataclass(frozen=True)
@@ -87,7 +167,7 @@ def view_files(
     coverage: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> dict[str, bytes]:
     """Render a view: file name -> its bytes, in the order of `options.file_names(stem)`. Arguments and errors besides
-    as `aovs.draw_passes`; ValueError also where a library is missing or a PNG cannot number so many rows.
+    as `draw_passes`; ValueError also where a library is missing or a PNG cannot number so many rows.
 
     AOVs. alpha: 0..1. depth: z in world units, in PNG as 16-bit grey, 0 nothing and 1..65535 from `near` to `far`.
     normal: world axes, in PNG 0.5 + 0.5 n. gaussian-ids: row + 1, 0 nothing; in PNG R + 256 G + 65536 B, in OpenEXR an
@@ -98,8 +178,8 @@ def view_files(
     passes = draw_passes(splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage)
     record: dict[str, Any] = json.loads(camera.to_json())
     if options.transparent:
-        record[ALPHA] = options.transparent
-    text = {CHUNK: json.dumps(record)}
+        record[ALPHA_KEY] = options.transparent
+    text = {CAMERA_KEYWORD: json.dumps(record)}
     files = {f"{stem}.{options.format}": _picture(passes, camera, options, splats.color_space, text)}
     notes: dict[str, Any] = {}
     for name in options.aovs:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.cameras import to_uint8, write_png
 from splatpainter.fit.spread import spread
+from splatpainter.image_files import to_uint8, write_png
 from splatpainter.io import read
 from splatpainter.rendering import render
 from tests.support.cli_scenes import Capture, ball, listing, run, saved

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, PngImagePlugin
 
-from splatpainter.cameras import CHUNK, Camera, look_at
+from splatpainter.cameras import Camera, look_at
+from splatpainter.image_files import CAMERA_KEYWORD
 from splatpainter.sources import edit_from_files
 from splatpainter.sources.files import camera_from
 
@@ -43,7 +44,7 @@ class PictureTarget(Target):
 
     def _png(self, pixels: np.ndarray, mode: str) -> list[tuple[bytes, bytes]]:
         out, note = io.BytesIO(), PngImagePlugin.PngInfo()
-        note.add_text(CHUNK, json.dumps(self.camera))
+        note.add_text(CAMERA_KEYWORD, json.dumps(self.camera))
         image = Image.fromarray(pixels)
         if mode == "I;16":
             image = Image.fromarray(pixels[..., 0].astype(np.uint16) * 257)
@@ -81,12 +82,12 @@ class PictureTarget(Target):
                 parts[at] = rng.choice(KINDS), body
             elif action in (2, 3):
                 text = self._camera_text(rng)
-                made = (b"tEXt", CHUNK.encode() + b"\0" + text)
+                made = (b"tEXt", CAMERA_KEYWORD.encode() + b"\0" + text)
                 if maybe(rng, 0.3):
                     large = bytes(rng.choice((0, 0, 1 << 20, 70 << 20))) if maybe(rng, 0.2) else b""
-                    made = (b"zTXt", CHUNK.encode() + b"\0\0" + zlib.compress(text + large, 1))
+                    made = (b"zTXt", CAMERA_KEYWORD.encode() + b"\0\0" + zlib.compress(text + large, 1))
                 elif maybe(rng, 0.2):
-                    made = (b"iTXt", CHUNK.encode() + b"\0\0\0\0\0" + text)
+                    made = (b"iTXt", CAMERA_KEYWORD.encode() + b"\0\0\0\0\0" + text)
                 parts = [part for part in parts if part[0] != b"tEXt"]
                 parts.insert(1, made)
             elif action == 4 and parts[0][0] == b"IHDR" and len(parts[0][1]) == 13:

@@ -13,8 +13,7 @@ import pytest
 from PIL import Image
 
 from splatpainter import image_files
-from splatpainter.cameras import find_alpha, find_camera
-from splatpainter.image_files import read_deep
+from splatpainter.image_files import find_alpha, find_camera, read_deep
 from splatpainter.painter import Edit
 from splatpainter.rendering import render
 from splatpainter.server.image_registration import png_bytes

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from splatpainter.cameras import Camera, find_camera, look_at
+from splatpainter.cameras import Camera, look_at
+from splatpainter.image_files import find_camera
 from splatpainter.sources import pictures
 from splatpainter.sources.files import edit_from_files
 from splatpainter.sources.pictures import read_picture

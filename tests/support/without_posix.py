@@ -88,7 +88,7 @@ def main() -> None:
         pixels, text = np.array(picture.convert("RGB")), picture.info["splatpainter"]
     pixels[24:36, 24:36] = (20, 160, 40)
     camera = sp.Camera.from_json(text)
-    from splatpainter.cameras import write_png
+    from splatpainter.image_files import write_png
 
     write_png("painted.png", pixels, camera)
     assert command(["edit", str(asset), "painted.png", "--out", "out.ply", "--method", "lift"]) == 0

@@ -21,8 +21,9 @@ import numpy as np
 
 from splatbench.adapters.frames import Cube, Frame
 from splatbench.cases import PosedImages
-from splatpainter.cameras import Camera, look_at, orbit, to_uint8
+from splatpainter.cameras import Camera, look_at, orbit
 from splatpainter.color import base_color
+from splatpainter.image_files import to_uint8
 from splatpainter.io import files
 from splatpainter.splats import Splats
 from splatpainter.transforms import fibonacci_sphere, matrix_to_quat

@@ -236,7 +236,7 @@ def program(adapters: Path | None, factor: int, folder: Path) -> Prior:
     def enlarged(picture: np.ndarray) -> np.ndarray:
         from PIL import Image
 
-        from splatpainter.cameras import to_uint8
+        from splatpainter.image_files import to_uint8
         from splatpainter.sources.pictures import read_picture
 
         pixels = to_uint8(picture)

@@ -38,7 +38,7 @@ from splatbench.report.summary import (
     table_layout,
 )
 from splatbench.report.tables import Grid, grid, head_groups, markdown
-from splatpainter.cameras import to_uint8
+from splatpainter.image_files import to_uint8
 from splatpainter.io import files
 
 TEMPLATES = Path(__file__).parent

@@ -11,7 +11,7 @@ import numpy as np
 from splatbench.cases import Record
 from splatbench.tables import Column
 
-from splatpainter.cameras import write_png
+from splatpainter.image_files import write_png
 
 COLUMNS = (
     Column("psnr", "PSNR", "", "higher"),

@@ -236,7 +236,7 @@ def _thumb(picture: np.ndarray) -> np.ndarray:
     import numpy as np
     from PIL import Image
 
-    from splatpainter.cameras import to_uint8
+    from splatpainter.image_files import to_uint8
 
     image = Image.fromarray(to_uint8(picture))
     image.thumbnail((SHEET_CELL_PX, SHEET_CELL_PX), Image.Resampling.LANCZOS)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.cameras import to_uint8
+from splatpainter.image_files import to_uint8
 
 PAPER, INK, FAINT = (246, 244, 239), (38, 42, 46), (120, 122, 122)
 CROP = (0.0, 0.14, 1.0, 0.94)

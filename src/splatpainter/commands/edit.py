@@ -19,8 +19,7 @@ from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.io import files, read, write
 from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
-from splatpainter.proof import prove
-from splatpainter.receipts import Receipt, Verification
+from splatpainter.receipts import Receipt, Verification, prove
 from splatpainter.sources import FileEdit, edit_from_files
 from splatpainter.splats import Splats
 

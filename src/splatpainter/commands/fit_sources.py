@@ -196,7 +196,7 @@ Shown = tuple[Camera, np.ndarray, np.ndarray]
 
 def _by_camera(folder: Path, wish: Wish) -> list[Shown]:
     """Pictures that carry their camera, or have it beside them."""
-    from splatpainter.cameras import find_camera
+    from splatpainter.image_files import find_camera
 
     paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
     if not paths:

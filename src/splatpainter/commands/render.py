@@ -127,9 +127,8 @@ def _files(out: Path, stem: str, camera: Camera, options: PictureOptions) -> dic
 def _save_all(
     splats: Splats, cameras: list[Camera], stems: list[str], out: Path, options: PictureOptions
 ) -> Iterator[None]:
-    from splatpainter.aovs import normals_of
     from splatpainter.kernels.compile import ensure_compiled
-    from splatpainter.view_files import view_files
+    from splatpainter.view_files import normals_of, view_files
 
     ensure_compiled()
     normals = normals_of(splats) if "normal" in options.aovs else None

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.atomic import check_name
-from splatpainter.cameras import Camera, write_png
+from splatpainter.cameras import Camera
 from splatpainter.commands.terminal import reason
+from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, files, format_of_name
 
 META = "meta.json"

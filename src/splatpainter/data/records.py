@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from splatpainter.cameras import Camera, to_uint8
+from splatpainter.cameras import Camera
 from splatpainter.data.samples import Sample, Views
 from splatpainter.data.shards import Files
+from splatpainter.image_files import to_uint8
 from splatpainter.io import read, write
 from splatpainter.splats import Splats
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.cameras import CHUNK, Camera, to_uint8
-from splatpainter.image_files import encode_png
+from splatpainter.cameras import Camera
+from splatpainter.image_files import CAMERA_KEYWORD, encode_png, to_uint8
 from splatpainter.lift.masks import change_mask
 from splatpainter.sources.files import ASPECT
 from splatpainter.sources.pictures import resample
@@ -63,7 +63,7 @@ def same_shape(size: tuple[int, int], target: tuple[int, int]) -> bool:
 def png_bytes(image: np.ndarray, camera: Camera | None = None) -> bytes:
     """PNG of [H, W, 3 or 4] or [H, W] values (float 0..1, uint8 or bool), with its camera inside. Fast, not small."""
     pixels = image.astype(np.uint8) * 255 if image.dtype == bool else to_uint8(image)
-    return encode_png(pixels, None if camera is None else {CHUNK: camera.to_json()}, level=1)
+    return encode_png(pixels, None if camera is None else {CAMERA_KEYWORD: camera.to_json()}, level=1)
 
 
 def thumbnail(image: np.ndarray) -> np.ndarray:

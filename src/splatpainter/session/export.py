@@ -12,16 +12,15 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from splatpainter.aovs import Aov
-from splatpainter.cameras import Alpha, Camera
+from splatpainter.cameras import Camera
+from splatpainter.image_files import Alpha
 from splatpainter.io import FORMATS, files, format_of_name, write
-from splatpainter.proof import prove
-from splatpainter.receipts import Receipt, Verification, changed_rows, untouched_hashes
+from splatpainter.receipts import Receipt, Verification, changed_rows, prove, untouched_hashes
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts
 from splatpainter.session.layers import Layer
 from splatpainter.splats import Splats
-from splatpainter.view_files import PictureOptions, view_files
+from splatpainter.view_files import Aov, PictureOptions, view_files
 
 LAYER_SUFFIX = ".splatlayer"
 LAYER_FILE_ERRORS = (

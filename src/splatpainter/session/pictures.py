@@ -7,7 +7,8 @@ import warnings
 
 import numpy as np
 
-from splatpainter.cameras import Camera, to_uint8
+from splatpainter.cameras import Camera
+from splatpainter.image_files import to_uint8
 from splatpainter.sources.color import from_display, to_display
 from splatpainter.splats import ColorSpace
 

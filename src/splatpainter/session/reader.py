@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.aovs import Aov
-from splatpainter.cameras import AUTO_UP, UPS, Alpha, Camera
+from splatpainter.cameras import AUTO_UP, UPS, Camera
+from splatpainter.image_files import Alpha
 from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, Verification
 from splatpainter.rendering.profiles import Profile
@@ -21,6 +21,7 @@ from splatpainter.session.original import OriginalRule
 from splatpainter.session.project import Bookmark, Project, Step
 from splatpainter.session.replay import Level, Replay
 from splatpainter.splats import Splats
+from splatpainter.view_files import Aov
 
 
 @dataclass(frozen=True)

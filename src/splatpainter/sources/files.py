@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.cameras import Alpha, Camera, find_alpha, find_camera
+from splatpainter.cameras import Camera
+from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.painter import Edit, Mode
 from splatpainter.sources.color import from_display, to_display
 from splatpainter.sources.pictures import LIMIT, Picture, declared_size, read_mask, read_picture, resample, straight

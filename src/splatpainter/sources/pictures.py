@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatpainter.cameras import MAX_PICTURE_PIXELS as LIMIT
 from splatpainter.image_files import EXTRA, PixelSamples, can_do_deep, is_deep, is_exr, read_deep
+from splatpainter.image_files import MAX_PICTURE_PIXELS as LIMIT
 from splatpainter.sources.color import to_display
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from splatpainter.cameras import find_alpha
+from splatpainter.image_files import find_alpha
 from splatpainter.painter import Edit
 from splatpainter.server import frames
 from splatpainter.server.commands.context import (

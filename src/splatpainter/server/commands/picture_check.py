@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from splatpainter.cameras import Alpha, Camera, find_alpha, find_camera
+from splatpainter.cameras import Camera
+from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.server import image_registration as registration
 from splatpainter.server.commands.context import CommandContext, command, render_alpha, render_display
 from splatpainter.server.describe import camera_from_wire, camera_to_wire

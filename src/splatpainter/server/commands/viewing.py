@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from splatpainter.aovs import Aov
-from splatpainter.cameras import Camera, orbit, to_uint8
+from splatpainter.cameras import Camera, orbit
+from splatpainter.image_files import to_uint8
 from splatpainter.io.files import sha256, writing
 from splatpainter.rendering.profiles import Profile
 from splatpainter.server import picking
@@ -25,7 +25,7 @@ from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.session.conflicts import coverage as covered
 from splatpainter.session.export import view_files_of
 from splatpainter.sources.color import to_display
-from splatpainter.view_files import PictureOptions
+from splatpainter.view_files import Aov, PictureOptions
 
 MAX_EXPORT_PIXELS = 1 << 24
 """Of an exported view: 4096 x 4096."""
