@@ -110,7 +110,7 @@ def test_the_demo_runs_in_an_empty_folder(installed: Path, tmp_path: Path) -> No
 
 
 def test_the_studio_serves_its_page(installed: Path, tmp_path: Path) -> None:
-    """On a small asset: the demo's would take seconds to make."""
+    """On a small asset, to be quick."""
     from tests.support.cli_scenes import ball, saved
 
     (tmp_path / "empty").mkdir()

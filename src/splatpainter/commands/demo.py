@@ -61,7 +61,7 @@ def run(config: Config) -> Outcome:
     out, clock = config.out, _Steps()
     with stages(6) as bar:
         bar.enter("asset")
-        made = clock.lap("make the asset", lambda: flip(demo_asset(), HALF_TURN))
+        made = clock.lap("unpack the asset", lambda: flip(demo_asset(), HALF_TURN))
         clock.lap("write it", lambda: write(out / "asset.ply", made, overwrite=True))
         splats = read(out / "asset.ply")
         hero = replace(view(0, 0, config.size, BACKGROUND), asset_sha256=splats.sha256)

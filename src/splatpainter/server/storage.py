@@ -295,10 +295,10 @@ class Incoming:
 
 
 def demo(cache: Path | None = None) -> Splats:
-    """The bundled still life. Making it takes some seconds, so it is kept as a PLY in `cache` (None: the user's cache
-    folder) under the hash of the code that makes it."""
+    """The bundled still life, kept as a PLY in `cache` (None: the user's cache folder) under the hash of the file that
+    it was unpacked from."""
     path = (cache or cache_folder()) / f"demo-{_demo_hash()}.ply"
-    with contextlib.suppress(ValueError):  # not there yet, or damaged: it is made anew
+    with contextlib.suppress(ValueError):  # not there yet, or damaged: it is unpacked anew
         return read(path)
     made = flip(demo_asset.demo_asset(), DEMO_FLIP)
     try:
@@ -310,5 +310,4 @@ def demo(cache: Path | None = None) -> Splats:
 
 
 def _demo_hash() -> str:
-    sources = sorted(Path(demo_asset.__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"\0".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+    return hashlib.sha256(demo_asset.FILE.read_bytes()).hexdigest()[:16]

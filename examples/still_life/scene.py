@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from splatpainter.demo_asset import light, outlines, paint
-from splatpainter.demo_asset.noise import value_noise
-from splatpainter.demo_asset.shapes import (
+from examples.still_life import light, outlines, paint
+from examples.still_life.noise import value_noise
+from examples.still_life.shapes import (
     Distance,
     Loft,
     lattice,

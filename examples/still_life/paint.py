@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.demo_asset.noise import edge, fractal_noise, hashed, leaf, specks, value_noise, wrapped
-from splatpainter.demo_asset.shapes import Loft
+from examples.still_life.noise import edge, fractal_noise, hashed, leaf, specks, value_noise, wrapped
+from examples.still_life.shapes import Loft
 
 CREAM = np.array([0.915, 0.890, 0.840])
 COBALT = np.array([0.055, 0.115, 0.400])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatpainter.demo_asset.shapes import GOLDEN, unit
+from examples.still_life.shapes import GOLDEN, unit
 
 KEY = unit(np.array([-0.60, 0.74, 0.62])).astype(np.float32)
 """Direction towards the main light, a large warm window high on the left."""
