@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatpainter.lift.global_edit import outward_normals
+from splatpainter.lift.normals import outward_normals
 from splatpainter.lighting import open_transfer, row_transfer
 from tests.lift.test_global import ball
 

@@ -13,7 +13,7 @@ import pytest
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.fit.edited import EditFitOptions, fit_edited
-from splatpainter.lift.local_edit import reached_rows
+from splatpainter.lift.local_edit import gaussians_in_mask
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.receipts import Receipt
 from splatpainter.splats import Splats
@@ -232,7 +232,7 @@ def test_fit_changes_reached_rows_only_and_brings_the_picture_nearer_than_the_li
     result, lifted = (apply(splats, [edit], method=method) for method in ("fit", "lift"))
     receipt = receipt_of(result)
     mask = np.abs(edit.image - draw(splats)).max(-1) > 4 / 255
-    reached = reached_rows(splats, CAMERA, mask)
+    reached = gaussians_in_mask(splats, CAMERA, mask)
     assert len(result.splats) == len(lifted.splats) > len(splats) and receipt.method == "fit"
     assert set(receipt.seconds) >= {"lift", "fit"} and reached[receipt.touched].all()
     np.testing.assert_array_equal(receipt.touched, np.flatnonzero(differing(splats, result.splats)))

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from splatpainter.lift.edit_views import edit_views
+from splatpainter.lift.edits import lift_local_views
 from splatpainter.models import checkpoint
 from splatpainter.models.config import COMPACT, PAPER, ModelConfig, shallow
-from splatpainter.models.draft import draft_local, edit_views
 from splatpainter.models.encode import asset_views, canonical_cameras, encode_asset
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.weights import _Deferred
@@ -52,8 +53,8 @@ def receipt_of(asset: Asset) -> Receipt:
 
 def fast_weights(asset: Asset) -> list[torch.Tensor]:
     """Of all blocks and the detail layer."""
-    assert asset.learnt is not None and asset.learnt.state is not None
-    state = asset.learnt.state
+    assert asset.encoding is not None and asset.encoding.state is not None
+    state = asset.encoding.state
     memories = [*state.blocks, *([] if state.detail is None else [state.detail])]
     return [weight for memory in memories for weight in memory]
 
@@ -113,7 +114,7 @@ def test_presets_with_one_layer_run_from_end_to_end(mode: Mode) -> None:
         painter = Painter(model=built(config))
         asset = painter.encode(SPLATS)
         result = painter.apply(asset, wanted(mode, asset.splats), mode=mode)
-        alone = mode == "global" and config.predicts_alone  # by an untrained predictor: the lift
+        alone = mode == "global" and config.predictor_only  # by an untrained predictor: the lift
         expected = Painter().apply(asset, wanted(mode, asset.splats), mode=mode) if alone else asset
         assert same_bits(result.splats, expected.splats)
         copied = config.representation == "copy"
@@ -149,12 +150,12 @@ def test_rows_outside_the_selection_keep_their_bits(config: ModelConfig, precisi
     assert receipt.precision == precision
     grid = voxelize(SPLATS)
     views = edit_views(SPLATS, [CAMERA], [edit.image], [disk(CAMERA, 32, 32, 7)])
-    own = draft_local(SPLATS, grid, views, "own").rows
+    own = lift_local_views(SPLATS, grid, views, "own").ids
     changed = np.flatnonzero(differing(SPLATS, result.splats))
     assert 0 < len(changed) and set(changed) <= set(own) and receipt.touched.tolist() == changed.tolist()
     assert receipt.untouched_sha256_before == receipt.untouched_sha256_after
     # Own: every chosen row moved and has one child; lift: the children are the lift's.
-    children = len(own) if config is OWN else len(draft_local(SPLATS, grid, views, "lift").splats) - len(SPLATS)
+    children = len(own) if config is OWN else len(lift_local_views(SPLATS, grid, views, "lift").splats) - len(SPLATS)
     assert receipt.appended_rows == children == len(result.splats) - len(SPLATS)
     if config is OWN:
         assert changed.tolist() == own.tolist()
@@ -209,7 +210,7 @@ def test_apply_is_pure_and_undo_is_the_old_asset(config: ModelConfig, precision:
     assert all(np.array_equal(getattr(first.splats, n), kept[n], equal_nan=True) for n in ATTRIBUTES)
     assert all(torch.equal(a, b) for a, b in zip(fast_weights(first), state, strict=True))
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), weights, strict=True))
-    assert asset.splats is SPLATS and asset.learnt is not None and asset.learnt.state is None
+    assert asset.splats is SPLATS and asset.encoding is not None and asset.encoding.state is None
     # Going on from the undone edit is as if the other had never been.
     redone = painter.apply(first, [dab(first.splats, BLUE, 24)])
     assert same_bits(redone.splats, second.splats) and same_state(redone, second)
@@ -219,18 +220,18 @@ def test_the_second_edit_starts_from_the_state_and_the_rows_of_the_first() -> No
     painter = Painter(model=built(OWN, awake=0.05))
     asset = painter.encode(SPLATS)
     first = painter.apply(asset, [dab(SPLATS, RED, 26)])
-    assert first.learnt is not None and len(first.learnt.parents) == len(first.splats) > len(SPLATS)
+    assert first.encoding is not None and len(first.encoding.parent_ids) == len(first.splats) > len(SPLATS)
     # Children read their parent's latent: here child i belongs to touched row i.
-    assert first.learnt.parents[len(SPLATS) :].tolist() == receipt_of(first).touched.tolist()
+    assert first.encoding.parent_ids[len(SPLATS) :].tolist() == receipt_of(first).touched.tolist()
     edit = dab(first.splats, BLUE, 32)
     second = painter.apply(first, [edit])
-    forgetful = replace(first, learnt=replace(first.learnt, state=None))
+    forgetful = replace(first, encoding=replace(first.encoding, state=None))
     fresh = painter.apply(forgetful, [edit])
     assert receipt_of(second).touched.tolist() == receipt_of(fresh).touched.tolist()
     assert (receipt_of(second).touched >= len(SPLATS)).any()  # it reached children of the first
     assert not same_bits(second.splats, fresh.splats) and not same_state(second, fresh)
-    assert second.learnt is not None and first.learnt.encoded is second.learnt.encoded
-    parents = second.learnt.parents
+    assert second.encoding is not None and first.encoding.encoded is second.encoding.encoded
+    parents = second.encoding.parent_ids
     assert len(parents) == len(second.splats) and (parents < DRAWABLE).all() or (parents[: len(SPLATS)] >= 0).all()
 
 
@@ -238,18 +239,18 @@ def test_lift_and_network_take_turns_on_one_asset() -> None:
     painter = Painter(model=built(LIFT, awake=0.05))
     asset = painter.encode(SPLATS)
     lifted = painter.apply(asset, [dab(SPLATS, RED, 28)], method="lift")
-    assert lifted.learnt is not None and lifted.learnt.state is None
+    assert lifted.encoding is not None and lifted.encoding.state is None
     assert receipt_of(lifted).preset == "lift" and receipt_of(lifted).method == "lift"
     refined = painter.apply(lifted, [dab(lifted.splats, BLUE, 32)])
-    assert refined.learnt is not None and len(refined.learnt.parents) == len(refined.splats)
+    assert refined.encoding is not None and len(refined.encoding.parent_ids) == len(refined.splats)
     appended = np.arange(len(SPLATS), len(refined.splats))
-    parents = refined.learnt.parents[appended]
+    parents = refined.encoding.parent_ids[appended]
     away = np.linalg.norm(refined.splats.means[appended] - SPLATS.means[parents], axis=1)
     assert (parents < DRAWABLE).all() and np.median(away) < 4 * SPLATS.scales.max()
     # An asset that another painter made is encoded on the way.
     other = Painter().apply(Asset(SPLATS), [dab(SPLATS, RED, 28)])
     taken = painter.apply(other, [dab(other.splats, BLUE, 32)])
-    assert taken.learnt is not None and len(taken.learnt.encoded.rows) == len(other.splats)
+    assert taken.encoding is not None and len(taken.encoding.encoded.rows) == len(other.splats)
 
 
 def test_the_models_own_mode_comes_back_and_counts_for_nothing() -> None:

@@ -309,11 +309,11 @@ def _novel(
 
 def _split_alone(asset: Asset, edit: Edit, before: np.ndarray) -> dict[str, float | None]:
     """Scores of a lift that splits but paints nothing."""
-    from splatpainter.lift.local_edit import LocalOptions
     from splatpainter.lift.masks import change_mask
+    from splatpainter.lift.options import LocalOptions
     from splatpainter.rendering import render
 
-    split = Painter(local=LocalOptions(rounds=0)).apply(asset, [edit])
+    split = Painter(local_options=LocalOptions(rounds=0)).apply(asset, [edit])
     assert split.receipt is not None
     mask = change_mask(edit.image, before)
     image = render(split.splats, edit.camera).colors[0]

@@ -100,10 +100,10 @@ def test_fast_weights_go_on_to_the_next_step_and_polish_comes_after_the_network(
     budget = Budget(weights={"compact": saved(built(LIFT, awake=AWAKE), tmp_path)})
     first = row_of("ttt").edit(work(grade(thing()), "global"), budget)
     again = grade(first.splats)
-    state = first.state.learnt.state.blocks[0]
+    state = first.state.encoding.state.blocks[0]
     second = row_of("ttt").edit(work(again, "global", state=first.state), budget)
     assert second.setup_seconds == 0
-    assert not torch.equal(second.state.learnt.state.blocks[0].w0, state.w0)
+    assert not torch.equal(second.state.encoding.state.blocks[0].w0, state.w0)
     asked = work(dab(thing(), RED))
     plain, polished = (row_of(name).edit(asked, budget) for name in ("ttt", "ttt-polish"))
     errors = [db(render(d.splats, CAMERA).colors[0], asked.step.edited.colors[0]) for d in (plain, polished)]
@@ -121,7 +121,7 @@ def test_cross_attention_wants_a_model_of_its_kind(tmp_path: Path) -> None:
     fit = Budget(weights={"cross-attention": saved(built(config, awake=AWAKE), tmp_path / "cross")})
     assert method.missing(fit) == ""
     done = method.edit(work(dab(thing(), RED)), fit)
-    assert done.state.learnt.state.blocks[0].shape[1] == config.compress.dim  # tokens, not fast weights
+    assert done.state.encoding.state.blocks[0].shape[1] == config.compress.dim  # tokens, not fast weights
 
 
 def test_versions_follow_the_weights_and_nothing_else(tmp_path: Path) -> None:

@@ -229,7 +229,7 @@ def test_bench_speed_knows_the_networks(tmp_path: Path, monkeypatch: pytest.Monk
         OPERATIONS[name].prepare(scene)()
         for name in ("encode, compact", "local edit ttt, compact", "global edit ttt, compact")
     )
-    assert encoded.learnt is not None and encoded.receipt is None
+    assert encoded.encoding is not None and encoded.receipt is None
     assert (local.receipt.method, local.receipt.mode) == ("ttt", "local") and local.receipt.appended_rows > 0
     assert (whole.receipt.method, whole.receipt.mode) == ("ttt", "global") and len(whole.receipt.touched) == 2000
     # Only on scenes that are large enough.

@@ -23,9 +23,10 @@ from splatpainter.receipts import Receipt, changed_rows, scores, untouched_hashe
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
-    from splatpainter.lift.global_edit import GlobalOptions, Predict
-    from splatpainter.lift.local_edit import LocalOptions
-    from splatpainter.models.draft import Draft, EditView
+    from splatpainter.lift.edit_views import EditView
+    from splatpainter.lift.edits import LiftedEdit
+    from splatpainter.lift.global_edit import Predict
+    from splatpainter.lift.options import GlobalOptions, LocalOptions
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
@@ -73,28 +74,28 @@ class Edit:
 
 @dataclass(frozen=True)
 class Asset:
-    """An asset that can be edited: its rows, and what a painter keeps beside them. Immutable; edits return new ones,
-    and to undo one is to go on from the old."""
+    """An asset that can be edited: its Gaussians, and what a painter keeps beside them. Immutable; edits return new
+    ones, and to undo one is to go on from the old."""
 
     splats: Splats
     receipt: Receipt | None = None
     """Of the edit that made it; None for a fresh one."""
     confidence: np.ndarray | None = field(default=None, repr=False)
     """[N] float32 0..1 after a global edit: seen (1) or predicted (towards 0)."""
-    learnt: Learnt | None = field(default=None, repr=False)
-    """What a model knows of it; None where no edit has needed that yet."""
+    encoding: EncodedAsset | None = field(default=None, repr=False)
+    """For a model's edits; None where none has needed it yet."""
 
     @cached_property
     def grid(self) -> VoxelGrid:
-        """The 128^3 voxels of the rows, made on first use."""
+        """The 128^3 voxels of the Gaussians, made on first use."""
         from splatpainter.voxels.grid import voxelize
 
         return voxelize(self.splats)
 
     @cached_property
     def normals(self) -> np.ndarray:
-        """[N, 3] float32 outward unit normals of the rows, made on first use; zeros for rows that cannot be drawn."""
-        from splatpainter.lift.global_edit import outward_normals
+        """[N, 3] float32 outward unit normals, made on first use; zeros for Gaussians that cannot be drawn."""
+        from splatpainter.lift.normals import outward_normals
 
         return outward_normals(self.splats)
 
@@ -105,17 +106,24 @@ class Asset:
 
         return row_transfer(self.splats.means, self.normals)
 
+    def child(self, splats: Splats, parents: np.ndarray) -> Asset:
+        """This asset with other Gaussians. parents: [len(splats)] int64 the Gaussian of this one that each is or was
+        split from."""
+        encoding = self.encoding
+        encoding = None if encoding is None else replace(encoding, parent_ids=encoding.parent_ids[parents])
+        return replace(self, splats=splats, encoding=encoding)
+
 
 @dataclass(frozen=True)
-class Learnt:
-    """What a model knows of an asset: its encoding, and what the edits since have taught it."""
+class EncodedAsset:
+    """An asset encoded for a model, and what the edits since have taught that model."""
 
     model: SplatPainterModel
-    """Whose they are; another one starts afresh."""
+    """Another one encodes the asset anew."""
     encoded: Encoded
     """Of the asset as it was before all edits."""
-    parents: np.ndarray
-    """[N] int64 the encoded row whose latent each row of the asset reads: itself, or the one that it was split from."""
+    parent_ids: np.ndarray
+    """[N] int64 the encoded Gaussian whose latent each of the asset's reads: itself, or the one it was split from."""
     state: RefineState | None = None
     """Fast weights, which the next edit starts from; None before the first."""
 
@@ -126,14 +134,14 @@ class Painter:
 
     preset: str = ""
     """What receipts call it; by default the model's preset, or "lift"."""
-    local: LocalOptions | None = None
+    local_options: LocalOptions | None = None
     """Settings of local lifts; None: the defaults."""
-    whole: GlobalOptions | None = None
+    global_options: GlobalOptions | None = None
     """Settings of global lifts; None: the defaults."""
     model: SplatPainterModel | None = field(default=None, repr=False)
     """The networks for method "ttt", on any device; None: the lift alone."""
     polish: bool = False
-    """Two rounds of the lift's colours after the network, on the rows that the edit may change."""
+    """Two rounds of the lift's colours after the networks, on the Gaussians that the edit may change."""
     cache: bool = False
     """Keep encoded assets on disk (models/cache.py); for models whose weights stay as they are."""
     why: str = ""
@@ -182,31 +190,30 @@ class Painter:
 
     def encode(self, splats: Splats, method: Method = "auto", modes: Sequence[Mode] = ("local", "global")) -> Asset:
         """Prepare an asset for edits by `method` in these modes: for "ttt", run the LRM and Stage I where they are
-        needed (`encodes`). In `copy` representation the asset's rows are then Stage I's. Raises ValueError when it has
-        no row that can be drawn."""
-        own = splats.numpy()
-        if not own.drawable.any():
-            raise ValueError(f"asset: none of the {len(own)} rows can be drawn (NaN, zero scale or zero quaternion)")
-        asset = Asset(own)
-        wanted = any(self.encodes(self.choose(method, mode)[0], mode) for mode in modes)
-        return self._encoded(asset) if wanted else asset
+        needed (`encodes`). In `copy` representation its Gaussians are then Stage I's. Raises ValueError when it has
+        no Gaussian that can be drawn."""
+        asset = Asset(splats.numpy())
+        if not asset.splats.drawable.any():
+            raise ValueError(f"asset: none of the {len(splats)} rows can be drawn (NaN, zero scale or zero quaternion)")
+        needed = any(self.encodes(self.choose(method, mode)[0], mode) for mode in modes)
+        return self._encoded(asset) if needed else asset
 
     def encodes(self, method: Method, mode: Mode) -> bool:
         """Whether edits by this method, not "auto", are made on an encoded asset."""
         if method != "ttt" or self.model is None:
             return False
-        return mode == "local" or not self.model.config.predicts_alone
+        return mode == "local" or not self.model.config.predictor_only
 
     def apply(self, asset: Asset, edits: Sequence[Edit], mode: Mode = "local", method: Method = "auto") -> Asset:
         """The asset after 1..16 edits; `asset` itself does not change. Later edits win where edits conflict.
 
-        mode "local": only rows that visibly make the edited pixels change, rows finer than the old ones are appended.
-        mode "global": every row changes; what the views do not show is predicted from what they do.
+        mode "local": only Gaussians that visibly make the edited pixels change, finer ones are appended.
+        mode "global": every Gaussian changes; what the views do not show is predicted from what they do.
         method "ttt": the networks (pictures of one size); "lift": analytic; "fit": the lift, then steps of 3DGS on the
-        rows that it painted, seconds to tens of them; "auto": ttt where the painter has a model that is better in this
-        mode, else lift. An asset that its model has not encoded yet is encoded first.
-        Rows that did not have to change keep their bits, and old rows keep their indices.
-        Raises ValueError: no edits, an empty mask, an edit that reaches no row, a camera inside the object."""
+        Gaussians that it painted, seconds to tens of them; "auto": ttt where the painter has a model that is better in
+        this mode, else lift. An asset that its model has not encoded yet is encoded first.
+        Gaussians that did not have to change keep their bits, and all old ones their indices.
+        Raises ValueError: no edits, an empty mask, an edit that reaches no Gaussian, a camera inside the object."""
         if not 1 <= len(edits) <= MAX_VIEWS:
             raise ValueError(f"edit: expected 1 to {MAX_VIEWS} edited views, got {len(edits)}")
         if mode not in ("local", "global"):
@@ -214,15 +221,35 @@ class Painter:
         chosen, note = self.choose(method, mode)
         if mode == "global" and chosen == "fit":
             raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
-        clock = _Clock()
-        if chosen == "ttt":
-            if self.encodes(chosen, mode):
-                _one_size(edits)
-                asset = self._encoded(asset)
-                clock.lap("encode")
+        clock, encodes = _Clock(), self.encodes(chosen, mode)
+        if encodes:
+            _one_size(edits)
+            asset = self._encoded(asset)
+            clock.lap("encode")
         views = [_prepare(asset, edit, mode) for edit in edits]
         clock.lap("prepare")
-        result = self._edited(asset, views, mode, chosen, clock)
+        lifted = self._lifted(asset, views, mode, chosen)
+        clock.lap("lift")
+        if encodes:
+            result = self._refined(asset, lifted, views)
+            clock.lap("ttt")
+        else:
+            result = asset.child(lifted.splats, lifted.parent_ids(len(asset.splats)))
+            result = replace(result, confidence=lifted.confidence)
+        if chosen == "fit":
+            result = replace(result, splats=self._optimised(asset.splats, lifted, views))
+            clock.lap("fit")
+        if chosen == "ttt" and self.polish:
+            recolored = self._recolored(asset.splats, result.splats, lifted, views, mode)
+            result = replace(result, splats=recolored)
+            clock.lap("polish")
+        receipt = self._receipt(asset, result, views, mode, chosen, note)
+        clock.lap("receipt")
+        return replace(result, receipt=replace(receipt, seconds=clock.seconds))
+
+    def _receipt(
+        self, asset: Asset, result: Asset, views: Sequence[EditView], mode: Mode, chosen: Method, note: str
+    ) -> Receipt:
         notes = [note, _beside(views) if mode == "local" else ""]
         if chosen == "ttt":
             assert self.model is not None
@@ -231,9 +258,8 @@ class Painter:
                 notes.append(f"the asset is a copy of {len(asset.splats)} rows that the model made")
         touched = changed_rows(asset.splats, result.splats)
         hashes = untouched_hashes(asset.splats, result.splats, touched)
-        judged = scores([(v.before, _draw(result.splats, v.camera)[0], v.target, v.mask, _scored(v)) for v in views])
-        clock.lap("receipt")
-        receipt = Receipt(
+        judged = scores([(v.before, _draw(result.splats, v.camera)[0], v.edited, v.mask, _scored(v)) for v in views])
+        return Receipt(
             asset_sha256=asset.splats.sha256,
             asset_rows=len(asset.splats),
             output_sha256="",
@@ -246,43 +272,21 @@ class Painter:
             untouched_sha256_before=hashes[0],
             untouched_sha256_after=hashes[1],
             views=judged,
-            seconds=clock.laps,
+            seconds={},
             note="; ".join(filter(None, notes)),
             precision=self._arithmetic(chosen, mode),
         )
-        return replace(result, receipt=receipt)
 
     def _arithmetic(self, chosen: Method, mode: Mode) -> Arithmetic | Literal[""]:
-        """Of the networks in an edit; "" where none runs."""
+        """The arithmetic of the networks in an edit; "" where none runs."""
         if chosen != "ttt" or self.model is None:
             return ""
         if self.encodes(chosen, mode):
             return resolve(self.precision, next(self.model.parameters()).device)
         predictor = self.model.predictor
-        return "" if predictor is None or predictor.silent else "float32"  # it solves for its weights: never rounded
-
-    def _edited(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: Method, clock: _Clock) -> Asset:
-        """The asset after the views, still with the old receipt."""
-        draft = self._draft(asset, views, mode, chosen)
-        clock.lap("lift")
-        if not self.encodes(chosen, mode):
-            splats = draft.splats
-            if chosen == "fit":
-                from splatpainter.fit.edited import fit_edited
-
-                splats = fit_edited(asset.splats, splats, [(v.camera, v.wanted) for v in views], draft.rows)
-                clock.lap("fit")
-            elif chosen == "ttt" and self.polish:
-                splats = _polished(asset.splats, splats, draft, views, mode)
-                clock.lap("polish")
-            owners = draft.owners(len(asset.splats))
-            return replace(asset, splats=splats, confidence=draft.confidence, learnt=_owned(asset, owners))
-        result = self._refined(asset, draft, views)
-        clock.lap("ttt")
-        if self.polish:
-            result = replace(result, splats=_polished(asset.splats, result.splats, draft, views, mode))
-            clock.lap("polish")
-        return result
+        if predictor is None or predictor.is_untrained:
+            return ""
+        return "float32"  # it solves for its weights, which are never rounded
 
     def choose(self, method: Method, mode: Mode) -> tuple[Method, str]:
         """What `apply` does for a method: (method, never "auto", and the one line that says why). Weights whose notes
@@ -298,18 +302,18 @@ class Painter:
                 if gain is None:
                     return "ttt", f"weights of preset '{self.preset}': test-time training"
                 measured = f"{gain:+.2f} dB over the lift in {mode} edits of objects kept out of training"
-                told = f"weights of preset '{self.preset}' ({measured})"
-                return ("ttt", f"{told}: test-time training") if gain > 0 else ("lift", f"{told}: the analytic lift")
+                why = f"weights of preset '{self.preset}' ({measured})"
+                return ("ttt", f"{why}: test-time training") if gain > 0 else ("lift", f"{why}: the analytic lift")
             return "lift", self.why or "no trained weights: the analytic lift"
         if method not in ("ttt", "lift", "fit"):
             raise ValueError(f"method: expected auto, ttt, lift or fit, got {method!r}")
         return method, ""
 
     def _encoded(self, asset: Asset) -> Asset:
-        """The asset with what the model knows of it; the same one where that is there already."""
+        """The asset with its encoding for the model; the same one where it has that already."""
         model = self.model
         assert model is not None
-        if asset.learnt is not None and asset.learnt.model is model:
+        if asset.encoding is not None and asset.encoding.model is model:
             return asset
         from splatpainter.models.cache import encode_cached, encode_half
 
@@ -320,7 +324,7 @@ class Painter:
                 encoded = encode_half(model, asset.splats, asset.grid)
         if model.config.representation == "copy":
             asset = Asset(encoded.rows.numpy())
-        return replace(asset, learnt=Learnt(model, encoded, np.arange(len(asset.splats))))
+        return replace(asset, encoding=EncodedAsset(model, encoded, np.arange(len(asset.splats))))
 
     @cached_property
     def _digest(self) -> str:
@@ -329,40 +333,67 @@ class Painter:
         assert self.model is not None
         return digest(self.model)
 
-    def _draft(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: Method) -> Draft:
-        from splatpainter.models.draft import draft_global, draft_local
+    def _lifted(self, asset: Asset, views: Sequence[EditView], mode: Mode, chosen: Method) -> LiftedEdit:
+        """What the lift makes of the views; or, for the networks, what they start from."""
+        from splatpainter.lift.edits import lift_global_views, lift_local_views
+        from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS
 
         config = self.model.config.refine if chosen == "ttt" and self.model is not None else None
         base, features = ("lift", False) if config is None else (config.base, config.lift_features)
-        if mode == "global":
-            base = base if self.encodes(chosen, mode) else "lift"
-            known = {"normals": asset.normals, "predict": None if config is None else self._predict(asset)}
-            return draft_global(asset.splats, views, base, self.whole, features=features, **known)
-        return draft_local(asset.splats, asset.grid, views, base, self.local, features=features)
+        if mode == "local":
+            options = self.local_options or LOCAL_DEFAULTS
+            return lift_local_views(asset.splats, asset.grid, views, base, options, features=features)
+        return lift_global_views(
+            asset.splats,
+            views,
+            base if self.encodes(chosen, mode) else "lift",
+            self.global_options or GLOBAL_DEFAULTS,
+            features=features,
+            normals=asset.normals,
+            predict=None if config is None else self._predict(asset),
+        )
 
     def _predict(self, asset: Asset) -> Predict | None:
-        """What the model says of rows that no view shows; None where it leaves that to the lift."""
+        """The model's prediction for Gaussians that no view shows; None where it leaves that to the lift."""
         from splatpainter.models.predictor import predicting
 
         assert self.model is not None
         return predicting(self.model, asset.splats, asset.normals, lambda: asset.transfer)
 
-    def _refined(self, asset: Asset, draft: Draft, views: Sequence[EditView]) -> Asset:
-        """What the network makes of a draft."""
-        from splatpainter.models.draft import assemble, refine_draft
+    def _refined(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView]) -> Asset:
+        """The asset after the networks have changed a lifted edit of it."""
+        from splatpainter.models.apply_edit import assemble, refine_edit
 
-        assert self.model is not None and asset.learnt is not None
-        learnt = asset.learnt
-        known = replace(draft, parents=learnt.parents[draft.parents])
+        assert self.model is not None and asset.encoding is not None
+        encoding = asset.encoding
+        start = replace(lifted, parents=encoding.parent_ids[lifted.parents])
         with _inference(self.model, self.precision):
-            state = learnt.state or self.model.initial_state()
-            state, rows, further = refine_draft(self.model, state, learnt.encoded, known, views)
-            splats = assemble(draft, rows, further)
-        owners = draft.owners(len(asset.splats))
-        owners = owners if further is None else np.append(owners, draft.parents)
-        after = _owned(asset, owners)
-        assert after is not None
-        return replace(asset, splats=splats, confidence=draft.confidence, learnt=replace(after, state=state))
+            state = encoding.state or self.model.initial_state()
+            state, gaussians, children = refine_edit(self.model, state, encoding.encoded, start, views)
+            splats = assemble(lifted, gaussians, children)
+        parents = lifted.parent_ids(len(asset.splats))
+        parents = parents if children is None else np.append(parents, lifted.parents)
+        after = replace(asset.child(splats, parents), confidence=lifted.confidence)
+        assert after.encoding is not None
+        return replace(after, encoding=replace(after.encoding, state=state))
+
+    def _optimised(self, before: Splats, lifted: LiftedEdit, views: Sequence[EditView]) -> Splats:
+        from splatpainter.fit.edited import fit_edited
+
+        return fit_edited(before, lifted.splats, [(v.camera, v.target) for v in views], lifted.ids)
+
+    def _recolored(
+        self, before: Splats, after: Splats, lifted: LiftedEdit, views: Sequence[EditView], mode: Mode
+    ) -> Splats:
+        """Two rounds of the lift's colours on the Gaussians that the edit may change."""
+        from splatpainter.lift.color_refine import refine_colors_global, refine_colors_local
+
+        if mode == "global":
+            return refine_colors_global(after, [(v.camera, v.edited, v.mask) for v in views])
+        editable = np.ones(len(after), bool)
+        editable[: len(before)] = False
+        editable[lifted.ids] = True
+        return refine_colors_local(after, [(v.camera, v.target) for v in views], editable)
 
 
 @contextmanager
@@ -379,11 +410,6 @@ def _inference(model: SplatPainterModel, precision: Precision) -> Iterator[None]
         model.train(training)
 
 
-def _owned(asset: Asset, owners: np.ndarray) -> Learnt | None:
-    """What is known of an asset whose rows come from the rows `owners` of this one."""
-    return None if asset.learnt is None else replace(asset.learnt, parents=asset.learnt.parents[owners])
-
-
 def _one_size(edits: Sequence[Edit]) -> None:
     from splatpainter.models.image_tokens import one_size
 
@@ -392,8 +418,8 @@ def _one_size(edits: Sequence[Edit]) -> None:
 
 def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
     """The edit beside what the asset shows. Raises ValueError, naming the edit, where there is nothing to do."""
+    from splatpainter.lift.edit_views import EditView, errors_name
     from splatpainter.lift.masks import change_mask
-    from splatpainter.models.draft import EditView, errors_name
     from splatpainter.voxels.raycast import inside
 
     with errors_name(edit.name):
@@ -419,7 +445,7 @@ def _scored(view: EditView) -> np.ndarray:
 
 
 def _beside(views: Sequence[EditView]) -> str:
-    """A line about edited pixels that no row can paint, or none."""
+    """A line about edited pixels that no Gaussian can paint, or none."""
     edited = sum(int(view.mask.sum()) for view in views)
     beside = edited - sum(int(_scored(view).sum()) for view in views)
     return f"{beside} edited pixels lie beside the asset and cannot be painted" if beside > 0.01 * edited else ""
@@ -433,25 +459,14 @@ def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.nd
     return picture.colors[0], picture.depths[0, ..., 0], picture.alphas[0, ..., 0]
 
 
-def _polished(before: Splats, after: Splats, draft: Draft, views: Sequence[EditView], mode: Mode) -> Splats:
-    from splatpainter.models.color_refine import polish_global, polish_local
-
-    if mode == "global":
-        return polish_global(after, [(v.camera, v.target, v.mask) for v in views])
-    rows = np.ones(len(after), bool)
-    rows[: len(before)] = False
-    rows[draft.rows] = True
-    return polish_local(after, [(v.camera, v.wanted) for v in views], rows)
-
-
 class _Clock:
     """Seconds per stage."""
 
     def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
+        self.seconds: dict[str, float] = {}
         self._last = time.perf_counter()
 
     def lap(self, name: str) -> None:
         now = time.perf_counter()
-        self.laps[name] = now - self._last
+        self.seconds[name] = now - self._last
         self._last = now

@@ -26,7 +26,7 @@ from splatpainter.image_files import (
     quantized,
     require_deep,
 )
-from splatpainter.lift.global_edit import outward_normals
+from splatpainter.lift.normals import outward_normals
 from splatpainter.rendering.profiles import Profile
 from splatpainter.sources.color import to_display, to_light
 from splatpainter.sources.pictures import straight

@@ -15,7 +15,7 @@ from splatpainter.data import row_edits
 from splatpainter.data.row_edits import RowEdit, RowStream
 from splatpainter.data.samples import SampleRecipe, SampleStream
 from splatpainter.data.scenes import ProceduralSource
-from splatpainter.lift.colors import BRIGHTEST
+from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.lift.global_edit import lift_global
 from splatpainter.lighting import open_transfer
 from splatpainter.models import checkpoint
@@ -137,7 +137,9 @@ def test_what_it_calls_the_lift_is_the_lift() -> None:
     from splatpainter.data.lit_scenes import render_views
     from splatpainter.data.surfels import to_splats
     from splatpainter.data.viewpoints import Optics, ring
-    from splatpainter.lift.global_edit import GlobalOptions, outward_normals, regressed, seen_change
+    from splatpainter.lift.global_edit import regressed, seen_change
+    from splatpainter.lift.normals import outward_normals
+    from splatpainter.lift.options import GlobalOptions
 
     subject = stream().stream.scene_object(0)
     rng = np.random.default_rng(0)
@@ -156,7 +158,7 @@ def test_what_it_calls_the_lift_is_the_lift() -> None:
     moved = regressed(assets[0], normals, change, weight)
     lifted = lift_global(assets[0], views, GlobalOptions(last_rounds=0), normals)
     old_colors = 0.5 + SH_C0 * assets[0].sh[:, 0]
-    wanted = np.clip(old_colors + moved, np.minimum(old_colors, 0), np.maximum(old_colors, BRIGHTEST))
+    wanted = np.clip(old_colors + moved, np.minimum(old_colors, 0), np.maximum(old_colors, MAX_COLOR))
     np.testing.assert_allclose(0.5 + SH_C0 * lifted.splats.sh[:, 0], wanted, atol=1e-4)
 
 
@@ -184,7 +186,7 @@ def test_training_it_keeps_the_rest_and_later_stages_keep_it(tmp_path: Path) -> 
     torch.manual_seed(5)
     begun = start(RECIPE, tmp_path / "refined", lambda line: None)
     assert torch.equal(begun.head.linear.weight, held.head.linear.weight)
-    assert begun.predictor is not None and begun.predictor.silent
+    assert begun.predictor is not None and begun.predictor.is_untrained
     torch.nn.init.normal_(begun.predictor.expected.weight)
     begun.save(tmp_path / "predicting", notes={"stage": "predict"}, dtype="float32")
     again = start(replace(RECIPE, stage="refine"), tmp_path / "predicting", lambda line: None)
@@ -195,7 +197,7 @@ def test_training_it_keeps_the_rest_and_later_stages_keep_it(tmp_path: Path) -> 
     other = replace(SEEING, predict=replace(SEEING.predict, alone=True))
     for stage in ("refine", "predict"):
         kept = start(replace(RECIPE, stage=stage, model=other), tmp_path / "predicting", lambda line: None)
-        assert kept.predictor is not None and kept.config.predicts_alone
+        assert kept.predictor is not None and kept.config.predictor_only
         assert torch.equal(kept.predictor.expected.weight, begun.predictor.expected.weight)
     compress = start(replace(RECIPE, stage="compress"), tmp_path / "predicting", lambda line: None)
     assert torch.equal(compress.lrm.patches.weight, held.lrm.patches.weight)

@@ -9,7 +9,8 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
-from splatpainter.lift.global_edit import Regraded, lift_global, outward_normals
+from splatpainter.lift.global_edit import GlobalLift, lift_global
+from splatpainter.lift.normals import outward_normals
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import SH_C0, base_colors, bits, db, differing, same_bits, sheet, texture
 
@@ -56,7 +57,7 @@ def covered(splats: Splats, camera: Camera) -> np.ndarray:
     return sp.render(splats, camera).alphas[0, ..., 0] > 0.5
 
 
-def lifted(splats: Splats, truth: Splats, *cameras: Camera) -> Regraded:
+def lifted(splats: Splats, truth: Splats, *cameras: Camera) -> GlobalLift:
     return lift_global(splats, [(camera, draw(truth, camera), covered(splats, camera)) for camera in cameras])
 
 

@@ -10,8 +10,8 @@ from scipy.ndimage import binary_dilation
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
-from splatpainter.lift.colors import BRIGHTEST, lift_colors, recolor
-from splatpainter.lift.local_edit import Lifted, lift_local, reached_rows
+from splatpainter.lift.colors import MAX_COLOR, lift_colors, recolor
+from splatpainter.lift.local_edit import LocalLift, gaussians_in_mask, lift_local
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import (
@@ -58,14 +58,14 @@ def project_by_hand(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndar
     return pixels, 1.2 * splats.scales.max(1) * camera.fx / local[:, 2]
 
 
-def check_bookkeeping(before: Splats, lifted: Lifted, camera: Camera) -> None:
+def check_bookkeeping(before: Splats, lifted: LocalLift, camera: Camera) -> None:
     """Touched rows are those that differ, and lie where they lay; appended ones are drawn over their parents."""
     n, after = len(before), lifted.splats
     np.testing.assert_array_equal(lifted.touched, np.flatnonzero(differing(before, after)))
-    assert len(lifted.appended) == len(after) - n and after.sh_degree == before.sh_degree
-    if len(lifted.appended):
-        assert lifted.appended.min() >= 0 and lifted.appended.max() < n
-    parents = np.concatenate([lifted.touched, lifted.appended])
+    assert len(lifted.parents) == len(after) - n and after.sh_degree == before.sh_degree
+    if len(lifted.parents):
+        assert lifted.parents.min() >= 0 and lifted.parents.max() < n
+    parents = np.concatenate([lifted.touched, lifted.parents])
     children = after.take(np.concatenate([lifted.touched, np.arange(n, len(after))]))
     assert children.drawable.all() and (children.opacities > 0).all() and (children.opacities <= 1).all()
     (old, reach), (new, size) = project_by_hand(before.take(parents), camera), project_by_hand(children, camera)
@@ -99,7 +99,7 @@ def test_the_edit_appears_and_the_rest_of_the_picture_stays(side, what):
     pixels, reach = project_by_hand(splats.take(lifted.touched), camera)
     assert (np.hypot(*(pixels - [60, 70]).T) < 17 + 4 * reach + 2).all()
     if side == 30:
-        assert len(lifted.appended) > 100  # rows of six pixels cannot carry either edit
+        assert len(lifted.parents) > 100  # rows of six pixels cannot carry either edit
 
 
 def test_paint_shows_from_other_sides_too():
@@ -156,7 +156,7 @@ def test_rows_behind_an_opaque_surface_take_no_paint():
         mask = disk(camera, 48, 48, 14)
         lifted = lift_local(splats, camera, painted(splats, camera, mask), mask)
         changed = np.flatnonzero(differing(splats, lifted.splats))
-        parents = np.concatenate([changed, lifted.appended])
+        parents = np.concatenate([changed, lifted.parents])
         assert len(changed) > 50 and (parents >= first).all() and (parents < first + len(wall)).all()
 
 
@@ -237,7 +237,7 @@ def test_bands_are_damped_and_not_dropped():
     splats, camera = sheet(40, degree=2), front(96)
     mask = disk(camera, 48, 48, 14)
     lifted = lift_local(splats, camera, painted(splats, camera, mask), mask)
-    parents = np.concatenate([lifted.touched, lifted.appended])
+    parents = np.concatenate([lifted.touched, lifted.parents])
     children = np.concatenate([lifted.touched, np.arange(len(splats), len(lifted.splats))])
     old, new = (
         part[:, 1:].reshape(len(parents), -1).astype(np.float64)
@@ -310,7 +310,7 @@ def test_colour_rounds_are_sirt_on_the_matrix_of_weights(rounds):
     left = dense_weights(splats, camera)[1]
 
     colors = np.maximum(base_colors(splats), 0)
-    ceiling = np.maximum(colors, BRIGHTEST)
+    ceiling = np.maximum(colors, MAX_COLOR)
     total = w @ m.ravel().astype(np.float64)
     step = np.where(editable & (total > 0), 1 / np.maximum(total, 1e-6), 0)[:, None]
     for _ in range(rounds):
@@ -323,7 +323,7 @@ def test_colour_rounds_are_sirt_on_the_matrix_of_weights(rounds):
     assert len(frame) > 50
     np.testing.assert_allclose(found, colors[frame.gaussian_ids], atol=1e-4)
     if rounds == 6:
-        assert (found == 0).any() and (found == BRIGHTEST).any()  # both clamps were met
+        assert (found == 0).any() and (found == MAX_COLOR).any()  # both clamps were met
 
 
 def test_every_round_lessens_the_error():
@@ -338,7 +338,7 @@ def test_every_round_lessens_the_error():
     errors = []
     for rounds in range(12):
         colors = lift_colors(frame, target, m, np.ones(len(frame), bool), rounds)
-        assert 0 < colors.min() and colors.max() < BRIGHTEST
+        assert 0 < colors.min() and colors.max() < MAX_COLOR
         picture = w[frame.gaussian_ids].T @ colors + left[:, None] * camera.background
         errors.append(float((m.ravel()[:, None] * (picture - target.reshape(-1, 3)) ** 2).sum()))
     assert (np.diff(errors) < 0).all() and errors[-1] < 0.8 * errors[0]
@@ -358,8 +358,8 @@ def test_the_same_call_gives_the_same_bits_on_any_number_of_threads(monkeypatch)
     for other in results[1:]:
         assert same_bits(results[0].splats, other.splats)
         np.testing.assert_array_equal(results[0].touched, other.touched)
-        np.testing.assert_array_equal(results[0].appended, other.appended)
-    assert len(results[0].appended) > 0
+        np.testing.assert_array_equal(results[0].parents, other.parents)
+    assert len(results[0].parents) > 0
 
 
 # Nothing to paint on
@@ -382,13 +382,13 @@ def test_an_edit_that_reaches_no_row_is_an_error(case):
         lift_local(splats, camera, target, mask, allowed=allowed)
     assert "\n" not in str(error.value)
     with pytest.raises(ValueError, match="edit: "):
-        reached_rows(splats, camera, mask, allowed)
+        gaussians_in_mask(splats, camera, mask, allowed)
 
 
 def test_reached_rows_are_those_with_weight_under_the_mask():
     splats, camera, w = small_scene()
     mask = disk(camera, 9, 13, 5)
-    reached = reached_rows(splats, camera, mask)
+    reached = gaussians_in_mask(splats, camera, mask)
     peak = np.where(mask.ravel(), w, 0).max(1)
     assert (peak[reached] > 1 / 512).all()  # invisible shares are not written
     assert reached[peak > 0.2].all() and 10 < reached.sum() < len(splats)

@@ -6,23 +6,26 @@ import numpy as np
 import pytest
 
 from splatpainter.cameras import Camera
-from splatpainter.lift import local_edit as local
-from splatpainter.lift.detail import grown
-from splatpainter.lift.local_edit import RIM, Lifted, LocalOptions, lift_local
-from splatpainter.models.draft import _shown_again, draft_local, edit_views
+from splatpainter.lift import patch
+from splatpainter.lift.edit_views import edit_views
+from splatpainter.lift.edits import _shown_again, lift_local_views
+from splatpainter.lift.local_edit import LocalLift, lift_local
+from splatpainter.lift.masks import dilated
+from splatpainter.lift.options import LocalOptions
+from splatpainter.lift.patch import SILHOUETTE_MARGIN_PX
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import voxelize
 from tests.lift.test_global import BACK, FRONT, NEAR_FRONT, ball, covered, draw
 
 BALL = ball(1500)
-COARSE = LocalOptions(levels=0)
+COARSE = LocalOptions(max_halvings=0)
 """Nothing is split, so that there is much for the detail layer to mend."""
 
 
 def striped(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """(picture, mask): narrow dark stripes across what the view shows, up to its outline and a little beside it."""
-    picture, mask = draw(splats, camera).copy(), grown(covered(splats, camera), 1)
+    picture, mask = draw(splats, camera).copy(), dilated(covered(splats, camera), 1)
     mask[:30] = mask[60:] = False  # an edit of most of the picture would count as a close-up
     stripes = mask & (np.arange(camera.width)[None, :] % 6 < 2)
     picture[stripes] = (0.05, 0.0, 0.1)
@@ -34,14 +37,14 @@ def test_no_detail_rows_at_an_outline(monkeypatch: pytest.MonkeyPatch) -> None:
     lifted = lift_local(BALL, FRONT, picture, mask, COARSE)
     beside = render(BALL, FRONT).alphas[0, ..., 0] < 0.5
     y, x = pixels_of(lifted)
-    assert len(x) > 100 and not grown(beside, RIM)[y, x].any()
-    assert grown(beside, RIM + 2)[y, x].any(), "it goes as near as it may"
-    monkeypatch.setattr(local, "RIM", 0)
+    assert len(x) > 100 and not dilated(beside, SILHOUETTE_MARGIN_PX)[y, x].any()
+    assert dilated(beside, SILHOUETTE_MARGIN_PX + 2)[y, x].any(), "it goes as near as it may"
+    monkeypatch.setattr(patch, "SILHOUETTE_MARGIN_PX", 0)
     y, x = pixels_of(lift_local(BALL, FRONT, picture, mask, COARSE))
-    assert grown(beside, RIM)[y, x].sum() > 20
+    assert dilated(beside, SILHOUETTE_MARGIN_PX)[y, x].sum() > 20
 
 
-def pixels_of(lifted: Lifted) -> tuple[np.ndarray, np.ndarray]:
+def pixels_of(lifted: LocalLift) -> tuple[np.ndarray, np.ndarray]:
     """(y, x) of the pixels of FRONT that the appended rows lie on."""
     new = lifted.splats.means[len(BALL) :]
     place = new @ FRONT.world_to_camera[:3, :3].T + FRONT.world_to_camera[:3, 3]
@@ -56,7 +59,7 @@ def test_an_undrawn_part_of_the_picture_is_no_outline() -> None:
     mask[32:48, 32:48] = True  # a whole tile
     lifted = lift_local(BALL, FRONT, np.where(mask[..., None], picture, draw(BALL, FRONT)), mask, COARSE)
     inside = np.abs(draw(lifted.splats, FRONT) - picture)[mask].mean()
-    plain = lift_local(BALL, FRONT, picture, mask, LocalOptions(levels=0, detail=1.0))
+    plain = lift_local(BALL, FRONT, picture, mask, LocalOptions(max_halvings=0, max_error=1.0))
     assert inside < 0.7 * np.abs(draw(plain.splats, FRONT) - picture)[mask].mean()
 
 
@@ -77,7 +80,7 @@ def test_each_side_keeps_its_own_detail() -> None:
     grid = voxelize(BALL)
 
     def appended(*cameras: Camera) -> int:
-        return len(draft_local(BALL, grid, views_of(*cameras), "lift", COARSE, features=False).splats) - len(BALL)
+        return len(lift_local_views(BALL, grid, views_of(*cameras), "lift", COARSE, features=False).splats) - len(BALL)
 
     front, back, both = appended(FRONT), appended(BACK), appended(FRONT, BACK)
     assert 0.8 * (front + back) < both < 1.25 * (front + back)

@@ -55,8 +55,8 @@ def halved(splats: Splats, goal: float, camera: Camera = CAMERA, times: int = 1)
     for _ in range(times):
         lattice, index = lattice.halved(np.ones(len(lattice), bool), goal)
         source = source[index]
-    np.testing.assert_array_equal(source, lattice.owner)
-    return lattice, lattice.splats(), lattice.owner
+    np.testing.assert_array_equal(source, lattice.parent)
+    return lattice, lattice.splats(), lattice.parent
 
 
 @pytest.mark.parametrize("opacity", PROMISED)
@@ -163,12 +163,12 @@ def test_rows_that_are_not_halved_keep_their_bits():
     part, source = lattice.halved(chosen, 2.0)
     children = part.splats()
     for i in range(36):
-        some = children.take(part.owner == i)
+        some = children.take(part.parent == i)
         if i in (3, 20):
             assert len(some) == 25
         else:
             assert same_bits(some, parents.take(np.array([i])))
-    np.testing.assert_array_equal(source, part.owner)
+    np.testing.assert_array_equal(source, part.parent)
     fine, index = lattice.halved(np.ones(36, bool), 1000.0)  # nothing is wider than that
     assert same_bits(fine.splats(), parents) and index.tolist() == list(range(36))
 

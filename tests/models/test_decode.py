@@ -15,7 +15,7 @@ from splatpainter.models.decode import (
     absolute,
     apply_residual,
     bounded,
-    newborn,
+    init_children,
     output_count,
 )
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -115,7 +115,7 @@ def test_a_bounded_residual_keeps_rows_of_any_size_in_place() -> None:
     rows = some_rows()
     rows = replace(rows, scales=rows.scales * torch.logspace(-4, 1, len(rows))[:, None])
     head = AttributeHead(8, 3, "bounded")
-    assert head.silent
+    assert head.is_untrained
     centers = torch.zeros_like(rows.means)
     for size in (1e4, -1e4):
         moved = head.attributes(torch.full((len(rows), output_count(3)), size), rows, centers, voxel=0.05)
@@ -161,7 +161,7 @@ def test_a_fresh_head_is_the_identity_and_learns() -> None:
     rows, latents = some_rows(), torch.randn(40, 16, generator=torch.Generator().manual_seed(1))
     head = AttributeHead(16, 3, "residual")
     raw = head(latents)
-    assert not raw.any() and head.silent
+    assert not raw.any() and head.is_untrained
     same = head.attributes(raw, rows, rows.means, 0.1)
     assert all((bits(getattr(same, n)) == bits(getattr(rows, n))).all() for n in ATTRIBUTES)
     optimizer = torch.optim.Adam(head.parameters(), 1e-2)
@@ -174,7 +174,7 @@ def test_a_fresh_head_is_the_identity_and_learns() -> None:
         optimizer.step()
         errors.append(float(loss.detach()))
     assert errors[-1] < 0.3 * errors[0]
-    assert not head.silent
+    assert not head.is_untrained
 
 
 def test_absolute_depends_on_no_attribute_of_the_row() -> None:
@@ -191,6 +191,6 @@ def test_absolute_depends_on_no_attribute_of_the_row() -> None:
 
 def test_children_are_smaller_and_fainter_and_keep_the_rest() -> None:
     rows = some_rows()
-    child = newborn(rows)
+    child = init_children(rows)
     assert (child.scales < rows.scales).all() and (child.opacities < rows.opacities).all()
     assert all(getattr(child, n) is getattr(rows, n) for n in ("means", "quats", "sh"))

@@ -176,5 +176,5 @@ def test_a_painter_uses_it_only_if_told(folder: Path, count: list[int]) -> None:
     assert all(getattr(results[0].splats, name).dtype == np.float32 for name in ATTRIBUTES)
     # Where the network is not asked, nothing is encoded.
     painter = Painter(model=model, cache=True)
-    assert painter.apply(painter.encode(SPLATS, "lift"), [dab(SPLATS, RED)], method="lift").learnt is None
+    assert painter.apply(painter.encode(SPLATS, "lift"), [dab(SPLATS, RED)], method="lift").encoding is None
     assert len(count) == 2

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.lift.global_edit import lift_global, outward_normals, regressed, seen_change
+from splatpainter.lift.global_edit import lift_global, regressed, seen_change
+from splatpainter.lift.normals import outward_normals
 from splatpainter.lighting import row_transfer
 from splatpainter.models import predictor as module
 from splatpainter.models.config import PRESETS, ModelConfig, PredictConfig
@@ -116,7 +117,7 @@ def test_an_untrained_predictor_leaves_the_lift_alone() -> None:
     assert PRESETS["compact"].predict.features > 0 == PRESETS["paper"].predict.features
     assert predicting(SplatPainterModel(TINY), splats, normals, never) is None
     model = SplatPainterModel(WITH)
-    assert model.predictor is not None and model.predictor.silent
+    assert model.predictor is not None and model.predictor.is_untrained
     assert predicting(model, splats, normals, never) is None
     torch.nn.init.normal_(model.predictor.expected.weight, std=0.1)
     predict = predicting(model, splats, normals, lambda: row_transfer(splats.means, normals))
@@ -182,7 +183,7 @@ def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.nn.init.normal_(both.predictor.expected.weight, std=0.3)
     alone = SplatPainterModel(replace(base, predict=replace(CONFIG, alone=True))).eval()
     alone.load_state_dict(both.state_dict())
-    assert alone.config.predicts_alone and not both.config.predicts_alone
+    assert alone.config.predictor_only and not both.config.predictor_only
     change = Edit(draw(regraded(splats), FRONT), FRONT, covered(splats, FRONT))
     with_stage_two = Painter(model=both)
     expected = with_stage_two.apply(with_stage_two.encode(splats), [change], mode="global", method="ttt")
@@ -193,7 +194,7 @@ def test_alone_it_needs_no_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     made = painter.apply(asset, [change], mode="global", method="ttt")
     # Stage II is untrained, so it adds nothing.
     np.testing.assert_array_equal(made.splats.sh, expected.splats.sh)
-    assert asset.learnt is None and made.receipt is not None and made.receipt.method == "ttt"
+    assert asset.encoding is None and made.receipt is not None and made.receipt.method == "ttt"
     assert "encode" not in made.receipt.seconds
     # While it is untrained, the lift's regression stands in.
     assert alone.predictor is not None
@@ -223,7 +224,7 @@ def test_a_checkpoint_keeps_it_and_older_ones_have_none(tmp_path) -> None:  # no
     torch.nn.init.normal_(model.predictor.expected.weight)
     model.save(tmp_path / "new", dtype="float32")
     held = SplatPainterModel.load(tmp_path / "new")
-    assert held.predictor is not None and not held.predictor.silent
+    assert held.predictor is not None and not held.predictor.is_untrained
     assert torch.equal(held.predictor.trust, model.predictor.trust)
     np.testing.assert_array_equal(asked(held.predictor, *edit(30)), asked(model.predictor, *edit(30)))
     SplatPainterModel(TINY).save(tmp_path / "old")

@@ -34,10 +34,10 @@ def straight(painter: Painter, edits: list[Edit]) -> Asset:
 
 
 def same_state(state: Any, asset: Asset) -> bool:
-    assert asset.learnt is not None and asset.learnt.state is not None
+    assert asset.encoding is not None and asset.encoding.state is not None
     one, two = (
         [weight for memory in (*own.blocks, own.detail or ()) for weight in memory]
-        for own in (state, asset.learnt.state)
+        for own in (state, asset.encoding.state)
     )
     return len(one) == len(two) and all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.painter import Asset, Edit, Learnt
+from splatpainter.painter import Asset, Edit, EncodedAsset
 from splatpainter.session import Session
 from splatpainter.splats import SH_C0, Splats, rows_sha256
 from tests.support.lift_scenes import disk, front, sheet
@@ -42,7 +42,7 @@ class FlatPainter:
         if self.model is None:
             return Asset(splats)
         encoded: Any = None
-        return Asset(splats, learnt=Learnt(self.model, encoded, np.arange(len(splats))))
+        return Asset(splats, encoding=EncodedAsset(self.model, encoded, np.arange(len(splats))))
 
     def apply(self, asset: Asset, edits: list[Edit], mode: str = "local", method: str = "auto") -> Asset:
         self.calls.append(edits[0].name)
@@ -68,11 +68,11 @@ class FlatPainter:
         result = replace(splats, sh=sh, scales=scales)
         child = result.take(rows[:1])
         result = result.append(replace(child, means=child.means + child.scales))
-        learnt = asset.learnt
-        if learnt is not None:
-            parents = np.append(learnt.parents, learnt.parents[rows[0]])
-            learnt = replace(learnt, parents=parents, state=tuned(learnt.state, float(edit.image.mean())))
-        return replace(asset, splats=result, learnt=learnt)
+        encoding = asset.encoding
+        if encoding is not None:
+            parents = np.append(encoding.parent_ids, encoding.parent_ids[rows[0]])
+            encoding = replace(encoding, parent_ids=parents, state=tuned(encoding.state, float(edit.image.mean())))
+        return replace(asset, splats=result, encoding=encoding)
 
 
 def tuned(state: Any, value: float) -> Any:

@@ -24,7 +24,7 @@ from splatbench.cases import Budget, EditStep, PosedImages
 from splatbench.methods import Curve, EditResult, EditTask, Method
 from splatpainter.cameras import Camera
 from splatpainter.fit.spread import spread
-from splatpainter.lift.local_edit import reached_rows
+from splatpainter.lift.local_edit import gaussians_in_mask
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -150,7 +150,7 @@ def reached(asset: Splats, steps: Sequence[EditStep]) -> np.ndarray:
     for step in steps:
         for camera, mask in zip(step.edited.cameras, step.masks, strict=True):
             if mask.any():
-                out |= reached_rows(asset, camera, mask)
+                out |= gaussians_in_mask(asset, camera, mask)
     return out
 
 

@@ -225,7 +225,7 @@ def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:
         if kind not in known:
             raise ValueError(f"--kinds: expected some of {', '.join(known)} for stage {recipe.stage}, got {kind!r}")
     own = {kind: weight for kind, weight in recipe.samples.kinds.items() if weight > 0 and kind in known}
-    if recipe.model.predicts_alone and not set(own) & set(GLOBAL):  # Stage II does not train on them
+    if recipe.model.predictor_only and not set(own) & set(GLOBAL):  # Stage II does not train on them
         own |= {kind: sum(own.values()) * share for kind, share in (("relight", 0.75), ("regrade", 0.25))}
     return dict.fromkeys(config.kinds, 1.0) or own or dict.fromkeys(known, 1.0)
 

@@ -27,7 +27,9 @@ from splatpainter.data.lit_scenes import SceneObject, render_views
 from splatpainter.data.samples import SampleStream
 from splatpainter.data.surfels import Surfels, to_splats
 from splatpainter.data.viewpoints import Optics, ring
-from splatpainter.lift.global_edit import SEEN, outward_normals, seen_change
+from splatpainter.lift.global_edit import seen_change
+from splatpainter.lift.joint_colors import MIN_SEEN_PX
+from splatpainter.lift.normals import outward_normals
 from splatpainter.lighting import row_transfer
 from splatpainter.sources.looks import random_look
 from splatpainter.splats import SH_C0, Splats
@@ -127,7 +129,7 @@ class RowStream:
         weight = known.shown[which][:: VIEWS // views, some].sum(0)
         error = known.errors[which, size][some][:, rng.permutation(3)] * rng.choice([-1, 1]) * rng.uniform(0.4, 1.2)
         change = after - before
-        told = np.where((weight > SEEN)[:, None], change + error, 0)
+        told = np.where((weight > MIN_SEEN_PX)[:, None], change + error, 0)
         turn = np.array(UPRIGHT[rng.integers(len(UPRIGHT))])
         asset = Splats(
             (rows.means.numpy() @ turn.T).astype(np.float32),
@@ -195,7 +197,7 @@ class RowStream:
             true = SH_C0 * (_lit(rows, new, recipe.sh_degree).sh[:, 0] - asset.sh[:, 0])
             told = [seen_change(asset, views[:: VIEWS // number]) for number in (1, 2, VIEWS)]
             shown.append([seen_change(asset, [view])[1] for view in views])
-            errors.append([np.where((weight > SEEN)[:, None], change - true, 0) for change, weight in told])
+            errors.append([np.where((weight > MIN_SEEN_PX)[:, None], change - true, 0) for change, weight in told])
         assert normals is not None
         transfer = row_transfer(rows.means.numpy(), normals)
         arrays = (np.asarray(shown, np.float32), np.asarray(errors, np.float32))

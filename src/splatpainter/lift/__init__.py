@@ -1,1 +1,7 @@
-"""The analytic lift: an edited picture written onto the rows that make it, with no weights at all."""
+"""The analytic lift: edited pictures written onto the Gaussians that make them, with no weights at all.
+
+edits        one or several views, local or global: where to start reading
+local_edit   one view: which Gaussians it reaches, patch (split, colour), put back
+global_edit  views that change everything: joint_colors, then regression for what no view shows
+masks        which pixels were edited; surface: where the pixels lie; evidence: what a view says of each Gaussian
+"""

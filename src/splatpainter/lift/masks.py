@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-LEAST = 3.5 / 255
+MAX_ROUNDING = 3.5 / 255
 """Differences up to here are rounding."""
-MOST = 24 / 255
+MAX_NOISE = 24 / 255
 """No picture is so noisy that larger differences are not edits."""
-LOSSLESS = 0.3 / 255
+MAX_LOSSLESS = 0.3 / 255
 """Where a picture has detail, JPEG even of quality 100 leaves more than this at all but one pixel in twenty."""
-BINS = 8
-"""Levels of detail with a noise of their own."""
+DETAIL_BINS = 8
+"""Levels of detail, each with its noise."""
 
 
 def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
@@ -23,20 +23,31 @@ def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
 
     Measured on four captures, 384 px, JPEG of quality 85 to 95: of a red rectangle nothing was missed, of a pale one
     (10 % opaque) up to 5 %; of the other pixels up to 0.5 % were taken for edits, without an edit up to 0.1 %."""
-    shown = np.clip(render, 0, 1)
-    signed = np.clip(edited, 0, 1) - shown
+    before = np.clip(render, 0, 1)
+    signed = np.clip(edited, 0, 1) - before
     signed[np.abs(signed) < 0.51 / 255] = 0  # what rounding to 8 bits leaves
     difference = _largest(np.abs(signed))
-    near, contrast = _mean(difference, 1), _contrast(shown)
+    near, contrast = _mean(difference, 1), _contrast(before)
     detailed = contrast > 0.5 / 255
-    if not detailed.any() or np.quantile(near[detailed], 0.05) <= LOSSLESS:
-        core = near > LEAST
+    if not detailed.any() or np.quantile(near[detailed], 0.05) <= MAX_LOSSLESS:
+        core = near > MAX_ROUNDING
     else:
         shift = _largest(np.abs(_mean(signed, 2)))
         noise = _noise(shift, _mean(contrast, 8))  # 17 x 17: the reach of JPEG's blocks
-        core = (shift > np.clip(LEAST + 6 * noise, LEAST, MOST)) | (near > MOST)
+        core = (shift > np.clip(MAX_ROUNDING + 6 * noise, MAX_ROUNDING, MAX_NOISE)) | (near > MAX_NOISE)
     core &= _mean(core, 1) > 3.5 / 9
-    return (_mean(core, 1) > 0.5 / 9) & (difference > LEAST)
+    return (_mean(core, 1) > 0.5 / 9) & (difference > MAX_ROUNDING)
+
+
+def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
+    """[H, W] bool: pixels within `reach` of a set one along x and y."""
+    out = mask.copy()
+    for axis in (0, 1):
+        source, target = np.moveaxis(out.copy(), axis, 0), np.moveaxis(out, axis, 0)
+        for step in range(1, min(reach, len(source) - 1) + 1):
+            target[step:] |= source[:-step]
+            target[:-step] |= source[step:]
+    return out
 
 
 def _contrast(image: np.ndarray) -> np.ndarray:
@@ -53,9 +64,11 @@ def _largest(values: np.ndarray) -> np.ndarray:
 def _noise(values: np.ndarray, detail: np.ndarray) -> np.ndarray:
     """[H, W]: the lower quartile of `values` [H, W] over the pixels of about the same detail; 0 where there is none."""
     busy = detail > 1e-4
-    edges = np.quantile(detail[busy], np.linspace(0, 1, BINS + 1)[1:-1])
+    edges = np.quantile(detail[busy], np.linspace(0, 1, DETAIL_BINS + 1)[1:-1])
     label = np.where(busy, 1 + np.searchsorted(edges, detail), 0)
-    levels = [np.quantile(values[label == k], 0.25) if k and (label == k).any() else 0.0 for k in range(BINS + 1)]
+    levels = [
+        np.quantile(values[label == k], 0.25) if k and (label == k).any() else 0.0 for k in range(DETAIL_BINS + 1)
+    ]
     return np.array(levels)[label]
 
 
@@ -63,5 +76,5 @@ def _mean(values: np.ndarray, radius: int) -> np.ndarray:
     """[H, W, ...] float32 mean over the square of 2 radius + 1 around each pixel; edges are repeated."""
     (height, width), size = values.shape[:2], 2 * radius + 1
     padded = np.pad(values.astype(np.float32), [(radius, radius)] * 2 + [(0, 0)] * (values.ndim - 2), mode="edge")
-    rows = sum(padded[k : k + height] for k in range(1, size)) + padded[:height]
-    return (sum(rows[:, k : k + width] for k in range(1, size)) + rows[:, :width]) / size**2
+    sums = sum(padded[k : k + height] for k in range(1, size)) + padded[:height]
+    return (sum(sums[:, k : k + width] for k in range(1, size)) + sums[:, :width]) / size**2

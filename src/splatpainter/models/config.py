@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, TypeVar
 
 from splatpainter import jsonio
+from splatpainter.lift.options import ResidualBase
 
 Grouping = Literal["feats_query", "latent_query", "voxel_mean"]
 Mixer = Literal["ttt", "cross_attention"]
@@ -19,7 +20,6 @@ InnerLoss = Literal["dot", "l2"]
 ImageChannels = Literal["edited", "rays", "render", "geometry", "mask", "normals"]
 Representation = Literal["native", "copy"]
 Decoder = Literal["residual", "bounded", "absolute"]
-Base = Literal["own", "lift"]
 _Config = TypeVar("_Config")
 
 CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1, "normals": 3}
@@ -131,11 +131,11 @@ class RefineConfig:
     row_tokens: int = 0
     """Rows that teach the fast weights along with the pictures, those that the edit shows most; 0: none (the paper).
     They know the lift's answer, so what is seen of an edit is learnt in the words in which unseen rows will ask."""
-    base: Base = "own"
-    """What the decoder's residual is added to. own: the row as it is (the paper): untrained weights leave the asset as
-    it is, and detail comes from the second set. lift: the analytic lift's answer, with the rows that the lift splits
-    and appends: untrained weights return the lift; there is no second set (detail=False). The presets say own; the
-    config in a checkpoint says what its weights were trained for, and wins over the preset of its name."""
+    base: ResidualBase = "own"
+    """What the decoder's residual is added to. own: the Gaussian as it is (the paper): untrained weights leave the
+    asset as it is, and detail comes from the second set. lift: the analytic lift's answer, with the Gaussians that the
+    lift splits and appends: untrained weights return the lift; there is no second set (detail=False). The presets say
+    own; the config in a checkpoint says what its weights were trained for, and wins over the preset of its name."""
     detail: bool = True
     """An extra layer that makes a second set of latents for local edits (the count doubles there)."""
     inner_loss: InnerLoss = "l2"
@@ -219,7 +219,7 @@ class ModelConfig:
             raise ValueError("config: expected a residual decoder with refine.base='lift', got 'absolute'")
 
     @property
-    def predicts_alone(self) -> bool:
+    def predictor_only(self) -> bool:
         """Whether global edits need neither Stage II nor an encoded asset: the predictor makes them, or, while it is
         untrained, the lift's own regression."""
         return self.predict.alone and self.predict.features > 0 and self.representation == "native"

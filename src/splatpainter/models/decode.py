@@ -55,7 +55,7 @@ class AttributeHead(nn.Module):
             return self.linear(self.norm(latents.float()))
 
     @property
-    def silent(self) -> bool:
+    def is_untrained(self) -> bool:
         """Whether every weight is zero, so that it says exactly nothing about anything: an untrained residual."""
         return not (self.linear.weight.any() or self.linear.bias.any())
 
@@ -119,7 +119,7 @@ def absolute(rows: Splats, raw: Tensor, centers: Tensor, voxel: float) -> Splats
     )
 
 
-def newborn(parents: Splats) -> Splats:
+def init_children(parents: Splats) -> Splats:
     """What children of `native` are a residual on: their parents, smaller and fainter (CHILD_SCALE, CHILD_OPACITY)."""
     return replace(parents, scales=parents.scales * CHILD_SCALE, opacities=parents.opacities * CHILD_OPACITY)
 

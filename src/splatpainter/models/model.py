@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from splatpainter.models import checkpoint
 from splatpainter.models.compress import Compressor, Latents
 from splatpainter.models.config import ModelConfig
-from splatpainter.models.decode import AttributeHead, newborn
+from splatpainter.models.decode import AttributeHead, init_children
 from splatpainter.models.gaussian_groups import RowGroups, TokenLinks
 from splatpainter.models.image_tokens import Pictures, tokenize
 from splatpainter.models.lrm import AssetViews, GaussianLrm
@@ -245,9 +245,9 @@ class SplatPainterModel(nn.Module):
         splats = self._decoded(latents, refined.values, refined.places, own, told)
         if refined.second is None:
             return Decoded(splats, index, None, None)
-        parents = newborn(own) if native else own
+        parents = init_children(own) if native else own
         further = self._decoded(latents, refined.second, refined.places, parents, told)
-        if self.head.silent and not self.training:
+        if self.head.is_untrained and not self.training:
             # In training mode all are drawn: what is never drawn never learns.
             return Decoded(splats, index, further.take(index[:0]), index[:0])
         return Decoded(splats, index, further, index)

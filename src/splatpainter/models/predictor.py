@@ -18,7 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from splatpainter.lift.global_edit import SEEN, Predict
+from splatpainter.lift.global_edit import Predict
+from splatpainter.lift.joint_colors import MIN_SEEN_PX
 from splatpainter.models.config import PredictConfig
 from splatpainter.nn.closed_form import solve
 from splatpainter.nn.precision import exact
@@ -88,7 +89,7 @@ class Predictor(nn.Module):
             nn.init.zeros_(self.expected.bias)
 
     @property
-    def silent(self) -> bool:
+    def is_untrained(self) -> bool:
         """Whether nothing has trained it yet: then the lift's own regression is better."""
         return not bool(self.expected.weight.any())
 
@@ -96,7 +97,7 @@ class Predictor(nn.Module):
         """[N, 3] predicted change of base colour of all rows. facts: [N, 21] of `row_facts`; change: [N, 3] as the
         pictures have it; weight: [N] pixels that show each row. Without a seen row nothing is predicted: zeros."""
         with exact(facts.device):
-            seen = _spread(torch.nonzero(weight > SEEN)[:, 0], TEACHERS)
+            seen = _spread(torch.nonzero(weight > MIN_SEEN_PX)[:, 0], TEACHERS)
             if len(seen) == 0:
                 return torch.zeros_like(change)
             opponent = facts.new_tensor(OPPONENT)
@@ -134,7 +135,7 @@ def predicting(
     """The model's prediction for edits of this asset, on the model's device; None where it has no trained predictor,
     and then `transfer`, which says [N, 10] of `row_transfer`, is not asked."""
     predictor = model.predictor
-    if predictor is None or predictor.silent:
+    if predictor is None or predictor.is_untrained:
         return None
     facts = row_facts(splats, normals, transfer())
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.colors import BRIGHTEST, recolor
-from splatpainter.lift.local_edit import FAINTEST, INSIDE_SMALL, VISIBLE
+from splatpainter.lift.colors import MAX_COLOR, recolor
+from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE
+from splatpainter.lift.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.sources.color import from_display, to_display
@@ -120,12 +121,12 @@ class Stroke:
         painted = (self.rgba[window][..., 3] > 0).astype(np.float32)
         everywhere = np.ones_like(painted)
         sums = small.backproject(target, painted)
-        reached = (sums.peak > FAINTEST) & (sums.weight > VISIBLE * sums.alpha)
-        canvas.movable[entries] |= reached & (sums.weight > INSIDE_SMALL * canvas.weights[entries])
+        reached = (sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)
+        canvas.movable[entries] |= reached & (sums.weight > MIN_INSIDE_SMALL * canvas.weights[entries])
         movable = canvas.movable[entries]
         sirt = sirt_steps(small, target, everywhere, movable)
         step, moved = 1 / np.maximum(sirt.weight, 1e-6)[:, None], entries[movable]
-        colors, ceiling = canvas.colors[moved], np.maximum(frame.unclamped_colors[moved], BRIGHTEST)
+        colors, ceiling = canvas.colors[moved], np.maximum(frame.unclamped_colors[moved], MAX_COLOR)
         for _ in range(SIRT_STEPS):
             colors = np.clip(colors + step * sirt.residual(colors), 0, ceiling).astype(np.float32)
         canvas.colors[moved] = colors

@@ -48,13 +48,13 @@ class Adapter:
         asset = Asset(numbered)
         if self._painter.encodes(method, mode):
             base = self._base()
-            assert base.learnt is not None and below.origin is not None
+            assert base.encoding is not None and below.origin is not None
             if state is not None:
                 from splatpainter.session.states import on_device
 
-                state = on_device(state, next(base.learnt.model.parameters()).device)
+                state = on_device(state, next(base.encoding.model.parameters()).device)
             parents = np.maximum(below.origin, 0)
-            asset = replace(asset, learnt=replace(base.learnt, parents=parents, state=state))
+            asset = replace(asset, encoding=replace(base.encoding, parent_ids=parents, state=state))
         if mode == "local":
             vars(asset)["grid"] = self.grid(below)  # as its cached property would
         return numbered, self._painter.apply(asset, edits, mode, method)
@@ -89,7 +89,7 @@ class Adapter:
 def fingerprint(painter: Painter, method: Method) -> str:
     """What of a painter decides the results of a method, as text: its settings, the hash of its weights, and bf16 where
     its networks are rounded to that. method: not "auto"."""
-    settings = f"{painter.local!r} {painter.whole!r}"
+    settings = f"{painter.local_options!r} {painter.global_options!r}"
     if method != "ttt" or painter.model is None:
         return f"{method} {settings}"
     if painter.model not in _DIGESTS:

@@ -24,7 +24,7 @@ def reached(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]) -> np.nd
     """[N] bool: rows that some masked view ((camera, [H, W] bool)) shows, mostly inside its mask; with a row also those
     of its family that lie hidden under the mask, or paint would stay behind. Raises ValueError where a mask is empty or
     reaches no row."""
-    from splatpainter.lift.local_edit import reached_rows
+    from splatpainter.lift.local_edit import gaussians_in_mask
     from splatpainter.rendering.cpu.projected_view import project
     from splatpainter.voxels.grid import voxelize
     from splatpainter.voxels.raycast import editable_rows
@@ -34,7 +34,7 @@ def reached(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]) -> np.nd
     for camera, mask in views:
         if not mask.any():
             raise ValueError("edit: nothing to do, the mask is empty")
-        shown = reached_rows(splats, camera, mask, editable_rows(grid, splats, camera, mask))
+        shown = gaussians_in_mask(splats, camera, mask, editable_rows(grid, splats, camera, mask))
         frame = project(splats, camera)
         nothing = np.zeros((*mask.shape, 3), np.float32)
         inside = frame.backproject(nothing, mask.astype(np.float32))

@@ -33,7 +33,7 @@ class Read:
 def read_of(splats: Splats, grid: VoxelGrid, camera: Camera, mask: np.ndarray) -> Read | None:
     """What a local lift of the masked pixels ([H, W] bool) reads of `splats`, whose voxels are `grid`; None where it
     could not be applied."""
-    from splatpainter.lift.local_edit import reached_rows
+    from splatpainter.lift.local_edit import gaussians_in_mask
     from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
     from splatpainter.voxels.raycast import editable_rows, inside
 
@@ -42,7 +42,7 @@ def read_of(splats: Splats, grid: VoxelGrid, camera: Camera, mask: np.ndarray) -
     under = tiles_of_mask(mask)
     allowed = editable_rows(grid, splats, camera, mask)
     try:
-        reached = reached_rows(splats, camera, mask, allowed, project(splats, camera, tiles=under))
+        reached = gaussians_in_mask(splats, camera, mask, allowed, project(splats, camera, tiles=under))
     except ValueError:
         return None
     area = under | project(splats, camera, gaussian_mask=reached).tiles_of(reached)

@@ -266,7 +266,7 @@ class Replay:
                 filter(None, [facts.get("note"), "computed by another painter than it was made with"])
             )
         certain = None if done.confidence is None else (np.clip(done.confidence, 0, 1) * 255 + 0.5).astype(np.uint8)
-        state = None if done.learnt is None else done.learnt.state
+        state = None if done.encoding is None else done.encoding.state
         splats = done.splats
         if layer.mode == "global" and layer.parameters.get(WITHIN):
             splats = _within(self._reached(below, layer), below.splats, splats)

@@ -51,7 +51,7 @@ def card(
 def _head(config: ModelConfig, weights: Mapping[str, int]) -> str:
     sizes = ", ".join(f"{NETWORKS.get(n, n)} {count / 1e6:.1f}" for n, count in weights.items())
     base = "adds its change to the analytic lift" if config.refine.base == "lift" else "changes the asset's own rows"
-    alone = ALONE if config.predicts_alone else ""
+    alone = ALONE if config.predictor_only else ""
     return f"""
 # Model card: {config.preset}
 

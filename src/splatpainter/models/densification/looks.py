@@ -18,10 +18,10 @@ from torch.nn import functional as F
 
 from splatpainter.cameras import Camera
 from splatpainter.fit.gradients import CpuPasses, Target, torch_pass
-from splatpainter.lift.split import rotations
 from splatpainter.models.densification.config import DensifyConfig
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.transforms import quat_to_matrix
 from splatpainter.voxels.grid import bounding_cube
 
 GRID = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
@@ -107,7 +107,7 @@ def gather(
     lo, size = bounding_cube(splats)
     own = replace(splats.numpy(), source=None, origin=None).take(places)
     ranks = np.argsort(-own.scales, axis=1, kind="stable")
-    axes = np.take_along_axis(np.swapaxes(rotations(own.quats), 1, 2), ranks[:, :, None], 1)  # [S, k-th, xyz]
+    axes = np.take_along_axis(np.swapaxes(quat_to_matrix(own.quats), 1, 2), ranks[:, :, None], 1)  # [S, k-th, xyz]
     lengths = np.take_along_axis(own.scales, ranks, 1)
     shown = np.maximum(looks.shown[:, places], 0)
     total = shown.sum(0)

@@ -13,7 +13,9 @@ import torch
 from torch import Tensor
 
 from splatpainter.data.row_edits import RowEdit
-from splatpainter.lift.global_edit import SEEN, GlobalOptions, regressed
+from splatpainter.lift.global_edit import regressed
+from splatpainter.lift.joint_colors import MIN_SEEN_PX
+from splatpainter.lift.options import GlobalOptions
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import row_facts
 from splatpainter.splats import SH_C0
@@ -57,7 +59,7 @@ class PredictTask(Task[SplatPainterModel]):
     def _predicted(self, sample: RowEdit) -> Tensor:
         predictor = self.model.predictor
         assert predictor is not None
-        if not (sample.weight > SEEN).any():
+        if not (sample.weight > MIN_SEEN_PX).any():
             raise ValueError("the pictures show no row")
         facts = row_facts(sample.asset, sample.normals, sample.transfer)
         return predictor(self._tensor(facts), self._tensor(sample.told), self._tensor(sample.weight))

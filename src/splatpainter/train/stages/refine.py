@@ -1,6 +1,6 @@
 """Stage II: edited views in, changed attributes out, judged from views that the model did not see.
 
-The analytic lift or the asset's own rows are the draft; the network adds a residual to it; the rendered result is
+The analytic lift or the asset's own rows are the start; the network adds a residual to it; the rendered result is
 compared with the truth of the edited object. LRM and, unless asked otherwise, Stage I are frozen (arXiv 2512.05354).
 """
 
@@ -15,19 +15,14 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.global_edit import Predict, outward_normals
+from splatpainter.lift.edit_views import EditView, edit_views
+from splatpainter.lift.edits import LiftedEdit, lift_global_views, lift_local_views
+from splatpainter.lift.global_edit import Predict
+from splatpainter.lift.normals import outward_normals
+from splatpainter.lift.options import ResidualBase
 from splatpainter.lighting import row_transfer
 from splatpainter.metrics.lpips import Lpips
-from splatpainter.models.config import Base
-from splatpainter.models.draft import (
-    Draft,
-    EditView,
-    assemble,
-    draft_global,
-    draft_local,
-    edit_views,
-    refine_draft,
-)
+from splatpainter.models.apply_edit import assemble, refine_edit
 from splatpainter.models.encode import Encoded, asset_views, canonical_cameras, encode_asset
 from splatpainter.models.gaussian_groups import RowGroups, TokenLinks, links_from_views
 from splatpainter.models.model import SplatPainterModel
@@ -101,7 +96,7 @@ class RefineTask(Task[SplatPainterModel]):
         ValueError for what `copy` cannot do."""
         super().__init__()
         self.model, self.options, self.loss, self.alex = model, options, loss, alex
-        self.base: Base = model.config.refine.base
+        self.base: ResidualBase = model.config.refine.base
         self.copies = model.config.representation == "copy"
         if self.copies:
             if options.train_encoder != "nothing":
@@ -118,16 +113,16 @@ class RefineTask(Task[SplatPainterModel]):
             freeze(*(getattr(refiner, n, None) for n in ("detail_mixer", "norm_refined", "norm_original")))
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
-        if sample.mode == "global" and self.model.config.predicts_alone:
+        if sample.mode == "global" and self.model.config.predictor_only:
             raise ValueError("global edits are the predictor's alone: Stage II learns nothing from them")
         rng = np.random.default_rng(seed)
         known = self._remembered(sample)
         views = self._edits(sample, known)
-        draft = self._draft(sample, known, views)
+        start = self._start(sample, known, views)
         cameras, wanted = self._wanted(sample, known, views, rng)
-        draft = self._shown(draft, cameras)
+        start = self._shown(start, cameras)
         with self.arithmetic():
-            edited = self._refined(known, draft, views, self._first(sample, rng), rng)
+            edited = self._refined(known, start, views, self._first(sample, rng), rng)
         rendered, _ = draw(edited, cameras, self.device)
         chosen = rng.permutation(len(rendered))[: self.options.perceptual_views]
         return self.loss(rendered, wanted, sorted(chosen.tolist()))
@@ -136,12 +131,12 @@ class RefineTask(Task[SplatPainterModel]):
     def judge(self, sample: Sample) -> Verdict:
         known = self._remembered(sample)
         views = self._edits(sample, known)
-        lifted = self._draft(sample, known, views, analytic=True)
+        lifted = self._start(sample, known, views, analytic=True)
         same = self.base == "lift" and (sample.mode == "local" or known.predict is None)
-        draft = lifted if same else self._draft(sample, known, views)
-        alone = sample.mode == "global" and self.model.config.predicts_alone
+        start = lifted if same else self._start(sample, known, views)
+        alone = sample.mode == "global" and self.model.config.predictor_only
         with self.arithmetic():
-            edited = draft.splats if alone else self._refined(known, draft, views)
+            edited = start.splats if alone else self._refined(known, start, views)
         wanted = self._novel(sample, known, range(len(sample.novel_after.cameras)))
         near = np.flatnonzero(np.asarray(sample.near)) if sample.mode == "local" else np.arange(len(wanted.colors))
         if not len(near):
@@ -212,13 +207,13 @@ class RefineTask(Task[SplatPainterModel]):
         targets = [np.asarray(c, np.float32) for c in torch.as_tensor(sample.edited.colors).cpu().numpy()]
         return edit_views(known.splats, sample.edited.cameras, targets, list(np.asarray(sample.masks, bool)))
 
-    def _draft(self, sample: Sample, known: Known, views: Sequence[EditView], analytic: bool = False) -> Draft:
+    def _start(self, sample: Sample, known: Known, views: Sequence[EditView], analytic: bool = False) -> LiftedEdit:
         """What the network starts from; or (analytic) the lift's own answer."""
         base = "lift" if analytic else self.base
         if sample.mode == "global":
             predict = None if analytic else known.predict
-            return draft_global(known.splats, views, base, normals=known.normals, predict=predict)
-        return draft_local(known.splats, known.grid, views, base)
+            return lift_global_views(known.splats, views, base, normals=known.normals, predict=predict)
+        return lift_local_views(known.splats, known.grid, views, base)
 
     def _first(self, sample: Sample, rng: np.random.Generator) -> int:
         """How many of the views are an edit of their own, before the others."""
@@ -228,38 +223,38 @@ class RefineTask(Task[SplatPainterModel]):
     def _refined(
         self,
         known: Known,
-        draft: Draft,
+        start: LiftedEdit,
         views: Sequence[EditView],
         first: int = 0,
         rng: np.random.Generator | None = None,
     ) -> Splats:
         """The edited asset. first: views whose only trace is the state that they leave; rng: chooses the rows that
         gradients go through, where they are limited."""
-        encoded, state = self._encoded(known, draft.parents), self.model.initial_state()
+        encoded, state = self._encoded(known, start.parents), self.model.initial_state()
         if first:  # only its state is wanted, so one row is read
-            state, _, _ = refine_draft(self.model, state, encoded, part_of(draft, np.arange(1)), views[:first])
-        count, most = len(draft.rows), self.options.gradient_rows
-        if rng is None or not most or count <= most or draft.detail:
-            _, rows, further = refine_draft(self.model, state, encoded, draft, views[first:])
-            return assemble(draft, rows, further)
+            state, _, _ = refine_edit(self.model, state, encoded, part_of(start, np.arange(1)), views[:first])
+        count, most = len(start.ids), self.options.gradient_rows
+        if rng is None or not most or count <= most or start.detail:
+            _, rows, further = refine_edit(self.model, state, encoded, start, views[first:])
+            return assemble(start, rows, further)
         order, views = rng.permutation(count), views[first:]
-        after, own, _ = refine_draft(self.model, state, encoded, part_of(draft, order[:most]), views)
+        after, own, _ = refine_edit(self.model, state, encoded, part_of(start, order[:most]), views)
         if self.model.config.refine.mask_tokens:  # an edit without edited pixels adapts nothing: it only reads
             state, views = after, [replace(views[0], mask=np.zeros_like(views[0].mask))]
         with torch.no_grad():
-            _, others, _ = refine_draft(self.model, state, encoded, part_of(draft, order[most:]), views)
+            _, others, _ = refine_edit(self.model, state, encoded, part_of(start, order[most:]), views)
         both = {n: torch.cat([_louder(getattr(own, n), count / most), getattr(others, n)]) for n in ATTRIBUTES}
-        return assemble(part_of(draft, order), replace(own, **both), None)
+        return assemble(part_of(start, order), replace(own, **both), None)
 
-    def _shown(self, draft: Draft, cameras: Sequence[Camera]) -> Draft:
-        """The draft with only those rows to change that the views show: the others would get no gradient."""
-        splats = draft.splats if self.device.type == "cpu" else draft.splats.torch(str(self.device))
+    def _shown(self, start: LiftedEdit, cameras: Sequence[Camera]) -> LiftedEdit:
+        """The same with only those rows to change that the views show: the others would get no gradient."""
+        splats = start.splats if self.device.type == "cpu" else start.splats.torch(str(self.device))
         with torch.no_grad():
             weights = torch.as_tensor(render(splats, list(cameras), contributions=True).contributions).sum(0)
-        shown = weights.cpu().numpy()[draft.rows] > LEAST
+        shown = weights.cpu().numpy()[start.ids] > LEAST
         if not shown.any():
             raise ValueError("the chosen views show nothing of the edit")
-        return part_of(draft, np.flatnonzero(shown))
+        return part_of(start, np.flatnonzero(shown))
 
     def _wanted(
         self, sample: Sample, known: Known, views: Sequence[EditView], rng: np.random.Generator
@@ -310,9 +305,9 @@ class RefineTask(Task[SplatPainterModel]):
         return local_target(after, tensor(sample.novel_before.colors, self.device)[pick], drawn, self.options.keep)
 
 
-def part_of(draft: Draft, places: np.ndarray) -> Draft:
-    """The draft with only these of its changeable rows (indices into draft.rows), in this order."""
-    return replace(draft, rows=draft.rows[places], parents=draft.parents[places], lift=draft.lift[places])
+def part_of(start: LiftedEdit, places: np.ndarray) -> LiftedEdit:
+    """The same with only these of its changeable rows (indices into start.ids), in this order."""
+    return replace(start, ids=start.ids[places], parents=start.parents[places], features=start.features[places])
 
 
 def _louder(values: Tensor, factor: float) -> Tensor:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.models.color_refine import polish_global, polish_local, repaint
+from splatpainter.lift.color_refine import refine_colors_global, refine_colors_local
 from splatpainter.models.gaussian_groups import drift_features
 from tests.support.lift_scenes import back, base_colors, dense_weights, differing, disk, front, sheet
 
@@ -30,17 +30,17 @@ def test_a_local_round_is_the_written_out_formula(rounds: int) -> None:
         error = target - (weights.T @ colors + left[:, None] * 0.5)
         step = weights @ error / np.maximum(weights.sum(1), 1e-6)[:, None]
         colors = np.clip(np.where(rows[:, None], colors + step, colors), 0, 1.3)
-    result = repaint(SHEET, CAMERAS[0], wanted, rows, rounds)
+    result = refine_colors_local(SHEET, [(CAMERAS[0], wanted)], rows, rounds)
     np.testing.assert_allclose(base_colors(result), colors, atol=2e-3)
     assert not differing(SHEET, result)[~rows].any() and result.means is SHEET.means
-    assert repaint(SHEET, CAMERAS[0], wanted, np.zeros(len(SHEET), bool)) is SHEET
+    assert refine_colors_local(SHEET, [(CAMERAS[0], wanted)], np.zeros(len(SHEET), bool)) is SHEET
 
 
 def test_of_two_local_pictures_the_latest_wins() -> None:
     rows = np.ones(len(SHEET), bool)
     red, blue = (np.broadcast_to(np.array(c, np.float32), (40, 40, 3)) for c in ((0.9, 0.1, 0.1), (0.1, 0.1, 0.9)))
-    last = polish_local(SHEET, [(CAMERAS[0], red), (CAMERAS[0], blue)], rows)
-    first = polish_local(SHEET, [(CAMERAS[0], blue), (CAMERAS[0], red)], rows)
+    last = refine_colors_local(SHEET, [(CAMERAS[0], red), (CAMERAS[0], blue)], rows)
+    first = refine_colors_local(SHEET, [(CAMERAS[0], blue), (CAMERAS[0], red)], rows)
     assert base_colors(last)[:, 2].mean() > 0.8 and base_colors(first)[:, 0].mean() > 0.8
 
 
@@ -57,7 +57,7 @@ def test_global_rounds_are_the_written_out_formula_over_all_views() -> None:
             picture = w.T @ np.clip(base_colors(SHEET) + change, 0, 1.3) + left[:, None] * 0.5
             gain += w @ (m[:, None] * (target.reshape(-1, 3) - picture))
         change += gain / np.maximum(total, 1e-6)[:, None]
-    result = polish_global(SHEET, views)
+    result = refine_colors_global(SHEET, views)
     moved = (total > 0.06) & (np.abs(change).max(1) > 2e-3)
     assert 20 < moved.sum() < 0.9 * len(SHEET)
     np.testing.assert_allclose((base_colors(result) - base_colors(SHEET))[moved], change[moved], atol=3e-3)

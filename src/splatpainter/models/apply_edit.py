@@ -1,0 +1,104 @@
+"""The networks' part of an edit: a lifted edit in, new Gaussians out, and both as one asset.
+
+    state, gaussians, children = refine_edit(model, state, encoded, lifted, views)
+    edited = assemble(lifted, gaussians, children)
+
+N Gaussians of the asset, A appended by the lift, J that may change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from splatpainter.lift.edit_views import EditView
+from splatpainter.lift.edits import LiftedEdit
+from splatpainter.splats import ATTRIBUTES, Splats
+
+if TYPE_CHECKING:
+    from splatpainter.models.encode import Encoded
+    from splatpainter.models.image_tokens import Pictures
+    from splatpainter.models.model import SplatPainterModel
+    from splatpainter.models.refine import RefineState
+
+
+def refine_edit(
+    model: SplatPainterModel, state: RefineState, encoded: Encoded, lifted: LiftedEdit, views: Sequence[EditView]
+) -> tuple[RefineState, Splats, Splats | None]:
+    """Stage II and the decoder: (next state, J torch Gaussians in place of lifted.splats[lifted.ids], J children to
+    append, each of the Gaussian at its index, or None). state: model.initial_state() for the first edit; lifted.parents
+    count Gaussians of encoded.rows. Differentiable in the model's parameters and in the latents; without gradients in
+    chunks. Raises ValueError for views of several sizes or without depth and alpha where the model needs them, and for
+    Gaussians that were not encoded."""
+    import torch
+
+    from splatpainter.models.gaussian_groups import drift_features
+
+    config = model.config.refine
+    device = encoded.latents.values.device
+    places = encoded.places[lifted.parents]
+    if (places < 0).any():
+        raise ValueError(f"refine: {int((places < 0).sum())} of the {len(places)} rows were not encoded; encode again")
+    base = lifted.splats.take(lifted.ids).torch(str(device))
+    drift = None
+    if config.base == "lift":
+        drift = drift_features(base, encoded.rows.take(lifted.parents), encoded.latents.groups.voxel)
+    state, decoded = model.edit(
+        state,
+        encoded.latents,
+        _pictures(views, str(device)),
+        encoded.rows,
+        places=places,
+        lift=torch.from_numpy(lifted.features).to(device) if config.lift_features else None,
+        drift=drift,
+        base=base,
+        detail=lifted.detail and config.detail,
+    )
+    children = decoded.further
+    return state, decoded.splats, children if children is not None and len(children) else None
+
+
+def assemble(lifted: LiftedEdit, gaussians: Splats, children: Splats | None) -> Splats:
+    """The full edited asset: N + A Gaussians with `gaussians` (J, torch) at the indices lifted.ids, then `children`.
+    Torch, on their device and differentiable, where `gaussians` need gradients; else numpy, where numbers that did not
+    change keep their bits, and attributes of which none changed their array."""
+    if any(getattr(gaussians, name).requires_grad for name in ATTRIBUTES):
+        import torch
+
+        device = gaussians.means.device
+        full, index = lifted.splats.torch(str(device)), torch.from_numpy(lifted.ids).to(device)
+        changed = {name: getattr(full, name).index_copy(0, index, getattr(gaussians, name)) for name in ATTRIBUTES}
+        result = replace(full, **changed)
+        return result if children is None else result.append(children)
+    arrays, written = gaussians.numpy(), {}
+    for name in ATTRIBUTES:
+        old, new = getattr(lifted.splats, name), getattr(arrays, name)
+        if not np.array_equal(new.view(np.int32), old[lifted.ids].view(np.int32)):
+            written[name] = old.copy()
+            written[name][lifted.ids] = new
+    result = replace(lifted.splats, **written) if written else lifted.splats
+    return result if children is None else result.append(children.numpy())
+
+
+def _pictures(views: Sequence[EditView], device: str) -> Pictures:
+    """Raises ValueError for views of several sizes."""
+    import torch
+
+    from splatpainter.models.image_tokens import Pictures, one_size
+
+    cameras = [view.camera for view in views]
+    one_size(cameras)
+
+    def stacked(name: str) -> torch.Tensor | None:
+        images = [getattr(view, name) for view in views]
+        if any(image is None for image in images):
+            return None
+        full = torch.from_numpy(np.stack(images).astype(np.float32)).to(device)
+        return full if full.ndim == 4 else full[..., None]
+
+    edited = stacked("target")  # outside the mask a picture may differ by how it was stored or scaled
+    assert edited is not None
+    return Pictures(cameras, edited, *(stacked(name) for name in ("before", "depth", "alpha", "mask")))
