@@ -20,9 +20,8 @@ from splatpainter.models.image_tokens import tokenize
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn import fast_weights
 from splatpainter.nn.fast_weights import FastWeights
-from splatpainter.train.judge import refine_task
+from splatpainter.train.judge import refine_task, trials
 from splatpainter.train.training_data import Stock, Supply
-from splatpainter.train.trials import trials
 from tests.support.model_scenes import grid_of, pictures, shell, with_refine
 from tests.support.painter_scenes import LIFT, OWN, built
 from tests.support.train_scenes import LIFT as TRAINED

@@ -1,11 +1,11 @@
-"""Rows of frozen dataclasses as CSV and Markdown. Knows nothing of what they mean."""
+"""Tables as CSV and Markdown; a row is a dataclass or a mapping. Knows nothing of what they mean."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from splatpainter.io import files
 
 
 def columns(row: Any) -> list[str]:
-    """Field names of a dataclass or of its instance, in order."""
-    return [field.name for field in fields(row)]
+    """Names of the columns, in order. row: a mapping, or a dataclass or its instance."""
+    return list(row) if isinstance(row, Mapping) else [field.name for field in fields(row)]
 
 
 def write_csv(path: Path, rows: Sequence[Any], heading: str) -> None:
@@ -40,12 +40,13 @@ def markdown(rows: Sequence[Any]) -> str:
     if not rows:
         return "(nothing was measured)"
     names = columns(rows[0])
-    numeric = [any(isinstance(getattr(row, name), (int, float)) for row in rows) for name in names]
+    cells = [_values(row) for row in rows]
+    numeric = [any(isinstance(value, (int, float)) for value in column) for column in zip(*cells, strict=True)]
     lines = [
         "| " + " | ".join(name.replace("_", " ") for name in names) + " |",
         "|" + "|".join("---:" if right else "---" for right in numeric) + "|",
     ]
-    lines += ["| " + " | ".join(cell_text(value) for value in _values(row)) + " |" for row in rows]
+    lines += ["| " + " | ".join(cell_text(value) for value in row) + " |" for row in cells]
     return "\n".join(lines)
 
 
@@ -66,7 +67,7 @@ def cell_text(value: Any) -> str:
 
 
 def _values(row: Any) -> list[Any]:
-    return [getattr(row, name) for name in columns(row)]
+    return list(row.values()) if isinstance(row, Mapping) else [getattr(row, name) for name in columns(row)]
 
 
 def _write(path: Path, text: str) -> None:

@@ -9,8 +9,7 @@ import pytest
 
 from splatpainter.commands.data import SUMMARIES
 from splatpainter.data.samples import Sample
-from splatpainter.data.shard_stream import ShardStream
-from splatpainter.data.shards import read_index
+from splatpainter.data.shards import ShardStream, read_index
 from tests.support.cli_scenes import Capture, ball, run, saved
 from tests.support.data_meshes import write_box
 

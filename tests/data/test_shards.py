@@ -17,8 +17,7 @@ from PIL import Image
 
 from splatpainter.data.records import decode_radiance, decode_sample, encode_sample
 from splatpainter.data.samples import Sample, Views
-from splatpainter.data.shard_stream import ShardStream
-from splatpainter.data.shards import INDEX, WAITING, Scene, ShardWriter, check, read_index
+from splatpainter.data.shards import INDEX, WAITING, Scene, ShardStream, ShardWriter, check, read_index
 from tests.support.data_meshes import random_sample
 
 SPEC = {"seed": 3, "recipe": {"size": 12, "share": (0.1, 0.2)}}

@@ -29,7 +29,7 @@ from splatpainter.train import recipes
 from splatpainter.train.build import densify_task
 from splatpainter.train.distributed import Group
 from splatpainter.train.loop import Loop
-from splatpainter.train.ms_ssim import ms_ssim
+from splatpainter.train.loss import ms_ssim
 from tests.support.model_scenes import TINY
 from tests.support.train_scenes import RECIPE
 

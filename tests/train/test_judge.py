@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import json
 import math
+import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -13,17 +15,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import tyro
 
 from splatpainter.cli import main
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.painter import Painter
-from splatpainter.train import history, judge
-from splatpainter.train import judge_tables as trained
+from splatpainter.train import judge, state
+from splatpainter.train.judge import apportioned, first_views, trials
 from splatpainter.train.recipes import Recipe
 from splatpainter.train.training_data import Stock, Supply
-from splatpainter.train.trials import apportioned, first_views, trials
 from tests.support.train_scenes import LIFT, RECIPE, SAMPLES, SMALL, model
 
 KINDS = {"stroke": 1.0, "relight": 2.0}
@@ -53,6 +55,16 @@ def weights(folder: Path, recipe: Recipe, **notes: Any) -> Path:
     said = {"stage": recipe.stage, "step": 6, "seconds": 7200.0, "recipe": recipe.to_dict(), **notes}
     spoken(recipe.model).save(folder, notes=said)
     return folder
+
+
+def model_card(*words: object) -> str:
+    """What scripts/model_card.py prints."""
+    path = Path(__file__).parents[2] / "scripts/model_card.py"
+    spec = importlib.util.spec_from_file_location("model_card", path)
+    assert spec is not None and spec.loader is not None
+    script = sys.modules["model_card"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    return script.main(tyro.cli(script.Options, args=list(map(str, words))))
 
 
 def run(*words: object) -> int:
@@ -144,13 +156,13 @@ def test_goals_say_reached_and_missed() -> None:
         judge.EditRow(kind="relight", views=2, ours=20.9, gain=0.9, **rest),
         judge.EditRow(kind="local", views=None, ours=19.9, gain=-0.1, **rest),
     ]
-    said = trained.goals(rows)
+    said = judge.goals(rows)
     assert [line.rsplit(": ", 1)[1] for line in said] == ["missed", "reached", "missed", "missed"]
     assert "relighting from 1 view: wanted lift +1.0 dB, got +1.00 dB" in said[1]
-    assert trained.weak_kinds(rows) == ([], ["relight from 1 view", "relight from 2 views"])
-    assert trained.rows_of(json.loads(json.dumps(trained.plain(rows)))) == rows
+    assert judge.weak_kinds(rows) == ([], ["relight from 1 view", "relight from 2 views"])
+    assert judge.from_json(json.loads(json.dumps(judge.as_json(rows)))) == rows
     copied = judge.CopyRow(judge.COPY, 2, 2, "the LRM before compression", 25.0, 24.6, -0.4, None, None)
-    assert trained.goals([copied]) == ["Stage I within 0.3 dB of the LRM: -0.40 dB: missed"]
+    assert judge.goals([copied]) == ["Stage I within 0.3 dB of the LRM: -0.40 dB: missed"]
 
 
 def test_the_command_writes_tables_notes_and_card(
@@ -160,7 +172,8 @@ def test_the_command_writes_tables_notes_and_card(
     past = {"stage": "lrm", "step": 94, "seconds": 3600.0, "recipe": {"batch": 1}}
     folder, out = weights(tmp_path / "run/model", JUDGED, history=[past]), tmp_path / "judged"
     (tmp_path / "run/log.csv").write_text("step,loss,skipped\n1,0.5,\n2,nan,not finite\n3,0.25,\n")
-    assert run("card", folder) == 2 and "have not been judged" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="have not been judged"):
+        model_card(folder)
     words = ["judge", folder, "--data", "procedural:3", "--device", "cpu", "--samples", 2, "--views", 1, 2]
     assert run(*words, "--out", out, "--write-notes", "--json") == 0
     record = json.loads(capsys.readouterr().out)
@@ -176,8 +189,7 @@ def test_the_command_writes_tables_notes_and_card(
     for mode, gain in record["gain"].items():
         assert painter.choose("auto", mode)[0] == ("ttt" if gain > 0 else "lift")
         assert float(table[3 if mode == "local" else 4]["gain"]) == pytest.approx(gain)
-    assert run("card", folder, "--hardware", "an abacus") == 0
-    shown = capsys.readouterr().out
+    shown = model_card(folder, "--hardware", "an abacus")
     for part in ("# Model card: tiny", "Gaussian LRM | 94 | 1.00", "Stage II | 6 | 2.00", "an abacus; 3.0 hours"):
         assert part in shown
     assert "| 0.375 | 0.375 |" in shown and "are procedural" in shown and "| relight | 2 | 1 | 1 |" in shown
@@ -212,8 +224,8 @@ def test_stages_remember_those_before_them(tmp_path: Path, capsys: pytest.Captur
     folder = tmp_path / "run/model"
     notes = checkpoint.load(folder).notes
     assert [past["step"] for past in notes["history"]] == [1, 6] and notes["step"] == 2
-    assert [r["step"] for r in history.of(folder, notes)] == [1, 6, 2]
-    assert set(history.of(folder, notes)[-1]["loss"]) == {"first", "last"}
+    assert [r["step"] for r in state.history(folder, notes)] == [1, 6, 2]
+    assert set(state.history(folder, notes)[-1]["loss"]) == {"first", "last"}
     # Stage I's read-out is found beside its weights.
     judged = ["judge", folder, "--data", "procedural:3", "--device", "cpu", "--samples", 2, "--out", tmp_path / "out"]
     assert run(*judged, "--json") == 0

@@ -22,7 +22,7 @@ from splatpainter.models.config import PAPER, PRESETS
 from splatpainter.train import recipes
 from splatpainter.train.loss import (
     PictureLoss,
-    Wanted,
+    PictureTarget,
     global_target,
     local_target,
     masked_psnr,
@@ -71,7 +71,7 @@ def test_a_global_target_counts_all_pixels_over_the_objects_area() -> None:
     assert measured is not None
     a, b, m = (x.reshape(16, 8, *x.shape[3:]).numpy() for x in (rendered, truth, covered))
     assert math.isclose(measured, psnr(a, b, m), abs_tol=1e-4)
-    assert masked_psnr(rendered, Wanted(truth, wanted.weights, torch.zeros_like(covered))) is None
+    assert masked_psnr(rendered, PictureTarget(truth, wanted.weights, torch.zeros_like(covered))) is None
 
 
 def test_the_perceptual_term_is_dropped_with_one_line(tmp_path: Path) -> None:

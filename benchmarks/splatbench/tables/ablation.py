@@ -1,6 +1,6 @@
 """The ablation table: every switch of the model on a list of held-out training samples, local and global edits apart.
 
-The list is the one that checkpoints are judged on (train/trials.py), with its truth of dense surfels, so it is quick
+The list is the one that checkpoints are judged on (train/judge.py), with its truth of dense surfels, so it is quick
 and speaks of the very task that the weights were trained for. Figures are train/judge.py's: of local edits near the
 edit and where it changes the object, of global ones on the object.
 """
@@ -23,7 +23,7 @@ from splatpainter.data.recipes import SampleRecipe
 if TYPE_CHECKING:
     from splatbench.methods import EditResult
     from splatpainter.data.samples import SampleStream, Views
-    from splatpainter.train.loss import Wanted
+    from splatpainter.train.loss import PictureTarget
     from splatpainter.train.training_data import Stock, Supply
 
 SHARES = {
@@ -65,7 +65,7 @@ class Ablate:
     split_by = "mode"
 
     def keys(self, setup: Setup) -> list[CaseKey]:
-        from splatpainter.train.trials import apportioned
+        from splatpainter.train.judge import apportioned
 
         possible = _stream(setup, files=False).kinds  # of splat assets neither zooms nor relighting
         order = apportioned({kind: SHARES[kind] for kind in possible}, PER_OBJECT * setup.objects)
@@ -94,7 +94,7 @@ class Ablate:
     def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
         import torch
 
-        from splatpainter.train.figures import figures
+        from splatpainter.train.report import figures
 
         places, wanted = _wanted(case)
         made = torch.from_numpy(drawn(results[-1].splats, [case.after.cameras[k] for k in places]))
@@ -146,8 +146,8 @@ def _stream(setup: Setup, files: bool = True) -> SampleStream:
 
 
 def _of_kind(stream: SampleStream, kind: str) -> SampleStream:
-    """Samples of one kind, with the numbers, objects and choices of `train.trials.trials`."""
-    from splatpainter.train.trials import MANY_VIEWS
+    """Samples of one kind, with the numbers, objects and choices of `train.judge.trials`."""
+    from splatpainter.train.judge import MANY_VIEWS
 
     own = copy(stream)
     own.kinds = {kind: 1.0}
@@ -162,7 +162,7 @@ def _pictures(views: Views) -> PosedImages:
     return PosedImages(views.cameras, torch.as_tensor(views.colors).cpu().numpy().astype(np.float32))
 
 
-def _wanted(case: Case) -> tuple[list[int], Wanted]:
+def _wanted(case: Case) -> tuple[list[int], PictureTarget]:
     """(indices of the novel views that count, what they should show), as train/stages/refine.py judges."""
     import torch
 

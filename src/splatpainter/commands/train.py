@@ -32,7 +32,6 @@ SUMMARIES = {
 }
 AFTERWARDS = {
     "judge": "what trained weights reach on objects held out of training",
-    "card": "the model card of weights that have been judged",
 }
 
 
@@ -89,7 +88,11 @@ def dispatch(words: Sequence[str]) -> Outcome:
         return Outcome({"stages": SUMMARIES, "afterwards": AFTERWARDS}, [_help()])
     stage = words[0]
     if stage in AFTERWARDS:
-        return _afterwards(stage, words[1:])
+        from splatpainter.commands import train_judge
+
+        judging = parse(train_judge.JudgeConfig, f"splatpainter train {stage}", words[1:])
+        outcome = train_judge.judge(judging)
+        return outcome.as_json() if judging.json else outcome
     if stage not in SUMMARIES:
         known = ", ".join([*SUMMARIES, *AFTERWARDS])
         raise ValueError(f"splatpainter train: expected one of {known}, got {stage!r}")
@@ -101,19 +104,6 @@ def dispatch(words: Sequence[str]) -> Outcome:
             f"splatpainter train {stage}: expected the stage as first word only, got --stage {config.stage}"
         )
     outcome = run(config)
-    return outcome.as_json() if config.json else outcome
-
-
-def _afterwards(name: str, words: Sequence[str]) -> Outcome:
-    from splatpainter.commands import train_judge
-
-    kinds: dict[str, tuple[type, Any]] = {
-        "judge": (train_judge.JudgeConfig, train_judge.judge),
-        "card": (train_judge.CardConfig, train_judge.card),
-    }
-    kind, act = kinds[name]
-    config = parse(kind, f"splatpainter train {name}", words)
-    outcome = act(config)
     return outcome.as_json() if config.json else outcome
 
 

@@ -1,4 +1,4 @@
-"""`splatpainter train judge` and `train card`: what trained weights reach on held-out objects, and their model card."""
+"""`splatpainter train judge`: what trained weights reach on held-out objects."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class JudgeConfig:
     recipe: Path | None = None
     """JSON file with the recipe whose samples are used; default: the one in the checkpoint."""
     write_notes: bool = False
-    """Put the gain and the table into the checkpoint's notes: method auto and `train card` read them there."""
+    """Put the gain and the table into the checkpoint's notes: method auto and scripts/model_card.py read them there."""
     device: str = "auto"
     """cpu, cuda, cuda:1, ...; auto: CUDA where there is one."""
     environments: Folder = None
@@ -81,41 +81,26 @@ class JudgeConfig:
             raise ValueError(f"splatpainter train judge: expected --seed of 0 or more, got {self.seed}")
 
 
-@dataclass(frozen=True)
-class CardConfig:
-    """Print the model card of a Stage II checkpoint that `train judge --write-notes` has judged.
-
-    example:
-      splatpainter train card runs/refine/model > docs/MODEL_CARD.md
-    """
-
-    checkpoint: Checkpoint
-    """Folder of weights."""
-    earlier: tuple[Path, ...] = ()
-    """Weights of the stages before, first one first; default: what the checkpoint's notes say of them."""
-    hardware: str = "two CPU cores, no GPU"
-    """What it was trained on, in words."""
-    json: bool = False
-    """Print one JSON object instead of text."""
-
-
 def judge(config: JudgeConfig) -> Outcome:
     """Judge, write the tables, and the notes if asked to. Raises ValueError before any work where the weights, the data
     or the folder do not fit."""
     from splatpainter.models import checkpoint
     from splatpainter.models.model import SplatPainterModel
-    from splatpainter.train import judge_tables as trained
     from splatpainter.train.distributed import join
     from splatpainter.train.judge import (
+        as_json,
         copy_rows,
         edit_rows,
         gains,
+        goals,
         judge_copies,
         judge_edits,
         looking_tasks,
         refine_task,
+        table,
+        trials,
+        write_table,
     )
-    from splatpainter.train.trials import trials
 
     if not config.data:
         raise ValueError("splatpainter train judge: --data is missing: procedural:N, or a folder")
@@ -142,7 +127,7 @@ def judge(config: JudgeConfig) -> Outcome:
     rows = edited or copy_rows(findings, config.seed)
     held_names = {f.name for f in findings}
     judged = {
-        "rows": trained.plain(rows),
+        "rows": as_json(rows),
         "samples": len({f.sample for f in findings}),
         "objects": dict(zip(("training", "validation"), supply.counts(), strict=True)),
         "judged_objects": len(held_names),
@@ -157,39 +142,21 @@ def judge(config: JudgeConfig) -> Outcome:
         f"stage {recipe.stage}, step {model.notes.get('step', '?')}: {judged['samples']} samples of "
         f"{len(held_names)} held-out objects of {judged['data']}, {recipe.samples.size} px, seed {config.seed}"
     )
-    remarks = [*trained.goals(rows), *([told] if told else []), *problems]
-    paths = trained.write(config.out, rows, findings, heading, ["\n".join(f"- {r}" for r in remarks)])
+    remarks = [*goals(rows), *([told] if told else []), *problems]
+    paths = write_table(config.out, rows, findings, heading, ["\n".join(f"- {r}" for r in remarks)])
     if config.write_notes:
         checkpoint.add_notes(config.checkpoint, {**gain, "judged": judged})
     hidden = len(problems) - SHOWN
     lines = [
         heading,
-        trained.table(rows),
-        *trained.goals(rows),
+        table(rows),
+        *goals(rows),
         *([told] if told else []),
         *problems[:SHOWN],
         *([f"... and {count(hidden, 'more sample')} that could not be used"] if hidden > 0 else []),
         f"-> {', '.join(map(str, paths))}" + (f", notes of {config.checkpoint}" if config.write_notes else ""),
     ]
     return Outcome({**judged, **gain, "problems": problems, "files": paths}, lines)
-
-
-def card(config: CardConfig) -> Outcome:
-    """The card as text. Raises ValueError for weights that have not been judged."""
-    from splatpainter.models import checkpoint
-    from splatpainter.train import history
-    from splatpainter.train.model_card import card as text
-
-    held = checkpoint.load(config.checkpoint)
-    stages = history.of(config.checkpoint, held.notes)
-    if config.earlier:
-        stages = [history.record(folder, checkpoint.load(folder).notes) for folder in config.earlier] + stages[-1:]
-    weights: dict[str, int] = {}
-    for name, tensor in held.tensors.items():
-        part = name.split(".", 1)[0]
-        weights[part] = weights.get(part, 0) + tensor.numel()
-    shown = text(held.config, held.notes, weights, stages, config.hardware)
-    return Outcome({"card": shown}, [shown.rstrip("\n")])
 
 
 def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:

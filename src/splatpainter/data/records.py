@@ -25,12 +25,13 @@ import torch
 
 from splatpainter.cameras import Camera
 from splatpainter.data.samples import Sample, Views
-from splatpainter.data.shards import Files
 from splatpainter.image_files import to_uint8
 from splatpainter.io import read, write
 from splatpainter.splats import Splats
 
 VERSION = 1
+Files = dict[str, bytes]
+"""A sample as files: name within the sample ("after_00.png") -> content."""
 
 
 def encode_sample(sample: Sample, radiance: Mapping[str, np.ndarray] | None = None, **more: Any) -> Files:

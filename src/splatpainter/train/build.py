@@ -11,17 +11,16 @@ from splatpainter.models import checkpoint
 from splatpainter.models.densification.config import DensifyConfig
 from splatpainter.models.densification.densifier import Densifier
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.train import history
-from splatpainter.train.figures import alex_or_none
+from splatpainter.train import state
 from splatpainter.train.loss import perceptual_or_not
 from splatpainter.train.recipes import Recipe, Stage
+from splatpainter.train.report import alex_or_none
 from splatpainter.train.stages.compress import CopyTask, HiddenColors
 from splatpainter.train.stages.densify import DensifyTask
 from splatpainter.train.stages.lrm import LrmTask
 from splatpainter.train.stages.predict import PredictTask
 from splatpainter.train.stages.refine import RefineOptions, RefineTask
 from splatpainter.train.stages.task import Task
-from splatpainter.train.state import differing_config
 
 Say = Callable[[str], None]
 TRAINED = {
@@ -62,14 +61,14 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
     def free(key: str) -> bool:
         return key in SETTINGS or key.endswith("checkpoint_activations") or key.startswith(untrained)
 
-    differing = differing_config(held.config, recipe.model, free)
+    differing = state.differing_config(held.config, recipe.model, free)
     if differing:
         more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
         raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}{more}")
     own = model.state_dict()
     used = {name: t for name, t in held.tensors.items() if name.startswith(parts)}
     checkpoint.fill(model, {**own, **used}, str(weights))
-    model.notes = {"history": history.of(weights, held.notes)}
+    model.notes = {"history": state.history(weights, held.notes)}
     say(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
     return model
 
@@ -109,13 +108,13 @@ def densify_task(recipe: Recipe, weights: Path | None, say: Say = print) -> Dens
     model = Densifier(recipe.densifier)
     if weights is not None:
         held = checkpoint.load(weights, kind=DensifyConfig)
-        differing = differing_config(
+        differing = state.differing_config(
             held.config, recipe.densifier, lambda key: key in ("preset", "most", "min_opacity")
         )
         if differing:
             raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}")
         checkpoint.fill(model, held.tensors, str(weights))
-        model.notes = {"history": history.of(weights, held.notes)}
+        model.notes = {"history": state.history(weights, held.notes)}
         say(f"starting from {weights}")
     return DensifyTask(model, recipe.loss_views, recipe.gradient_rows)
 

@@ -1,34 +1,133 @@
-"""What a trained model reaches on objects that it has never seen: tables with intervals.
+"""Judging trained models on objects that they have never seen: the samples, the figures, and tables with intervals.
 
-A checkpoint of Stage II is judged by kind of edit, relighting also by number of edited views; one of the LRM or of
-Stage I by what it reproduces. Every figure is the stage's own `Task.judge`; here are only the bookkeeping and the
-statistics. Means are over samples, in dB; intervals are over objects.
+Which samples these are depends on the data, the sample recipe and a seed alone, never on a model: checkpoints judged
+with equal ones see the same samples, and a longer list begins with the shorter one. A checkpoint of Stage II is judged
+by kind of edit, relighting also by number of edited views; one of the LRM or of Stage I by what it reproduces. Every
+figure is the stage's own `Task.judge`; here are only the bookkeeping and the statistics. Means are over samples, in dB;
+intervals are over objects.
 """
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from splatpainter.data.samples import KINDS
+from splatpainter.contact_sheet import Strip, sheet, write_sheet
+from splatpainter.data.samples import KINDS, Sample
+from splatpainter.data.shards import ShardStream
 from splatpainter.metrics.bootstrap import interval
 from splatpainter.models.model import SplatPainterModel
+from splatpainter.text_tables import markdown, write_csv, write_markdown
 from splatpainter.train import state
 from splatpainter.train.build import make_task
 from splatpainter.train.loss import PictureLoss
 from splatpainter.train.recipes import Recipe
+from splatpainter.train.report import SHEET_CELL_PX
 from splatpainter.train.stages.compress import HiddenColors
 from splatpainter.train.stages.lrm import LrmTask
 from splatpainter.train.stages.task import Task, Verdict
-from splatpainter.train.trials import MANY_VIEWS, Trial, first_views
+from splatpainter.train.training_data import Supply, is_shards
 
 COPY, LRM, HIDDEN = "Stage I (copy)", "LRM", "Stage I (hidden colours)"
+MANY_VIEWS = "relight"
+"""The kind that is judged with several numbers of edited views."""
+LOCAL_GOAL, RELIGHT_GOAL, COPY_GOAL = 0.5, 1.0, 0.3
+"""dB: gain over the lift near local edits; in relighting at each number of views; loss by Stage I."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One sample of the list."""
+
+    number: int
+    """Its place in the list, from 0."""
+    kind: str
+    sample: Sample | str
+    """Or why there is none."""
+
+
+def trials(supply: Supply, kinds: Mapping[str, float], count: int, most_views: int) -> Iterator[Trial]:
+    """`count` samples of objects held out of training, made one at a time. kinds: kind -> weight; most_views: edited
+    views of every "relight" sample (in shards: of those that have them). Raises ValueError where no object is held
+    out, or none of the kinds can be made of this data."""
+    stream = _held(supply)
+    if is_shards(supply.data):
+        streams = {kind: found for kind in kinds if (found := _shards_of(supply, kind)) is not None}
+    else:
+        streams = {kind: _only(stream, kind, most_views) for kind in kinds if kind in stream.kinds}
+    if not streams:
+        raise ValueError(f"--data {supply.data}: none of the kinds {', '.join(kinds)} can be made of it")
+    order = apportioned({kind: kinds[kind] for kind in streams}, count)
+    done = dict.fromkeys(streams, 0)
+    for number, kind in enumerate(order):
+        source = streams[kind]
+        # Shards hold the samples of an object one after another: strides reach other objects.
+        place = done[kind] * max(len(source) // order.count(kind), 1) if isinstance(source, ShardStream) else number
+        done[kind] += 1
+        try:
+            made: Sample | str = source[place]
+        except ValueError as error:
+            made = str(error)
+        yield Trial(number, kind, made)
+
+
+def apportioned(weights: Mapping[str, float], count: int) -> list[str]:
+    """`count` names in proportion to their weights > 0, mixed: each next one is the name with the largest weight /
+    (2 given + 1) (Webster's method), so that every beginning of the list is in proportion too."""
+    given = dict.fromkeys(weights, 0)
+    order = []
+    for _ in range(count):
+        name = max(weights, key=lambda n: weights[n] / (2 * given[n] + 1))
+        given[name] += 1
+        order.append(name)
+    return order
+
+
+def first_views(sample: Sample, count: int) -> Sample:
+    """The same edit shown from `count` of its V edited views, evenly spread over them: views go around the object in
+    order, so 2 of 4 face each other, and 1 is among these 2."""
+    total = len(sample.edited.cameras)
+    assert 1 <= count <= total
+    kept = [k * total // count for k in range(count)]
+    edited = dataclasses.replace(
+        sample.edited, cameras=tuple(sample.edited.cameras[k] for k in kept), colors=sample.edited.colors[kept]
+    )
+    return dataclasses.replace(sample, edited=edited, masks=sample.masks[kept])
+
+
+def _held(supply: Supply) -> Any:
+    stream = supply.stream(held=True)
+    if stream is None:
+        raise ValueError(
+            f"--data {supply.data}: no object of it is held out of training "
+            f"(a share of {supply.share:g} of {supply.counts()[0]}); give more objects"
+        )
+    return stream
+
+
+def _only(stream: Any, kind: str, most_views: int) -> Any:
+    """The stream with samples of one kind alone. It shares what is remembered of objects with the first one."""
+    own = copy.copy(stream)
+    own.kinds = {kind: 1.0}
+    if kind == MANY_VIEWS:
+        own.recipe = dataclasses.replace(stream.recipe, views=(0.0,) * (most_views - 1) + (1.0,))
+    return own
+
+
+def _shards_of(supply: Supply, kind: str) -> Any:
+    """The samples of one kind in shards, or None where they hold none of it."""
+    recipe = dataclasses.replace(supply.recipe, kinds={kind: 1.0})
+    try:
+        return dataclasses.replace(supply, recipe=recipe).stream(held=True)
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -91,6 +190,9 @@ class CopyRow:
     """Mean of ours - reference."""
     difference_low: float | None
     difference_high: float | None
+
+
+Rows: TypeAlias = Sequence[EditRow] | Sequence[CopyRow]
 
 
 def judge_edits(task: Task, trials: Iterable[Trial], views: Sequence[int]) -> Iterator[Finding | str]:
@@ -251,3 +353,115 @@ def _edit_row(kind: str, views: int | None, own: Sequence[Finding], seed: int) -
         lift_lpips=lpips[1],
         ours_lpips=lpips[2],
     )
+
+
+def table(rows: Rows) -> str:
+    """Markdown: PSNR to 0.01 dB, SSIM and LPIPS as nothing / lift / ours."""
+    return markdown([_cells(row) for row in rows])
+
+
+def write_table(
+    folder: Path, rows: Rows, findings: Sequence[Finding], heading: str, notes: Sequence[str]
+) -> list[Path]:
+    """judged.csv (numbers in full), judged.md and judged.png in the folder; the paths. Raises ValueError where it
+    cannot be written."""
+    paths = [folder / f"judged.{ending}" for ending in ("csv", "md", "png")]
+    write_csv(paths[0], rows, heading)
+    write_markdown(paths[1], [_cells(row) for row in rows], heading, notes)
+    strips = [strip for strip in sheet_strips(findings) if strip]
+    if not strips:
+        return paths[:2]
+    write_sheet(paths[2], sheet([Strip("", tuple(strip)) for strip in strips], SHEET_CELL_PX))
+    return paths
+
+
+def goals(rows: Rows) -> list[str]:
+    """One line per goal that the rows say something about: what was wanted, what came, reached or missed."""
+    lines = []
+    edits = [row for row in rows if isinstance(row, EditRow)]
+    for row in edits:
+        if row.kind == "local":
+            lines.append(_goal_line("local edits, novel views near the edit", LOCAL_GOAL, row.gain))
+    relit = [row for row in edits if row.kind == MANY_VIEWS]
+    lines += [_goal_line(f"relighting from {_view_count(row.views)}", RELIGHT_GOAL, row.gain) for row in relit]
+    if len(relit) > 1:
+        ours = [row.ours for row in relit]
+        rising = all(a < b for a, b in zip(ours, ours[1:], strict=False))
+        values = ", ".join(f"{value:.2f}" for value in ours)
+        lines.append(f"relighting rises with the views: {values} dB: {'reached' if rising else 'missed'}")
+    for row in rows:
+        if isinstance(row, CopyRow) and row.what == COPY:
+            met = "reached" if row.difference >= -COPY_GOAL else "missed"
+            lines.append(f"Stage I within {COPY_GOAL} dB of the LRM: {row.difference:+.2f} dB: {met}")
+    return lines
+
+
+def weak_kinds(rows: Rows) -> tuple[list[str], list[str]]:
+    """(kinds on which ours is below the lift, kinds whose interval holds 0 with ours above it)."""
+    kinds = [row for row in rows if isinstance(row, EditRow) and row.kind not in ("local", "global")]
+    below = [row for row in kinds if row.gain <= 0]
+    unsure = [row for row in kinds if row.gain > 0 and (row.gain_low is None or row.gain_low <= 0)]
+    return [_name(row) for row in below], [_name(row) for row in unsure]
+
+
+def as_json(rows: Rows) -> list[dict[str, object]]:
+    """JSON values, as checkpoints keep them in their notes."""
+    return [dataclasses.asdict(row) for row in rows]
+
+
+def from_json(records: Sequence[dict[str, object]]) -> Rows:
+    """The rows that `as_json` made values of. Raises ValueError for other values."""
+    try:
+        if records and "what" in records[0]:
+            return [CopyRow(**record) for record in records]  # type: ignore[arg-type]
+        return [EditRow(**record) for record in records]  # type: ignore[arg-type]
+    except TypeError as error:
+        raise ValueError(f"notes: expected rows as train judge writes them ({error}); judge the model again") from None
+
+
+def _cells(row: EditRow | CopyRow) -> dict[str, object]:
+    """For people."""
+    if isinstance(row, CopyRow):
+        return {
+            "what": row.what,
+            "samples": row.samples,
+            "objects": row.objects,
+            "dB": f"{row.ours:.2f}",
+            "compared with": row.reference,
+            "its dB": f"{row.reference_psnr:.2f}",
+            "difference dB": f"{row.difference:+.2f}",
+            "interval": _range(row.difference_low, row.difference_high),
+        }
+    return {
+        "edit": row.kind if row.kind not in ("local", "global") else f"all {row.kind}",
+        "views": "all" if row.views is None else str(row.views),
+        "samples": row.samples,
+        "objects": row.objects,
+        "nothing dB": f"{row.nothing:.2f}",
+        "lift dB": f"{row.lift:.2f}",
+        "ours dB": f"{row.ours:.2f}",
+        "gain dB": f"{row.gain:+.2f}",
+        "interval": _range(row.gain_low, row.gain_high),
+        "SSIM": _trio(row.nothing_ssim, row.lift_ssim, row.ours_ssim),
+        "LPIPS": _trio(row.nothing_lpips, row.lift_lpips, row.ours_lpips),
+    }
+
+
+def _range(low: float | None, high: float | None) -> str:
+    return "–" if low is None or high is None else f"{low:+.2f} to {high:+.2f}"
+
+
+def _trio(*values: float | None) -> str:
+    return "–" if any(v is None for v in values) else " / ".join(f"{v:.3f}" for v in values)
+
+
+def _goal_line(what: str, goal: float, gain: float) -> str:
+    return f"{what}: wanted lift {goal:+.1f} dB, got {gain:+.2f} dB: {'reached' if gain >= goal else 'missed'}"
+
+
+def _view_count(count: int | None) -> str:
+    return "its views" if count is None else "1 view" if count == 1 else f"{count} views"
+
+
+def _name(row: EditRow) -> str:
+    return row.kind if row.views is None else f"{row.kind} from {_view_count(row.views)}"

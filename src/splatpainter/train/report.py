@@ -1,4 +1,4 @@
-"""What a run leaves for people: a table of its steps, TensorBoard events, and sheets of pictures.
+"""What a run leaves for people: figures of pictures, a table of its steps, TensorBoard events, and sheets of pictures.
 
 The table survives restarts: rows after the step that a run goes on from are dropped first. Knows no model.
 """
@@ -12,11 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from splatpainter.io.files import writing
+from splatpainter.metrics import ssim
+from splatpainter.metrics.lpips import SMALLEST as LPIPS_MIN_PX
+from splatpainter.metrics.lpips import Lpips, LpipsUnavailable
+from splatpainter.train.loss import PictureTarget, masked_psnr
 
 SHEET_CELL_PX = 160
 """Edge of a picture of a sheet."""
+SSIM_WINDOW_PX = 11
 
 
 class Table:
@@ -84,3 +91,32 @@ class Board:
     def close(self) -> None:
         if self._writer is not None:
             self._writer.close()
+
+
+def alex_or_none(folder: str | Path | None, device: torch.device | str = "cpu") -> Lpips | None:
+    """The network of reports, or None where its weights are not there."""
+    try:
+        return Lpips.load("alex", folder).to(device)
+    except LpipsUnavailable:
+        return None
+
+
+@torch.no_grad()
+def figures(name: str, rendered: Tensor, wanted: PictureTarget, alex: Lpips | None) -> dict[str, float]:
+    """{name: PSNR in dB, "name SSIM": , "name LPIPS-Alex": } of rendered [C, H, W, 3] over wanted.focus: PSNR over all
+    of its pixels together, the others as means of the views that have some. Those that do not apply are left out."""
+    value = masked_psnr(rendered, wanted)
+    if value is None:
+        return {}
+    found = {name: value}
+    pictures, truth = rendered.clamp(0, 1).float(), wanted.colors.float()
+    some = [i for i in range(len(pictures)) if bool(wanted.focus[i].any())]
+    if min(pictures.shape[1:3]) >= SSIM_WINDOW_PX:
+        trios = ((x[i].cpu().numpy() for x in (pictures, truth, wanted.focus)) for i in some)
+        found[f"{name} SSIM"] = float(np.mean([ssim(*trio) for trio in trios]))
+    if alex is not None and min(pictures.shape[1:3]) >= LPIPS_MIN_PX:
+        a, b = (x[some].permute(0, 3, 1, 2) for x in (pictures, truth))
+        mask = wanted.focus[some][:, None].float()
+        # A small edit may lie between the pixels of the last taps.
+        found[f"{name} LPIPS-Alex"] = float(alex(a, b, mask + 1e-6).mean())
+    return found

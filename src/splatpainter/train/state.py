@@ -2,7 +2,7 @@
 
     OUT/state/    everything: weights, optimiser, running mean, position; a models.checkpoint folder of its own, so that
                   every file is at most 15 MiB and a kill at any moment leaves a whole one
-    OUT/model/    what a user loads: the averaged weights in half precision
+    OUT/model/    what a user loads: the averaged weights in half precision; notes with a record of every stage
 
 Tensors of the state: weight/NAME, average/NAME, first/NAME and second/NAME (Adam's moments), count/NAME (its steps),
 random. `compact` states hold weights and averages in fp16, moments in bf16, and no frozen weights (they come from the
@@ -12,14 +12,16 @@ little; going on from one is then near (to about 5e-4 of a weight), not exact.
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -31,6 +33,12 @@ STATE, MODEL = "state", "model"
 HALF = "~half"
 """Ending of a tensor that is stored as the bits of fp16, as integers: a checkpoint has one type for all floats."""
 MOMENTS = {"first": "exp_avg", "second": "exp_avg_sq"}
+LOG = "log.csv"
+FIRST_STEPS, LAST_STEPS = 20, 100
+"""Steps whose mean loss is recorded, at both ends of a run."""
+RECORDED = ("learning_rate", "batch", "perceptual", "seed", "train_encoder")
+"""Keys of the recipe that a record keeps."""
+RECORDED_SAMPLES = ("size", "rows", "surfels", "kinds")
 
 
 @dataclass
@@ -44,7 +52,7 @@ class Progress:
     failed: int = 0
     """Samples that could not be used."""
     history: list[dict[str, Any]] = field(default_factory=list)
-    """What the stages before this one were (train/history.py), first one first."""
+    """What the stages before this one were (`history`), first one first."""
 
 
 @dataclass
@@ -201,3 +209,34 @@ def _full(name: str, tensor: Tensor) -> tuple[str, Tensor]:
     if name.endswith(HALF):
         return name.removesuffix(HALF), tensor.view(torch.float16).float()
     return name, tensor.float() if tensor.is_floating_point() else tensor
+
+
+def history(folder: Path, notes: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Records of all stages up to the checkpoint in `folder`, which has these notes."""
+    return [*notes.get("history", []), record(folder, notes)]
+
+
+def record(folder: Path, notes: Mapping[str, Any]) -> dict[str, Any]:
+    """{"stage", "step", "seconds", "recipe": some of it, "loss": {"first", "last"} from the log beside the folder where
+    it is there, "judged" where `train judge` has noted it}. JSON values."""
+    recipe = notes.get("recipe", {})
+    recipe_part = {key: recipe[key] for key in RECORDED if key in recipe}
+    samples = recipe.get("samples", {})
+    recipe_part["samples"] = {key: samples[key] for key in RECORDED_SAMPLES if key in samples}
+    facts = {key: notes[key] for key in ("stage", "step", "seconds", "judged") if key in notes}
+    losses = _losses(folder.parent / LOG)
+    return facts | {"recipe": recipe_part} | ({"loss": losses} if losses else {})
+
+
+def _losses(path: Path) -> dict[str, float] | None:
+    if not path.is_file():
+        return None
+    with open(path, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    values = np.array([float(row["loss"]) for row in rows if row.get("loss") and not row.get("skipped")])
+    values = values[np.isfinite(values)]
+    return (
+        {"first": float(values[:FIRST_STEPS].mean()), "last": float(values[-LAST_STEPS:].mean())}
+        if len(values)
+        else None
+    )

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from splatpainter.data.samples import SampleRecipe, SampleStream
 from splatpainter.data.scenes import SPLAT_SUFFIXES, MeshFolder, ProceduralSource, SplatFolder, split
-from splatpainter.data.shard_stream import ShardStream
-from splatpainter.data.shards import INDEX, read_index
+from splatpainter.data.shards import INDEX, ShardStream, read_index
 from splatpainter.train.prefetch import Ahead
 
 if TYPE_CHECKING:

@@ -14,9 +14,8 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.models.densification.densifier import Densified, Densifier, densified
-from splatpainter.train.figures import figures
-from splatpainter.train.loss import global_target, masked_psnr
-from splatpainter.train.ms_ssim import ms_ssim
+from splatpainter.train.loss import global_target, masked_psnr, ms_ssim
+from splatpainter.train.report import figures
 from splatpainter.train.stages.task import Task, Verdict, draw, tensor
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from splatpainter.models.encode import asset_views, canonical_cameras
 from splatpainter.models.lrm import AssetViews
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import Splats
-from splatpainter.train.loss import PictureLoss, Wanted, global_target, masked_psnr, scattered_depth
+from splatpainter.train.loss import PictureLoss, PictureTarget, global_target, masked_psnr, scattered_depth
 from splatpainter.train.stages.task import Task, Verdict, draw, freeze, tensor
 from splatpainter.voxels.grid import voxelize
 
@@ -92,7 +92,7 @@ def input_views(model: SplatPainterModel, sample: Sample, device: torch.device) 
     return AssetViews(cameras, colors, middle=grid.lo + grid.size / 2, half=grid.size / 2)
 
 
-def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], Wanted]:
+def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], PictureTarget]:
     """The unedited object from the sample's novel views."""
     colors = tensor(sample.novel_before.colors, device)
     with torch.no_grad():

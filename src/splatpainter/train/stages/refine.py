@@ -29,8 +29,8 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import predicting
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
-from splatpainter.train.figures import figures
-from splatpainter.train.loss import PictureLoss, Wanted, global_target, joined, local_target
+from splatpainter.train.loss import PictureLoss, PictureTarget, global_target, joined, local_target
+from splatpainter.train.report import figures
 from splatpainter.train.stages.task import Recent, Task, Verdict, draw, freeze, tensor
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
@@ -143,7 +143,7 @@ class RefineTask(Task[SplatPainterModel]):
             near = np.arange(len(wanted.colors))
         pick = torch.from_numpy(near)
         cameras = [sample.novel_after.cameras[i] for i in near]
-        aim = Wanted(*(getattr(wanted, name)[pick] for name in ("colors", "weights", "focus")))
+        aim = PictureTarget(*(getattr(wanted, name)[pick] for name in ("colors", "weights", "focus")))
         drawn = {"nothing": known.splats, "lift": lifted.splats, "ours": edited}
         pictures = {name: draw(splats, cameras, self.device)[0] for name, splats in drawn.items()}
         numbers: dict[str, float] = {}
@@ -258,7 +258,7 @@ class RefineTask(Task[SplatPainterModel]):
 
     def _wanted(
         self, sample: Sample, known: Known, views: Sequence[EditView], rng: np.random.Generator
-    ) -> tuple[list[Camera], Wanted]:
+    ) -> tuple[list[Camera], PictureTarget]:
         """(views to draw, what they should show): some novel ones, then some of the edited."""
         novel, given = len(sample.novel_after.cameras), self._true_edits(sample)
         same = sample.novel_after.colors.shape[1:] == sample.edited.colors.shape[1:]
@@ -295,7 +295,7 @@ class RefineTask(Task[SplatPainterModel]):
         area = area + 0.1 * area.max()
         return area / area.sum()
 
-    def _novel(self, sample: Sample, known: Known, chosen: Sequence[int]) -> Wanted:
+    def _novel(self, sample: Sample, known: Known, chosen: Sequence[int]) -> PictureTarget:
         pick = list(chosen)
         after = tensor(sample.novel_after.colors, self.device)[pick]
         with torch.no_grad():

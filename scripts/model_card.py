@@ -1,16 +1,25 @@
-"""The model card of a checkpoint: fixed text about the method and its data, figures from the checkpoint's notes.
+"""The model card of a Stage II checkpoint that `train judge --write-notes` has judged: fixed text about the method and
+its data (model_card_sources.md), figures from the checkpoint's notes.
 
-text = card(held.config, held.notes, weights={"lrm": 4_500_000, ...}, stages=history.of(folder, held.notes))
+Run: python scripts/model_card.py runs/refine/model > docs/MODEL_CARD.md
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
+import tyro
+
+from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
-from splatpainter.train.judge_tables import goals, rows_of, table, weak_kinds
-from splatpainter.train.model_card_data import OBJECTS, SOURCES
+from splatpainter.train import state
+from splatpainter.train.judge import from_json, goals, table, weak_kinds
+
+SOURCES = Path(__file__).with_name("model_card_sources.md")
+OBJECTS = "Single objects, mostly furniture, tools, toys, packaging, vehicles. Few plants, creatures, people; no rooms."
 
 STAGES = {"lrm": "Gaussian LRM", "compress": "Stage I", "predict": "predictor", "refine": "Stage II"}
 NETWORKS = {
@@ -22,6 +31,31 @@ NETWORKS = {
 }
 
 
+@dataclass(frozen=True)
+class Options:
+    """Print the model card of a judged Stage II checkpoint."""
+
+    checkpoint: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CHECKPOINT")]
+    """Folder of weights."""
+    earlier: tuple[Path, ...] = ()
+    """Weights of the stages before, first one first; default: what the checkpoint's notes say of them."""
+    hardware: str = "two CPU cores, no GPU"
+    """What it was trained on, in words."""
+
+
+def main(options: Options) -> str:
+    """The card as text. Raises ValueError for weights that have not been judged."""
+    saved = checkpoint.load(options.checkpoint)
+    stages = state.history(options.checkpoint, saved.notes)
+    if options.earlier:
+        stages = [state.record(folder, checkpoint.load(folder).notes) for folder in options.earlier] + stages[-1:]
+    weights: dict[str, int] = {}
+    for name, tensor in saved.tensors.items():
+        part = name.split(".", 1)[0]
+        weights[part] = weights.get(part, 0) + tensor.numel()
+    return card(saved.config, saved.notes, weights, stages, options.hardware)
+
+
 def card(
     config: ModelConfig,
     notes: Mapping[str, Any],
@@ -30,11 +64,11 @@ def card(
     hardware: str,
 ) -> str:
     """Markdown. notes: of a Stage II checkpoint that has been judged; weights: network -> how many; stages: records of
-    all stages (train/history.py), first one first; hardware: in words. Raises ValueError for notes without figures."""
+    all stages (train/state.py), first one first; hardware: in words. Raises ValueError for notes without figures."""
     judged = notes.get("judged")
     if not isinstance(judged, dict):
         raise ValueError("model card: these weights have not been judged; run train judge with --write-notes first")
-    rows = rows_of(judged["rows"])
+    rows = from_json(judged["rows"])
     parts = [
         _head(config, weights),
         _use(config, notes.get("gain", {})),
@@ -63,7 +97,7 @@ Representation `{config.representation}`.
 
 
 def _use(config: ModelConfig, gain: Mapping[str, float]) -> str:
-    told = [
+    lines = [
         f"{mode} edits: {value:+.2f} dB over the lift, so `auto` uses {_method(value)}" for mode, value in gain.items()
     ]
     return f"""
@@ -72,7 +106,7 @@ def _use(config: ModelConfig, gain: Mapping[str, float]) -> str:
 `Painter.load("{config.preset}")`. Method `auto` takes the network only for the mode in which it is better than the
 analytic lift on objects held out of training, and says so in the receipt; `ttt` and `lift` ask for one of them.
 
-{_listed(told or ["no gain was measured: `auto` uses the network"])}
+{_listed(lines or ["no gain was measured: `auto` uses the network"])}
 """
 
 
@@ -86,7 +120,7 @@ def _data(judged: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> str
     rows, size = samples.get("rows", 0), samples.get("size", 0)
     kinds = {k: w for k, w in samples.get("kinds", {}).items() if w > 0}
     shares = ", ".join(f"{k} {100 * w / sum(kinds.values()):.0f} %" for k, w in kinds.items())
-    sources = PROCEDURAL if _procedural(judged) else SOURCES
+    sources = PROCEDURAL if _procedural(judged) else SOURCES.read_text(encoding="utf-8").strip()
     return f"""
 ## Data
 
@@ -157,7 +191,7 @@ def _earlier(stage: Mapping[str, Any]) -> str:
     return f"""
 ### {STAGES.get(stage["stage"], "earlier stage")}, before the next one was trained
 
-{table(rows_of(stage["judged"]["rows"]))}
+{table(from_json(stage["judged"]["rows"]))}
 """
 
 
@@ -199,3 +233,7 @@ LICENCE = """
 
 Apache-2.0, as the code. The data keeps its own licences (above); none of it is part of the package.
 """
+
+
+if __name__ == "__main__":
+    print(main(tyro.cli(Options)), end="")
