@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.splats import Array, Splats
+from splatpainter.transforms import GOLDEN_ANGLE
 
 VERSION = 1
 MIN_FRAMED_OPACITY = 0.1
@@ -291,3 +292,34 @@ def orbit_cameras(
     return orbit(
         center, distance, count, elevation=elevation, up=axis, width=size, height=size, fov=fov, background=background
     )
+
+
+def spherical_cameras(
+    center: Sequence[float] | np.ndarray,
+    distance: float,
+    count: int,
+    *,
+    size: int = 256,
+    fov: float = 40.0,
+    up: Sequence[float] | np.ndarray = (0.0, 1.0, 0.0),
+    backgrounds: Sequence[tuple[float, float, float]] = ((0.0, 0.0, 0.0),),
+    between: bool = False,
+) -> list[Camera]:
+    """`count` square views from `distance` (world units) around `center` by Fibonacci's lattice, which gives
+    each the same solid angle.
+
+    fov: degrees. backgrounds: taken in turn. between: another lattice, turned by half a step: views that are not those
+    of the first."""
+    axis = np.asarray(up, np.float64) / np.linalg.norm(up)
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    front = np.cross(axis, side)
+    cameras = []
+    for k in range(count):
+        height = 1 - (2 * k + 1) / count
+        angle = GOLDEN_ANGLE * (k + 0.5 * between)
+        flat = np.cos(angle) * side + np.sin(angle) * front
+        eye = np.asarray(center) + distance * (height * axis + np.sqrt(1 - height**2) * flat)
+        background = backgrounds[k % len(backgrounds)]
+        cameras.append(look_at(eye, center, axis, width=size, height=size, fov=fov, background=background))
+    return cameras

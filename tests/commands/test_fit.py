@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.fit.spread import spread
+from splatpainter.cameras import spherical_cameras
 from splatpainter.image_files import to_uint8, write_png
 from splatpainter.io import read
 from splatpainter.rendering import render
@@ -34,7 +34,7 @@ def cone(path: Path) -> Path:
 def pictures(folder: Path, count: int = 10) -> list:
     """Cameras around the ball, and its pictures with the camera inside."""
     folder.mkdir()
-    cameras = spread((0, 0, 0), 4, count, size=40, fov=40, up=(0, -1, 0), backgrounds=[(0.1, 0.2, 0.3)])
+    cameras = spherical_cameras((0, 0, 0), 4, count, size=40, fov=40, up=(0, -1, 0), backgrounds=[(0.1, 0.2, 0.3)])
     for k, camera in enumerate(cameras):
         write_png(folder / f"view_{k:03d}.png", render(ball(), camera).colors[0], camera)
     return cameras

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from splatpainter.cameras import look_at
-from splatpainter.fit.neighbours import mean_squares
-from splatpainter.fit.start import from_depths, from_points
+from splatpainter.fit.start import from_depths, from_points, mean_neighbour_squares
 
 SH_C0 = 0.5 / np.sqrt(np.pi)
 
@@ -32,7 +31,7 @@ def test_distances_are_those_of_a_tree(name: str) -> None:
     points = clouds()[name].astype(np.float32)
     count = min(3, len(points) - 1)
     near = KDTree(points.astype(np.float64)).query(points.astype(np.float64), k=count + 1)[0][:, 1:]
-    np.testing.assert_allclose(mean_squares(points), (near**2).mean(1), rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(mean_neighbour_squares(points), (near**2).mean(1), rtol=1e-5, atol=1e-12)
 
 
 def test_points_of_a_lattice() -> None:

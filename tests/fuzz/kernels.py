@@ -170,12 +170,12 @@ def fitting(rng: np.random.Generator, dtype: type) -> None:
     """What a fit calls beside the renderer."""
     import torch
 
-    from splatpainter.fit.adam import Adam
     from splatpainter.fit.loss import picture_loss
-    from splatpainter.fit.neighbours import mean_squares
+    from splatpainter.fit.parameters import Adam
+    from splatpainter.fit.start import mean_neighbour_squares
 
     points = rng.normal(0, 1, (int(rng.integers(0, 80)), 3)) * rng.choice([1e-30, 1, 1, 1e9, 1e15])
-    mean_squares(extreme(rng, points.astype(np.float32), rng.choice([0, 0.05])), int(rng.integers(1, 6)))
+    mean_neighbour_squares(extreme(rng, points.astype(np.float32), rng.choice([0, 0.05])), int(rng.integers(1, 6)))
     shape = tuple(int(size) for size in rng.integers(11, 30, 2))
     image, target = (extreme(rng, rng.random((*shape, 3)).astype(np.float32), rng.choice([0, 0.1])) for _ in range(2))
     weights = np.abs(extreme(rng, rng.random(shape).astype(np.float32), 0.1))

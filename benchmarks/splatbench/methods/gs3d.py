@@ -22,8 +22,7 @@ import numpy as np
 
 from splatbench.cases import Budget, EditStep, PosedImages
 from splatbench.methods import Curve, EditResult, EditTask, Method
-from splatpainter.cameras import Camera
-from splatpainter.fit.spread import spread
+from splatpainter.cameras import Camera, spherical_cameras
 from splatpainter.lift.local_edit import gaussians_in_mask
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import project
@@ -118,7 +117,9 @@ def orbit(splats: Splats, base: PosedImages, count: int) -> tuple[Camera, ...]:
     up = up if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
     like = base.cameras[0]
     fov = float(np.degrees(2 * np.arctan(like.height / (2 * like.fy))))
-    return tuple(spread(center, distance, count, up=up, size=like.height, fov=fov, backgrounds=(like.background,)))
+    return tuple(
+        spherical_cameras(center, distance, count, up=up, size=like.height, fov=fov, backgrounds=(like.background,))
+    )
 
 
 def local_views(task: EditTask, earlier: Sequence[EditStep], asset_views: PosedImages | None) -> list[View]:

@@ -157,13 +157,13 @@ def _rendered(
 ) -> Material:
     """shoot: cameras -> colours [V, H, W, 3], depths and alphas [V, H, W]. frame: [4, 4] from the asset's world to the
     one that is shot (a half turn is its own inverse)."""
-    from splatpainter.fit.spread import spread
+    from splatpainter.cameras import spherical_cameras
     from splatpainter.fit.start import from_depths
 
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))
     kinds: dict[str, Any] = {"size": wish.size or 256, "fov": FOV, "up": up}
-    cameras = spread(center, distance, wish.views, backgrounds=BACKGROUNDS, **kinds)
-    held = spread(center, distance, wish.held, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
+    cameras = spherical_cameras(center, distance, wish.views, backgrounds=BACKGROUNDS, **kinds)
+    held = spherical_cameras(center, distance, wish.held, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
     colors, depths, alphas = shoot(cameras)
     unseen = shoot(held)[0] if held else []
     cameras, held = ([replace(c, world_to_camera=c.world_to_camera @ frame) for c in some] for some in (cameras, held))

@@ -15,11 +15,10 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
-from splatpainter.fit.adam import Adam
 from splatpainter.fit.densify import ORIGINAL_STEPS, DensityOptions, Pulls, Schedule, densify, reset_opacities
 from splatpainter.fit.gradients import CpuPasses, Target, torch_pass
 from splatpainter.fit.loss import WINDOW
-from splatpainter.fit.parameters import Parameters, to_raw, with_degree
+from splatpainter.fit.parameters import Adam, Parameters, to_raw, with_degree
 from splatpainter.splats import ATTRIBUTES, Splats
 
 __all__ = ["FitOptions", "Fitted", "View", "optimize"]

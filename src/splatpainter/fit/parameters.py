@@ -1,23 +1,33 @@
-"""Rows as the optimiser holds them: scales as logarithms, opacities as logits, everything else as it is.
+"""Gaussians as the optimiser holds them (scales as logarithms, opacities as logits, everything else as it is), and
+Adam over Gaussians that come and go.
 
 torch tensors on one device. Means, quaternions and SH are shared with the splats that are drawn, never copied.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
+from numba import njit
 from torch import Tensor
 
+from splatpainter.kernels.parallel import run
 from splatpainter.splats import ATTRIBUTES, Splats
 
-FAINTEST = 1e-4
+MIN_OPACITY = 1e-4
 """Opacities are kept this far from 0 and 1, where the logit is infinite."""
-THINNEST = 1e-9
+MIN_SCALE = 1e-9
 """Scales below this (world units) cannot be told from 0."""
+
+BETAS = (0.9, 0.999)
+EPSILON = 1e-15
+"""As 3DGS has it: gradients of single Gaussians are tiny."""
+BLOCK = 1024
+"""Gaussians that a thread takes at a time."""
 
 
 @dataclass
@@ -40,8 +50,8 @@ class Parameters:
         """Copies of the rows; rows that cannot be drawn come out as NaN or infinite, and stay that way."""
         own = splats.torch(device)
         values: dict[str, Any] = {name: getattr(own, name).clone().contiguous() for name in ATTRIBUTES}
-        values["scales"] = torch.where(values["scales"] > 0, values["scales"].clamp_min(THINNEST), torch.nan).log()
-        values["opacities"] = torch.logit(values["opacities"].clamp(FAINTEST, 1 - FAINTEST))
+        values["scales"] = torch.where(values["scales"] > 0, values["scales"].clamp_min(MIN_SCALE), torch.nan).log()
+        values["opacities"] = torch.logit(values["opacities"].clamp(MIN_OPACITY, 1 - MIN_OPACITY))
         return Parameters(**values)
 
     def __len__(self) -> int:
@@ -78,3 +88,67 @@ def with_degree(splats: Splats, degree: int | None) -> Splats:
     kept = min(count, splats.sh.shape[1])
     sh[:, :kept] = splats.sh[:, :kept]
     return replace(splats, sh=sh)
+
+
+class Adam:
+    """Moments of named tensors, each [N, ...], with a rate per column (Kingma and Ba 2015).
+
+    torch.optim.Adam wants one rate per tensor and lets nothing in or out; SH bands have rates of their own, and
+    splitting SH into two tensors would copy all of it twice per step."""
+
+    def __init__(self, values: dict[str, Tensor]) -> None:
+        self.steps = 0
+        self.moments = {name: (torch.zeros_like(value), torch.zeros_like(value)) for name, value in values.items()}
+
+    def step(self, values: dict[str, Tensor], gradients: dict[str, Tensor], rates: dict[str, Tensor]) -> None:
+        """Move the values in place. rates: name -> [C] for values of C numbers per row, or [1] for all of them."""
+        self.steps += 1
+        first, second = (1 - beta**self.steps for beta in BETAS)
+        for name, (mean, square) in self.moments.items():
+            value, gradient, rate = values[name], gradients[name], rates[name] / first
+            if value.device.type == "cpu":
+                _step_rows(value, gradient, mean, square, rate, 1 / math.sqrt(second))
+            else:
+                step_tensor(value, gradient, mean, square, rate, 1 / math.sqrt(second))
+
+    def select(self, kept: Tensor, fresh: int) -> None:
+        """Only the kept rows ([M] int64), followed by `fresh` rows without a past."""
+        for name, pair in self.moments.items():
+            mean, square = (torch.cat([m[kept], m.new_zeros(fresh, *m.shape[1:])]) for m in pair)
+            self.moments[name] = (mean, square)
+
+    def forget(self, name: str) -> None:
+        """Start one tensor's moments anew."""
+        for moment in self.moments[name]:
+            moment.zero_()
+
+
+def step_tensor(value: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, rate: Tensor, correction: float) -> None:
+    """One step in torch, on any device. rate: [C] or [1], over 1 - beta1^t; correction: 1 / sqrt(1 - beta2^t)."""
+    mean.lerp_(gradient, 1 - BETAS[0])
+    square.mul_(BETAS[1]).addcmul_(gradient, gradient, value=1 - BETAS[1])
+    change = mean / square.sqrt().mul_(correction).add_(EPSILON)
+    value.sub_((change.reshape(len(value), -1) * rate).reshape(value.shape))
+
+
+def _step_rows(value: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, rate: Tensor, correction: float) -> None:
+    flat = [tensor.detach().reshape(len(value), -1).numpy() for tensor in (value, gradient, mean, square)]
+    columns = np.broadcast_to(rate.numpy(), flat[0].shape[1]).astype(flat[0].dtype)
+    kind = flat[0].dtype.type
+    # 1 - beta in full precision first: from a beta in float32 it would be off by 1e-5.
+    shares = [kind(share) for beta in BETAS for share in (beta, 1 - beta)]
+    run(_kernel, *flat, columns, *shares, kind(EPSILON), kind(correction))
+
+
+@njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy", boundscheck=False)
+def _kernel(value, gradient, mean, square, rates, old1, new1, old2, new2, epsilon, correction, thread, threads):
+    rows, columns = value.shape
+    for block in range(thread, (rows + BLOCK - 1) // BLOCK, threads):
+        for n in range(block * BLOCK, min(rows, (block + 1) * BLOCK)):
+            for c in range(columns):
+                g = gradient[n, c]
+                m = old1 * mean[n, c] + new1 * g
+                v = old2 * square[n, c] + new2 * g * g
+                mean[n, c] = m
+                square[n, c] = v
+                value[n, c] -= rates[c] * m / (np.sqrt(v) * correction + epsilon)

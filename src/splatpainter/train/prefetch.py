@@ -1,7 +1,8 @@
 """Samples made ahead by other processes, in the very order and with the very values as without them.
 
 The order is known for ever, so each worker is told numbers ahead of time; samples of one object go to one worker, which
-then makes the object once. Used where a GPU would wait for the data.
+then makes the object once. Used where a GPU would wait for the data. (torch's DataLoader gives whole batches to its
+workers in turn: to stay with an object, it would hand over all samples of one at once, for every lane of a batch.)
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ import torch
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
 
-PATIENCE = 5.0
-"""Seconds between looks at whether a worker is still alive."""
+ALIVE_CHECK_SECONDS = 5.0
+"""Between looks at whether a worker is still alive."""
 VIEWS = ("base", "edited", "novel_before", "novel_after")
 
 
@@ -32,8 +33,8 @@ class Ahead:
         that share an object."""
         context = multiprocessing.get_context("spawn")  # fork would copy torch's threads half
         self._stay, self._window = stay, (count + 1) * stay
-        self._todo: Iterator[int] = iter(())
-        self._asked: list[int] = []
+        self._upcoming: Iterator[int] = iter(())
+        self._pending: list[int] = []
         self._ready: dict[int, Any] = {}
         self._tasks = [context.Queue() for _ in range(count)]
         self._results = [context.Queue() for _ in range(count)]
@@ -46,20 +47,20 @@ class Ahead:
 
     def expect(self, numbers: Iterable[int]) -> None:
         """The order in which samples will be asked for."""
-        self._todo = iter(numbers)
+        self._upcoming = iter(numbers)
 
     def __getitem__(self, number: int) -> Sample:
         """Raises ValueError where the stream does; RuntimeError when a worker has died."""
-        self._ask()
-        if number not in self._asked and number not in self._ready:  # not the order that was announced
+        self._fill()
+        if number not in self._pending and number not in self._ready:  # not the order that was announced
             self._send(number)
         while number not in self._ready:
             self._receive(self._worker(number))
-        found = self._ready.pop(number)
-        self._ask()
-        if isinstance(found, str):
-            raise ValueError(found)
-        return unpacked(found)
+        result = self._ready.pop(number)
+        self._fill()
+        if isinstance(result, str):
+            raise ValueError(result)
+        return unpacked(result)
 
     def close(self) -> None:
         """End the workers."""
@@ -68,13 +69,13 @@ class Ahead:
         for worker in self._workers:
             worker.join()
 
-    def _ask(self) -> None:
-        room = self._window - len(self._asked) - len(self._ready)
-        for number in itertools.islice(self._todo, max(room, 0)):
+    def _fill(self) -> None:
+        free = self._window - len(self._pending) - len(self._ready)
+        for number in itertools.islice(self._upcoming, max(free, 0)):
             self._send(number)
 
     def _send(self, number: int) -> None:
-        self._asked.append(number)
+        self._pending.append(number)
         self._tasks[self._worker(number)].put(number)
 
     def _worker(self, number: int) -> int:
@@ -82,13 +83,13 @@ class Ahead:
 
     def _receive(self, worker: int) -> None:
         try:
-            number, found = self._results[worker].get(timeout=PATIENCE)
+            number, result = self._results[worker].get(timeout=ALIVE_CHECK_SECONDS)
         except queue.Empty:
             if not self._workers[worker].is_alive():
                 raise RuntimeError(f"data worker {worker} died; train with --workers 0 to see why") from None
             return
-        self._asked.remove(number)
-        self._ready[number] = found
+        self._pending.remove(number)
+        self._ready[number] = result
 
 
 def packed(sample: Sample) -> Sample:
@@ -114,7 +115,7 @@ def _work(make: Callable[[], Any], tasks: Any, results: Any) -> None:
     while True:
         number = tasks.get()
         try:
-            found: Any = packed(stream[number])
+            result: Any = packed(stream[number])
         except ValueError as error:
-            found = str(error)
-        results.put((number, found))
+            result = str(error)
+        results.put((number, result))

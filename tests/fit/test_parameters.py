@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.fit.adam import BETAS, EPSILON, Adam, step_tensor
+from splatpainter.fit.parameters import BETAS, EPSILON, Adam, step_tensor
 
 SHAPES = {"means": (3000, 3), "opacities": (3000,), "sh": (3000, 4, 3)}
 
@@ -24,7 +24,7 @@ def rates() -> dict[str, torch.Tensor]:
 @pytest.mark.parametrize("path", ["kernel", "torch"])
 def test_five_steps_are_those_of_torch(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if path == "torch":  # what other devices run
-        monkeypatch.setattr("splatpainter.fit.adam._step_rows", step_tensor)
+        monkeypatch.setattr("splatpainter.fit.parameters._step_rows", step_tensor)
     ours = values(0)
     leaves = {name: value.clone().requires_grad_() for name, value in ours.items() if name != "sh"}
     first, rest = (part.clone().requires_grad_() for part in (ours["sh"][:, :1], ours["sh"][:, 1:]))
