@@ -163,7 +163,7 @@ class ReportOptions:
     folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="OUT ...", help_behavior_hint="")]
     """Folders of benches: OUT, or OUT/PROTOCOL."""
     out: Path = Path("out/report")
-    """Folder for index.html and its pictures."""
+    """Folder for index.html, which holds everything."""
     markdown: Annotated[Path | None, arg(metavar="FILE.md", help_behavior_hint="")] = None
     """Also write the tables as Markdown, with plots and sheets in a folder beside it."""
     about: Annotated[Path | None, arg(metavar="FILE.md", help_behavior_hint="")] = None

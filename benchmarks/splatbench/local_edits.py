@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from splatbench import strokes
+from splatbench import scenes
 from splatbench.closeups import Closeup, closeup
 from splatbench.reprojection import reproject, surface_depth
 from splatbench.timing import machine, measure
@@ -214,10 +214,10 @@ def painted_layers(image: np.ndarray, cover: np.ndarray, config: LiftBench) -> l
     Paint stays on the surface: it ends where `cover` [H, W] does."""
     shape, unit = image.shape[:2], image.shape[0] / 512
     center = (shape[1] / 2, 0.42 * shape[0])
-    text = strokes.text_layer(config.text, shape, center, 90 * unit, font=config.font)
-    stroke = strokes.stroke_layer(shape, strokes.wave(shape, 0.68), 30 * unit, 6 * unit)
-    first = strokes.color_against(image, text[..., 3])
-    second = strokes.color_against(image, stroke[..., 3], first)
+    text = scenes.text_layer(config.text, shape, center, 90 * unit, font=config.font)
+    stroke = scenes.stroke_layer(shape, scenes.wave(shape, 0.68), 30 * unit, 6 * unit)
+    first = scenes.color_against(image, text[..., 3])
+    second = scenes.color_against(image, stroke[..., 3], first)
     layers = [filled(text[..., 3], first), filled(stroke[..., 3], second)]
     for layer in layers:
         layer[..., 3] *= np.clip((cover - 0.8) / 0.15, 0, 1)

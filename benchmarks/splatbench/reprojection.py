@@ -34,7 +34,7 @@ class Expected:
     """What a view should show of the paint."""
 
     layer: np.ndarray
-    """[H, W, 4] the paint, as in strokes.py."""
+    """[H, W, 4] the paint, as in scenes.py."""
     painted: np.ndarray
     """[H, W] bool: pixels that the paint surely covers (coverage above a half all around, surface in plain view)."""
     clean: np.ndarray

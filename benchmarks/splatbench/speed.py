@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from splatbench.process import in_fresh_process
+from splatbench.scenes import Scene, resampled, save_scene
 from splatbench.speed_cases import OPERATIONS
-from splatbench.speed_scenes import Scene, resampled, save_scene
 from splatbench.timing import Timing, machine, measure
 from splatpainter import text_tables as tables
 from splatpainter.image_files import write_png

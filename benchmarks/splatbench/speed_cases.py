@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from splatbench.speed_scenes import Scene
+from splatbench.scenes import Scene
 from splatbench.timing import measure
 from splatpainter.splats import ATTRIBUTES, Splats
 

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from splatbench import strokes
-from splatbench.speed_scenes import DAB_WIDTH, TEXT_HEIGHT, resampled
+from splatbench import scenes
+from splatbench.scenes import DAB_WIDTH, TEXT_HEIGHT, resampled
 from splatbench.studio_client import Browser, Mirror, Server, browsing, encoded, serving
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
@@ -231,7 +231,7 @@ class Patch:
 
     @staticmethod
     def of(layer: np.ndarray, box: tuple[float, float, float, float]) -> Patch:
-        """Of a [H, W, 4] layer (strokes.py) within left, top, right, bottom."""
+        """Of a [H, W, 4] layer (scenes.py) within left, top, right, bottom."""
         height, width = layer.shape[:2]
         left, top = max(int(box[0]), 0), max(int(box[1]), 0)
         right, bottom = min(math.ceil(box[2]), width), min(math.ceil(box[3]), height)
@@ -242,7 +242,7 @@ class Patch:
 def dab_at(size: int, x: float, y: float, tone: int = 0) -> Patch:
     """A soft disc around x, y of a view of `size` pixels."""
     width = DAB_WIDTH * size
-    layer = strokes.stroke_layer((size, size), np.array([(x, y)]), width, size / 128, strokes.PALETTE[tone])
+    layer = scenes.stroke_layer((size, size), np.array([(x, y)]), width, size / 128, scenes.PALETTE[tone])
     return Patch.of(layer, (x - width / 2, y - width / 2, x + width / 2, y + width / 2))
 
 
@@ -252,7 +252,7 @@ def stroke_patches(size: int, height: float) -> list[Patch]:
     points = np.array([(0.3 * size + k * step, height * size) for k in range(STROKE_BATCHES)])
     out = []
     for k, (x, y) in enumerate(points):
-        layer = strokes.stroke_layer((size, size), points[: k + 1], 2 * half, size / 128, strokes.PALETTE[0])
+        layer = scenes.stroke_layer((size, size), points[: k + 1], 2 * half, size / 128, scenes.PALETTE[0])
         out.append(Patch.of(layer, (x - half - step * bool(k), y - half, x + half, y + half)))
     return out
 
@@ -260,7 +260,7 @@ def stroke_patches(size: int, height: float) -> list[Patch]:
 def text_patch(size: int, height: float) -> Patch:
     """Letters, their middle at `height` (0..1) of a view."""
     middle = (size / 2, height * size)
-    layer = strokes.text_layer("TEA", (size, size), middle, TEXT_HEIGHT * size, strokes.PALETTE[1])
+    layer = scenes.text_layer("TEA", (size, size), middle, TEXT_HEIGHT * size, scenes.PALETTE[1])
     rows, columns = (np.flatnonzero(layer[..., 3].any(axis)) for axis in (1, 0))
     return Patch.of(layer, (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1))
 
@@ -352,7 +352,7 @@ def _memory(server: Server, browser: Browser, camera: dict[str, Any], edits: int
     every, counts, resident = max(edits // MEMORY_SAMPLES, 1), [], []
     for k in range(1, edits + 1):
         x, y = rng.uniform(0.4, 0.6, 2) * size
-        stroke(browser, camera, [dab_at(size, x, y, k % len(strokes.PALETTE))])
+        stroke(browser, camera, [dab_at(size, x, y, k % len(scenes.PALETTE))])
         browser.do("undo")
         if k % every == 0:
             counts.append(k)

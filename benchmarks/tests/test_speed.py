@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 from splatbench import local_edits as lift_bench
-from splatbench import process, speed, strokes, timing
+from splatbench import process, scenes, speed, timing
 from splatbench.closeups import closeup
 from splatbench.reprojection import reproject
-from splatbench.speed_scenes import resampled
+from splatbench.scenes import resampled
 
 from splatpainter import text_tables as tables
 from splatpainter.cameras import look_at
@@ -105,20 +105,20 @@ def test_tables_hold_every_value(tmp_path: Path) -> None:
 
 
 def test_a_disc_has_its_area_and_text_its_height() -> None:
-    disc = strokes.stroke_layer((100, 120), np.array([[60.0, 50.0]]), 60, 10)
+    disc = scenes.stroke_layer((100, 120), np.array([[60.0, 50.0]]), 60, 10)
     # Coverage 3t^2 - 2t^3 over the outer s of radius R: 2 pi times its integral is pi (R^2 - R s + 0.3 s^2).
     assert disc[..., 3].sum() == pytest.approx(math.pi * (30**2 - 30 * 10 + 0.3 * 10**2), rel=2e-3)
     assert disc[50, 60, 3] == 1 and disc[50, 92, 3] == 0 and disc[10, 60, 3] == 0
-    line = strokes.stroke_layer((100, 200), np.array([[50.0, 50.0], [150.0, 50.0]]), 20, 1e-3)
+    line = scenes.stroke_layer((100, 200), np.array([[50.0, 50.0], [150.0, 50.0]]), 20, 1e-3)
     assert line[..., 3].sum() == pytest.approx(100 * 20 + math.pi * 10**2, rel=5e-3)
 
-    text = strokes.text_layer("HIT", (200, 400), (200, 100), 90)[..., 3]
+    text = scenes.text_layer("HIT", (200, 400), (200, 100), 90)[..., 3]
     lines, columns = np.nonzero(text > 0.5)
     assert np.ptp(lines) + 1 == pytest.approx(90, abs=9)  # and a bold rim
     assert lines.mean() == pytest.approx(100, abs=3) and columns.mean() == pytest.approx(200, abs=15)
     assert ((text > 0.1) & (text < 0.9)).sum() > 50  # antialiased
     with pytest.raises(ValueError, match="missing.ttf: expected a TrueType"):
-        strokes.text_layer("A", (20, 20), (10, 10), 9, font=Path("missing.ttf"))
+        scenes.text_layer("A", (20, 20), (10, 10), 9, font=Path("missing.ttf"))
 
 
 def test_paint_covers_and_shows() -> None:
@@ -129,10 +129,10 @@ def test_paint_covers_and_shows() -> None:
     expected[1, 2] = (0.625, 0.375, 0.375)
     np.testing.assert_allclose(over(image, layer), expected)
     everywhere = np.ones((4, 4))
-    for color in strokes.PALETTE:  # never a colour on itself
-        assert strokes.color_against(np.tile(np.array(color), (4, 4, 1)), everywhere) != color
-    best = strokes.color_against(np.zeros((4, 4, 3)), everywhere)
-    assert best == (0.94, 0.95, 0.93) != strokes.color_against(np.zeros((4, 4, 3)), everywhere, best)
+    for color in scenes.PALETTE:  # never a colour on itself
+        assert scenes.color_against(np.tile(np.array(color), (4, 4, 1)), everywhere) != color
+    best = scenes.color_against(np.zeros((4, 4, 3)), everywhere)
+    assert best == (0.94, 0.95, 0.93) != scenes.color_against(np.zeros((4, 4, 3)), everywhere, best)
 
 
 def test_paint_moves_with_the_camera() -> None:
@@ -141,7 +141,7 @@ def test_paint_moves_with_the_camera() -> None:
     second = look_at((0.5, 0, 0), (0.5, 0, 1), width=100, height=80, fov=50)
     side = float((first.world_to_camera @ [0.5, 0, 0, 1])[0])  # which way +x is in the picture
     shift = round(first.fx * side / 4)
-    layer = strokes.stroke_layer((80, 100), np.array([[50.0, 40.0]]), 30, 4)
+    layer = scenes.stroke_layer((80, 100), np.array([[50.0, 40.0]]), 30, 4)
     wall = np.full((80, 100), 4.0)
     moved = reproject(layer, first, wall, second, wall)
     wanted = np.roll(layer[..., 3], -shift, 1)
@@ -216,8 +216,8 @@ def test_bench_speed_writes_its_table(tmp_path: Path) -> None:
 
 
 def test_bench_speed_knows_the_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from splatbench.scenes import Scene, save_scene
     from splatbench.speed_cases import OPERATIONS
-    from splatbench.speed_scenes import Scene, save_scene
 
     from splatpainter.models import config
     from tests.support.model_scenes import TINY

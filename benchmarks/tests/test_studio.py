@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from splatbench import strokes, studio
+from splatbench import scenes, studio
 from splatbench.studio import Line, Patch, StudioBench
 
 from splatpainter.cli import main
@@ -43,7 +43,7 @@ def test_patches_put_together_are_the_stroke() -> None:
         canvas[patch.y : patch.y + patch.height, patch.x : patch.x + patch.width] = pixels(patch)
     first, last = 0.3 * size, 0.3 * size + (studio.STROKE_BATCHES - 1) * size / 32
     points = np.array([(first, size / 2), (last, size / 2)])
-    whole = strokes.stroke_layer((size, size), points, studio.DAB_WIDTH * size, size / 128, strokes.PALETTE[0])
+    whole = scenes.stroke_layer((size, size), points, studio.DAB_WIDTH * size, size / 128, scenes.PALETTE[0])
     covered = np.abs(canvas[..., 3] / 255 - whole[..., 3])
     # A batch holds all paint in its rectangle so far; the rim of the one before, outside of it, is not drawn again.
     assert np.quantile(covered, 0.99) < 0.01 and covered.max() < 0.6

@@ -18,17 +18,17 @@ import shutil
 import sys
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from splatpainter.jsonio import build
 
 SYSTEMS = ("voxhammer", "vinedresser3d", "dge", "instruct-gs2gs", "relitlrm")
 """Names of tables in the file."""
 PROGRAMS = ("super-resolution",)
 """Tables that are not about a system (methods/srgs.py)."""
 GUIDE = "docs/ADAPTERS.md"
-FRAMES = ("asset", "gltf", "trellis", "nerfstudio")
-"""Of results (frames.py)."""
 SECRETS = re.compile(r"key|token|secret|password", re.IGNORECASE)
 
 
@@ -50,8 +50,8 @@ class Section:
     """Appended to the command that sets up, where the system has one."""
     result: str = ""
     """File that `command` leaves, relative to {out}; "": where the system itself leaves it, or "edited.ply"."""
-    frame: str = ""
-    """Of that file, one of FRAMES; "": the system's own, and "asset" for edited.ply."""
+    frame: Literal["", "asset", "gltf", "trellis", "nerfstudio"] = ""
+    """Of that file, as frames.py names them; "": the system's own, and "asset" for edited.ply."""
     prompt: str = ""
     """Instruction for systems that read text; "": the name of the kind of edit."""
     prompts: dict[str, str] = field(default_factory=dict)
@@ -64,8 +64,15 @@ class Section:
     """Of each command."""
     environment: dict[str, str] = field(default_factory=dict)
     """Variables that its process has besides this one's."""
-    device: str = "cuda"
+    device: Literal["cuda", "cpu"] = "cuda"
     """"cuda": not run where the machine has no NVIDIA GPU; "cpu": run anywhere."""
+
+    def __post_init__(self) -> None:
+        if not self.timeout_seconds > 0:
+            raise ValueError(f"timeout_seconds: expected seconds above 0, got {self.timeout_seconds:g}")
+        for key, limit in (("views", 1000), ("size", 4096)):
+            if not 0 <= getattr(self, key) <= limit:
+                raise ValueError(f"{key}: expected a whole number from 0 to {limit}, got {getattr(self, key)}")
 
     def instruction(self, kind: str) -> str:
         """What a system that reads text is told for an edit of this kind."""
@@ -97,19 +104,13 @@ def section(path: Path, name: str) -> Section | None:
     table = sections(path).get(name)
     if table is None:
         return None
-    where = f"{path}: [{name}]"
-    if not isinstance(table, dict):
-        raise ValueError(f"{where} is {table!r}; expected a table of keys; see {GUIDE}")
-    keys = {f.name for f in fields(Section)} - {"name"}
-    unknown = sorted(set(table) - keys)
-    if unknown:
-        raise ValueError(f"{where} has unknown key {unknown[0]}; known: {', '.join(sorted(keys))}")
-    values = {key: _checked(f"{where} {key}", key, value) for key, value in table.items()}
-    if values.get("repository"):
-        values["repository"] = _absolute(path, values["repository"])
-    if os.path.dirname(values.get("python", "")):
-        values["python"] = str(_absolute(path, values["python"]))
-    return Section(name, **values)
+    values = build(Section, table, f"{path}: [{name}]", what="a table of keys", base=Section(name))
+    folder = path.parent  # where relative paths begin; links are kept: a virtual environment's python is one
+    repository = values.repository and Path(os.path.abspath(folder / values.repository.expanduser()))
+    python = values.python
+    if os.path.dirname(python):
+        python = os.path.abspath(folder / Path(python).expanduser())
+    return replace(values, name=name, repository=repository, python=python)
 
 
 def absent(path: Path | None, name: str) -> str:
@@ -159,35 +160,3 @@ def commit(repository: Path | None) -> str:
         return (repository / ".git" / head[5:]).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError):
         return ""
-
-
-def _absolute(file: Path, given: str) -> Path:
-    """A path of the file: `~` is the home, relative ones begin at the file's folder. Symbolic links are kept: a virtual
-    environment's python is one."""
-    return Path(os.path.abspath(file.parent / Path(given).expanduser()))
-
-
-def _checked(where: str, key: str, value: Any) -> Any:
-    if key in ("command", "arguments", "setup_arguments"):
-        if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
-            raise ValueError(f"{where}: expected a list of words, got {value!r}")
-        return tuple(value)
-    if key in ("environment", "prompts"):
-        if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
-            raise ValueError(f'{where}: expected names and texts, {{ NAME = "..." }}, got {value!r}')
-        return value
-    if key == "timeout_seconds":
-        if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-            raise ValueError(f"{where}: expected seconds above 0, got {value!r}")
-        return float(value)
-    if key in ("views", "size"):
-        limit = 1000 if key == "views" else 4096
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= limit:
-            raise ValueError(f"{where}: expected a whole number from 0 to {limit}, got {value!r}")
-        return value
-    if not isinstance(value, str):
-        raise ValueError(f"{where}: expected text, got {value!r}")
-    allowed = {"device": ("cuda", "cpu"), "frame": FRAMES}.get(key)
-    if allowed and value not in allowed:
-        raise ValueError(f"{where}: expected one of {', '.join(allowed)}, got {value!r}")
-    return value
