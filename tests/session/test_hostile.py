@@ -134,6 +134,24 @@ def test_wrong_results_are_computed_again(path: Path, statement: str) -> None:
         assert all(isinstance(session.facts(layer.id).get("seconds", 0.0), float) for layer in session.layers)
 
 
+def test_a_control_character_in_an_error_of_sqlite_is_not_printed(path: Path) -> None:
+    filled(path)
+    schema = "UPDATE sqlite_master SET sql = 'CREATE TABLE ' || char(7) || '(' WHERE name = 'bookmarks'"
+    changed(path, "PRAGMA writable_schema = ON", schema)
+    with pytest.raises(ValueError, match="malformed database schema") as caught:
+        load(path)
+    assert str(caught.value).isprintable() and str(path) in str(caught.value)
+
+
+def test_a_name_of_5000_characters_is_refused_in_a_short_line(tmp_path: Path, path: Path) -> None:
+    sp.write(tmp_path / "vase.ply", asset(6))
+    flat(tmp_path / "vase.ply", path).close()
+    changed(path, "UPDATE facts SET value = hex(zeroblob(2500)) WHERE name = 'name'")
+    with pytest.raises(ValueError, match="damaged project file") as caught:
+        load(path)
+    assert str(caught.value).isprintable() and len(str(caught.value)) < len(str(path)) + 400
+
+
 def bomb(head: dict, parts: int) -> list[bytes]:
     """The parts of a delta: a head, and much that packs to nothing."""
     import zstandard
