@@ -19,9 +19,9 @@ from splatpainter.io.contents import Contents, contents, fields_differ, rows_dif
 from splatpainter.io.ply_container import TextRows
 from splatpainter.splats import ATTRIBUTES, Source, Splats
 
-CHUNK = 256
+CHUNK_ROWS = 256
 """Rows that share a row of a table that follows the rows."""
-MOST_NAMES, MOST_LINES = 8, 6
+MAX_NAMES, MAX_LINES = 8, 6
 """Names in a line, and lines about one part."""
 STORED = "every byte of every stored row"
 VALUES = "every value of every row, bit for bit"
@@ -42,7 +42,7 @@ class Comparison:
     """How the rows were compared."""
     problems: tuple[str, ...] = ()
     """What differs besides rows, one line each: no edit changes it."""
-    strange_fields: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+    unexpected_fields: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
     """Stored properties that are no Gaussian's value, and do differ -> [D] rows."""
     differences: tuple[str, ...] = ()
     """In which stored properties rows differ, one line."""
@@ -57,13 +57,13 @@ def compare(original: Splats, edited: Splats) -> Comparison:
         return _compare_converted(original, edited)
     old, new = contents(original.source), contents(edited.source)
     exact, stored = VALUES, old is not None and new is not None and same_layout(old, new)
-    strange: dict[str, np.ndarray] = {}
+    unexpected: dict[str, np.ndarray] = {}
     names: list[str] = []
     if old is not None and new is not None and stored:
         plain = edited.source.format in ("ply", "splat")  # a value lies in one place: equal bytes are equal values
         exact = STORED if plain else STORED_AND_VALUES
         by_value = np.zeros(0, np.int64) if plain else changed_rows(original, edited)
-        rows, names, strange = _stored_rows(old, new, by_value)
+        rows, names, unexpected = _stored_rows(old, new, by_value)
     else:
         rows = changed_rows(original, edited)
     missing = len(edited) < len(original)
@@ -71,14 +71,14 @@ def compare(original: Splats, edited: Splats) -> Comparison:
     unseen = tuple(filter(None, [new.unseen if new is not None else "header, sections and padding"]))
     if not stored and new is not None and new.tables:
         unseen += ("the stored bytes of the rows, whose layout differs",)
-    nothing = not (problems or strange or len(rows) or missing) and len(edited) == len(original)
+    nothing = not (problems or unexpected or len(rows) or missing) and len(edited) == len(original)
     if nothing and original.source.sha256 != edited.source.sha256:
         problems.append(f"the files differ in bytes that are not compared: {'; '.join(unseen) or 'unknown'}")
     if missing:
         rows = np.arange(len(original))
     differences = (f"changed rows differ in {_some(names)}",) if names else ()
     return Comparison(
-        original.sha256, original, edited, rows, exact, tuple(problems), strange, differences, compared, unseen
+        original.sha256, original, edited, rows, exact, tuple(problems), unexpected, differences, compared, unseen
     )
 
 
@@ -154,7 +154,7 @@ def _stored_rows(
 ) -> tuple[np.ndarray, list[str], dict[str, np.ndarray]]:
     """(rows that differ as stored or by value, names of the properties of Gaussians in which they do, other properties
     that differ with their rows)."""
-    rows, names, strange = by_value, [], {}
+    rows, names, unexpected = by_value, [], {}
     for one, two in zip(old.tables, new.tables, strict=True):
         if one.first != two.first:  # of another row: values tell
             continue
@@ -164,8 +164,8 @@ def _stored_rows(
             if name in one.edited:
                 names.append(name)
             else:
-                strange[name] = one.first + where
-    return rows, names, strange
+                unexpected[name] = one.first + where
+    return rows, names, unexpected
 
 
 def _other_parts(
@@ -208,9 +208,9 @@ def _setting_problems(name: str, was: Any, now: Any) -> list[str]:
         lines = [f"{name}: {_quoted(line)} is missing" for line in gone] + [
             f"{name}: {_quoted(line)} is new" for line in new
         ]
-        return lines[:MOST_LINES] or [f"{name}: its lines stand in another order"]
+        return lines[:MAX_LINES] or [f"{name}: its lines stand in another order"]
     if name in ("JSON", "meta.json") and isinstance(was, str) and isinstance(now, str):
-        return [f"{name} differs at {_json_place(json.loads(was), json.loads(now))}"]
+        return [f"{name} differs at {_json_path(json.loads(was), json.loads(now))}"]
     return [f"{name}: {_quoted(was)} became {_quoted(now)}"]
 
 
@@ -231,9 +231,11 @@ def _chunk_problems(
     if was.shape[1] != now.shape[1]:
         return [f"{name}: {was.shape[1]} bytes a row became {now.shape[1]}"]
     differing = np.flatnonzero((was[:count] != now[:count]).any(1))
-    moved = np.append(np.unique(rows // CHUNK), [before // CHUNK] if after != before else [])
-    strange = np.setdiff1d(differing, moved)
-    return [f"{name}: its rows {listed(strange)} differ although no Gaussian of them does"] if len(strange) else []
+    moved = np.append(np.unique(rows // CHUNK_ROWS), [before // CHUNK_ROWS] if after != before else [])
+    unexpected = np.setdiff1d(differing, moved)
+    return (
+        [f"{name}: its rows {listed(unexpected)} differ although no Gaussian of them does"] if len(unexpected) else []
+    )
 
 
 def _without(lines: tuple[str, ...], excluded: tuple[str, ...]) -> list[str]:
@@ -247,18 +249,18 @@ def _without(lines: tuple[str, ...], excluded: tuple[str, ...]) -> list[str]:
     return out
 
 
-def _json_place(was: Any, now: Any, where: str = "") -> str:
+def _json_path(was: Any, now: Any, where: str = "") -> str:
     """The first place at which two trees differ, and how."""
     if isinstance(was, dict) and isinstance(now, dict):
         for key in sorted({*was, *now}):
             if key not in was or key not in now:
                 return f"{where}.{_quoted(key)[1:-1]} ({'new' if key not in was else 'missing'})"[:200]
             if was[key] != now[key]:
-                return _json_place(was[key], now[key], f"{where}.{_quoted(key)[1:-1]}")
+                return _json_path(was[key], now[key], f"{where}.{_quoted(key)[1:-1]}")
     if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
         for k, (one, two) in enumerate(zip(was, now, strict=True)):
             if one != two:
-                return _json_place(one, two, f"{where}[{k}]")
+                return _json_path(one, two, f"{where}[{k}]")
     return f"{where[:200] or 'its root'} ({_quoted(was)} became {_quoted(now)})"
 
 
@@ -268,5 +270,5 @@ def _quoted(value: Any) -> str:
 
 
 def _some(names: list[str]) -> str:
-    text = ", ".join(_quoted(name)[1:-1] for name in names[:MOST_NAMES])
-    return text + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
+    text = ", ".join(_quoted(name)[1:-1] for name in names[:MAX_NAMES])
+    return text + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")

@@ -163,11 +163,11 @@ def is_deep(path: Path, image: Image) -> bool:
     return False
 
 
-def read_deep(path: Path, most_pixels: int) -> PixelSamples:
+def read_deep(path: Path, max_pixels: int) -> PixelSamples:
     """All bits of a PNG, TIFF or OpenEXR file (of the latter R, G, B, A or Y; its whole display window, with nothing
-    outside its data window). Raises ValueError naming the file: no OpenImageIO, damaged, more than `most_pixels`,
+    outside its data window). Raises ValueError naming the file: no OpenImageIO, damaged, more than `max_pixels`,
     channels that are no colour."""
-    with _opened(path, most_pixels) as (source, spec):
+    with _opened(path, max_pixels) as (source, spec):
         names = [str(name).upper() for name in spec.channelnames]
         if spec.deep:
             raise ValueError(f"{path}: expected a flat picture, got deep samples; flatten it first")
@@ -212,15 +212,15 @@ def _windowed(pixels: np.ndarray, spec: Any) -> np.ndarray:
     return out
 
 
-def exr_text(path: Path, keyword: str, most_pixels: int) -> str | None:
+def exr_text(path: Path, keyword: str, max_pixels: int) -> str | None:
     """A text attribute of an OpenEXR header; None where it has none. Raises ValueError as `read_deep`."""
-    with _opened(path, most_pixels) as (_, spec):
+    with _opened(path, max_pixels) as (_, spec):
         value = spec.getattribute(keyword)
         return value if isinstance(value, str) else None
 
 
 @contextlib.contextmanager
-def _opened(path: Path, most_pixels: int) -> Iterator[tuple[Any, Any]]:
+def _opened(path: Path, max_pixels: int) -> Iterator[tuple[Any, Any]]:
     """(input, spec) of a file whose claims were judged: nothing was decoded yet."""
     exr = is_exr(path)
     oiio = require_deep(f"{path}: {'OpenEXR' if exr else '16-bit colour'}")
@@ -235,9 +235,9 @@ def _opened(path: Path, most_pixels: int) -> Iterator[tuple[Any, Any]]:
             raise ValueError(f"{path}: expected PNG, TIFF or OpenEXR, got {source.format_name()}")
         spec = source.spec()
         for width, height in ((spec.width, spec.height), (spec.full_width, spec.full_height)):
-            if not 0 < width * height <= most_pixels:
+            if not 0 < width * height <= max_pixels:
                 raise ValueError(
-                    f"{path}: expected at most {most_pixels // 10**6} megapixels, got {width}x{height}; scale it down"
+                    f"{path}: expected at most {max_pixels // 10**6} megapixels, got {width}x{height}; scale it down"
                 )
         yield source, spec
     finally:
@@ -282,10 +282,10 @@ def find_alpha(png: str | Path, explicit: str | Path | None = None) -> Alpha | N
         data = json.loads(text or "{}")
     except (ValueError, RecursionError):
         return None
-    said = data.get(ALPHA_KEY) if isinstance(data, dict) else None
-    if said not in get_args(Alpha):
+    stated = data.get(ALPHA_KEY) if isinstance(data, dict) else None
+    if stated not in get_args(Alpha):
         return None
-    return "straight" if is_exr(Path(png)) else said
+    return "straight" if is_exr(Path(png)) else stated
 
 
 def _camera_text(picture: Path, explicit: Path | None) -> tuple[str | None, str]:
@@ -320,5 +320,5 @@ def _read_text(path: Path) -> str:
 
 
 def _reason(error: BaseException) -> str:
-    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return " ".join(said.split())[:200]
+    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(reason.split())[:200]

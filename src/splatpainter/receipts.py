@@ -32,7 +32,7 @@ from splatpainter.io import (
 )
 from splatpainter.splats import Frame, Splats, rows_sha256
 
-MOST_ROWS = 1 << 27
+MAX_RECEIPT_ROWS = 1 << 27
 """Rows of an asset that a receipt may speak of."""
 
 
@@ -126,8 +126,8 @@ class Receipt:
                 _text(data.get("precision", "")),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-            said = " ".join(repr(error).split())
-            raise ValueError(f"{where}: expected a receipt of splatpainter, got {said[:300]}") from None
+            reason = " ".join(repr(error).split())
+            raise ValueError(f"{where}: expected a receipt of splatpainter, got {reason[:300]}") from None
 
 
 def _text(value: Any, longest: int = 200) -> str:
@@ -164,8 +164,8 @@ def to_runs(rows: np.ndarray) -> np.ndarray:
 def from_runs(runs: np.ndarray, rows: int) -> np.ndarray:
     """The inverse of `to_runs`. Raises ValueError for runs outside 0..rows or not ascending, and for rows beyond
     MOST_ROWS (a short text may claim any number, and here it becomes memory)."""
-    if rows > MOST_ROWS:
-        raise ValueError(f"expected at most {MOST_ROWS} rows, got {rows}")
+    if rows > MAX_RECEIPT_ROWS:
+        raise ValueError(f"expected at most {MAX_RECEIPT_ROWS} rows, got {rows}")
     ends = runs.sum(1)
     wild = ((runs < 0) | (runs > rows)).any()  # their sums could wrap around
     if len(runs) and (wild or (runs[:, 1] < 1).any() or (runs[1:, 0] < ends[:-1]).any() or ends[-1] > rows):
@@ -237,27 +237,27 @@ def verify(
     return check(compare(before, after), receipt)
 
 
-def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
+def check(comparison: Comparison, receipt: Receipt | None = None) -> Verification:
     """Judge a comparison, against the receipt of the edit where there is one."""
-    before, after, differs = found.before, found.after, found.differs
+    before, after, differs = comparison.before, comparison.after, comparison.differs
     frame = "" if after.source is None else frame_line(after.source)
-    problems = _wrong_files(receipt, found.original_sha256, after) if receipt is not None else []
+    problems = _wrong_files(receipt, comparison.original_sha256, after) if receipt is not None else []
     if before.sh.shape[1] != after.sh.shape[1]:
         problems.append(f"SH degree {before.sh_degree} became {after.sh_degree}")
     missing = len(before) - len(after)
     if missing > 0:
         problems.append(f"{missing} rows are missing")
     elif receipt is not None:
-        strange = np.setdiff1d(differs, receipt.touched)
-        if len(strange):
-            problems.append(f"{len(strange)} rows differ that the receipt does not list: {listed(strange)}")
+        unlisted = np.setdiff1d(differs, receipt.touched)
+        if len(unlisted):
+            problems.append(f"{len(unlisted)} rows differ that the receipt does not list: {listed(unlisted)}")
         if -missing != receipt.appended_rows:
             problems.append(f"{-missing} rows appended, the receipt says {receipt.appended_rows}")
-    for name, rows in found.strange_fields.items():
+    for name, rows in comparison.unexpected_fields.items():
         judged = rows if receipt is None else np.intersect1d(rows, receipt.touched)  # the others are told of above
         if len(judged):
             problems.append(f"{name}, which no edit changes, differs in {len(judged)} rows: {listed(judged)}")
-    problems += found.problems
+    problems += comparison.problems
     return Verification(
         not problems,
         len(before),
@@ -265,10 +265,10 @@ def check(found: Comparison, receipt: Receipt | None = None) -> Verification:
         len(differs),
         max(-missing, 0),
         tuple(problems),
-        found.exact,
-        found.differences,
-        found.compared,
-        found.not_compared,
+        comparison.exact,
+        comparison.differences,
+        comparison.compared,
+        comparison.not_compared,
         frame,
         after.source is not None and frame_is_news(after.source),
     )
@@ -299,12 +299,12 @@ def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "aut
     edited = read(written, frame=taken, lenient=True)  # what a lenient original had cut off is kept
     assert edited.source is not None
     entry = FORMATS[edited.source.format]
-    found = compare(_as_file(original, written), edited)
-    rounded = np.setdiff1d(found.differs, receipt.touched)
+    comparison = compare(_as_file(original, written), edited)
+    rounded = np.setdiff1d(comparison.differs, receipt.touched)
     notes = [receipt.note]
     if len(rounded) and entry.lossy:
         touched = np.union1d(receipt.touched, rounded)
-        before, after = untouched_hashes(found.before, edited, touched)
+        before, after = untouched_hashes(comparison.before, edited, touched)
         receipt = replace(receipt, touched=touched, untouched_sha256_before=before, untouched_sha256_after=after)
         notes.append(f"{len(rounded)} rows that the edit left alone were rounded anew by {entry.key}")
     if original.source is None or original.source.format != entry.key:
@@ -317,7 +317,9 @@ def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "aut
         output_rows=len(edited),
         note="; ".join(filter(None, notes)),
     )
-    verification = check(found, receipt if original.source else replace(receipt, asset_sha256=found.original_sha256))
+    verification = check(
+        comparison, receipt if original.source else replace(receipt, asset_sha256=comparison.original_sha256)
+    )
     if not verification.ok:
         raise RuntimeError(f"the file written does not prove its receipt: {'; '.join(verification.problems)}")
     return receipt, verification
@@ -327,9 +329,9 @@ def _as_file(original: Splats, written: Path) -> Splats:
     if original.source is not None:
         return original
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / written.name
-        write(place, original)
-        return read(place)
+        path = Path(folder) / written.name
+        write(path, original)
+        return read(path)
 
 
 def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | None:

@@ -153,13 +153,13 @@ def read(path: str | os.PathLike[str], *, frame: Frame = "auto", lenient: bool =
     Raises ValueError with one line: no such file, unknown format, truncated or contradictory content.
     """
     check_frame(frame)
-    place = Path(path)
-    key = detect(place)
+    location = Path(path)
+    key = detect(location)
     entry = FORMATS[key]
     options = {"lenient": lenient} if "lenient" in entry.options else {}
     if key == "spz":  # may name its frame itself
-        return entry.read(place, frame=frame)
-    return axes.to_memory_axes(entry.read(place, **options), frame)
+        return entry.read(location, frame=frame)
+    return axes.to_memory_axes(entry.read(location, **options), frame)
 
 
 def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = False, frame: Frame = "auto") -> None:
@@ -171,19 +171,19 @@ def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = Fal
     Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes.
     """
     check_frame(frame)
-    place = Path(path)
-    key = format_of_name(place)
+    location = Path(path)
+    key = format_of_name(location)
     if key is None:
-        raise ValueError(f"{place}: unknown format; expected a name ending in {_known(writable=True)}")
+        raise ValueError(f"{location}: unknown format; expected a name ending in {_suffixes(writable=True)}")
     writer = FORMATS[key].write
     if writer is None:
-        raise ValueError(f"{place}: {FORMATS[key].description}; write one of {_known(writable=True)} instead")
-    if place.exists() and not overwrite:
-        raise ValueError(f"{place}: already exists; choose another name or allow overwriting")
+        raise ValueError(f"{location}: {FORMATS[key].description}; write one of {_suffixes(writable=True)} instead")
+    if location.exists() and not overwrite:
+        raise ValueError(f"{location}: already exists; choose another name or allow overwriting")
     if key == "spz":
-        writer(place, canonical(splats), frame=frame)
+        writer(location, canonical(splats), frame=frame)
     else:
-        writer(place, axes.to_file_axes(canonical(splats), key, frame, FORMATS[key].frame))
+        writer(location, axes.to_file_axes(canonical(splats), key, frame, FORMATS[key].frame))
 
 
 def check_frame(frame: str) -> None:
@@ -243,7 +243,7 @@ def detect(path: Path) -> str:
     # Two bytes are too few to overrule a name (a .splat may begin with them), but they decide where there is none.
     if head[:2] == b"\x1f\x8b":
         return "spz"
-    raise ValueError(f"{path}: unknown format; expected a splat file ({_known(writable=False)})")
+    raise ValueError(f"{path}: unknown format; expected a splat file ({_suffixes(writable=False)})")
 
 
 def format_of_name(path: Path) -> str | None:
@@ -259,12 +259,12 @@ def canonical(splats: Splats) -> Splats:
     """`splats` with C-contiguous float32 numpy attributes; raises ValueError where shapes do not fit together."""
     from dataclasses import replace
 
-    own = splats.numpy()
-    arrays = {name: np.ascontiguousarray(getattr(own, name), np.float32) for name in ATTRIBUTES}
-    rows = len(own)
+    converted = splats.numpy()
+    arrays = {name: np.ascontiguousarray(getattr(converted, name), np.float32) for name in ATTRIBUTES}
+    rows = len(converted)
     bands = arrays["sh"].shape[1] if arrays["sh"].ndim == 3 else 0
-    wanted = {"means": (rows, 3), "quats": (rows, 4), "scales": (rows, 3), "opacities": (rows,), "sh": (rows, bands, 3)}
-    for name, shape in wanted.items():
+    shapes = {"means": (rows, 3), "quats": (rows, 4), "scales": (rows, 3), "opacities": (rows,), "sh": (rows, bands, 3)}
+    for name, shape in shapes.items():
         if arrays[name].shape != shape:
             raise ValueError(f"write: expected {name} of shape {list(shape)}, got {list(arrays[name].shape)}")
     if bands not in SH_COUNTS:
@@ -281,8 +281,8 @@ def canonical(splats: Splats) -> Splats:
                 f"got {origin.min()} to {origin.max()}"
             )
     unchanged = all(arrays[name] is getattr(splats, name) for name in ATTRIBUTES)
-    return splats if unchanged else replace(own, **arrays)
+    return splats if unchanged else replace(converted, **arrays)
 
 
-def _known(*, writable: bool) -> str:
+def _suffixes(*, writable: bool) -> str:
     return ", ".join(e.suffixes[0] for e in FORMATS.values() if not writable or e.write is not None)

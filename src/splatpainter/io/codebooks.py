@@ -91,12 +91,12 @@ def make_room(codebook: np.ndarray, counts: np.ndarray, values: np.ndarray, tole
         left, right = order[:-1], order[1:]
         cost = np.minimum(counts[left], counts[right]) * (codebook[right] - codebook[left]) ** 2
         pair = int(np.argmin(cost))
-        lose, keep = int(left[pair]), int(right[pair])
-        if counts[lose] > counts[keep]:
-            lose, keep = keep, lose
-        moved[moved == lose] = keep
-        counts[keep] += counts[lose]
-        alive[lose] = False
+        loser, keeper = int(left[pair]), int(right[pair])
+        if counts[loser] > counts[keeper]:
+            loser, keeper = keeper, loser
+        moved[moved == loser] = keeper
+        counts[keeper] += counts[loser]
+        alive[loser] = False
     return moved
 
 
@@ -150,16 +150,16 @@ def adapt_palette(
 
 def _cover(entries: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
     """Fewest new entries so that every value lies within `tolerance` of an old or a new one."""
-    left = np.unique(values)
+    uncovered = np.unique(values)
     if len(entries):
         ordered = np.sort(entries)
-        at = np.searchsorted((ordered[1:] + ordered[:-1]) / 2, left)
-        left = left[np.abs(ordered[at] - left) > tolerance]
+        at = np.searchsorted((ordered[1:] + ordered[:-1]) / 2, uncovered)
+        uncovered = uncovered[np.abs(ordered[at] - uncovered) > tolerance]
     added = []
-    while len(left):
-        reach = int(np.searchsorted(left, left[0] + 2 * tolerance, side="right"))
-        added.append((left[0] + left[reach - 1]) / 2)
-        left = left[reach:]
+    while len(uncovered):
+        stop = int(np.searchsorted(uncovered, uncovered[0] + 2 * tolerance, side="right"))
+        added.append((uncovered[0] + uncovered[stop - 1]) / 2)
+        uncovered = uncovered[stop:]
     return np.array(added)
 
 
@@ -208,11 +208,11 @@ def _quota(shares: np.ndarray, spread: np.ndarray, size: int) -> np.ndarray:
     entries end with equal errors (Zador 1982, many dimensions); at least 1, at most one for each member."""
     quota = np.minimum(shares, 1)
     for _ in range(8):
-        room, left = shares - quota, size - int(quota.sum())
-        wish = np.where(room > 0, spread + spread.mean() * 1e-3, 0)
-        if left <= 0 or not wish.any():
+        capacity, remaining = shares - quota, size - int(quota.sum())
+        wish = np.where(capacity > 0, spread + spread.mean() * 1e-3, 0)
+        if remaining <= 0 or not wish.any():
             break
-        quota = quota + np.minimum(room, np.floor(wish / wish.sum() * left).astype(int))
+        quota = quota + np.minimum(capacity, np.floor(wish / wish.sum() * remaining).astype(int))
     return quota
 
 

@@ -194,40 +194,40 @@ def _pack(
     starts = np.arange(0, count, CHUNK)
     chunk = np.arange(count) // CHUNK
     # A chunk may keep the ranges of the source chunk that its first row comes from; -1 where that row is new.
-    home = np.where(origin[starts] >= 0, origin[starts] // CHUNK, -1) if count else starts
-    chunks = _copies(record.tables["chunk"], home)
+    source_chunks = np.where(origin[starts] >= 0, origin[starts] // CHUNK, -1) if count else starts
+    chunks = _copies(record.tables["chunk"], source_chunks)
     vertex = _copies(record.tables["vertex"], origin)
-    resident = (origin >= 0) & (np.where(origin >= 0, origin // CHUNK, -1) == home[chunk])
-    calm = drawable_rows(splats) if count else splats
+    same_chunk = (origin >= 0) & (np.where(origin >= 0, origin // CHUNK, -1) == source_chunks[chunk])
+    drawable = drawable_rows(splats) if count else splats
     values = (
-        calm.means.astype(np.float64),
-        np.clip(activations.log(calm.scales), *LOG_SCALES).astype(np.float64),
-        activations.dc_to_color(calm.sh[:, 0]).astype(np.float64),
+        drawable.means.astype(np.float64),
+        np.clip(activations.log(drawable.scales), *LOG_SCALES).astype(np.float64),
+        activations.dc_to_color(drawable.sh[:, 0]).astype(np.float64),
     )
-    same = _same(splats, old, origin)
+    masks = _same(splats, old, origin)
     for group, attribute in enumerate(("means", "scales", "base")):
         axes, word = AXES[group], WORDS[group]
         low, high = _ranges(chunks, axes)
-        stay = same[attribute] & resident[:, None]
+        stay = masks[attribute] & same_chunk[:, None]
         fits = _fits(values[group], stay, low[chunk], high[chunk], _levels(group))
-        keep = _all(fits, starts) & (home >= 0)[:, None]
+        keep = _all(fits, starts) & (source_chunks >= 0)[:, None]
         if f"min_{axes[0]}" not in (chunks.dtype.names or ()):
             keep[:] = True  # fixed range 0..1: values beyond it are cut
-        least, most = _reduce(np.minimum, values[group], starts), _reduce(np.maximum, values[group], starts)
-        low, high = np.where(keep, low, least), np.where(keep, high, most)
+        minima, maxima = _reduce(np.minimum, values[group], starts), _reduce(np.maximum, values[group], starts)
+        low, high = np.where(keep, low, minima), np.where(keep, high, maxima)
         fields = packing.quantise(values[group], low[chunk], high[chunk], _levels(group))
         packed = _fields(vertex, group)
         fields = np.where(stay & keep[chunk], packed[:, :3], fields)
         if group == 2:
-            alpha = np.floor(calm.opacities.astype(np.float64) * 255 + 0.5).astype(np.int64)
-            fields = np.column_stack([fields, np.where(same["opacities"], packed[:, 3], alpha)])
+            alpha = np.floor(drawable.opacities.astype(np.float64) * 255 + 0.5).astype(np.int64)
+            fields = np.column_stack([fields, np.where(masks["opacities"], packed[:, 3], alpha)])
         vertex[word] = packing.pack_fields(fields, BITS[group])
         for k, axis in enumerate(axes):
             if f"min_{axis}" in (chunks.dtype.names or ()):
                 chunks[f"min_{axis}"] = np.where(keep[:, k], chunks[f"min_{axis}"], low[:, k].astype(np.float32))
                 chunks[f"max_{axis}"] = np.where(keep[:, k], chunks[f"max_{axis}"], high[:, k].astype(np.float32))
-    turned = ~same["quats"].all(1)
-    vertex["packed_rotation"][turned] = packing.pack_quats(calm.quats[turned])
+    turned = ~masks["quats"].all(1)
+    vertex["packed_rotation"][turned] = packing.pack_quats(drawable.quats[turned])
     return chunks, vertex
 
 
@@ -235,19 +235,19 @@ def _pack_sh(
     splats: Splats, old: Splats | None, origin: np.ndarray, record: CompressedPlyFile, dtype: np.dtype
 ) -> np.ndarray:
     table = np.zeros(len(splats), dtype)
-    third = splats.sh.shape[1] - 1
-    had = len(_rest_names(record.tables)) // 3
-    known = origin >= 0
-    for k in range(3 * third):
-        band, channel = 1 + k % third, k // third
+    bands = splats.sh.shape[1] - 1
+    old_bands = len(_rest_names(record.tables)) // 3
+    has_source = origin >= 0
+    for k in range(3 * bands):
+        band, channel = 1 + k % bands, k // bands
         with np.errstate(invalid="ignore"):
             # NaN counts as 0: such rows are not drawn, and 8 bits cannot say NaN.
             fractions = np.trunc((np.nan_to_num(splats.sh[:, band, channel].astype(np.float64)) / 8 + 0.5) * 256)
         column = np.clip(fractions, 0, 255).astype(np.uint8)
-        if old is not None and band <= had:
-            before = record.tables["sh"][f"f_rest_{channel * had + band - 1}"]
-            stay = known.copy()
-            stay[known] = ~differs(splats.sh[known, band, channel], old.sh[origin[known], band, channel])
+        if old is not None and band <= old_bands:
+            before = record.tables["sh"][f"f_rest_{channel * old_bands + band - 1}"]
+            stay = has_source.copy()
+            stay[has_source] = ~differs(splats.sh[has_source, band, channel], old.sh[origin[has_source], band, channel])
             column[stay] = before[origin[stay]]
         table[f"f_rest_{k}"] = column
     return table
@@ -255,15 +255,15 @@ def _pack_sh(
 
 def _same(splats: Splats, old: Splats | None, origin: np.ndarray) -> dict[str, np.ndarray]:
     """Attribute (and "base", the DC colour) -> mask of the values that still are, bit for bit, their source row's."""
-    known = origin >= 0
-    own = {name: getattr(splats, name) for name in ("means", "quats", "scales", "opacities")} | {
+    has_source = origin >= 0
+    current = {name: getattr(splats, name) for name in ("means", "quats", "scales", "opacities")} | {
         "base": splats.sh[:, 0]
     }
-    masks = {name: np.zeros(values.shape, bool) for name, values in own.items()}
+    masks = {name: np.zeros(values.shape, bool) for name, values in current.items()}
     if old is not None:
-        for name, values in own.items():
+        for name, values in current.items():
             before = old.sh[:, 0] if name == "base" else getattr(old, name)
-            masks[name][known] = ~differs(values[known], before[origin[known]])
+            masks[name][has_source] = ~differs(values[has_source], before[origin[has_source]])
     return masks
 
 

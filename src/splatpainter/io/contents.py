@@ -254,7 +254,9 @@ def _glb(file: Any) -> Contents:
     for holder in gltf.view_holders(doc):
         holder["bufferView"] = _view(glb, holder["bufferView"])
     settings = {"JSON": json.dumps(doc, sort_keys=True)}
-    blocks = {f"chunk {kind:#010x}": bytes(data) for kind, data in glb.others} | {"trailing bytes": bytes(glb.tail)}
+    blocks = {f"chunk {kind:#010x}": bytes(data) for kind, data in glb.other_chunks} | {
+        "trailing bytes": bytes(glb.tail)
+    }
     return Contents(tuple(tables), settings, blocks, unseen="where the accessors lie in the buffer, and unused ones")
 
 

@@ -76,7 +76,7 @@ class GlbFile:
     glb: gltf.Glb
     primitives: tuple[GaussianPrimitive, ...]
     """In file order, which is the order of their rows."""
-    whole: bytes
+    data: bytes
     """The file."""
 
 
@@ -90,11 +90,11 @@ def read_glb(path: Path) -> Splats:
     problems: list[str] = []
     placements: dict[int, tuple[np.ndarray, float, np.ndarray]] = {}
     primitives, pieces, first = [], [], 0
-    found = _find(glb.doc, path, problems)
-    every = [_names(glb.doc["meshes"][mesh]["primitives"][index].get("attributes", {})) for mesh, index in found]
-    bands = max(sum(name.startswith("SH_") for name in names) for names in every)
+    opened = _primitives_to_open(glb.doc, path, problems)
+    semantics = [_names(glb.doc["meshes"][mesh]["primitives"][index].get("attributes", {})) for mesh, index in opened]
+    bands = max(sum(name.startswith("SH_") for name in names) for names in semantics)
     parents = gltf.parents_of(glb.doc)
-    for (mesh, index), names in zip(found, every, strict=True):
+    for (mesh, index), names in zip(opened, semantics, strict=True):
         if mesh not in placements:
             placements[mesh] = _placement(glb.doc, mesh, parents, path, problems)
         one = GaussianPrimitive(mesh, index, names, *placements[mesh], first)
@@ -195,42 +195,42 @@ def read_local(
 
 
 def _extension(primitive: dict[str, Any]) -> dict[str, Any]:
-    found = primitive.get("extensions", {}).get(EXTENSION)
-    return found if isinstance(found, dict) else {}
+    extension = primitive.get("extensions", {}).get(EXTENSION)
+    return extension if isinstance(extension, dict) else {}
 
 
 def _names(attributes: dict[str, Any]) -> dict[str, str]:
-    found = {}
+    names = {}
     for semantic in ("POSITION", "COLOR_0", "ROTATION", "SCALE", "OPACITY", *sh_semantics(4)):
         for name in (f"{EXTENSION}:{semantic}", f"_{semantic}", semantic):
             if name in attributes:
-                found[semantic] = name
+                names[semantic] = name
                 break
-    return found
+    return names
 
 
-def _find(doc: dict[str, Any], path: Path, problems: list[str]) -> list[tuple[int, int]]:
+def _primitives_to_open(doc: dict[str, Any], path: Path, problems: list[str]) -> list[tuple[int, int]]:
     """(mesh, primitive) of the Gaussian primitives to open, in file order.
 
     Where nodes show some of them, the others are no part of any picture: they are kept and reported."""
-    found = []
+    candidates = []
     for mesh, item in enumerate(doc.get("meshes", [])):
         for index, primitive in enumerate(item.get("primitives", [])):
             names = primitive.get("attributes", {})
             if EXTENSION in primitive.get("extensions", {}) or any(name.startswith(f"{EXTENSION}:") for name in names):
-                found.append((mesh, index))
-    if not found:
+                candidates.append((mesh, index))
+    if not candidates:
         raise ValueError(f"{path}: expected a primitive with {EXTENSION}; this glTF file holds no Gaussians")
     visible = {node.get("mesh") for node in doc.get("nodes", []) if type(node.get("mesh")) is int}
-    opened = [one for one in found if one[0] in visible] or found
-    if len(opened) < len(found):
-        hidden = len(found) - len(opened)
+    to_open = [one for one in candidates if one[0] in visible] or candidates
+    if len(to_open) < len(candidates):
+        hidden = len(candidates) - len(to_open)
         problems.append(f"{hidden} Gaussian primitives that no node shows; they are not opened, but kept")
-    if len(opened) > MAX_PRIMITIVES:
-        raise ValueError(f"{path}: expected at most {MAX_PRIMITIVES} Gaussian primitives, found {len(opened)}")
-    for mesh, index in opened:
+    if len(to_open) > MAX_PRIMITIVES:
+        raise ValueError(f"{path}: expected at most {MAX_PRIMITIVES} Gaussian primitives, found {len(to_open)}")
+    for mesh, index in to_open:
         _check_primitive(doc["meshes"][mesh]["primitives"][index], path, problems)
-    return opened
+    return to_open
 
 
 def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str]) -> None:
@@ -294,7 +294,7 @@ def write_glb(path: Path, splats: Splats) -> None:
     if splats.sh_degree > 3 and f"SH_DEGREE_{splats.sh_degree}_COEF_0" not in names:
         raise ValueError(f"{path}: glTF holds SH up to degree 3, got {splats.sh_degree}; write .ply or .spz instead")
     if old and same and same.identity:
-        out = old.whole
+        out = old.data
     elif old and same:
         out = gltf.serialise(_edited(splats, same, old, path))
     else:
@@ -323,7 +323,7 @@ def _fresh(splats: Splats) -> gltf.Glb:
         doc["accessors"].append(_accessor(doc, binary, array))
         primitive["attributes"][_name(semantic)] = number
     doc["accessors"][0] |= _range(local.means)
-    _say(primitive, splats)
+    _set_flags(primitive, splats)
     doc["buffers"][0]["byteLength"] = len(binary)
     return gltf.Glb(doc, bytes(binary), (), b"")
 
@@ -332,16 +332,16 @@ def _edited(splats: Splats, same: Unchanged, old: GlbFile, path: Path) -> gltf.G
     """The source with the rows of `splats`. Raises ValueError: no row of a primitive is left."""
     doc, binary = copy.deepcopy(old.glb.doc), bytearray(old.glb.binary)
     work = _Work(doc, binary, _shared(doc), old.glb, path)
-    rows, homes = drawable_rows(splats), homes_of(same.source_rows, old.primitives)
+    rows, primitive_of_rows = drawable_rows(splats), _primitive_of_rows(same.source_rows, old.primitives)
     for number, one in enumerate(old.primitives):
-        here = homes == number
-        if not here.any():
+        in_primitive = primitive_of_rows == number
+        if not in_primitive.any():
             raise ValueError(
                 f"{path}: glTF cannot hold a primitive of 0 rows (none of primitive {one.index} of mesh {one.mesh} "
                 "is left); write .ply instead"
             )
-        _edit_primitive(work, one, rows.take(here), _part_of(same, here, one))
-        _say(doc["meshes"][one.mesh]["primitives"][one.index], splats)
+        _edit_primitive(work, one, rows.take(in_primitive), _part_of(same, in_primitive, one))
+        _set_flags(doc["meshes"][one.mesh]["primitives"][one.index], splats)
     used = doc.setdefault("extensionsUsed", [])
     if EXTENSION not in used:
         used.append(EXTENSION)
@@ -362,7 +362,7 @@ class _Work:
     path: Path
 
 
-def homes_of(rows: np.ndarray, primitives: tuple[GaussianPrimitive, ...]) -> np.ndarray:
+def _primitive_of_rows(rows: np.ndarray, primitives: tuple[GaussianPrimitive, ...]) -> np.ndarray:
     """[N] which of the primitives each row goes to. rows: [N] row of the source, -1 for none.
 
     Each to the one it came from, and new rows to the one before them, as far as the order of all rows allows: in the
@@ -372,11 +372,11 @@ def homes_of(rows: np.ndarray, primitives: tuple[GaussianPrimitive, ...]) -> np.
     return np.maximum.accumulate(cause) if len(cause) else cause
 
 
-def _part_of(same: Unchanged, here: np.ndarray, one: GaussianPrimitive) -> Unchanged:
+def _part_of(same: Unchanged, mask: np.ndarray, one: GaussianPrimitive) -> Unchanged:
     """What is kept of the rows of one primitive, counted from its first."""
-    rows = same.source_rows[here] - one.first
-    inside = (same.source_rows[here] >= 0) & (rows >= 0) & (rows < one.rows)
-    masks = {name: getattr(same, name)[here] & inside for name in (*ATTRIBUTES[:-1], "base", "rest")}
+    rows = same.source_rows[mask] - one.first
+    inside = (same.source_rows[mask] >= 0) & (rows >= 0) & (rows < one.rows)
+    masks = {name: getattr(same, name)[mask] & inside for name in (*ATTRIBUTES[:-1], "base", "rest")}
     return replace(same, source_rows=np.where(inside, rows, -1), **masks)
 
 
@@ -388,10 +388,10 @@ def _edit_primitive(work: _Work, one: GaussianPrimitive, rows: Splats, same: Unc
     opened = rows.source.splats.sh.shape[1] if rows.source else 0
     if local.sh.shape[1] != opened or local.sh[:, bands:].any():  # else the zeros behind are for other primitives
         bands = local.sh.shape[1]
-    own = before.sh.shape[1]
+    stored_bands = before.sh.shape[1]
     local, before = (replace(s, sh=with_bands(s.sh, bands)) for s in (local, before))
     restored = _restore(local, before, same)
-    restored.sh[:, own:] = local.sh[:, own:]  # not in the file yet, the sign of zero included
+    restored.sh[:, stored_bands:] = local.sh[:, stored_bands:]  # not in the file yet, the sign of zero included
     local = restored
     primitive = work.doc["meshes"][one.mesh]["primitives"][one.index]
     attributes = primitive["attributes"]
@@ -524,7 +524,7 @@ def _shared(doc: dict[str, Any]) -> set[int]:
     return {index for index in seen if isinstance(index, int) and seen.count(index) > 1}
 
 
-def _say(primitive: dict[str, Any], splats: Splats) -> None:
+def _set_flags(primitive: dict[str, Any], splats: Splats) -> None:
     """Colour space and antialiasing into the extension object, which is made where it is missing; an antialiasing that
     was not changed stays what the primitive says."""
     extensions = primitive.setdefault("extensions", {})
@@ -536,10 +536,10 @@ def _say(primitive: dict[str, Any], splats: Splats) -> None:
     if linear != (splats.color_space == "linear") or "colorSpace" not in extension:
         extension["colorSpace"] = SPACES[splats.color_space]
     extras = extension.get("extras")
-    said = isinstance(extras, dict) and extras.get("antialiased") is True
+    stated = isinstance(extras, dict) and extras.get("antialiased") is True
     source = splats.source if splats.source is not None and splats.source.format == "glb" else None
     changed = source is None or source.splats.antialiased != splats.antialiased
-    if changed and said != splats.antialiased:
+    if changed and stated != splats.antialiased:
         extension["extras"] = {**(extras if isinstance(extras, dict) else {}), "antialiased": splats.antialiased}
 
 

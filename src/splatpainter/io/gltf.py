@@ -35,7 +35,7 @@ class Glb:
 
     doc: dict[str, Any]
     binary: bytes
-    others: tuple[tuple[int, bytes], ...]
+    other_chunks: tuple[tuple[int, bytes], ...]
     """(type, content) of further chunks."""
     tail: bytes
     """Bytes after the declared length."""
@@ -66,8 +66,8 @@ def parse(data: bytes, path: Path) -> Glb:
     doc = jsonio.load_object(chunks[0][1], path, "the JSON chunk")
     _check(doc, path)
     binary = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == BIN_CHUNK else b""
-    others = chunks[2:] if binary else chunks[1:]
-    return Glb(doc, binary, tuple(others), data[length:])
+    other_chunks = chunks[2:] if binary else chunks[1:]
+    return Glb(doc, binary, tuple(other_chunks), data[length:])
 
 
 def declared_rows(path: Path) -> int:
@@ -82,7 +82,7 @@ def declared_rows(path: Path) -> int:
     if len(text) < min(size, jsonio.MAX_JSON_BYTES + 1):
         raise ValueError(f"{path}: truncated: its JSON chunk is cut off")
     doc = jsonio.load_object(text, path, "the JSON chunk")
-    return max((whole(item, "count", path, 0) for item in objects_at(doc, "accessors", path)), default=0)
+    return max((integer_at(item, "count", path, 0) for item in objects_at(doc, "accessors", path)), default=0)
 
 
 def serialise(glb: Glb) -> bytes:
@@ -91,7 +91,7 @@ def serialise(glb: Glb) -> bytes:
     chunks = [(JSON_CHUNK, text + b" " * (-len(text) % 4))]
     if glb.binary:
         chunks.append((BIN_CHUNK, glb.binary + b"\0" * (-len(glb.binary) % 4)))
-    body = b"".join(struct.pack("<II", len(data), kind) + data for kind, data in (*chunks, *glb.others))
+    body = b"".join(struct.pack("<II", len(data), kind) + data for kind, data in (*chunks, *glb.other_chunks))
     return struct.pack("<4sII", MAGIC, 2, 12 + len(body)) + body + glb.tail
 
 
@@ -101,7 +101,7 @@ def _check(doc: dict[str, Any], path: Path) -> None:
         objects_at(doc, key, path)
     for view in doc.get("bufferViews", []):
         for key in ("buffer", "byteOffset", "byteLength"):
-            whole(view, key, path, 0 if key == "byteOffset" else None)
+            integer_at(view, key, path, 0 if key == "byteOffset" else None)
     for mesh in doc.get("meshes", []):
         for primitive in objects_at(mesh, "primitives", path):
             groups = [primitive.get("attributes", {}), *objects_at(primitive, "targets", path)]
@@ -121,7 +121,7 @@ def entry(doc: dict[str, Any], kind: str, index: Any, path: Path) -> dict[str, A
     return items[index]
 
 
-def whole(item: dict[str, Any], key: str, path: Path, default: int | None = None) -> int:
+def integer_at(item: dict[str, Any], key: str, path: Path, default: int | None = None) -> int:
     """A non-negative integer property."""
     return jsonio.integer(item.get(key, default), path, f"glTF {key!r}")
 
@@ -132,7 +132,7 @@ def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.
     Raises ValueError: sparse, compressed or external data, unknown types, bytes outside of the buffer.
     """
     item = entry(glb.doc, "accessors", index, path)
-    kind, width = COMPONENTS.get(whole(item, "componentType", path)), WIDTHS.get(str(item.get("type")))
+    kind, width = COMPONENTS.get(integer_at(item, "componentType", path)), WIDTHS.get(str(item.get("type")))
     if kind is None or width is None or "sparse" in item or "bufferView" not in item:
         raise ValueError(
             f"{path}: accessor {index} is of a kind that splats do not use (sparse, empty or {brief(item.get('type'))})"
@@ -144,15 +144,15 @@ def accessor(glb: Glb, binary: bytes | bytearray, index: Any, path: Path) -> np.
         raise ValueError(
             f"{path}: buffer view {item['bufferView']} is compressed ({names}); decompress it with gltf-transform"
         )
-    if whole(view, "buffer", path) != 0 or "uri" in entry(glb.doc, "buffers", 0, path):
+    if integer_at(view, "buffer", path) != 0 or "uri" in entry(glb.doc, "buffers", 0, path):
         raise ValueError(f"{path}: accessor {index} lies in an external file; expected all data inside the GLB")
     size = np.dtype(kind).itemsize
     count, start, length = (
-        whole(item, "count", path),
-        whole(view, "byteOffset", path, 0),
-        whole(view, "byteLength", path),
+        integer_at(item, "count", path),
+        integer_at(view, "byteOffset", path, 0),
+        integer_at(view, "byteLength", path),
     )
-    stride, offset = whole(view, "byteStride", path, width * size), whole(item, "byteOffset", path, 0)
+    stride, offset = integer_at(view, "byteStride", path, width * size), integer_at(item, "byteOffset", path, 0)
     files.take(memoryview(binary), start, length, path, f"buffer view {item['bufferView']}")
     stride = stride if count > 1 else width * size  # of one element it means nothing
     if stride < width * size or offset + (max(count, 1) - 1) * stride + (width * size if count else 0) > length:
@@ -213,26 +213,26 @@ def global_matrix(doc: dict[str, Any], node: int, path: Path, tree: Parents) -> 
 
 def _local_matrix(node: dict[str, Any], path: Path) -> np.ndarray:
     defaults = {"translation": [0, 0, 0], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]}
-    found = {}
+    parts = {}
     for key, default in (*defaults.items(), ("matrix", np.eye(4).T.ravel().tolist())):
         value = node.get(key, default)
         if not isinstance(value, list) or len(value) != len(default) or not all(type(v) in (int, float) for v in value):
             raise ValueError(f"{path}: expected {len(default)} numbers as a node's {key}, found {brief(value)}")
         try:
-            found[key] = np.array(value, np.float64)
+            parts[key] = np.array(value, np.float64)
         except OverflowError:
             raise ValueError(f"{path}: a node's {key} is out of range") from None
     if "matrix" in node:
-        return found["matrix"].reshape(4, 4).T
-    x, y, z, w = found["rotation"] / max(float(np.linalg.norm(found["rotation"])), 1e-30)
+        return parts["matrix"].reshape(4, 4).T
+    x, y, z, w = parts["rotation"] / max(float(np.linalg.norm(parts["rotation"])), 1e-30)
     out = np.eye(4)
     out[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    out[:3, :3] *= found["scale"]
-    out[:3, 3] = found["translation"]
+    out[:3, :3] *= parts["scale"]
+    out[:3, 3] = parts["translation"]
     return out
 
 
@@ -246,9 +246,9 @@ def compact(doc: dict[str, Any], binary: bytes | bytearray) -> bytes:
         return bytes(binary)
     named = {holder["bufferView"] for holder in view_holders(doc)}
     used = [i for i, view in enumerate(views) if i in named or view["buffer"] != 0]
-    place = {old: new for new, old in enumerate(used)}
+    new_index = {old: new for new, old in enumerate(used)}
     for holder in view_holders(doc):
-        holder["bufferView"] = place.get(holder["bufferView"], len(views))  # what named nothing still does
+        holder["bufferView"] = new_index.get(holder["bufferView"], len(views))  # what named nothing still does
     out = bytearray()
     for index in used:
         view = views[index]

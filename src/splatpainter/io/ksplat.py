@@ -36,7 +36,7 @@ class _Section:
     """One section header, and where its data begin."""
 
     rows: int
-    room: int
+    capacity: int
     bucket_size: int
     buckets: int
     block: float
@@ -87,19 +87,19 @@ def _sections(data: bytes, count: int, level: int, path: Path) -> list[_Section]
     if count > MAX_SECTIONS:
         raise ValueError(f"{path}: expected at most {MAX_SECTIONS} sections in a .ksplat file, found {count}")
     start = HEADER + count * SECTION
-    found = []
+    sections = []
     for k in range(count):
         base = HEADER + k * SECTION
         words = np.frombuffer(data, "<u4", 10, base)
-        rows, room, bucket_size, buckets = (int(w) for w in words[:4])
+        rows, capacity, bucket_size, buckets = (int(w) for w in words[:4])
         degree = int(np.frombuffer(data, "<u2", 1, base + 40)[0])
         if degree > 2:
             raise ValueError(f"{path}: section {k}: expected SH degree 0, 1 or 2, got {degree}")
-        if rows > room:
-            raise ValueError(f"{path}: section {k}: {rows} rows, but room for {room}")
+        if rows > capacity:
+            raise ValueError(f"{path}: section {k}: {rows} rows, but room for {capacity}")
         section = _Section(
             rows,
-            room,
+            capacity,
             bucket_size,
             buckets,
             float(np.frombuffer(data, "<f4", 1, base + 16)[0]),
@@ -112,13 +112,13 @@ def _sections(data: bytes, count: int, level: int, path: Path) -> list[_Section]
         )
         if level and section.bucket_bytes != 12 and rows:
             raise ValueError(f"{path}: section {k}: expected 12 bytes a bucket, got {section.bucket_bytes}")
-        size = section.buckets_size + room * _row(level, degree).itemsize
-        files.take(data, start, size, path, f"section {k} with {room} rows")
+        size = section.buckets_size + capacity * _row(level, degree).itemsize
+        files.take(data, start, size, path, f"section {k} with {capacity} rows")
         start += size
-        found.append(section)
-    if not found:
+        sections.append(section)
+    if not sections:
         raise ValueError(f"{path}: expected at least one section in a .ksplat file, found none")
-    return found
+    return sections
 
 
 def _row(level: int, degree: int) -> np.dtype:

@@ -61,9 +61,9 @@ def unpack_quats(words: np.ndarray) -> np.ndarray:
     largest = np.sqrt(np.maximum(0, 1 - (small * small).sum(1)))
     quats = np.empty((len(words), 4))
     rows = np.arange(len(words))
-    others = np.arange(3) + (np.arange(3) >= fields[:, :1])
+    rest = np.arange(3) + (np.arange(3) >= fields[:, :1])
     quats[rows, fields[:, 0]] = largest
-    quats[rows[:, None], others] = small
+    quats[rows[:, None], rest] = small
     return quats
 
 
@@ -73,8 +73,8 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     rows = np.arange(len(unit))
     largest = np.abs(unit).argmax(1)
     unit = np.where(unit[rows, largest] < 0, -1, 1)[:, None] * unit
-    others = np.arange(3) + (np.arange(3) >= largest[:, None])
-    small = np.clip(np.floor((unit[rows[:, None], others] / np.sqrt(2) + 0.5) * 1023 + 0.5), 0, 1023)
+    rest = np.arange(3) + (np.arange(3) >= largest[:, None])
+    small = np.clip(np.floor((unit[rows[:, None], rest] / np.sqrt(2) + 0.5) * 1023 + 0.5), 0, 1023)
     return pack_fields(np.concatenate([largest[:, None], small], 1), (2, 10, 10, 10))
 
 
@@ -151,12 +151,12 @@ def morton_order(means: np.ndarray) -> np.ndarray:
     so their 11-bit positions fine (docs/formats.md has numbers); it also changes row indices, so it is never automatic.
     """
     finite = np.isfinite(means).all(1)
-    kept = means[finite].astype(np.float64)
+    finite_means = means[finite].astype(np.float64)
     keys = np.full(len(means), np.iinfo(np.uint64).max, np.uint64)
-    if len(kept):
-        low = kept.min(0)
-        span = np.maximum(kept.max(0) - low, np.finfo(np.float64).tiny)
-        cells = ((kept - low) / span * (2**MORTON_BITS - 1)).astype(np.uint64)
+    if len(finite_means):
+        low = finite_means.min(0)
+        span = np.maximum(finite_means.max(0) - low, np.finfo(np.float64).tiny)
+        cells = ((finite_means - low) / span * (2**MORTON_BITS - 1)).astype(np.uint64)
         keys[finite] = (
             _spread(cells[:, 0]) | (_spread(cells[:, 1]) << np.uint64(1)) | (_spread(cells[:, 2]) << np.uint64(2))
         )

@@ -78,14 +78,14 @@ def read_ply(path: Path, lenient: bool = False) -> Splats:
         # Hashing lets go of the GIL, so it runs beside the decoding.
         digest = pool.submit(_sha256, record)
         splats = _decode(record.rows, plan, vertex, header)
-        own = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
-        extra = [name for name in vertex.names if name not in own]
+        gaussian_names = {name for names in plan.values() for name in names} | {"nx", "ny", "nz"}
+        extra = [name for name in vertex.names if name not in gaussian_names]
         if extra:
-            shown = _named(extra) + (", ..." if len(extra) > 8 else "")
-            problems.append(f"extra vertex properties (kept as they are): {shown}")
-        others = [e.name for e in header.elements if e.name != "vertex"]
-        if others:
-            problems.append(f"extra elements (kept as they are): {_named(others)}")
+            listed = _named(extra) + (", ..." if len(extra) > 8 else "")
+            problems.append(f"extra vertex properties (kept as they are): {listed}")
+        other_elements = [e.name for e in header.elements if e.name != "vertex"]
+        if other_elements:
+            problems.append(f"extra elements (kept as they are): {_named(other_elements)}")
         problems += row_problems(splats)
         source = Source(str(path), "ply", splats, digest.result(), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
@@ -135,13 +135,13 @@ def columns_of(names: Sequence[str], path: Path, header: Header | None = None) -
         "opacities": ("opacity",),
         "sh": base,
     }
-    missing = [name for wanted in plan.values() for name in wanted if name not in have]
+    missing = [name for required in plan.values() for name in required if name not in have]
     if missing == ["scale_2"]:
         raise ValueError(f"{path}: no scale_2: a file of 2D Gaussians (surfels); expected 3D Gaussians")
     if missing:
         what = "a mesh" if header is not None and header.element("face") else "not a Gaussian splat file"
-        shown = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
-        raise ValueError(f"{path}: a PLY file, but {what}: its vertices lack {shown}")
+        listed = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
+        raise ValueError(f"{path}: a PLY file, but {what}: its vertices lack {listed}")
     rest = _rest_count(have, path)
     if rest:
         plan["sh"] += tuple(f"f_rest_{c * (rest // 3) + k}" for k in range(rest // 3) for c in range(3))
@@ -175,8 +175,8 @@ def settled_comments(header: Header, splats: Splats, old: Splats | None) -> Head
 def _rest_count(names: set[str], path: Path) -> int:
     rest = {name for name in names if re.fullmatch(r"f_rest_[0-9]{1,4}", name)}
     if len(rest) not in DEGREES:
-        wanted, degree = next(((n, d) for n, d in DEGREES.items() if n >= len(rest)), max(DEGREES.items()))
-        raise ValueError(f"{path}: expected {wanted} f_rest_* properties for SH degree {degree}, found {len(rest)}")
+        expected, degree = next(((n, d) for n, d in DEGREES.items() if n >= len(rest)), max(DEGREES.items()))
+        raise ValueError(f"{path}: expected {expected} f_rest_* properties for SH degree {degree}, found {len(rest)}")
     gap = next((k for k in range(len(rest)) if f"f_rest_{k}" not in rest), None)
     if gap is not None:
         raise ValueError(f"{path}: expected f_rest_0 to f_rest_{len(rest) - 1}, but f_rest_{gap} is missing")
@@ -191,9 +191,9 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, leni
     problems: list[str] = []
     if header.format == "ascii":
         body = file.read()
-        whole = body if not body or body.endswith(b"\n") else body + header.newline
+        complete = body if not body or body.endswith(b"\n") else body + header.newline
         pairs = [(p.name, p.type) for p in vertex.properties]
-        rows = text_rows(whole, sum(e.count for e in ahead), vertex.count, pairs, header.newline, path)
+        rows = text_rows(complete, sum(e.count for e in ahead), vertex.count, pairs, header.newline, path)
         after = body[rows.starts[-1] :]
         lines = after.count(b"\n") + (after != b"" and not after.endswith(b"\n"))
         extra_lines = lines - sum(e.count for e in behind)
@@ -201,7 +201,7 @@ def _read_body(file: BinaryIO, header: Header, vertex: Element, path: Path, leni
             _cut_short("what follows element 'vertex' is", lenient, path, problems)
         elif extra_lines > 0 and after.strip():
             problems.append(f"{extra_lines} lines behind the last element (kept as they are)")
-        return PlyFile(header, body[: rows.starts[0]], rows, after, len(whole) > len(body) and not after), problems
+        return PlyFile(header, body[: rows.starts[0]], rows, after, len(complete) > len(body) and not after), problems
     skipped = 0
     for element in ahead:
         file.seek(start + skipped)
@@ -274,7 +274,7 @@ def _encode(splats: Splats, record: PlyFile, old: Splats | None, origin: np.ndar
     for start in range(0, len(splats), BLOCK_ROWS):
         rows = origin[start : start + BLOCK_ROWS]
         block = record.rows.block(rows)
-        known = rows >= 0
+        has_source = rows >= 0
         in_place = np.array_equal(rows, np.arange(start, start + len(rows)))
         for attribute, names in plan.items():
             if in_place and old is not None and getattr(old, attribute) is getattr(splats, attribute):
@@ -283,7 +283,7 @@ def _encode(splats: Splats, record: PlyFile, old: Splats | None, origin: np.ndar
             changed = np.ones(new.shape, bool)
             if old is not None:
                 before = getattr(old, attribute).reshape(-1, len(names))
-                changed[known] = differs(new[known], before[rows[known]])
+                changed[has_source] = differs(new[has_source], before[rows[has_source]])
             for k in np.flatnonzero(changed.any(0)):
                 where = changed[:, k]
                 block.put(names[k], where, _to_file(attribute, new[where, k], span if k < 3 else None))
@@ -322,21 +322,23 @@ def _with_degree(record: PlyFile, degree: int) -> PlyFile:
     vertex = record.header.element("vertex")
     assert vertex is not None
     old = sorted((n for n in vertex.names if re.fullmatch(r"f_rest_[0-9]{1,4}", n)), key=lambda n: int(n[7:]))
-    had, want = len(old) // 3, (degree + 1) ** 2 - 1
-    kept = [n for n in vertex.names if n not in old]
+    old_bands, new_bands = len(old) // 3, (degree + 1) ** 2 - 1
+    remaining = [n for n in vertex.names if n not in old]
     first = vertex.names.index(old[0]) if old else None
     # Behind f_dc_2 where there were none; all together where the first one stood.
-    place = len([n for n in vertex.names[:first] if n not in old]) if old else _after_base(kept)
-    names: list[tuple[str, str, str | None]] = [(p.name, p.type, p.name) for p in vertex.properties if p.name in kept]
+    position = len([n for n in vertex.names[:first] if n not in old]) if old else _after_base(remaining)
+    names: list[tuple[str, str, str | None]] = [
+        (p.name, p.type, p.name) for p in vertex.properties if p.name in remaining
+    ]
     rest: list[tuple[str, str, str | None]] = [
-        (f"f_rest_{c * want + k}", "f4", f"f_rest_{c * had + k}" if k < had else None)
+        (f"f_rest_{c * new_bands + k}", "f4", f"f_rest_{c * old_bands + k}" if k < old_bands else None)
         for c in range(3)
-        for k in range(want)
+        for k in range(new_bands)
     ]
     header = record.header.with_properties(
-        "vertex", old, [("float", name) for name, _, _ in rest], kept[place - 1] if place else None
+        "vertex", old, [("float", name) for name, _, _ in rest], remaining[position - 1] if position else None
     )
-    return replace(record, header=header, rows=record.rows.relayout(names[:place] + rest + names[place:]))
+    return replace(record, header=header, rows=record.rows.relayout(names[:position] + rest + names[position:]))
 
 
 def _after_base(names: Sequence[str]) -> int:

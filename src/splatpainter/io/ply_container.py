@@ -578,11 +578,11 @@ def text_rows(
         raise short
     starts = np.empty(count + 1, np.int64)
     starts[0], have = start, 1
-    for place in range(start, len(data), TEXT_PIECE_BYTES):
+    for offset in range(start, len(data), TEXT_PIECE_BYTES):
         if have > count:
             break
-        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - place), place)
-        ends = np.flatnonzero(piece == ord("\n"))[: count + 1 - have] + (place + 1)
+        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - offset), offset)
+        ends = np.flatnonzero(piece == ord("\n"))[: count + 1 - have] + (offset + 1)
         starts[have : have + len(ends)] = ends
         have += len(ends)
     if have <= count:
@@ -592,13 +592,13 @@ def text_rows(
 
 def _behind_lines(data: bytes, count: int) -> int | None:
     """Offset behind the first `count` lines, None where there are fewer."""
-    for place in range(0, len(data), TEXT_PIECE_BYTES):
+    for offset in range(0, len(data), TEXT_PIECE_BYTES):
         if not count:
-            return place
-        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - place), place) == ord("\n")
+            return offset
+        piece = np.frombuffer(data, np.uint8, min(TEXT_PIECE_BYTES, len(data) - offset), offset) == ord("\n")
         lines = int(np.count_nonzero(piece))
         if lines >= count:
-            return place + int(np.flatnonzero(piece)[count - 1]) + 1
+            return offset + int(np.flatnonzero(piece)[count - 1]) + 1
         count -= lines
     return None if count else len(data)
 

@@ -95,7 +95,7 @@ class Container:
     """What meta.json names, meta.json itself, and in a bundle everything else."""
     folder: bool
     sha256: str
-    whole: bytes
+    bundle_bytes: bytes
     """The bundle as it is on disk; b"" for a folder."""
 
 
@@ -132,8 +132,8 @@ def read_sog(path: Path) -> Splats:
 
 def _parse(container: Container, meta: dict[str, Any], path: Path, problems: list[str]) -> SogFile:
     if meta.get("version") != 2:
-        found = brief(meta["version"]) if "version" in meta else "none"
-        raise ValueError(f"{path}: expected SOG version 2, found {found}; convert older files with splat-transform")
+        version = brief(meta["version"]) if "version" in meta else "none"
+        raise ValueError(f"{path}: expected SOG version 2, found {version}; convert older files with splat-transform")
     count = integer(meta.get("count"), path, "the row count in meta.json", 1)
     named = {part: _listed_files(meta, part, len(keys), path) for part, keys in PLANES.items() if part != "shN"}
     if meta.get("shN") is not None:
@@ -173,9 +173,9 @@ def _plane_size(container: Container, key: str, name: str, count: int, path: Pat
     """Width and height that an image declares, judged by the row count."""
     where = f"{path}: {name}"
     width, height = packing.image_size(container.files[name], where)
-    least = 1 if key == "palette" else count
-    if width * height < least:
-        raise ValueError(f"{where}: expected at least {least} pixels, found {width} x {height}")
+    min_pixels = 1 if key == "palette" else count
+    if width * height < min_pixels:
+        raise ValueError(f"{where}: expected at least {min_pixels} pixels, found {width} x {height}")
     # Planes are padded to a rectangle, not to a multiple of their size.
     if width * height > (MAX_PALETTE * BANDS[3] if key == "palette" else 4 * count + 65536):
         raise ValueError(f"{where}: {width} x {height} pixels are too many for {count} rows")
@@ -215,8 +215,8 @@ def _palette_bands(meta: dict[str, Any], size: tuple[int, int], path: Path) -> t
 def _check_entries(books: dict[str, np.ndarray], pixels: dict[str, np.ndarray], palette: Any, path: Path) -> None:
     for part, codes in (("scales", pixels["scales"][:, :3]), ("sh0", pixels["sh0"][:, :3]), ("shN", palette)):
         if codes is not None and int(codes.max()) >= len(books[part]):
-            found, size = int(codes.max()), len(books[part])
-            raise ValueError(f"{path}: a pixel names entry {found} of the {part} codebook, which has {size}")
+            highest, size = int(codes.max()), len(books[part])
+            raise ValueError(f"{path}: a pixel names entry {highest} of the {part} codebook, which has {size}")
 
 
 def _decode(file: SogFile, path: Path, problems: list[str]) -> Splats:
@@ -285,8 +285,8 @@ def _unpack_quats(pixels: np.ndarray) -> np.ndarray:
     small = (pixels[:, :3].astype(np.float64) / 255 * 2 - 1) / math.sqrt(2)
     largest = np.maximum(pixels[:, 3].astype(np.int64) - 252, 0)
     quats = np.zeros((len(pixels), 4))
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    np.put_along_axis(quats, others, small, 1)
+    smaller = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    np.put_along_axis(quats, smaller, small, 1)
     np.put_along_axis(quats, largest[:, None], np.sqrt(np.maximum(0, 1 - (small * small).sum(1)))[:, None], 1)
     quats[pixels[:, 3] < 252] = (1, 0, 0, 0)
     return quats.astype(np.float32)
@@ -308,7 +308,7 @@ def write_sog(path: Path, splats: Splats) -> None:
     same = unchanged(splats, "sog")
     old: SogFile | None = splats.source.detail if same and splats.source else None
     if old and same and same.identity:
-        _store(path, old.container.files, old.container.whole)
+        _store(path, old.container.files, old.container.bundle_bytes)
     else:
         _store(path, _encode(splats, same, old))
 
@@ -385,8 +385,8 @@ def _pack_quats(quats: np.ndarray) -> np.ndarray:
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     largest = np.abs(unit).argmax(1)
     unit *= np.where(unit[np.arange(len(unit)), largest] < 0, -1, 1)[:, None]
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    small = np.take_along_axis(unit, others, 1)
+    smaller = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    small = np.take_along_axis(unit, smaller, 1)
     out = _rgba(np.clip(np.rint((small * math.sqrt(2) + 1) / 2 * 255), 0, 255))
     out[:, 3] = 252 + largest
     return out
@@ -548,7 +548,7 @@ def _load(path: Path) -> tuple[Container, dict[str, Any]]:
     return _load_folder(path) if _is_folder(path) else _load_bundle(path)
 
 
-def _store(path: Path, entries: dict[str, bytes], whole: bytes = b"") -> None:
+def _store(path: Path, entries: dict[str, bytes], bundle_bytes: bytes = b"") -> None:
     """Write a bundle (name ending in .sog) or the files of a folder, meta.json last.
 
     whole: the bundle of `entries` where its bytes are known. In a folder, a bundle's entries that lie in folders of
@@ -566,7 +566,7 @@ def _store(path: Path, entries: dict[str, bytes], whole: bytes = b"") -> None:
     if path.suffix.lower() != ".sog":
         raise ValueError(f"{path}: expected a name ending in .sog, or meta.json for a folder of planes")
     with files.writing(path) as target:
-        target.write(whole or _bundle(entries))
+        target.write(bundle_bytes or _bundle(entries))
 
 
 def _bundle(entries: dict[str, bytes]) -> bytes:
@@ -610,12 +610,12 @@ def declared_rows(path: Path) -> int:
 
 def _load_folder(path: Path) -> tuple[Container, dict[str, Any]]:
     folder = path if os.path.isdir(path) else path.parent
-    found = {META: files.read_all(folder / META)}
-    meta = _parse_meta(found[META], folder)
+    contents = {META: files.read_all(folder / META)}
+    meta = _parse_meta(contents[META], folder)
     for name in _named_files(meta, folder):
-        found[name] = files.read_all(folder / name)
-    digest = files.sha256(b"".join(name.encode() + b"\0" + found[name] for name in sorted(found)))
-    return Container(found, True, digest, b""), meta
+        contents[name] = files.read_all(folder / name)
+    digest = files.sha256(b"".join(name.encode() + b"\0" + contents[name] for name in sorted(contents)))
+    return Container(contents, True, digest, b""), meta
 
 
 def _load_bundle(path: Path) -> tuple[Container, dict[str, Any]]:
@@ -625,15 +625,15 @@ def _load_bundle(path: Path) -> tuple[Container, dict[str, Any]]:
     allow(len(data), sum(entry.file_size for entry in entries), path, "the bundle")
     if sum(entry.compress_size for entry in entries) > len(data):
         raise ValueError(f"{path}: damaged bundle (its files need more bytes than it has)")
-    found = {entry.filename: _unpacked(data, entry, path) for entry in entries}
-    if META not in found:
-        names = files.printable(", ".join(sorted(found)[:5]))
+    contents = {entry.filename: _unpacked(data, entry, path) for entry in entries}
+    if META not in contents:
+        names = files.printable(", ".join(sorted(contents)[:5]))
         raise ValueError(f"{path}: expected {META} in the bundle, found {names or 'nothing'}")
-    meta = _parse_meta(found[META], path)
+    meta = _parse_meta(contents[META], path)
     for name in _named_files(meta, path):
-        if name not in found:
+        if name not in contents:
             raise ValueError(f"{path}: {META} names {files.printable(name)}, which is not in the bundle")
-    return Container(found, False, files.sha256(data), data), meta
+    return Container(contents, False, files.sha256(data), data), meta
 
 
 def _entries(data: bytes, path: Path) -> list[zipfile.ZipInfo]:

@@ -75,12 +75,12 @@ def write_splat(path: Path, splats: Splats) -> None:
     source = splats.source
     if source is not None and source.format == "splat" and splats.origin is not None:
         after, old, origin = source.detail.after, source.splats, np.asarray(splats.origin)
-        known = origin >= 0
-        rows[known] = source.detail.rows[origin[known]]
+        has_source = origin >= 0
+        rows[has_source] = source.detail.rows[origin[has_source]]
         now, then = _columns(splats), _columns(old)
         for name, mask in changed.items():
-            changes = differs(now[name][known], then[name][origin[known]])
-            mask[known] = changes if changes.ndim == 1 else changes.any(1)
+            changes = differs(now[name][has_source], then[name][origin[has_source]])
+            mask[has_source] = changes if changes.ndim == 1 else changes.any(1)
     norms = np.linalg.norm(splats.quats.astype(np.float64), axis=1, keepdims=True)
     values = {
         "means": splats.means,

@@ -73,7 +73,7 @@ class SpzFile:
     extensions: bytes
     tail: bytes
     """What follows the last stream or the gzip member."""
-    whole: bytes
+    data: bytes
     """The file."""
     frame: int = RUB
     """Code of the frame that the words are in."""
@@ -90,15 +90,15 @@ def read_spz(path: Path, frame: Frame = "auto") -> Splats:
     else:
         raise ValueError(f"{path}: not an SPZ file: expected a gzip stream or 'NGSP', found {bytes(data[:4])!r}")
     problems: list[str] = []
-    said = _frame_said(file, problems)
-    code = (said or RUB) if frame == "auto" else CODES[frame]
-    if said and said != code:
-        problems.append(f"the file says {axes.describe(NAMES[said - 1])}; read as {axes.describe(frame)}, as chosen")
+    stated = _stated_frame(file, problems)
+    code = (stated or RUB) if frame == "auto" else CODES[frame]
+    if stated and stated != code:
+        problems.append(f"the file says {axes.describe(NAMES[stated - 1])}; read as {axes.describe(frame)}, as chosen")
     file = replace(file, frame=code)
     rows = _to_ply_frame(_decode(file), code)
     problems += row_problems(rows)
     source = Source(str(path), "spz", rows, files.sha256(data), file, tuple(problems), NAMES[code - 1])
-    source = replace(source, frame_from="choice" if frame != "auto" else "file" if said else "format")
+    source = replace(source, frame_from="choice" if frame != "auto" else "file" if stated else "format")
     return replace(rows, source=source, origin=np.arange(len(rows)))
 
 
@@ -126,9 +126,9 @@ def write_spz(path: Path, splats: Splats, version: int | None = None, frame: Fra
             f"{path}: SPZ version {version} holds SH up to degree 3, got {splats.sh_degree}; use version 4"
         )
     if old and untouched and version == old.version:
-        out = old.whole
+        out = old.data
     else:
-        file = _saying_frame(_encode(splats, before, version, code, path), new=not before)
+        file = _with_frame(_encode(splats, before, version, code, path), new=not before)
         out = _plain_bytes(file) if version >= 4 else _gzip_bytes(file)
     with files.writing(path) as target:
         target.write(out)
@@ -172,11 +172,11 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
         raise ValueError(f"{path}: expected SPZ version 4 after a plain 'NGSP', found {version}")
     _check_header(version, degree, bits, path)
     sizes = {name: count * width for name, width in _widths(version, degree).items()}
-    wanted = [name for name in STREAMS if sizes[name]]
+    needed = [name for name in STREAMS if sizes[name]]
     # Writers leave empty streams out; one that is listed all the same must say that it is empty.
-    listed = wanted if stored == len(wanted) else list(STREAMS)
+    listed = needed if stored == len(needed) else list(STREAMS)
     if stored != len(listed):
-        raise ValueError(f"{path}: expected {len(wanted)} streams for SH degree {degree}, found {stored}")
+        raise ValueError(f"{path}: expected {len(needed)} streams for SH degree {degree}, found {stored}")
     if not 32 <= table <= 32 + TAIL:
         raise ValueError(f"{path}: expected the table of streams at byte 32 or after the extensions, found {table}")
     entries = struct.unpack(f"<{2 * stored}Q", files.take(data, table, 16 * stored, path, "the table of streams"))
@@ -273,10 +273,10 @@ def _fractional_bits(rows: Splats) -> int:
     if not len(rows):
         return 12
     thin = float(np.percentile(np.sort(rows.scales, 1)[:, 1], 5))
-    wanted = np.ceil(-np.log2(max(thin / 4, 2.0**-20)))
+    needed = np.ceil(-np.log2(max(thin / 4, 2.0**-20)))
     extent = max(float(np.abs(rows.means).max()), 2.0**-10)
-    room = np.floor(np.log2(POSITION_LIMIT / (2 * extent)))
-    return int(np.clip(min(max(wanted, 12), room), 0, 20))
+    possible = np.floor(np.log2(POSITION_LIMIT / (2 * extent)))
+    return int(np.clip(min(max(needed, 12), possible), 0, 20))
 
 
 def _gzip_bytes(file: SpzFile) -> bytes:
@@ -299,7 +299,7 @@ def _plain_bytes(file: SpzFile) -> bytes:
     return b"".join([header, reserved[:12], file.extensions, table, *packed, file.tail])
 
 
-def _frame_said(file: SpzFile, problems: list[str]) -> int | None:
+def _stated_frame(file: SpzFile, problems: list[str]) -> int | None:
     """Code of the frame that the file names, None where it names none."""
     for at in _frame_records(file):
         (code,) = struct.unpack_from("<I", file.extensions, at + 8)
@@ -328,14 +328,14 @@ def other_extensions(file: SpzFile) -> bytes:
     return bytes(data + file.extensions[at:])
 
 
-def _saying_frame(file: SpzFile, new: bool) -> SpzFile:
+def _with_frame(file: SpzFile, new: bool) -> SpzFile:
     """The file with its frame in the extension, if it would be taken for another one without, or is new and of version
     4, where extensions have a place of their own: before that they stand behind the rows, and some readers (spz-js)
     refuse a file with bytes there.
 
     Bytes behind the rows that no flag calls extensions (some writers put a tree there) leave no room for one.
     """
-    if (_frame_said(file, []) or RUB) == file.frame and not (new and file.version >= 4):
+    if (_stated_frame(file, []) or RUB) == file.frame and not (new and file.version >= 4):
         return file
     if file.extensions and not file.flags & EXTENDED:
         return file
