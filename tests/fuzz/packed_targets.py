@@ -14,8 +14,8 @@ import numpy as np
 import zstandard
 
 from splatpainter.io.spz import write_spz
+from tests.support.io_assets import random_splats, written
 
-from .corpus import rows, written
 from .mutations import INTEGERS, bend_bytes, bend_fields, bend_floats, bend_integer, bend_json, few, json_bytes, maybe
 from .reader_oracle import FileTarget
 
@@ -25,7 +25,7 @@ class SplatTarget(FileTarget):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.seeds = [written(folder, "a.splat", rows(count, 0)) for count in (1, 8, 40)]
+        self.seeds = [written(folder, "a.splat", random_splats(count, 0, log_scale=-2)) for count in (1, 8, 40)]
 
     def make(self, rng: random.Random) -> dict[str, bytes]:
         data = rng.choice(self.seeds)
@@ -114,12 +114,14 @@ class SpzTarget(FileTarget):
         self.payloads: list[bytes] = []
         self.plain: list[bytes] = []
         for version, degree in ((2, 0), (2, 1), (3, 0), (3, 3)):
-            write_spz(folder / "a.spz", rows(6, degree), version=version)
+            write_spz(folder / "a.spz", random_splats(6, degree, log_scale=-2), version=version)
             self.payloads.append(gzip.decompress((folder / "a.spz").read_bytes()))
         first = self.payloads[0]  # version 1: half-float positions, 6 bytes a row
         self.payloads.append(first[:4] + struct.pack("<I", 1) + first[8:16] + bytes(36) + first[16 + 54 :])
         for degree in (0, 2, 4):
-            write_spz(folder / "a.spz", replace(rows(6, degree), antialiased=degree > 0), version=4)
+            write_spz(
+                folder / "a.spz", replace(random_splats(6, degree, log_scale=-2), antialiased=degree > 0), version=4
+            )
             self.plain.append((folder / "a.spz").read_bytes())
 
     def make(self, rng: random.Random) -> dict[str, bytes]:
@@ -219,7 +221,7 @@ class GlbTarget(FileTarget):
         super().__init__(folder)
         self.seeds: list[tuple[str, bytes]] = []
         for degree in (0, 1, 3):
-            data = written(folder, "a.glb", rows(4, degree))
+            data = written(folder, "a.glb", random_splats(4, degree, log_scale=-2))
             size = struct.unpack_from("<I", data, 12)[0]
             self.seeds.append((data[20 : 20 + size].decode(), data[28 + size :]))
         self.seeds += [self._placed(), self._twice()]

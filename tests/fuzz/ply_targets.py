@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .corpus import rows, written
+from tests.support.io_assets import random_splats, written
+
 from .mutations import FLOATS, INTEGERS, TOKENS, bend_bytes, bend_floats, bend_integer, bend_list, few, maybe
 from .reader_oracle import FileTarget
 
@@ -59,7 +60,10 @@ class PlyTarget(FileTarget):
 
     def build(self) -> list[tuple[list[bytes], bytes]]:
         """(header lines, body) of sound files."""
-        out = [split(written(self.folder, "a.ply", rows(8, degree, degree))) for degree in (0, 1, 2, 3)]
+        out = [
+            split(written(self.folder, "a.ply", random_splats(8, degree, degree, log_scale=-2)))
+            for degree in (0, 1, 2, 3)
+        ]
         head, body = out[1]
         swapped = [line.replace(b"little", b"big") for line in head]
         out.append((swapped, np.frombuffer(body, "<u4").astype(">u4").tobytes()))
@@ -72,7 +76,7 @@ class PlyTarget(FileTarget):
 
     def _mixed(self) -> tuple[list[bytes], bytes]:
         """Doubles, colours in place of f_dc_*, an extra integer."""
-        source = rows(6, 0, 5)
+        source = random_splats(6, 0, 5, log_scale=-2)
         kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("label", "<i2"), ("red", "u1"), ("green", "u1")]
         kinds += [("blue", "u1"), ("opacity", "<f4")]
         kinds += [(f"scale_{k}", "<f4") for k in range(3)] + [(f"rot_{k}", "<f4") for k in range(4)]
@@ -116,7 +120,7 @@ class TextPlyTarget(PlyTarget):
     def build(self) -> list[tuple[list[bytes], bytes]]:
         out = []
         for degree in (0, 1, 3):
-            head, body = split(written(self.folder, "a.ply", rows(5, degree, degree)))
+            head, body = split(written(self.folder, "a.ply", random_splats(5, degree, degree, log_scale=-2)))
             head = [line.replace(b"binary_little_endian", b"ascii") for line in head]
             table = np.frombuffer(body, "<f4").reshape(5, -1)
             out.append((head, b"".join(b" ".join(repr(float(x)).encode() for x in row) + b"\n" for row in table)))
@@ -154,7 +158,10 @@ class CompressedPlyTarget(PlyTarget):
     file = "a.compressed.ply"
 
     def build(self) -> list[tuple[list[bytes], bytes]]:
-        made = [written(self.folder, self.file, rows(count, degree)) for count, degree in ((4, 0), (6, 1), (300, 0))]
+        made = [
+            written(self.folder, self.file, random_splats(count, degree, log_scale=-2))
+            for count, degree in ((4, 0), (6, 1), (300, 0))
+        ]
         out = [split(data) for data in made]
         head, body = out[0]
         plain = [line for line in head if not line.endswith((b"_r", b"_g", b"_b"))]

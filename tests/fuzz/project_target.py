@@ -18,9 +18,9 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.painter import Edit
 from splatpainter.session import Session
 from splatpainter.splats import Splats
+from tests.support.io_assets import random_splats, written
 from tests.support.session_scenes import FlatPainter
 
-from .corpus import rows, written
 from .mutations import FLOATS, INTEGERS, TEXTS, bend_bytes, bend_integer, bend_json, few, json_bytes, maybe
 from .target import Fault, Target, Verdict, refusal
 
@@ -203,7 +203,7 @@ class ProjectTarget(Target):
 
 def sheet() -> Splats:
     """Rows in a plane that a camera at z = 3 sees."""
-    made = rows(49, 1)
+    made = random_splats(49, 1, log_scale=-2)
     steps = np.linspace(-1, 1, 7)
     x, y = (part.ravel() for part in np.meshgrid(steps, steps))
     made.means[:] = np.stack([x, y, 0 * x], 1)

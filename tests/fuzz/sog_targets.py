@@ -17,8 +17,8 @@ from PIL import Image
 
 from splatpainter.io import write
 from splatpainter.splats import Splats
+from tests.support.io_assets import random_splats
 
-from .corpus import rows
 from .mutations import INTEGERS, bend_bytes, bend_integer, bend_json, bend_list, few, json_bytes, maybe
 from .reader_oracle import FileTarget
 
@@ -64,7 +64,7 @@ class SogFolderTarget(FileTarget):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.seeds = [sog_files(folder, rows(5, degree, degree)) for degree in (0, 1, 2)]
+        self.seeds = [sog_files(folder, random_splats(5, degree, degree, log_scale=-2)) for degree in (0, 1, 2)]
 
     def make(self, rng: random.Random) -> dict[str, bytes]:
         files = self.bent_files(rng)

@@ -12,8 +12,8 @@ import numpy as np
 from splatpainter.commands.verify import read_receipt
 from splatpainter.io import read, write
 from splatpainter.receipts import Receipt, Verification, untouched_hashes, verify
+from tests.support.io_assets import random_splats, written
 
-from .corpus import rows, written
 from .mutations import bend_bytes, bend_floats, bend_json, json_bytes, maybe
 from .packed_targets import GlbTarget, SplatTarget, SpzTarget
 from .ply_targets import CompressedPlyTarget, PlyTarget, TextPlyTarget
@@ -32,7 +32,7 @@ class VerifyTarget(Target):
         self.targets: list[FileTarget] = [kind(folder) for kind in kinds]
         self.pairs = []
         for name in ("a.ply", "a.splat", "a.spz", "a.glb", "a.compressed.ply"):
-            before = written(folder, name, rows(8, 1))
+            before = written(folder, name, random_splats(8, 1, log_scale=-2))
             (folder / name).write_bytes(before)
             splats = read(folder / name)
             sh = splats.sh.copy()

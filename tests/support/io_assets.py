@@ -6,23 +6,35 @@ from pathlib import Path
 
 import numpy as np
 
+from splatpainter.io import write
 from splatpainter.splats import Splats
 
 SH_C0 = 0.28209479177387814
 
 
-def random_splats(count: int, degree: int, seed: int = 0) -> Splats:
-    """Rows with values of realistic size: colours 0..1, opacities 0.02..0.98, thin scales, non-unit quaternions."""
+def random_splats(count: int, degree: int, seed: int = 0, log_scale: float = -4.0) -> Splats:
+    """Gaussians with values of realistic size: colours 0..1, opacities 0.02..0.98, scales around e^log_scale, non-unit
+    quaternions."""
     rng = np.random.default_rng(seed)
     sh = rng.normal(0, 0.2, (count, (degree + 1) ** 2, 3))
     sh[:, 0] = (rng.uniform(0.05, 0.95, (count, 3)) - 0.5) / SH_C0
     return Splats(
         means=rng.normal(0, 1, (count, 3)).astype(np.float32),
         quats=rng.normal(0, 1, (count, 4)).astype(np.float32),
-        scales=np.exp(rng.normal(-4, 1, (count, 3))).astype(np.float32),
+        scales=np.exp(rng.normal(log_scale, 1, (count, 3))).astype(np.float32),
         opacities=rng.uniform(0.02, 0.98, count).astype(np.float32),
         sh=sh.astype(np.float32),
     )
+
+
+def written(folder: Path, name: str, splats: Splats) -> bytes:
+    """The bytes of a file that `write` makes."""
+    path = folder / name
+    path.unlink(missing_ok=True)
+    write(path, splats)
+    data = path.read_bytes()
+    path.unlink()
+    return data
 
 
 def float_columns(path: Path) -> dict[str, np.ndarray]:
