@@ -24,8 +24,8 @@ class FlatPainter:
     and shrinks. Global: every row moves by a tenth towards the picture's mean colour. It counts its calls."""
 
     preset: str = "flat"
-    local: None = None
-    whole: None = None
+    local_options: None = None
+    global_options: None = None
     model: Any = None
     """Any torch module: then it learns."""
     polish: bool = False
