@@ -284,9 +284,9 @@ def stroke(browser: Browser, camera: dict[str, Any], patches: list[Patch]) -> Pa
         answer, milliseconds = _ask(browser, "paint.dab", stroke=started["stroke"], **vars(patch))
         previews.append(milliseconds)
         sizes.append(browser.received)
-        reached += answer["rows"]
+        reached += answer["gaussians"]
     made, end = _ask(browser, "paint.end", stroke=started["stroke"])
-    if not reached or not made["layer"]["rows_touched"]:
+    if not reached or not made["layer"]["gaussians_edited"]:
         raise RuntimeError("bench: a stroke reached nothing of the asset")
     return Painted(begin, previews, sizes, end, browser.received)
 

@@ -50,7 +50,7 @@ def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
                 break
         assert url is not None and url.startswith("http://127.0.0.1:")
         state = httpx.get(f"{url}api/state", timeout=30).json()
-        assert state["asset"]["name"] == "ball.ply" and state["asset"]["rows"] == 50
+        assert state["asset"]["name"] == "ball.ply" and state["asset"]["gaussians"] == 50
         process.send_signal(signal.SIGINT)
         out, errors = process.communicate(timeout=30)
     assert process.returncode == 0 and out == "stopped; everything is saved\n", errors

@@ -70,7 +70,7 @@ def test_a_picture_becomes_a_layer_as_in_python(studio: Live) -> None:
     assert rows_sha256(own.splats) == rows_sha256(session.splats)
     own.close()
     layer = made["layer"]
-    assert layer["rows_touched"] > 0 and layer["views"][0]["mask"] and made["version"] == 2
+    assert layer["gaussians_edited"] > 0 and layer["views"][0]["mask"] and made["version"] == 2
     for blob in (layer["thumbnail"], layer["views"][0]["picture"], layer["views"][0]["mask"]):
         assert studio.http.get(f"/api/blobs/{blob}").headers["content-type"] == "image/png"
 
@@ -136,7 +136,7 @@ def test_conflicts_are_reported_and_settled(studio: Live) -> None:
         image, _ = edited(studio, color, view(96, angle))
         studio.post("edit", views=[{"camera": wire(view(96, angle)), "picture": studio.send(png_bytes(image))}])
     found = studio.post("conflicts")["conflicts"]
-    assert len(found) == 1 and found[0]["rows"] > 0 and found[0]["policy"] == "latest"
+    assert len(found) == 1 and found[0]["gaussians"] > 0 and found[0]["policy"] == "latest"
     studio.post("conflict.set", lower=found[0]["lower"], upper=found[0]["upper"], policy="first")
     assert studio.post("conflicts")["conflicts"][0]["policy"] == "first"
 
@@ -152,8 +152,12 @@ def test_exports_prove_themselves(studio: Live, tmp_path: Path) -> None:
     assert found.ok and found.changed == len(receipt.touched) and found.appended == receipt.appended_rows > 0
     told = studio.post("receipt")
     state = studio.http.get("/api/state").json()["asset"]
-    same = f"{found.same:,} of {found.rows:,} rows byte-identical"
-    assert told["text"].startswith(same) and state["rows_same"] == found.same and state["rows"] == receipt.output_rows
+    same = f"{found.same:,} of {found.rows:,} Gaussians byte-identical"
+    assert (
+        told["text"].startswith(same)
+        and state["gaussians_unchanged"] == found.same
+        and state["gaussians"] == receipt.output_rows
+    )
     proof = studio.post("verify")
     assert proof["proved"] and proof["same"] == found.same and not proof["problems"]
     wrong = studio.http.post("/api/do/export", json={"file": "painted.obj"})
@@ -227,7 +231,7 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     studio.post("asset.open", file="other.ply")
     again = studio.http.post("/api/do/project.save_as", json={"file": "mine"})
     assert again.status_code == 400 and "already exists" in again.json()["error"]["message"]
-    assert studio.http.get("/api/state").json()["asset"]["rows"] == 100
+    assert studio.http.get("/api/state").json()["asset"]["gaussians"] == 100
     kept = studio.post("project.recent")["recent"]
     assert [own["name"] for own in kept] == ["other"]
     studio.post("project.open", file="mine.splatproj")
@@ -248,7 +252,7 @@ def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
     """The screen's up and the first view follow, the rows do not; a project in which only this was done is kept."""
     rows = rows_sha256(studio.studio.session.splats)
     asset = studio.http.get("/api/state").json()["asset"]
-    assert asset["up"] == [0, -1, 0] and asset["frame_said"] and asset["frame"] == ""
+    assert asset["up"] == [0, -1, 0] and asset["frame_stated"] and asset["frame"] == ""
     write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
     studio.post("asset.open", file="other.ply")
     assert studio.post("asset.up", up="+y")["python"] == "session.set_up('+y')"
@@ -289,7 +293,7 @@ def test_rows_over_http_and_strokes_without_a_socket(studio: Live) -> None:
     assert np.array_equal(frame.splats.sh, studio.studio.session.splats.sh)
     stroke = studio.post("paint.begin", camera=wire(view()))["stroke"]
     assert studio.post("paint.dab", stroke=stroke, x=36, y=36, width=24, height=24, rgba=dab(24, (255, 0, 0, 255)))[
-        "rows"
+        "gaussians"
     ]
     assert studio.post("paint.end", stroke=stroke, name="red")["layer"]["name"] == "red"
 
@@ -312,5 +316,5 @@ def test_a_file_asset_keeps_its_name_and_format(tmp_path: Path) -> None:
     write(tmp_path / "ball.spz", ball())
     with live(make_studio(tmp_path, read(tmp_path / "ball.spz"))) as studio:
         asset = studio.http.get("/api/state").json()["asset"]
-        assert asset["format"] == "spz" and asset["rows"] == asset["rows_same"] == 600
+        assert asset["format"] == "spz" and asset["gaussians"] == asset["gaussians_unchanged"] == 600
         assert studio.post("verify")["proved"]

@@ -154,7 +154,7 @@ def test_every_painting_tool_makes_a_layer(place: tuple[studio_scenes.Live, Page
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
     page.tab.locator("#stage").press("Escape")  # a canvas that is only cleared goes on showing what it showed
-    page.wait("nothing over the view", lambda: not page.tab.locator(".glass").is_visible())
+    page.wait("nothing over the view", lambda: not page.tab.locator(".cursor-overlay").is_visible())
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
     page.tab.locator("#stage").press("Enter")
@@ -224,20 +224,20 @@ def test_a_dropped_picture_a_look_and_the_order_of_layers_outlive_a_reload(
     page.wait("the picture's layer", lambda: page.names() == ["patch"])
     assert np.linalg.norm(page.pixels()[height // 2, width // 2] - (0.1, 0.9, 0.2)) < 0.2
 
-    page.tab.get_by_role("tab", name="Look").click()
+    page.tab.get_by_role("tab", name="Adjust").click()
     before = page.pixels()
     page.tab.get_by_role("textbox", name="Exposure, number").fill("-1.5")
     page.tab.get_by_role("textbox", name="Exposure, number").press("Enter")
     page.wait("the preview", lambda: page.pixels().mean() < 0.8 * before.mean())
     assert page.names() == ["patch"]
     apply.click()
-    page.wait("the look's layer", lambda: page.names() == ["patch", "Look"])
+    page.wait("the adjustment layer", lambda: page.names() == ["patch", "Adjustment"])
     look = page.pixels()
     assert look.mean() < 0.8 * before.mean()
 
     page.tab.locator(".layer-name").first.focus()
     page.tab.keyboard.press("Alt+ArrowDown")
-    page.wait("the order", lambda: page.names() == ["Look", "patch"])
+    page.wait("the order", lambda: page.names() == ["Adjustment", "patch"])
     page.tab.get_by_role("button", name="Hide patch").click()
     page.wait("hidden", lambda: not page.state()["layers"][1]["visible"])
     known = page.state()
@@ -322,16 +322,16 @@ def test_a_selection_waits_in_its_view(place: tuple[studio_scenes.Live, Page]) -
     page.tab.locator("#stage").press("ArrowLeft")
     page.wait("that it is elsewhere", lambda: page.tab.get_by_text("The selection is of another view").count())
     assert deselect.count() == 0
-    rows = {"all": 0, "selected": 0}
-    page.tab.get_by_role("tab", name="Look").click()
-    for name in rows:
+    edited = {"all": 0, "selected": 0}
+    page.tab.get_by_role("tab", name="Adjust").click()
+    for name in edited:
         page.tab.get_by_label("Only the selected area").set_checked(name == "selected")
         page.tab.get_by_role("textbox", name="Exposure, number").fill("-1")
         page.tab.get_by_role("textbox", name="Exposure, number").press("Enter")
         page.tab.get_by_role("button", name="Apply as layer").click()
-        page.wait("the look", lambda name=name: len(page.names()) == 1 + list(rows).index(name))
-        rows[name] = page.state()["layers"][-1]["rows_touched"]
-    assert 0 < rows["selected"] < 0.6 * rows["all"]
+        page.wait("the adjustment", lambda name=name: len(page.names()) == 1 + list(edited).index(name))
+        edited[name] = page.state()["layers"][-1]["gaussians_edited"]
+    assert 0 < edited["selected"] < 0.6 * edited["all"]
     page.tab.get_by_role("button", name="Go there").click()
     page.wait("the selection again", deselect.count)
     assert page.camera()["world_to_camera"] == before
@@ -361,7 +361,7 @@ def test_nothing_serious_for_those_who_cannot_see_or_point(place: tuple[studio_s
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", lambda: page.names() == ["Brush"])
     page.ask(axe.read_text(encoding="utf-8"))
-    for name in ("History", "Look", "Pictures", "Views", "Receipt"):
+    for name in ("History", "Adjust", "Pictures", "Views", "Receipt"):
         page.tab.get_by_role("tab", name=name).click()
         found = page.ask("axe.run().then((result) => result.violations)")
         serious = [

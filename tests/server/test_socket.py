@@ -43,13 +43,13 @@ def test_a_stroke_is_previewed_committed_and_undone_bit_for_bit(studio: Live) ->
         started = browser.do("paint.begin", camera=wire(view()))
         place = {"x": 36, "y": 36, "width": 24, "height": 24}
         seen = browser.do("paint.dab", stroke=started["stroke"], rgba=dab(24, RED), **place)
-        assert seen["rows"] > 0 and browser.order == ["frame", "answer"] and browser.mirror.previews == 1
+        assert seen["gaussians"] > 0 and browser.order == ["frame", "answer"] and browser.mirror.previews == 1
         assert rows_sha256(session.splats) == before and not browser.mirror.agrees(session.splats)
         made = browser.do("paint.end", stroke=started["stroke"], name="red square")
         assert browser.order[-1] == "answer" and browser.order.count("frame") >= 1
         assert made["version"] == session.version == browser.mirror.version == 2
         assert made["python"].startswith("session.add('paint', [sp.Edit(picture, camera, mask)], name='red square'")
-        assert made["layer"]["rows_touched"] > 0 and browser.mirror.agrees(session.splats)
+        assert made["layer"]["gaussians_edited"] > 0 and browser.mirror.agrees(session.splats)
         score = made["layer"]["views"][0]
         assert score["psnr_after"] > score["psnr_before"] + 5
         browser.do("undo")
@@ -157,23 +157,23 @@ def test_a_command_that_is_sent_again_after_a_break_is_done_once(studio: Live, p
     session, mirror = studio.studio.session, Mirror()
     fields = {"look": {"exposure": 0.5}, "name": "brighter"}
     with studio.browser(mirror) as browser:
-        assert not browser.hello(page)["known"]
+        assert not browser.hello(page)["returning"]
         browser.number = 10
         made = browser.do("look.commit", **fields)
         refused = browser.ask("layer.delete", layer="99")
     with studio.browser(mirror) as back:
-        assert back.hello(page)["known"]
+        assert back.hello(page)["returning"]
         assert again(back, made["re"], "look.commit", **fields) == made
         assert again(back, refused["re"], "layer.delete", layer="99") == refused
         assert len(session.layers) == 1 and len(session.history) == 2
         back.do("look.commit", **fields)  # a number of its own: another layer
         assert len(session.layers) == 2 and mirror.agrees(session.splats)
     with studio.browser() as other:
-        assert not other.hello("f" * 32)["known"]
+        assert not other.hello("f" * 32)["returning"]
         again(other, made["re"], "undo")  # another page's numbers are its own
         assert len(session.layers) == 1
     with studio.browser() as nameless:
-        assert not nameless.hello()["known"]
+        assert not nameless.hello()["returning"]
         assert "page" in nameless.ask("hello", schema_hash="", page="../../etc")["error"]["message"]
 
 
@@ -376,7 +376,7 @@ def test_another_asset_replaces_the_session_for_everybody(studio: Live, tmp_path
         one.stroke(view(), (30, 30), 16, RED)
         old = studio.studio.session
         sent = studio.http.post("/api/blobs?name=other.ply", content=(tmp_path / "other.ply").read_bytes()).json()
-        assert (sent["kind"], sent["rows"]) == ("asset", 200)
+        assert (sent["kind"], sent["gaussians"]) == ("asset", 200)
         one.do("asset.open", blob=sent["blob"])
         session = studio.studio.session
         assert session is not old and len(session.splats) == 200
@@ -396,7 +396,7 @@ def test_looks_are_previewed_on_every_row_and_taken_back(studio: Live) -> None:
     session = studio.studio.session
     with studio.greeted() as browser:
         for exposure in (0.5, 1.0):
-            assert browser.do("look.preview", look={"exposure": exposure})["rows"] == len(session.splats)
+            assert browser.do("look.preview", look={"exposure": exposure})["gaussians"] == len(session.splats)
         assert not browser.mirror.agrees(session.splats)
         browser.do("look.preview", look={"exposure": 0.0})
         assert browser.mirror.agrees(session.splats)

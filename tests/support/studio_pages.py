@@ -102,7 +102,7 @@ class Page:
     def open(self) -> None:
         """(Re)load and wait for the rows."""
         self.tab.goto(self.url)
-        self.wait("rows", lambda: self.ask("window.studio?.viewer.rows ?? 0") > 0)
+        self.wait("rows", lambda: self.ask("window.studio?.viewer.count ?? 0") > 0)
         if self.tab.get_by_label("Pixels").input_value() != "0.5":
             self.tab.get_by_label("Pixels").select_option("0.5")
 

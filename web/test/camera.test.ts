@@ -11,7 +11,7 @@ import {
   orbit,
   pan,
   project,
-  sameSight,
+  sameViewpoint,
   sub,
   target,
   toCamera,
@@ -19,7 +19,7 @@ import {
   type Pose,
   type Vec3,
 } from "../src/view/camera";
-import { setLens } from "../src/view/lens";
+import { setThreeCamera } from "../src/view/three-camera";
 
 const UP: Vec3 = [0, -1, 0]; // files have y down
 const pose = lookAt([2, -1, -3], [0.1, 0.2, 0.3], UP, 40);
@@ -37,12 +37,12 @@ describe("cameras", () => {
     expect(project(camera, [0.1, 0.1, 0.3])[1]).toBeLessThan(240); // y down: smaller y is higher
   });
 
-  it("knows the same sight at another size and on another ground", () => {
+  it("knows the same viewpoint at another size and on another ground", () => {
     const camera = toCamera(pose, 640, 480, [0, 0, 0]);
-    expect(sameSight(camera, toCamera(pose, 1280, 960, [1, 1, 1]))).toBe(true);
-    expect(sameSight(camera, toCamera(pose, 640, 400, [0, 0, 0]))).toBe(false);
-    expect(sameSight(camera, toCamera(zoomLens(pose, 41), 640, 480, [0, 0, 0]))).toBe(false);
-    expect(sameSight(camera, toCamera(orbit(pose, 0.01, 0, UP), 640, 480, [0, 0, 0]))).toBe(false);
+    expect(sameViewpoint(camera, toCamera(pose, 1280, 960, [1, 1, 1]))).toBe(true);
+    expect(sameViewpoint(camera, toCamera(pose, 640, 400, [0, 0, 0]))).toBe(false);
+    expect(sameViewpoint(camera, toCamera(zoomLens(pose, 41), 640, 480, [0, 0, 0]))).toBe(false);
+    expect(sameViewpoint(camera, toCamera(orbit(pose, 0.01, 0, UP), 640, 480, [0, 0, 0]))).toBe(false);
   });
 
   it("sees the field of view from border to border", () => {
@@ -108,11 +108,11 @@ describe("orbit", () => {
   });
 });
 
-describe("lens", () => {
+describe("three-camera", () => {
   it("draws points where the camera says, off-centre and with fx != fy", () => {
     const view = { ...toCamera(pose, 640, 480, [0, 0, 0]), fx: 500, fy: 540, cx: 300.5, cy: 250.25 };
     const lens = new THREE.PerspectiveCamera();
-    setLens(lens, view, 0.01, 100);
+    setThreeCamera(lens, view, 0.01, 100);
     for (const point of [
       [0, 0, 0],
       [0.5, -0.4, 0.2],

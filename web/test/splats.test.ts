@@ -1,7 +1,15 @@
 import { describe, expect, it } from "vitest";
 
 import { fromHalf, toHalf } from "../src/splats/half";
-import { allocate, decodeRotation, encodeRotation, encodeRow, SH_C0, shArrays, type Rows } from "../src/splats/rows";
+import {
+  allocate,
+  decodeRotation,
+  encodeRotation,
+  encodeGaussian,
+  SH_C0,
+  shArrays,
+  type Gaussians,
+} from "../src/splats/texels";
 import { decodeSh, encodeSh } from "../src/splats/sh";
 
 /** A generator of numbers 0..1 that is the same every time (Park and Miller, CACM 1988). */
@@ -29,7 +37,7 @@ describe("half floats", () => {
     expect(toHalf(1 + 3 * 2 ** -11)).toBe(toHalf(1 + 2 ** -9));
   });
 
-  it("clamps what does not fit and drops NaN", () => {
+  it("clamps what does not fit and droppedImages NaN", () => {
     expect(fromHalf(toHalf(1e9))).toBe(65504);
     expect(fromHalf(toHalf(-Infinity))).toBe(-65504);
     expect(toHalf(NaN)).toBe(0);
@@ -59,8 +67,8 @@ describe("spherical harmonics", () => {
   });
 });
 
-describe("rows", () => {
-  const one = (over: Partial<Rows> = {}): Rows => ({
+describe("Gaussians", () => {
+  const one = (over: Partial<Gaussians> = {}): Gaussians => ({
     count: 1,
     shape: {
       means: new Float32Array([1, -2, 3.5]),
@@ -87,7 +95,7 @@ describe("rows", () => {
 
   it("writes position exactly and the rest as the shader reads it", () => {
     const texels = allocate(8, 16);
-    encodeRow(texels, 3, one(), 0);
+    encodeGaussian(texels, 3, one(), 0);
     expect([...new Float32Array(texels.geometry.buffer, 3 * 16, 3)]).toEqual([1, -2, 3.5]);
     expect(fromHalf(texels.geometry[15])).toBe(0.75);
     const [rg, bx, yz] = texels.appearance.subarray(12, 15);
@@ -100,35 +108,41 @@ describe("rows", () => {
     expect(decodeSh(texels.sh[3][3 * 4 + 2])[2]).toBeCloseTo(one().sh[(14 + 1) * 3 + 2], 2);
   });
 
-  it("takes tints as they are, as if they had come as floats", () => {
+  it("takes packedColors as they are, as if they had come as floats", () => {
     const [floats, tinted] = [allocate(2, 4), allocate(2, 4)];
     const sh = new Float32Array([0.3, -1.2, 0, 0.75, -0.3, 0.1, 1e-9, 0, 0, -0.01, 0.02, 0.004]);
-    for (const texels of [floats, tinted]) encodeRow(texels, 1, one({ coefficients: 4, sh: new Float32Array(12) }), 0);
-    encodeRow(floats, 1, one({ shape: null, coefficients: 4, sh }), 0);
+    for (const texels of [floats, tinted])
+      encodeGaussian(texels, 1, one({ coefficients: 4, sh: new Float32Array(12) }), 0);
+    encodeGaussian(floats, 1, one({ shape: null, coefficients: 4, sh }), 0);
     // the same numbers as in tests/server/test_frames.py
-    const tints = {
+    const packedColors = {
       base: new Uint16Array([0x38ad, 0x312b, 0x3800]),
       codes: new Uint32Array([0x7a1a4dbf, 0, 0x5121a352]),
     };
-    encodeRow(tinted, 1, one({ shape: null, coefficients: 4, tints }), 0);
+    encodeGaussian(tinted, 1, one({ shape: null, coefficients: 4, packedColors }), 0);
     expect(tinted).toEqual(floats);
-    const { base } = tints;
-    encodeRow(tinted, 1, one({ shape: null, coefficients: 1, tints: { base, codes: new Uint32Array(0) } }), 0);
+    const { base } = packedColors;
+    encodeGaussian(
+      tinted,
+      1,
+      one({ shape: null, coefficients: 1, packedColors: { base, codes: new Uint32Array(0) } }),
+      0,
+    );
     expect(tinted).toEqual(floats);
   });
 
   it("changes colours alone without touching the shape", () => {
     const texels = allocate(2, 4);
-    encodeRow(texels, 1, one({ coefficients: 4, sh: new Float32Array(12) }), 0);
+    encodeGaussian(texels, 1, one({ coefficients: 4, sh: new Float32Array(12) }), 0);
     const before = [...texels.geometry.slice(4, 7), texels.appearance[5] >>> 16, ...texels.appearance.slice(6, 8)];
-    encodeRow(texels, 1, one({ shape: null, coefficients: 4, sh: new Float32Array(12).fill(1) }), 0);
+    encodeGaussian(texels, 1, one({ shape: null, coefficients: 4, sh: new Float32Array(12).fill(1) }), 0);
     expect([...texels.geometry.slice(4, 7), texels.appearance[5] >>> 16, ...texels.appearance.slice(6, 8)]).toEqual(
       before,
     );
     expect(fromHalf(texels.appearance[5] & 0xffff)).toBeCloseTo(0.5 + SH_C0, 3);
   });
 
-  it("hides rows that cannot be drawn", () => {
+  it("hides Gaussians that cannot be drawn", () => {
     for (const shape of [
       { means: [NaN, 0, 0] },
       { scales: [0, 1, 1] },
@@ -137,7 +151,12 @@ describe("rows", () => {
     ]) {
       const texels = allocate(1, 1);
       const parts = Object.fromEntries(Object.entries(shape).map(([key, values]) => [key, new Float32Array(values)]));
-      encodeRow(texels, 0, one({ shape: { ...one().shape!, ...parts }, coefficients: 1, sh: new Float32Array(3) }), 0);
+      encodeGaussian(
+        texels,
+        0,
+        one({ shape: { ...one().shape!, ...parts }, coefficients: 1, sh: new Float32Array(3) }),
+        0,
+      );
       expect(texels.geometry[3]).toBe(0);
       expect(new Float32Array(texels.geometry.buffer).every(Number.isFinite)).toBe(true);
     }

@@ -186,7 +186,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             return _failed(problem, 413 if isinstance(error, TooLarge) else None)
         info = blob.info
         values = {"blob": blob.sha256, "kind": info.kind, "bytes": blob.size, "name": blob.name}
-        return JSONResponse({**values, "width": info.width, "height": info.height, "rows": info.gaussians})
+        return JSONResponse({**values, "width": info.width, "height": info.height, "gaussians": info.gaussians})
 
     @app.get("/api/blobs/{blob}", response_class=Response, summary="A picture that was sent or made")
     async def picture(blob: str) -> Response:

@@ -255,7 +255,7 @@ class CommandReader:
             version=studio.session.version,
             schema_hash=protocol_hash(),
             client=client.name,
-            known=self.hub.pages.attach(client, command.page),
+            returning=self.hub.pages.attach(client, command.page),
             state=self.hub.state(),
         )
         client.greeted = True

@@ -64,9 +64,9 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
         name=name,
         format="" if source is None else source.format,
         sha256=original.sha256,
-        rows=len(original),
-        rows_original=len(original),
-        rows_same=len(original),
+        gaussians=len(original),
+        gaussians_original=len(original),
+        gaussians_unchanged=len(original),
         sh_coefficients=int(original.sh.shape[1]),
         color_space=original.color_space,
         antialiased=original.antialiased,
@@ -75,7 +75,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
         up=list(up),
         home=camera_to_wire(view),
         frame="" if source is None else frame_line(source),
-        frame_said=source is None or source.frame_from != "format" or source.format != "spz",
+        frame_stated=source is None or source.frame_from != "format" or source.format != "spz",
         problems=[] if source is None else list(source.problems),
     )
 
@@ -83,7 +83,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
 def counted(info: protocol.AssetInfo, original: Splats, now: Splats) -> protocol.AssetInfo:
     """The same with the counts of now, every Gaussian compared with the original."""
     same = len(original) - len(changed_rows(original, now))
-    return info.model_copy(update={"rows": len(now), "rows_same": same})
+    return info.model_copy(update={"gaussians": len(now), "gaussians_unchanged": same})
 
 
 def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
@@ -110,8 +110,8 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
         method=facts.get("method", layer.method),
         views=views,
         parameters=json.loads(json.dumps(layer.parameters)),
-        rows_touched=facts.get("rows_touched", 0),
-        rows_appended=facts.get("rows_appended", 0),
+        gaussians_edited=facts.get("rows_touched", 0),
+        gaussians_appended=facts.get("rows_appended", 0),
         seconds=facts.get("seconds", 0.0),
         note=facts.get("note", ""),
         problem=facts.get("problem", ""),
@@ -122,7 +122,9 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
 def conflict_infos(session: Session) -> list[protocol.ConflictInfo]:
     """Layers that edited the same Gaussians from different views."""
     return [
-        protocol.ConflictInfo(lower=c.lower, upper=c.upper, rows=len(c.rows), share=min(c.share, 1), policy=c.policy)
+        protocol.ConflictInfo(
+            lower=c.lower, upper=c.upper, gaussians=len(c.rows), share=min(c.share, 1), policy=c.policy
+        )
         for c in session.conflicts()
     ]
 

@@ -9,7 +9,7 @@ Then, one array after the other:
   opacities f32[count]           0..1
   sh        f32[count][K][3]     coefficient after coefficient, red green blue; colour = 0.5 + sum_k Y_k sh_k
 or, with PACKED, only colours as the page's textures hold them: a third of the bytes, and nothing to convert on arrival
-(the same numbers as web/src/splats/rows.ts and sh.ts make of floats)
+(the same numbers as web/src/splats/texels.ts and sh.ts make of floats)
   indices   u32[count]           absent where count = total: all Gaussians
   base      f16[count][3]        0.5 + Y_0 sh_0, and two bytes more where that makes whole words
   codes     u32[count][K - 1]    the other coefficients; K = 1: they stay as they are

@@ -74,25 +74,25 @@ class AssetInfo(Message):
     """Key of the file format it came from; "" for the demo asset."""
     sha256: str
     """Of the original."""
-    rows: int
+    gaussians: int
     """Now, appended ones included."""
-    rows_original: int
-    rows_same: int
-    """Rows of the original that are bit for bit what they were."""
+    gaussians_original: int
+    gaussians_unchanged: int
+    """Those of the original that are bit for bit what they were."""
     sh_coefficients: int
     """K per row and channel: 1, 4, 9, 16 or 25."""
     color_space: Literal["srgb", "linear"]
     antialiased: bool
     center: Point
-    """Of nearly all opaque rows, world units."""
+    """Of nearly all opaque Gaussians, world units."""
     radius: float
     up: Point
     """Unit vector, world axes, that is up on the screen."""
     home: CameraInfo
     """A good first view; keep its field of view and change its size to that of the window."""
     frame: str
-    """Which way the numbers in the file point, and who says so; "" for rows without a file."""
-    frame_said: bool
+    """Which way the numbers in the file point, and who says so; "" without a file."""
+    frame_stated: bool
     """False: files of this format differ in it and this one does not say, so it may be upside down (`asset.up`)."""
     problems: list[str]
     """What the reader found odd, one line each."""
@@ -124,14 +124,14 @@ class LayerInfo(Message):
     method: Method
     views: list[LayerViewInfo]
     parameters: dict[str, Any]
-    rows_touched: int
-    rows_appended: int
+    gaussians_edited: int
+    gaussians_appended: int
     seconds: float
     """That its computation took."""
     note: str = ""
     """Why the method was chosen, or what could not be painted."""
     problem: str = ""
-    """Why it changes nothing where it now stands (its rows are hidden below); "" where it works."""
+    """Why it changes nothing at its position (its Gaussians are hidden by layers below); "" where it works."""
     thumbnail: Blob | None = None
     """PNG of what was edited, 96 pixels at most."""
 
@@ -144,14 +144,14 @@ class StepInfo(Message):
 
 
 class ConflictInfo(Message):
-    """A layer overwrites rows that another layer touched from another view."""
+    """A layer overwrites Gaussians that another layer edited from another view."""
 
     lower: str
     """Layer id."""
     upper: str
-    rows: int
+    gaussians: int
     share: Unit
-    """Of the lower layer's touched rows."""
+    """Of those that the lower layer edited."""
     policy: Literal["latest", "first", "blend"]
 
 
@@ -179,12 +179,12 @@ class Present(Message):
     session: str
     """Changes when another asset or project is opened: forget all versions and sync."""
     version: int
-    """Of the asset; goes up by one or more with every change of its rows."""
+    """Of the asset; goes up by one or more with every change of its Gaussians."""
     asset: AssetInfo
     layers: list[LayerInfo]
     cursor: int
-    """Place in the history of the step in effect: undo: cursor - 1, redo: cursor + 1; 0 is as it was opened, or the
-    oldest step that is still kept."""
+    """Index in the history of the step in effect: undo: cursor - 1, redo: cursor + 1; 0 is as it was opened, or the
+    oldest step that is still stored."""
     conflicts: list[ConflictInfo]
     project: ProjectInfo
     methods: list[Method]
@@ -198,7 +198,7 @@ class Present(Message):
 
 
 class State(Present):
-    """Everything but pixels and rows."""
+    """Everything but pixels and Gaussians."""
 
     history: list[StepInfo]
     bookmarks: list[BookmarkInfo]
@@ -256,7 +256,7 @@ class LayerMade(Answer):
 
 
 class Previewed(Answer):
-    rows: int
+    gaussians: int
     """Whose colours the preview changed; they come as a binary frame with the PREVIEW flag."""
 
 
@@ -273,14 +273,14 @@ class Greeting(Answer):
     schema_hash: str
     client: str
     """This connection's name."""
-    known: bool
+    returning: bool
     """Whether this page has been here before: then commands that it sends again are not carried out again."""
     state: State
 
 
 class Hello(Command):
-    """Start, or go on after a lost connection. The missing rows follow as a binary frame, before the answer: a delta if
-    `session` and `since` are known to the server, else a snapshot; none if nothing changed."""
+    """Start, or go on after a lost connection. Missing Gaussians come as a binary frame before the answer: a delta
+    if `session` and `since` are those of the server, else a snapshot; none if nothing changed."""
 
     NAME = "hello"
     ANSWER = Greeting
@@ -294,7 +294,7 @@ class Hello(Command):
 
 
 class Sync(Command):
-    """Ask for the rows again (a frame's version_from was not the version you have). since None: a snapshot."""
+    """Ask for the Gaussians again (a frame's version_from was not the version you have). since None: a snapshot."""
 
     NAME = "sync"
     since: int | None = None

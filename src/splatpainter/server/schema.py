@@ -52,9 +52,9 @@ def typescript() -> str:
     parts = [HEAD, f'export const SCHEMA_HASH = "{schema_hash()}";']
     parts += [f"export const {name} = 0x{value:x};" for name, value in FRAME.items()]
     parts += [_interface(name, shape) for name, shape in sorted(definitions().items())]
-    rows = [f'  "{name}": [{kind.__name__}, {kind.ANSWER.__name__}];' for name, kind in COMMANDS.items()]
+    lines = [f'  "{name}": [{kind.__name__}, {kind.ANSWER.__name__}];' for name, kind in COMMANDS.items()]
     parts.append(
-        "\n".join(["/** Name -> what is sent and what is answered. */", "export interface Commands {", *rows, "}"])
+        "\n".join(["/** Name -> what is sent and what is answered. */", "export interface Commands {", *lines, "}"])
     )
     parts.append(f"export type Event = {' | '.join(kind.__name__ for kind in EVENTS)};")
     return "\n".join(parts) + "\n"

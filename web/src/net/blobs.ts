@@ -1,6 +1,6 @@
 /** Big things in and out over HTTP. */
 
-import { CommandError } from "./link";
+import { CommandError } from "./connection";
 
 /** Send bytes; returns the name (SHA-256) by which commands refer to them. */
 export async function sendBlob(body: Blob, name = ""): Promise<string> {

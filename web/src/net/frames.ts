@@ -1,22 +1,22 @@
 /** The binary frames of splats: snapshots and deltas. Little endian; layout in splatpainter/server/frames.py. */
 
 import { FRAME_COLORS_ONLY, FRAME_FORMAT, FRAME_MAGIC, FRAME_PACKED, FRAME_PREVIEW, FRAME_SNAPSHOT } from "../messages";
-import type { Rows } from "../splats/rows";
+import type { Gaussians } from "../splats/texels";
 
 const HEADER = 8;
 
 export interface Frame {
   snapshot: boolean;
-  /** Shown until the next frame names these rows; changes no version. */
+  /** Shown until the next frame names these Gaussians; changes no version. */
   preview: boolean;
   /** The version that a delta starts from. */
   from: number;
   to: number;
-  /** Rows of the whole asset afterwards. */
+  /** Gaussians of the asset afterwards. */
   total: number;
-  /** [rows.count] the rows that changed or were appended; null: all of them, in order (as in a snapshot). */
+  /** [gaussians.count] those that changed or were appended; null: all of them, in order (as in a snapshot). */
   indices: Uint32Array | null;
-  rows: Rows;
+  gaussians: Gaussians;
 }
 
 /** Parse one frame without copying. Throws an Error that says what is wrong. */
@@ -38,7 +38,7 @@ export function parseFrame(buffer: ArrayBuffer): Frame {
   const words = HEADER + (named ? count : 0) + colorWords;
   if (buffer.byteLength !== words * 4)
     throw new Error(`splat frame: expected ${words * 4} bytes, got ${buffer.byteLength}`);
-  if (snapshot && count !== total) throw new Error(`splat frame: a snapshot of ${count} rows of ${total}`);
+  if (snapshot && count !== total) throw new Error(`splat frame: a snapshot of ${count} Gaussians of ${total}`);
   let at = HEADER * 4;
   const floats = (n: number) => {
     const array = new Float32Array(buffer, at, n);
@@ -50,17 +50,17 @@ export function parseFrame(buffer: ArrayBuffer): Frame {
     indices = new Uint32Array(buffer, at, count);
     at += count * 4;
     for (let k = 0; k < count; k++)
-      if (indices[k] >= total) throw new Error(`splat frame: row ${indices[k]} of ${total}`);
+      if (indices[k] >= total) throw new Error(`splat frame: Gaussian ${indices[k]} of ${total}`);
   }
   if (packed) {
     const base = new Uint16Array(buffer, at, count * 3);
     const codes = new Uint32Array(buffer, at + Math.ceil((count * 3) / 2) * 4, count * (coefficients - 1));
-    const none = new Float32Array(0);
-    const rows = { count, shape: null, opacities: none, sh: none, coefficients, tints: { base, codes } };
-    return { snapshot, preview, from, to, total, indices, rows };
+    const empty = new Float32Array(0);
+    const gaussians = { count, shape: null, opacities: empty, sh: empty, coefficients, packedColors: { base, codes } };
+    return { snapshot, preview, from, to, total, indices, gaussians };
   }
   const shape = shapes ? { means: floats(count * 3), scales: floats(count * 3), quats: floats(count * 4) } : null;
   const opacities = floats(count);
   const sh = floats(count * coefficients * 3);
-  return { snapshot, preview, from, to, total, indices, rows: { count, shape, opacities, sh, coefficients } };
+  return { snapshot, preview, from, to, total, indices, gaussians: { count, shape, opacities, sh, coefficients } };
 }

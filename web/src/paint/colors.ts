@@ -9,14 +9,14 @@ export const luma = (r: number, g: number, b: number): number => 0.3 * r + 0.59 
 
 /** `color` with the luma of `base`, brought back into 0..255 without changing that luma. */
 export function withLuma(color: Rgb, base: Rgb): Rgb {
-  const want = luma(...base);
-  const by = want - luma(...color);
+  const target = luma(...base);
+  const by = target - luma(...color);
   const moved = color.map((c) => c + by);
   const low = Math.min(...moved);
   const high = Math.max(...moved);
   return moved.map((c) => {
-    if (low < 0) return want + ((c - want) * want) / (want - low);
-    if (high > 255) return want + ((c - want) * (255 - want)) / (high - want);
+    if (low < 0) return target + ((c - target) * target) / (target - low);
+    if (high > 255) return target + ((c - target) * (255 - target)) / (high - target);
     return c;
   }) as Rgb;
 }

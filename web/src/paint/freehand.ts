@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 
 import { brush, color, paintMode, rgb, toast } from "../state/store";
-import { beginStroke, cancelStroke, cloneFrom, endStroke, originalPixels } from "./desk";
+import { beginStroke, cancelStroke, cloneFrom, endStroke, originalPixels } from "./strokes";
 import type { Pixels } from "./flood";
 import { heal } from "./heal";
 import { limit, picture, shifted, solid } from "./patch";
@@ -11,12 +11,12 @@ import { dab, segment, type Point, type Tip } from "./raster";
 import type { Stroke } from "./stroke";
 import type { Pen, ToolHandler } from "./tool";
 
-/** A pen that is not pressed at all still marks: the least share of the size. */
-const LEAST = 0.1;
+/** A pen that is not pressed at all still marks: its share of the size. */
+const MIN_PRESSURE = 0.1;
 
 function tip(pressure: number): Tip {
   const { size, hardness, flow, pressureSize, pressureFlow } = brush.value;
-  const press = (on: boolean) => (on ? LEAST + (1 - LEAST) * pressure : 1);
+  const press = (on: boolean) => (on ? MIN_PRESSURE + (1 - MIN_PRESSURE) * pressure : 1);
   return { radius: Math.max(0.5, (size / 2) * press(pressureSize)), hardness, flow: flow * press(pressureFlow) };
 }
 

@@ -3,7 +3,7 @@
 import { effect, signal } from "@preact/signals";
 
 import { brush, color, paintMode, text, tool } from "../state/store";
-import { beginStroke, endStroke } from "./desk";
+import { beginStroke, endStroke } from "./strokes";
 import { blend, type Rgb } from "./colors";
 import type { Pen, ToolHandler } from "./tool";
 
@@ -29,11 +29,11 @@ export const KNOB = 28;
 /** Corners of the box (left upper, right upper, right lower, left lower) and the knob, in view pixels. */
 export function handles(p: Placement): { corners: [number, number][]; knob: [number, number] } {
   const [w, h] = [(p.image.width * p.scale) / 2, (p.image.height * p.scale) / 2];
-  const place = (x: number, y: number): [number, number] => [
+  const toView = (x: number, y: number): [number, number] => [
     p.x + x * Math.cos(p.angle) - y * Math.sin(p.angle),
     p.y + x * Math.sin(p.angle) + y * Math.cos(p.angle),
   ];
-  return { corners: [place(-w, -h), place(w, -h), place(w, h), place(-w, h)], knob: place(0, -h - KNOB) };
+  return { corners: [toView(-w, -h), toView(w, -h), toView(w, h), toView(-w, h)], knob: toView(0, -h - KNOB) };
 }
 
 /** Draw it (not its handles). */
@@ -59,8 +59,8 @@ export const placer: ToolHandler = {
     const p = placement.value;
     if (!p) return void (tool.value === "text" && startText(pen));
     const { corners, knob } = handles(p);
-    const near = ([x, y]: [number, number]) => Math.hypot(pen.x - x, pen.y - y) < GRAB;
-    grip = { part: near(knob) ? "turn" : corners.some(near) ? "scale" : "move", from: p, pen };
+    const grabbed = ([x, y]: [number, number]) => Math.hypot(pen.x - x, pen.y - y) < GRAB;
+    grip = { part: grabbed(knob) ? "turn" : corners.some(grabbed) ? "scale" : "move", from: p, pen };
   },
   move(pen) {
     if (!grip) return;
@@ -140,9 +140,9 @@ export async function commitPlacement(): Promise<void> {
   const mode = paintMode.value;
   stroke.setSource((x, y, out) => {
     const at = (y * width + x) * 4;
-    const own: Rgb = [data[at], data[at + 1], data[at + 2]];
+    const pixel: Rgb = [data[at], data[at + 1], data[at + 2]];
     const base = mode === "normal" ? null : stroke.base;
-    [out[0], out[1], out[2]] = base ? blend(mode, own, [base.data[at], base.data[at + 1], base.data[at + 2]]) : own;
+    [out[0], out[1], out[2]] = base ? blend(mode, pixel, [base.data[at], base.data[at + 1], base.data[at + 2]]) : pixel;
   });
   stroke.touch({ x: 0, y: 0, width, height });
   await endStroke(stroke);

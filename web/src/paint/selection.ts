@@ -17,19 +17,19 @@ interface Area {
 /** Limits painting on the present view; null: none. */
 export const selection = signal<Mask | null>(null);
 /** A selection of another view. */
-export const kept = signal<(Area & { pose: Pose }) | null>(null);
+export const storedArea = signal<(Area & { pose: Pose }) | null>(null);
 /** What is selected, with its view. */
 export const selectedArea = computed<Area | null>(() =>
-  selection.value && camera.value ? { mask: selection.value, camera: camera.value } : kept.value,
+  selection.value && camera.value ? { mask: selection.value, camera: camera.value } : storedArea.value,
 );
 
 let last: { camera: CameraJson; pose: Pose } | null = null;
 
-selection.subscribe((mask) => mask && (kept.value = null)); // a new one replaces it
+selection.subscribe((mask) => mask && (storedArea.value = null)); // a new one replaces it
 computed(() => state.value?.session).subscribe(deselect); // it was drawn on another asset
 
 export function deselect(): void {
-  selection.value = kept.value = null;
+  selection.value = storedArea.value = null;
 }
 
 /** The camera moved: put the selection aside, or bring it back. */
@@ -39,9 +39,9 @@ export function viewMoved(): void {
   last = now && at && { camera: now, pose: at };
   if (!now || (before && sameFrame(before.camera, now))) return;
   if (selection.value) {
-    kept.value = before && { mask: selection.value, ...before };
+    storedArea.value = before && { mask: selection.value, ...before };
     selection.value = null;
-  } else if (kept.value && sameFrame(kept.value.camera, now)) selection.value = kept.value.mask;
+  } else if (storedArea.value && sameFrame(storedArea.value.camera, now)) selection.value = storedArea.value.mask;
 }
 
 /** The same pixels see the same places, whatever the background is. */

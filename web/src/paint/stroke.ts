@@ -4,7 +4,7 @@
  */
 
 import type { LayerInfo } from "../messages";
-import { CommandError, type Link } from "../net/link";
+import { CommandError, type Link } from "../net/connection";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
 import { base64, compose, over, type Source } from "./patch";
@@ -20,7 +20,7 @@ export interface StrokeOptions {
   /** The commit of the stroke before: the server keeps one stroke at a time. */
   after: Promise<void>;
   /** Whether the view is still on the screen. */
-  shown: () => boolean;
+  onScreen: () => boolean;
   kind: "paint" | "clone" | "erase";
   name: string;
   method: "auto" | "ttt" | "lift" | "fit";
@@ -96,7 +96,7 @@ export class Stroke {
   async end(): Promise<LayerInfo | null> {
     const stroke = await this.id;
     if (this.touched.width === 0) {
-      await this.drop(stroke);
+      await this.discard(stroke);
       return null;
     }
     while (this.dirty.width || this.pumping) await (this.pumping ??= this.pump());
@@ -111,23 +111,23 @@ export class Stroke {
     this.done = true;
     this.dirty = NOTHING;
     this.erase();
-    await this.id.then((stroke) => this.drop(stroke)).catch(() => {});
+    await this.id.then((stroke) => this.discard(stroke)).catch(() => {});
   }
 
   /** Take the stroke off the overlay; it does not come back by itself. */
   erase(): void {
     cancelAnimationFrame(this.frame);
-    if (!this.options.shown()) return;
+    if (!this.options.onScreen()) return;
     const { x, y, width, height } = this.touched;
     this.options.overlay.clearRect(x, y, width, height);
   }
 
   /** Put it (back) on the overlay. */
   paint(rect: Rect = this.touched): void {
-    if (rect.width === 0 || !this.options.shown()) return;
+    if (rect.width === 0 || !this.options.onScreen()) return;
     const patch = this.patch(rect);
-    const shown = this.base ? over(rect, patch, this.base) : patch;
-    this.options.overlay.putImageData(new ImageData(shown, rect.width, rect.height), rect.x, rect.y);
+    const seen = this.base ? over(rect, patch, this.base) : patch;
+    this.options.overlay.putImageData(new ImageData(seen, rect.width, rect.height), rect.x, rect.y);
   }
 
   private patch(rect: Rect): Uint8ClampedArray<ArrayBuffer> {
@@ -151,7 +151,7 @@ export class Stroke {
     }
   }
 
-  private async drop(stroke: string): Promise<void> {
+  private async discard(stroke: string): Promise<void> {
     await this.options.link.do("paint.cancel", { stroke }).catch((error: unknown) => {
       if (!(error instanceof CommandError)) throw error;
     });

@@ -31,8 +31,8 @@ export function fromHalf(half: number): number {
 }
 
 function roundShift(value: number, shift: number): number {
-  const kept = value >>> shift;
+  const truncated = value >>> shift;
   const rest = value & ((1 << shift) - 1);
   const half = 1 << (shift - 1);
-  return rest > half || (rest === half && kept & 1) ? kept + 1 : kept;
+  return rest > half || (rest === half && truncated & 1) ? truncated + 1 : truncated;
 }

@@ -1,10 +1,10 @@
-/** The asset's rows on the graphics card: a SplatMesh over texels that are rewritten in place as deltas arrive. */
+/** The asset's Gaussians on the graphics card: a SplatMesh over texels that are rewritten in place as deltas arrive. */
 
 import { ExtSplats, SplatMesh, utils } from "@sparkjsdev/spark";
 import * as THREE from "three";
 
 import type { Frame } from "../net/frames";
-import { allocate, encodeRow, type Texels } from "./rows";
+import { allocate, encodeGaussian, type Texels } from "./texels";
 
 const WIDTH_BITS = 11;
 /** Texture rows hold 2048 splats, layers 2048 x 2048. */
@@ -20,16 +20,16 @@ export class SplatTable {
   private readonly texels: Texels;
   private readonly splats: ExtSplats;
 
-  /** For the rows of a snapshot and a quarter more; it is empty until they are written. */
+  /** For the Gaussians of a snapshot and a quarter more; it is empty until they are written. */
   constructor(
     private readonly renderer: THREE.WebGLRenderer,
-    { rows }: Frame,
+    { gaussians }: Frame,
   ) {
-    this.capacity = utils.getTextureSize(Math.ceil(Math.max(rows.count, 1) * 1.25) + 4096).maxSplats;
-    this.texels = allocate(this.capacity, rows.coefficients);
+    this.capacity = utils.getTextureSize(Math.ceil(Math.max(gaussians.count, 1) * 1.25) + 4096).maxSplats;
+    this.texels = allocate(this.capacity, gaussians.coefficients);
     this.splats = new ExtSplats({
       extArrays: [this.texels.geometry, this.texels.appearance],
-      numSplats: rows.count,
+      numSplats: gaussians.count,
       extra: this.extra(),
     });
     this.mesh = new SplatMesh({ extSplats: this.splats });
@@ -40,14 +40,14 @@ export class SplatTable {
     return delta.total <= this.capacity;
   }
 
-  /** Encode rows `from` to `to` of a snapshot or delta; they are shown by `finish`. */
-  write({ indices, rows }: Frame, from: number, to: number): void {
-    for (let k = from; k < to; k++) encodeRow(this.texels, indices ? indices[k] : k, rows, k);
+  /** Encode Gaussians `from` to `to` of a snapshot or delta; they are shown by `finish`. */
+  write({ indices, gaussians }: Frame, from: number, to: number): void {
+    for (let k = from; k < to; k++) encodeGaussian(this.texels, indices ? indices[k] : k, gaussians, k);
   }
 
-  /** Show what was written; rows beyond `total` (taken back by an undo) are no longer drawn. Draw a frame afterwards. */
-  finish({ indices, rows, total }: Frame): void {
-    let [first, last] = [0, rows.count - 1];
+  /** Show what was written; Gaussians beyond `total` (taken back by an undo) are no longer drawn. Draw a frame afterwards. */
+  finish({ indices, gaussians, total }: Frame): void {
+    let [first, last] = [0, gaussians.count - 1];
     if (indices) {
       [first, last] = [Infinity, -1];
       for (const i of indices) {
@@ -57,7 +57,7 @@ export class SplatTable {
     }
     this.count = total;
     this.splats.numSplats = total;
-    if (last >= 0) this.upload(first, last, rows.tints ? this.uploads().slice(1) : this.uploads());
+    if (last >= 0) this.upload(first, last, gaussians.packedColors ? this.uploads().slice(1) : this.uploads());
     this.mesh.updateVersion();
   }
 
@@ -72,18 +72,18 @@ export class SplatTable {
     return Object.fromEntries(this.texels.sh.map((array, k) => [names[k], array]));
   }
 
-  /** Every texture with the array behind it, places and opacities first. SH textures exist after the first frame; before that the array is uploaded whole. */
+  /** Every texture with the array behind it, positions and opacities first. SH textures exist after the first frame; before that all of the array is uploaded. */
   private uploads(): Upload[] {
     const { textures, extra } = this.splats;
-    const found: Upload[] = [
+    const uploads: Upload[] = [
       { texture: textures[0], data: this.texels.geometry },
       { texture: textures[1], data: this.texels.appearance },
     ];
     ["sh1Texture", "sh2Texture", "sh3TextureA", "sh3TextureB"].forEach((name, k) => {
       const holder = extra[name] as { value: THREE.Texture } | undefined;
-      if (holder && k < this.texels.sh.length) found.push({ texture: holder.value, data: this.texels.sh[k] });
+      if (holder && k < this.texels.sh.length) uploads.push({ texture: holder.value, data: this.texels.sh[k] });
     });
-    return found;
+    return uploads;
   }
 
   private upload(first: number, last: number, uploads: Upload[]): void {
@@ -93,7 +93,7 @@ export class SplatTable {
     for (const { texture, data } of uploads) {
       const handle = (this.renderer.properties.get(texture) as { __webglTexture?: WebGLTexture }).__webglTexture;
       if (!handle || last >= LAYER) {
-        texture.needsUpdate = true; // not on the card yet, or several layers: the whole texture
+        texture.needsUpdate = true; // not on the card yet, or several layers: all of the texture
         continue;
       }
       const { state } = this.renderer;

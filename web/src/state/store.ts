@@ -3,13 +3,13 @@
 import { computed, signal } from "@preact/signals";
 
 import type { State } from "../messages";
-import type { Status } from "../net/link";
+import type { Status } from "../net/connection";
 import type { CameraJson, Pose } from "../view/camera";
 
 export type Tool =
   "orbit" | "brush" | "erase" | "fill" | "line" | "text" | "stamp" | "clone" | "heal" | "pick" | "select";
 export type PaintMode = "normal" | "color" | "darken" | "lighten";
-export type Tab = "look" | "history" | "views" | "pictures" | "receipt";
+export type Tab = "adjust" | "history" | "views" | "pictures" | "receipt";
 export type SelectKind = "rectangle" | "lasso" | "color";
 
 export const status = signal<Status>("connecting");
@@ -64,7 +64,7 @@ export const lastEdit = signal<{
   inside: number | null;
   before: number | null;
   outside: number | null;
-  rows: number;
+  gaussians: number;
   name: string;
 } | null>(null);
 

@@ -3,10 +3,10 @@
 import { effect } from "@preact/signals";
 
 import type { AssetInfo, Event, State, StateEvent } from "../messages";
-import { CommandError, Link, type Fields, type Name, type Result } from "../net/link";
+import { CommandError, Link, type Fields, type Name, type Result } from "../net/connection";
 import { fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
-import { axisName } from "./upright";
+import { axisName } from "./up-axis";
 import { camera, jobs, lastEdit, pose, pythonLog, rgb, state, status, stopped, toast, view } from "./store";
 
 /** Set by `start`, before the interface is mounted. */
@@ -15,7 +15,7 @@ export let link: Link;
 /** A picture was saved into the watched folder. */
 export const watched: { onPicture: (blob: string, name: string) => void } = { onPicture: () => {} };
 
-const JOB_DELAY = 400;
+const JOB_DELAY_MS = 400;
 
 export function start(canvas: HTMLCanvasElement): void {
   viewer = new Viewer(canvas);
@@ -57,7 +57,7 @@ export async function run<N extends Name>(name: N, fields: Fields<N>, label = ""
     jobs.value = jobs.value.map((job) => (job.id === running.id ? { ...job, progress, stage } : job));
   });
   const job = { id: running.id, label, progress: 0, stage: "", cancel: () => running.cancel() };
-  const timer = label ? setTimeout(() => (jobs.value = [...jobs.value, job]), JOB_DELAY) : undefined;
+  const timer = label ? setTimeout(() => (jobs.value = [...jobs.value, job]), JOB_DELAY_MS) : undefined;
   try {
     return await running;
   } catch (error) {
@@ -83,15 +83,15 @@ export function report(error: unknown): void {
 export function remember(layer: {
   name: string;
   seconds: number;
-  rows_touched: number;
-  rows_appended: number;
+  gaussians_edited: number;
+  gaussians_appended: number;
   views: State["layers"][0]["views"];
 }): void {
   const [first] = layer.views;
   lastEdit.value = {
     name: layer.name,
     seconds: layer.seconds,
-    rows: layer.rows_touched + layer.rows_appended,
+    gaussians: layer.gaussians_edited + layer.gaussians_appended,
     before: first?.psnr_before ?? null,
     inside: first?.psnr_after ?? null,
     outside: first?.psnr_outside ?? null,
@@ -121,12 +121,12 @@ function canvasSize(): { width: number; height: number } {
 }
 
 function event(message: Event): void {
-  if (message.event === "state") news(message);
+  if (message.event === "state") applyState(message);
   else if (message.event === "toast") toast(message.level, message.message, message.hint);
   else watched.onPicture(message.picture, message.name);
 }
 
-function news({ state: present, history, bookmarks }: StateEvent): void {
+function applyState({ state: present, history, bookmarks }: StateEvent): void {
   const before = state.value!; // the greeting came first
   const { dropped = 0, kept = before.history.length, steps = [] } = history ?? {};
   adopt({
@@ -141,15 +141,15 @@ function adopt(next: State): void {
   state.value = next;
   const { asset } = next;
   if (before?.session === next.session) {
-    if (axisName(before.asset.up) !== axisName(asset.up)) stand(asset);
+    if (axisName(before.asset.up) !== axisName(asset.up)) resetView(asset);
     return;
   }
   link.enter(next.session);
   viewer.extent = asset.radius;
   viewer.setAntialiased(asset.antialiased);
   document.title = `${asset.name} – SplatPainter`;
-  stand(asset);
-  if (!asset.frame_said)
+  resetView(asset);
+  if (!asset.frame_stated)
     toast(
       "info",
       `${asset.name} does not say which way is up: opened as ${asset.frame.split(",")[0]}.`,
@@ -158,7 +158,7 @@ function adopt(next: State): void {
 }
 
 /** The grid under the asset and the eye before it, with its up direction up. */
-function stand(asset: AssetInfo): void {
-  viewer.grid.place(asset.center as Vec3, asset.radius, asset.up as Vec3);
+function resetView(asset: AssetInfo): void {
+  viewer.grid.setGround(asset.center as Vec3, asset.radius, asset.up as Vec3);
   go(fromCamera(asset.home, asset.center as Vec3));
 }

@@ -4,7 +4,7 @@ import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
 import { startStamp } from "../paint/placement";
-import { addPicture } from "../state/drops";
+import { addPicture } from "../state/dropped-images";
 import { camera, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
 import { Away, Help, Jobs, SelectedElsewhere, StatusLine, Toasts } from "./feedback";
@@ -12,7 +12,7 @@ import { Files, openFile } from "./files";
 import { filesOpen, Header } from "./header";
 import { History } from "./history";
 import { Layers } from "./layers";
-import { Look } from "./look";
+import { Adjustments } from "./adjustments";
 import { Options } from "./options";
 import { Pictures } from "./pictures";
 import { ReceiptPanel } from "./receipt";
@@ -22,7 +22,7 @@ import { Views } from "./views";
 
 const TABS: readonly (readonly [Tab, string, () => preact.JSX.Element | null])[] = [
   ["history", "History", History],
-  ["look", "Look", Look],
+  ["adjust", "Adjust", Adjustments],
   ["pictures", "Pictures", Pictures],
   ["views", "Views", Views],
   ["receipt", "Receipt", ReceiptPanel],

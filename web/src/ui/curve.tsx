@@ -3,7 +3,7 @@
 import { useRef } from "preact/hooks";
 
 type Point = [number, number];
-const LEAST = 0.02;
+const MIN_POINT_DISTANCE = 0.02;
 const WIDTH = 270;
 const HEIGHT = 120;
 
@@ -12,7 +12,11 @@ export function movePoint(points: Point[], index: number, to: Point): Point[] {
   const clamp = (v: number, low: number, high: number) => Math.max(low, Math.min(high, v));
   const last = points.length - 1;
   const x =
-    index === 0 ? 0 : index === last ? 1 : clamp(to[0], points[index - 1][0] + LEAST, points[index + 1][0] - LEAST);
+    index === 0
+      ? 0
+      : index === last
+        ? 1
+        : clamp(to[0], points[index - 1][0] + MIN_POINT_DISTANCE, points[index + 1][0] - MIN_POINT_DISTANCE);
   return points.map((point, k) => (k === index ? [x, clamp(to[1], 0, 1)] : point));
 }
 

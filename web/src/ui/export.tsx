@@ -25,7 +25,7 @@ const KINDS = [
   ["exr 32", "EXR, 32 bits (float)"],
 ] as const;
 const BACKGROUNDS = [
-  ["kept", "as in the view"],
+  ["view", "as in the view"],
   ["straight", "transparent"],
   ["premultiplied", "transparent, premultiplied"],
 ] as const;
@@ -44,7 +44,7 @@ const PROFILES: readonly (readonly [Profile, string])[] = [
 const size = signal<(typeof SIZES)[number][0]>("view");
 const custom = signal("3000");
 const kind = signal<(typeof KINDS)[number][0]>("png 8");
-const background = signal<(typeof BACKGROUNDS)[number][0]>("kept");
+const background = signal<(typeof BACKGROUNDS)[number][0]>("view");
 const aovs = signal<readonly Aov[]>([]);
 const profile = signal<Profile>("inria");
 
@@ -67,7 +67,7 @@ export async function exportView(to: "download" | "folder", options: Options = {
 /** What is chosen in the dialog. */
 function chosen(): Options {
   const [format, bits] = kind.value.split(" ") as ["png" | "exr", string];
-  const clear = background.value === "kept" ? null : format === "exr" ? "premultiplied" : background.value;
+  const clear = background.value === "view" ? null : format === "exr" ? "premultiplied" : background.value;
   const pixels = size.value === "custom" ? Math.round(Number(custom.value)) : Number(size.value);
   return {
     format,

@@ -1,6 +1,6 @@
-/** What the studio says: toasts, progress, the status line, the sheet of shortcuts. */
+/** Messages of the studio: toasts, progress, the status line, the sheet of shortcuts. */
 
-import { deselect, kept } from "../paint/selection";
+import { deselect, storedArea } from "../paint/selection";
 import { dismiss, help, jobs, lastEdit, pythonLog, state, status, stopped, toast, toasts } from "../state/store";
 import { go } from "../state/studio";
 import { Button, Dialog } from "./parts";
@@ -56,7 +56,7 @@ export function StatusLine() {
   const line = pythonLog.value.at(-1);
   return (
     <footer class="status">
-      <span>{now ? `${now.asset.rows.toLocaleString()} rows` : "No asset"}</span>
+      <span>{now ? `${now.asset.gaussians.toLocaleString()} Gaussians` : "No asset"}</span>
       {edit && (
         <span
           class="last-edit"
@@ -65,7 +65,7 @@ export function StatusLine() {
           <b>{edit.name}</b> {edit.seconds.toFixed(2)} s
           {edit.inside !== null &&
             `, inside ${edit.before !== null ? `${decibels(edit.before)} → ` : ""}${decibels(edit.inside)}`}
-          {edit.outside !== null && `, outside ${decibels(edit.outside)}`}, {edit.rows.toLocaleString()} rows
+          {edit.outside !== null && `, outside ${decibels(edit.outside)}`}, {edit.gaussians.toLocaleString()} Gaussians
         </span>
       )}
       <span class="gap" />
@@ -81,7 +81,7 @@ export function StatusLine() {
 
 /** A selection that limits nothing here, and the way back to it. */
 export function SelectedElsewhere() {
-  const area = kept.value;
+  const area = storedArea.value;
   if (!area) return null;
   return (
     <div class="elsewhere" role="status">
@@ -114,11 +114,11 @@ export function Help() {
   return (
     <Dialog title="Shortcuts" onClose={() => (help.value = false)}>
       <div class="shortcuts">
-        {SHORTCUTS.map(([title, rows]) => (
+        {SHORTCUTS.map(([title, shortcuts]) => (
           <section key={title}>
             <h3>{title}</h3>
             <dl>
-              {rows.map(([keys, what]) => (
+              {shortcuts.map(([keys, what]) => (
                 <div key={keys}>
                   <dt>
                     {keys

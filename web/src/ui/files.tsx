@@ -31,8 +31,8 @@ export function Files({ saving, onClose }: { saving: boolean; onClose: () => voi
 }
 
 function Opening({ onClose }: { onClose: () => void }) {
-  const [known, setKnown] = useState<RecentProjects | null>(null);
-  useEffect(() => void run("project.recent", {}).then(setKnown), []);
+  const [projects, setProjects] = useState<RecentProjects | null>(null);
+  useEffect(() => void run("project.recent", {}).then(setProjects), []);
   const open = (what: Promise<unknown>) => void what.then(onClose);
   const isProject = (name: string) => /\.splatproj$/i.test(name);
   return (
@@ -50,10 +50,12 @@ function Opening({ onClose }: { onClose: () => void }) {
           onClick={() => open(run("asset.open", { demo: true }, "Demo asset"))}
         />
       </p>
-      <p class="quiet">Every edit is kept in a project file as it is made. What is open now stays in the list below.</p>
+      <p class="quiet">
+        Every edit is saved in a project file as it is made. What is open now stays in the list below.
+      </p>
       <h3>Recent projects</h3>
       <ul class="list">
-        {known?.recent.map((one) => (
+        {projects?.recent.map((one) => (
           <li key={one.id}>
             <button type="button" onClick={() => open(run("project.open", { recent: one.id }, `Opening ${one.name}`))}>
               <span>{one.name}</span>
@@ -61,13 +63,13 @@ function Opening({ onClose }: { onClose: () => void }) {
             </button>
           </li>
         ))}
-        {known && known.recent.length === 0 && <li class="quiet">None yet</li>}
+        {projects && projects.recent.length === 0 && <li class="quiet">None yet</li>}
       </ul>
-      {known && known.files.length > 0 && (
+      {projects && projects.files.length > 0 && (
         <>
           <h3>In the studio's folder</h3>
           <ul class="list">
-            {known.files.map((file) => (
+            {projects.files.map((file) => (
               <li key={file}>
                 <button
                   type="button"
@@ -131,14 +133,14 @@ function Saving({ onClose }: { onClose: () => void }) {
         <Button label="Export" icon="share" text="Export" primary onClick={() => void give()} />
       </p>
       <p class="quiet">
-        Rows that no layer touched are written as they were read, bit for bit, where the format is the same (.sog has
-        one palette for all rows, which moves with new colours).
+        Gaussians that no layer touched are written as they were read, bit for bit, where the format is the same (.sog
+        has one palette for all, which moves with new colours).
       </p>
       <h3>Project</h3>
       <p class="quiet">
         {now.project.file
-          ? `Kept in ${now.project.file}, saved with every edit.`
-          : "Kept in the studio's own folder, saved with every edit."}
+          ? `Saved in ${now.project.file} with every edit.`
+          : "Saved in the studio's own folder with every edit."}
       </p>
       {now.folder && (
         <p class="row">

@@ -2,10 +2,10 @@
 
 import { signal } from "@preact/signals";
 
-import { pendingStrokes } from "../paint/desk";
+import { pendingStrokes } from "../paint/strokes";
 import { canRedo, canUndo, help, pose, readOnly, state, status, view } from "../state/store";
 import { go, run } from "../state/studio";
-import { axisName, OPPOSITE } from "../state/upright";
+import { axisName, OPPOSITE } from "../state/up-axis";
 import { frame, zoomLens, type Vec3 } from "../view/camera";
 import { Button, Choice, Slider } from "./parts";
 
@@ -40,7 +40,7 @@ export function frameAll(): void {
   if (asset && now && stage) go(frame(now, asset.center as Vec3, asset.radius, stage.clientWidth / stage.clientHeight));
 }
 
-/** What is up becomes down, for every window and for good; the rows stay as they are. */
+/** What is up becomes down, for every window and for good; the Gaussians stay as they are. */
 export function turnOver(): void {
   const up = axisName(state.value?.asset.up);
   if (up) void run("asset.up", { up: OPPOSITE[up] }, "Turn over");
@@ -48,8 +48,8 @@ export function turnOver(): void {
 
 export function Header() {
   const now = state.value;
-  const shown = view.value;
-  const set = (part: Partial<typeof shown>) => (view.value = { ...view.value, ...part });
+  const options = view.value;
+  const set = (part: Partial<typeof options>) => (view.value = { ...view.value, ...part });
   return (
     <header class="header">
       <span class="brand" aria-hidden="true">
@@ -92,52 +92,52 @@ export function Header() {
       />
       <Choice
         label="Background"
-        value={shown.background}
+        value={options.background}
         options={BACKGROUNDS}
         onChange={(background) => set({ background })}
       />
       <Choice
         label="Pixels"
-        value={String(shown.resolution)}
+        value={String(options.resolution)}
         options={RESOLUTIONS}
         onChange={(value) => set({ resolution: Number(value) })}
       />
-      <Button icon="frame" label="Show the whole asset" keys="F" onClick={frameAll} />
+      <Button icon="frame" label="Show all of the asset" keys="F" onClick={frameAll} />
       <Button
         icon="turn"
-        label="Upside down? Turn the asset over on the screen (kept in the project; the asset does not change)"
+        label="Upside down? Turn the asset over on the screen (saved in the project; the asset does not change)"
         disabled={!now || readOnly.value}
         onClick={turnOver}
       />
-      <Button icon="grid" label="Grid" keys="G" pressed={shown.grid} onClick={() => set({ grid: !shown.grid })} />
+      <Button icon="grid" label="Grid" keys="G" pressed={options.grid} onClick={() => set({ grid: !options.grid })} />
       <Button
         icon="lens"
         label="True colour: the server's float render"
         keys="T"
-        pressed={shown.trueColor}
-        onClick={() => set({ trueColor: !shown.trueColor })}
+        pressed={options.trueColor}
+        onClick={() => set({ trueColor: !options.trueColor })}
       />
-      {shown.trueColor && (
+      {options.trueColor && (
         <Choice
           label="Drawn as by"
-          value={shown.profile}
+          value={options.profile}
           options={PROFILES}
-          onChange={(profile) => set({ profile: profile as typeof shown.profile })}
+          onChange={(profile) => set({ profile: profile as typeof options.profile })}
         />
       )}
       <Button
         icon="compare"
         label="Before and after"
         keys="B"
-        pressed={shown.compare}
-        onClick={() => set({ compare: !shown.compare })}
+        pressed={options.compare}
+        onClick={() => set({ compare: !options.compare })}
       />
       <Button
         icon="coverage"
         label="Coverage: seen and predicted"
         keys="C"
-        pressed={shown.coverage}
-        onClick={() => set({ coverage: !shown.coverage })}
+        pressed={options.coverage}
+        onClick={() => set({ coverage: !options.coverage })}
       />
       <Button icon="help" label="Shortcuts" keys="?" onClick={() => (help.value = true)} />
       <Connection />
@@ -152,12 +152,12 @@ function Connection() {
     lost: "Connection lost, trying again",
     stopped: "Stopped",
   }[status.value];
-  const others = (state.value?.clients ?? 1) - 1;
+  const otherWindows = (state.value?.clients ?? 1) - 1;
   return (
     <span
       class={`connection ${status.value}`}
       role="status"
-      title={others > 0 ? `${words}; ${others} more window${others > 1 ? "s" : ""}` : words}
+      title={otherWindows > 0 ? `${words}; ${otherWindows} more window${otherWindows > 1 ? "s" : ""}` : words}
     >
       <i aria-hidden="true" />
       <span class="quiet">{status.value === "open" ? (pendingStrokes.value ? "Saving" : "Saved") : words}</span>

@@ -1,6 +1,6 @@
 /** The keyboard. */
 
-import { viewPixels } from "../paint/desk";
+import { viewPixels } from "../paint/strokes";
 import { commitPlacement, placement } from "../paint/placement";
 import { invert, rectangle } from "../paint/select";
 import { deselect, selection } from "../paint/selection";
@@ -29,7 +29,7 @@ export const SHORTCUTS: readonly (readonly [string, readonly (readonly [string, 
       ["Shift-drag", "Slide (with Space, or in the turn tool)"],
       ["Wheel", "Nearer, farther"],
       ["← or → or ↑ or ↓", "Turn"],
-      ["F", "Show the whole asset"],
+      ["F", "Show all of the asset"],
       ["G", "Grid"],
       ["T", "True colour"],
       ["B", "Before and after"],
@@ -54,8 +54,8 @@ export const SHORTCUTS: readonly (readonly [string, readonly (readonly [string, 
   ],
 ];
 
-const STEP = 1.12;
-const TURN = Math.PI / 24;
+const RESIZE_FACTOR = 1.12;
+const TURN_RADIANS = Math.PI / 24;
 
 const toggle = (key: "grid" | "trueColor" | "compare" | "coverage") => () =>
   (view.value = { ...view.value, [key]: !view.value[key] });
@@ -71,8 +71,8 @@ const PLAIN: Record<string, () => void> = {
       () => void ((!readOnly.value || ["orbit", "pick", "select"].includes(key)) && chooseTool(key)),
     ]),
   ),
-  "[": resize(1 / STEP),
-  "]": resize(STEP),
+  "[": resize(1 / RESIZE_FACTOR),
+  "]": resize(RESIZE_FACTOR),
   "{": harden(-0.1),
   "}": harden(0.1),
   f: frameAll,
@@ -88,10 +88,10 @@ const PLAIN: Record<string, () => void> = {
 };
 
 const ARROWS: Record<string, readonly [number, number]> = {
-  ArrowLeft: [TURN, 0],
-  ArrowRight: [-TURN, 0],
-  ArrowUp: [0, TURN],
-  ArrowDown: [0, -TURN],
+  ArrowLeft: [TURN_RADIANS, 0],
+  ArrowRight: [-TURN_RADIANS, 0],
+  ArrowUp: [0, TURN_RADIANS],
+  ArrowDown: [0, -TURN_RADIANS],
 };
 
 const WITH_CONTROL: Record<string, () => void> = {

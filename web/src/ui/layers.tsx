@@ -22,14 +22,14 @@ const set = (layer: string, fields: Omit<LayerSet, "layer">) => run("layer.set",
 
 export function Layers() {
   const layers = state.value?.layers ?? [];
-  const shown = [...layers].reverse();
+  const topDown = [...layers].reverse();
   const chosen = layers.find((layer) => layer.id === selectedLayer.value) ?? null;
-  const [far, setFar] = useState<string | null>(null);
-  const place = (id: string | null | undefined) => layers.findIndex((layer) => layer.id === id);
-  const [near, end] = [place(chosen?.id), place(far) < 0 ? place(chosen?.id) : place(far)];
-  const range = chosen ? layers.slice(Math.min(near, end), Math.max(near, end) + 1) : [];
+  const [rangeEnd, setRangeEnd] = useState<string | null>(null);
+  const indexOf = (id: string | null | undefined) => layers.findIndex((layer) => layer.id === id);
+  const [first, last] = [indexOf(chosen?.id), indexOf(rangeEnd) < 0 ? indexOf(chosen?.id) : indexOf(rangeEnd)];
+  const range = chosen ? layers.slice(Math.min(first, last), Math.max(first, last) + 1) : [];
   const choose = (layer: LayerInfo, extend: boolean) => {
-    setFar(extend && chosen ? layer.id : null);
+    setRangeEnd(extend && chosen ? layer.id : null);
     if (!extend || !chosen) selectedLayer.value = layer.id;
   };
   const [over, setOver] = useState<number | null>(null);
@@ -48,12 +48,12 @@ export function Layers() {
       <LayerSettings layer={chosen} />
       <InConflict />
       <ul class="layer-list" aria-label="Layers, uppermost first">
-        {shown.map((layer, k) => {
-          const place = layers.length - 1 - k;
+        {topDown.map((layer, k) => {
+          const index = layers.length - 1 - k;
           return (
             <li
               key={layer.id}
-              class={`layer${range.includes(layer) ? " chosen" : ""}${over === place ? " over" : ""}${layer.visible ? "" : " off"}`}
+              class={`layer${range.includes(layer) ? " chosen" : ""}${over === index ? " over" : ""}${layer.visible ? "" : " off"}`}
               draggable={!readOnly.value}
               onClick={(event) => choose(layer, event.shiftKey)}
               onDragStart={(event) => {
@@ -63,11 +63,11 @@ export function Layers() {
               onDragOver={(event) => {
                 if (!dragged) return;
                 event.preventDefault();
-                setOver(place);
+                setOver(index);
               }}
               onDragLeave={() => setOver(null)}
               onDragEnd={() => (setDragged(null), setOver(null))}
-              onDrop={(event) => (event.preventDefault(), event.stopPropagation(), drop(place))}
+              onDrop={(event) => (event.preventDefault(), event.stopPropagation(), drop(index))}
             >
               <Button
                 icon={layer.visible ? "eye" : "hidden"}
@@ -79,7 +79,7 @@ export function Layers() {
               <Name
                 layer={layer}
                 chosen={range.includes(layer)}
-                onKeyDown={(event) => onKey(event, layer, place, layers.length)}
+                onKeyDown={(event) => onKey(event, layer, index, layers.length)}
               />
             </li>
           );
@@ -88,20 +88,22 @@ export function Layers() {
         <li class="layer base">
           <Icon name="lock" />
           <span>Original</span>
-          <span class="quiet">{state.value ? `${state.value.asset.rows_original.toLocaleString()} rows` : ""}</span>
+          <span class="quiet">
+            {state.value ? `${state.value.asset.gaussians_original.toLocaleString()} Gaussians` : ""}
+          </span>
         </li>
       </ul>
     </section>
   );
 }
 
-function onKey(event: KeyboardEvent, layer: LayerInfo, place: number, count: number): void {
+function onKey(event: KeyboardEvent, layer: LayerInfo, index: number, count: number): void {
   const handled = () => (event.preventDefault(), event.stopPropagation());
   if (event.key === "Delete" && !readOnly.value) (void run("layer.delete", { layer: layer.id }, "Deleting"), handled());
-  if (event.altKey && event.key === "ArrowUp" && place < count - 1)
-    (void run("layer.move", { layer: layer.id, to: place + 1 }, "Reordering"), handled());
-  if (event.altKey && event.key === "ArrowDown" && place > 0)
-    (void run("layer.move", { layer: layer.id, to: place - 1 }, "Reordering"), handled());
+  if (event.altKey && event.key === "ArrowUp" && index < count - 1)
+    (void run("layer.move", { layer: layer.id, to: index + 1 }, "Reordering"), handled());
+  if (event.altKey && event.key === "ArrowDown" && index > 0)
+    (void run("layer.move", { layer: layer.id, to: index - 1 }, "Reordering"), handled());
 }
 
 function Thumbnail({ layer }: { layer: LayerInfo }) {
@@ -142,7 +144,7 @@ function Name({ layer, chosen, onKeyDown }: NameProps) {
         }}
       />
     );
-  const rows = layer.rows_touched + layer.rows_appended;
+  const count = layer.gaussians_edited + layer.gaussians_appended;
   const rename = () => !readOnly.value && setEditing(true);
   return (
     <button
@@ -158,7 +160,7 @@ function Name({ layer, chosen, onKeyDown }: NameProps) {
     >
       <b>{layer.name}</b>
       <span class="quiet">
-        {rows.toLocaleString()} rows{layer.opacity < 1 ? `, ${Math.round(layer.opacity * 100)} %` : ""}
+        {count.toLocaleString()} Gaussians{layer.opacity < 1 ? `, ${Math.round(layer.opacity * 100)} %` : ""}
         {layer.blend !== "normal" ? `, ${layer.blend}` : ""}
       </span>
     </button>

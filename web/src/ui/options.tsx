@@ -2,10 +2,10 @@
 
 import { signal } from "@preact/signals";
 
-import { cloneFrom } from "../paint/desk";
+import { cloneFrom } from "../paint/strokes";
 import { choosingSource } from "../paint/freehand";
 import { commitPlacement, placement, startStamp } from "../paint/placement";
-import { setColor } from "../paint/pointing";
+import { setColor } from "../paint/point-tools";
 import { invert, type Combine } from "../paint/select";
 import { deselect, selection } from "../paint/selection";
 import {
@@ -92,8 +92,8 @@ function Round() {
         onInput={(size) => set({ size })}
       />
       <Percent label="Hardness" value={b.hardness} onInput={(v) => set({ hardness: v })} />
-      <Percent label="Opacity" value={b.opacity} least={0.01} onInput={(v) => set({ opacity: v })} />
-      <Percent label="Flow" value={b.flow} least={0.01} onInput={(v) => set({ flow: v })} />
+      <Percent label="Opacity" value={b.opacity} min={0.01} onInput={(v) => set({ opacity: v })} />
+      <Percent label="Flow" value={b.flow} min={0.01} onInput={(v) => set({ flow: v })} />
       <Button label="Pen pressure" text="Pen" pressed={more.value} onClick={() => (more.value = !more.value)} />
       {more.value && (
         <span class="group">
@@ -113,7 +113,7 @@ function Fill() {
       <Percent
         label="Opacity"
         value={brush.value.opacity}
-        least={0.01}
+        min={0.01}
         onInput={(v) => (brush.value = { ...brush.value, opacity: v })}
       />
       <Check
@@ -193,7 +193,7 @@ function Place() {
   return (
     <span class="group">
       <Button label="Apply" keys="Enter" icon="check" text="Apply" primary onClick={() => void commitPlacement()} />
-      <Button label="Drop it" keys="Esc" icon="close" onClick={() => (placement.value = null)} />
+      <Button label="Discard it" keys="Esc" icon="close" onClick={() => (placement.value = null)} />
     </span>
   );
 }

@@ -106,16 +106,16 @@ export function Slider({
 /** A slider of 0 to 1 in per cent. */
 export function Percent({
   value,
-  least = 0,
+  min = 0,
   reset,
   onInput,
   ...rest
-}: Pick<SliderProps, "label" | "value" | "reset" | "disabled" | "onInput"> & { least?: number }) {
+}: Pick<SliderProps, "label" | "value" | "reset" | "disabled" | "onInput"> & { min?: number }) {
   return (
     <Slider
       {...rest}
       value={value * 100}
-      min={least * 100}
+      min={min * 100}
       max={100}
       unit=" %"
       reset={reset === undefined ? undefined : reset * 100}
@@ -136,7 +136,7 @@ interface NumberProps {
 }
 
 function NumberField({ label, value, min, max, digits, unit, disabled, onChange }: NumberProps) {
-  const shown = value.toFixed(digits);
+  const formatted = value.toFixed(digits);
   const [draft, setDraft] = useState<string | null>(null);
   const commit = () => {
     const typed = Number.parseFloat(draft ?? "");
@@ -149,7 +149,7 @@ function NumberField({ label, value, min, max, digits, unit, disabled, onChange 
         type="text"
         inputMode="decimal"
         aria-label={`${label}, number`}
-        value={draft ?? shown}
+        value={draft ?? formatted}
         disabled={disabled}
         onInput={(event) => setDraft(event.currentTarget.value)}
         onBlur={() => draft !== null && commit()}

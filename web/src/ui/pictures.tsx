@@ -6,18 +6,18 @@ import { blobUrl } from "../net/blobs";
 import { startStamp } from "../paint/placement";
 import {
   addPicture,
-  applyDrops,
+  applyImages,
   check,
   discard,
-  dropMode,
-  drops,
-  dropWithin,
+  editMode,
+  droppedImages,
+  onlySelection,
   isPresentView,
   maskUrl,
-  MOST,
-  selectedDrop,
-  type Drop,
-} from "../state/drops";
+  MAX_IMAGES,
+  selectedImage,
+  type DroppedImage,
+} from "../state/dropped-images";
 import { camera, method, readOnly } from "../state/store";
 import { report } from "../state/studio";
 import { Button, Check, Choice, FileButton, Slider } from "./parts";
@@ -26,9 +26,9 @@ import { goTo } from "./views";
 
 const MODES = [
   ["local", "Only what was edited"],
-  ["global", "The whole asset (relit)"],
+  ["global", "All of the asset (relit)"],
 ] as const;
-const FOUND = {
+const CAMERA_SOURCES = {
   given: "the present view",
   chunk: "its camera is in the file",
   sidecar: "its camera is in the file beside it",
@@ -36,7 +36,7 @@ const FOUND = {
 } as const;
 
 export function Pictures() {
-  const list = drops.value;
+  const list = droppedImages.value;
   const ready = list.filter((one) => one.checked).length;
   return (
     <div class="pictures">
@@ -46,7 +46,7 @@ export function Pictures() {
           icon="open"
           accept="image/png,image/jpeg,image/webp"
           multiple
-          onFiles={(files) => files.slice(0, MOST).forEach((file) => void addPicture(file))}
+          onFiles={(files) => files.slice(0, MAX_IMAGES).forEach((file) => void addPicture(file))}
         />
       </p>
       {list.length === 0 && (
@@ -62,21 +62,21 @@ export function Pictures() {
           <p class="row wide">
             <Choice
               label="Changes"
-              value={dropMode.value}
+              value={editMode.value}
               options={MODES}
-              onChange={(mode) => (dropMode.value = mode)}
+              onChange={(mode) => (editMode.value = mode)}
             />
           </p>
-          {dropMode.value === "global" && (
+          {editMode.value === "global" && (
             <Check
               label={
-                selectedDrop.value
-                  ? `Only the area selected on ${selectedDrop.value.name}`
+                selectedImage.value
+                  ? `Only the area selected on ${selectedImage.value.name}`
                   : "Only a selected area (none yet)"
               }
-              value={dropWithin.value && selectedDrop.value !== null}
-              disabled={!selectedDrop.value}
-              onChange={(on) => (dropWithin.value = on)}
+              value={onlySelection.value && selectedImage.value !== null}
+              disabled={!selectedImage.value}
+              onChange={(on) => (onlySelection.value = on)}
             />
           )}
           <p class="row actions">
@@ -86,7 +86,7 @@ export function Pictures() {
               primary
               disabled={readOnly.value}
               text={ready > 1 ? `Apply ${ready} views as one layer` : "Apply as layer"}
-              onClick={() => void applyDrops(method.value)}
+              onClick={() => void applyImages(method.value)}
             />
           </p>
         </>
@@ -95,10 +95,10 @@ export function Pictures() {
   );
 }
 
-function Entry({ one }: { one: Drop }) {
+function Entry({ one }: { one: DroppedImage }) {
   const entry = useRef<HTMLElement>(null);
-  const known = one.checked !== null || one.problem !== "";
-  useEffect(() => entry.current?.scrollIntoView({ block: "nearest" }), [known]); // a picture that was dropped is seen
+  const ready = one.checked !== null || one.problem !== "";
+  useEffect(() => entry.current?.scrollIntoView({ block: "nearest" }), [ready]); // scrolled to when its camera is there
   const timer = useRef<ReturnType<typeof setTimeout> | undefined>(undefined);
   const { checked } = one;
   const stamp = async () => {
@@ -122,7 +122,7 @@ function Entry({ one }: { one: Drop }) {
       </header>
       <span class="drop-picture">
         <img src={blobUrl(checked?.picture ?? one.blob)} alt={one.name} />
-        {checked && dropMode.value === "local" && (
+        {checked && editMode.value === "local" && (
           <span
             class="drop-mask"
             role="img"
@@ -134,7 +134,7 @@ function Entry({ one }: { one: Drop }) {
       {checked && (
         <>
           <p class="quiet">
-            {FOUND[checked.camera_source]}; {(checked.share * 100).toFixed(1)} % changed
+            {CAMERA_SOURCES[checked.camera_source]}; {(checked.share * 100).toFixed(1)} % changed
             {Math.hypot(...checked.shift) > 0.05
               ? `; moved back by ${checked.shift.map((v) => v.toFixed(1)).join(", ")} px`
               : ""}
@@ -150,7 +150,7 @@ function Entry({ one }: { one: Drop }) {
               {warning.picture && <img src={blobUrl(warning.picture)} alt="Where" />}
             </div>
           ))}
-          {dropMode.value === "local" && (
+          {editMode.value === "local" && (
             <Slider
               label="Threshold"
               value={(one.threshold ?? 0.02) * 100}

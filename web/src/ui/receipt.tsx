@@ -28,24 +28,25 @@ export function ReceiptPanel() {
   const now = state.value;
   if (!now) return null;
   const { asset } = now;
-  const changed = asset.rows_original - asset.rows_same;
-  const found =
+  const changed = asset.gaussians_original - asset.gaussians_unchanged;
+  const verified =
     proof.value && proof.value.session === now.session && proof.value.version === now.version
       ? proof.value.answer
       : null;
   return (
     <div class="receipt">
       <p class="figure">
-        <b>{asset.rows_same.toLocaleString()}</b> of {asset.rows_original.toLocaleString()} rows byte-identical
+        <b>{asset.gaussians_unchanged.toLocaleString()}</b> of {asset.gaussians_original.toLocaleString()} Gaussians
+        byte-identical
       </p>
-      <div class="bar" role="img" aria-label={`${changed} rows changed`}>
-        <i style={{ width: `${(100 * asset.rows_same) / Math.max(1, asset.rows_original)}%` }} />
+      <div class="bar" role="img" aria-label={`${changed} Gaussians changed`}>
+        <i style={{ width: `${(100 * asset.gaussians_unchanged) / Math.max(1, asset.gaussians_original)}%` }} />
       </div>
       <dl>
         <dt>Changed</dt>
         <dd>{changed.toLocaleString()}</dd>
         <dt>Added</dt>
-        <dd>{(asset.rows - asset.rows_original).toLocaleString()}</dd>
+        <dd>{(asset.gaussians - asset.gaussians_original).toLocaleString()}</dd>
         <dt>Format</dt>
         <dd>
           {asset.format || "demo"}, SH degree {Math.sqrt(asset.sh_coefficients) - 1}
@@ -57,28 +58,28 @@ export function ReceiptPanel() {
       </dl>
       <p class="row">
         <Button
-          label="Write the asset, read it back and compare every row with the original"
+          label="Write the asset, read it back and compare every Gaussian with the original"
           icon="check"
           text="Verify"
           onClick={() => void verify()}
         />
         <Button label="Save the receipt as JSON" icon="save" text="Receipt" onClick={() => void save()} />
       </p>
-      {found && (
-        <div class={`proof ${found.proved ? "good" : "bad"}`} role="status">
-          <b>{found.proved ? "Proved" : "Not proved"}</b>
+      {verified && (
+        <div class={`proof ${verified.proved ? "good" : "bad"}`} role="status">
+          <b>{verified.proved ? "Proved" : "Not proved"}</b>
           <p>
-            {found.same.toLocaleString()} of {found.rows.toLocaleString()} rows are the same,{" "}
-            {found.changed.toLocaleString()} changed, {found.appended.toLocaleString()} added.
+            {verified.same.toLocaleString()} of {verified.gaussians.toLocaleString()} Gaussians are the same,{" "}
+            {verified.changed.toLocaleString()} changed, {verified.appended.toLocaleString()} added.
           </p>
-          <p class="quiet">{found.exact}</p>
-          {found.changed > changed && (
+          <p class="quiet">{verified.exact}</p>
+          {verified.changed > changed && (
             <p>
-              Writing {asset.format} changed {(found.changed - changed).toLocaleString()} rows that no layer changed:
-              its palette moves with new colours. Export a .ply to keep them.
+              Writing {asset.format} changed {(verified.changed - changed).toLocaleString()} Gaussians that no layer
+              changed: its palette moves with new colours. Export a .ply to keep them.
             </p>
           )}
-          {found.problems.map((line) => (
+          {verified.problems.map((line) => (
             <p key={line}>{line}</p>
           ))}
         </div>

@@ -3,17 +3,17 @@
 import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 
-import { frozen, overlayCanvas, viewMoved, warmUp } from "../paint/desk";
+import { frozen, overlayCanvas, viewMoved, warmUp } from "../paint/strokes";
 import { clone, eraser, healer, line, paintBrush } from "../paint/freehand";
 import { placement, placer } from "../paint/placement";
-import { eyedropper, filler, pickColor, selector } from "../paint/pointing";
+import { eyedropper, filler, pickColor, selector } from "../paint/point-tools";
 import type { Pen, ToolHandler } from "../paint/tool";
 import { camera, pose, state, tool, view, type Tool } from "../state/store";
 import { go, refresh, report, viewer } from "../state/studio";
 import type { Vec3 } from "../view/camera";
 import { Gestures } from "../view/gestures";
-import { drawGlass, hover } from "./glass";
-import { Overlays } from "./overlays";
+import { drawOverlay, hover } from "./overlay";
+import { Overlays } from "./server-renders";
 
 const HANDLERS: Partial<Record<Tool, ToolHandler>> = {
   brush: paintBrush,
@@ -31,7 +31,7 @@ const HANDLERS: Partial<Record<Tool, ToolHandler>> = {
 export const spaceHeld = signal(false);
 /** The view's camera moves: still pictures of the old one are out of date. */
 export const moving = signal(false);
-const REST = 350;
+const REST_MS = 350;
 
 const gestures = new Gestures({
   pose: () => pose.value,
@@ -57,7 +57,7 @@ export const turnBy = (right: number, down: number): void => {
 
 export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
   const box = useRef<HTMLDivElement>(null);
-  const glass = useRef<HTMLCanvasElement>(null);
+  const overlay = useRef<HTMLCanvasElement>(null);
 
   useEffect(() => {
     const element = box.current!;
@@ -65,15 +65,15 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
     canvas.after(overlayCanvas);
     canvas.className = "view";
     overlayCanvas.className = "overlay";
-    const ratio = () => ((camera.value?.width ?? 1) > 0 ? glass.current!.width / (camera.value?.width ?? 1) : 1);
+    const ratio = () => ((camera.value?.width ?? 1) > 0 ? overlay.current!.width / (camera.value?.width ?? 1) : 1);
     const size = new ResizeObserver(() => {
       const dpr = window.devicePixelRatio || 1;
-      glass.current!.width = Math.round(element.clientWidth * dpr);
-      glass.current!.height = Math.round(element.clientHeight * dpr);
+      overlay.current!.width = Math.round(element.clientWidth * dpr);
+      overlay.current!.height = Math.round(element.clientHeight * dpr);
       refresh();
     });
     size.observe(element);
-    const stopGlass = drawGlass(glass.current!, ratio);
+    const stopOverlay = drawOverlay(overlay.current!, ratio);
     const stopView = view.subscribe(() => refresh());
     let timer: ReturnType<typeof setTimeout>;
     const stopCamera = camera.subscribe(() => {
@@ -83,11 +83,11 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
       timer = setTimeout(() => {
         moving.value = false;
         if (tool.value !== "orbit") warmUp();
-      }, REST);
+      }, REST_MS);
     });
     return () => {
       size.disconnect();
-      stopGlass();
+      stopOverlay();
       stopView();
       stopCamera();
     };
@@ -168,7 +168,7 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
       }}
     >
       <Overlays />
-      <canvas ref={glass} class="glass" aria-hidden="true" />
+      <canvas ref={overlay} class="cursor-overlay" aria-hidden="true" />
     </div>
   );
 }

@@ -2,7 +2,7 @@
 
 import { placement } from "../paint/placement";
 import { color, readOnly, tool, type Tool } from "../state/store";
-import { setColor } from "../paint/pointing";
+import { setColor } from "../paint/point-tools";
 import type { IconName } from "./icons";
 import { Button } from "./parts";
 

@@ -6,11 +6,11 @@ import type { BookmarkInfo, ConflictInfo } from "../messages";
 import { blobUrl, download } from "../net/blobs";
 import { camera, readOnly, state, toast, view } from "../state/store";
 import { go, run } from "../state/studio";
-import { AXES, axisName } from "../state/upright";
+import { AXES, axisName } from "../state/up-axis";
 import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
 import { exportView, ViewExportDialog } from "./export";
 import { turnOver } from "./header";
-import { covered } from "./overlays";
+import { covered } from "./server-renders";
 import { Button, Choice } from "./parts";
 
 const POLICIES = [
@@ -121,7 +121,7 @@ export function Views() {
       </p>
       {seen && (
         <p class="quiet">
-          {seen.seen.toLocaleString()} rows seen in edited views, {seen.predicted.toLocaleString()} predicted
+          {seen.seen.toLocaleString()} Gaussians seen in edited views, {seen.predicted.toLocaleString()} predicted
         </p>
       )}
       <h3>Turntable</h3>
@@ -182,7 +182,7 @@ function ConflictRow({ one }: { one: ConflictInfo }) {
   return (
     <div class="conflict">
       <p>
-        <b>{name(one.upper)}</b> overwrites {one.rows.toLocaleString()} rows of <b>{name(one.lower)}</b> (
+        <b>{name(one.upper)}</b> overwrites {one.gaussians.toLocaleString()} Gaussians of <b>{name(one.lower)}</b> (
         {one.share < 0.01 ? "under 1" : Math.round(one.share * 100)} %), painted from another view.
       </p>
       <Choice

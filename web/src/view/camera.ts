@@ -150,10 +150,11 @@ export function sameView(a: CameraJson, b: CameraJson): boolean {
 }
 
 /** Whether two pictures show the same, be it with other pixels and another background. */
-export function sameSight(a: CameraJson, b: CameraJson): boolean {
-  const lens = (c: CameraJson) => [c.fx / c.width, c.fy / c.height, c.cx / c.width, c.cy / c.height];
-  const place = (c: CameraJson) => c.world_to_camera.flat();
-  const near = (one: number[], two: number[], most: number) => one.every((v, k) => Math.abs(v - two[k]) <= most);
-  const reach = Math.max(1, ...place(a).map(Math.abs));
-  return near(lens(a), lens(b), 2e-3) && near(place(a), place(b), 1e-5 * reach);
+export function sameViewpoint(a: CameraJson, b: CameraJson): boolean {
+  const intrinsics = (c: CameraJson) => [c.fx / c.width, c.fy / c.height, c.cx / c.width, c.cy / c.height];
+  const extrinsics = (c: CameraJson) => c.world_to_camera.flat();
+  const close = (one: number[], two: number[], tolerance: number) =>
+    one.every((v, k) => Math.abs(v - two[k]) <= tolerance);
+  const scale = Math.max(1, ...extrinsics(a).map(Math.abs));
+  return close(intrinsics(a), intrinsics(b), 2e-3) && close(extrinsics(a), extrinsics(b), 1e-5 * scale);
 }

@@ -15,8 +15,8 @@ export interface Moves {
 }
 
 /** Radians per pixel: a drag over 400 pixels turns by half a circle. */
-const TURN = Math.PI / 400;
-const WHEEL = 0.0012;
+const RADIANS_PER_PIXEL = Math.PI / 400;
+const DOLLY_PER_PIXEL = 0.0012;
 
 export class Gestures {
   private pointers = new Map<number, { x: number; y: number }>();
@@ -49,7 +49,7 @@ export class Gestures {
     } else if (this.mode === "pan") {
       this.moves.go(pan(pose, dx, dy, this.moves.height()));
     } else {
-      this.turn(dx * TURN, dy * TURN);
+      this.turn(dx * RADIANS_PER_PIXEL, dy * RADIANS_PER_PIXEL);
     }
   }
 
@@ -60,7 +60,7 @@ export class Gestures {
   wheel(event: WheelEvent): void {
     const pose = this.moves.pose();
     const lines = event.deltaMode === 1 ? 16 : 1;
-    if (pose) this.moves.go(dolly(pose, Math.exp(event.deltaY * lines * WHEEL), this.moves.nearest()));
+    if (pose) this.moves.go(dolly(pose, Math.exp(event.deltaY * lines * DOLLY_PER_PIXEL), this.moves.nearest()));
   }
 
   /** Drag to the right: the asset turns with the hand. */

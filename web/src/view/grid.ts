@@ -10,7 +10,7 @@ export class Grid {
   private lines: THREE.GridHelper | null = null;
 
   /** Around `center`, `radius` below it against `up`. */
-  place(center: Vec3, radius: number, up: Vec3): void {
+  setGround(center: Vec3, radius: number, up: Vec3): void {
     this.lines?.removeFromParent();
     this.lines?.dispose();
     const lines = new THREE.GridHelper(radius * 4, 20, 0x8a8a8a, 0x6a6a6a);

@@ -3,12 +3,12 @@
 import * as THREE from "three";
 
 import type { Frame } from "../net/frames";
-import { Intake } from "../splats/intake";
+import { UploadQueue } from "../splats/upload-queue";
 import { SplatTable } from "../splats/table";
 import { Blit, toBytes } from "./blit";
 import type { CameraJson } from "./camera";
 import { Grid } from "./grid";
-import { setLens } from "./lens";
+import { setThreeCamera } from "./three-camera";
 import { makeSpark } from "./spark";
 
 const sleep = (ms: number) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -21,13 +21,13 @@ export class Viewer {
   /** Size of the scene in world units, for near and far. */
   extent = 10;
   private readonly scene = new THREE.Scene();
-  private readonly lens = new THREE.PerspectiveCamera();
+  private readonly threeCamera = new THREE.PerspectiveCamera();
   private readonly blit = new Blit();
   private readonly spark;
   private table: SplatTable | null = null;
-  /** Where the next rows go: `table`, or the one that replaces it once its rows are written. */
+  /** Where the next Gaussians go: `table`, or the one that replaces it once it is written. */
   private newest: SplatTable | null = null;
-  private readonly intake = new Intake<SplatTable>((table) => this.written(table));
+  private readonly uploads = new UploadQueue<SplatTable>((table) => this.written(table));
   private view: CameraJson | null = null;
   private requested = 0;
   /** Counts changes of what is shown, the camera aside. */
@@ -50,7 +50,7 @@ export class Viewer {
     this.scene.add(this.spark);
   }
 
-  get rows(): number {
+  get count(): number {
     return this.table?.count ?? 0;
   }
 
@@ -66,15 +66,15 @@ export class Viewer {
   }
 
   /**
-   * Show a snapshot or apply a delta, after those before it; at once if it is small (see Intake). Returns false when the
+   * Show a snapshot or apply a delta, after those before it; at once if it is small (see UploadQueue). Returns false when the
    * delta needs a snapshot instead (the table is full).
    */
   apply(frame: Frame): boolean {
     if (frame.snapshot) {
-      for (const table of new Set(this.intake.drop())) if (table !== this.table) table.dispose();
+      for (const table of new Set(this.uploads.clear())) if (table !== this.table) table.dispose();
       this.newest = new SplatTable(this.renderer, frame);
     } else if (!this.newest?.fits(frame)) return false;
-    this.intake.add(this.newest, frame);
+    this.uploads.add(this.newest, frame);
     return true;
   }
 
@@ -99,7 +99,7 @@ export class Viewer {
     this.view = view;
     const f = view.world_to_camera[2];
     const eyeDepth = Math.abs(f[3]);
-    setLens(this.lens, view, Math.max(1e-4 * this.extent, 1e-5), 4 * (eyeDepth + this.extent));
+    setThreeCamera(this.threeCamera, view, Math.max(1e-4 * this.extent, 1e-5), 4 * (eyeDepth + this.extent));
     this.table?.mesh.updateVersion(); // re-sort for the smallest turn: Spark alone waits for 2.6 degrees
     this.invalidate();
   }
@@ -114,9 +114,9 @@ export class Viewer {
 
   /** The view's colours as 8-bit RGBA, top row first, drawn with the order of exactly this camera. */
   async read(): Promise<ImageData> {
-    await this.intake.idle();
+    await this.uploads.idle();
     const view = this.view;
-    if (!view || !this.table) throw new Error("nothing to read: no asset is shown");
+    if (!view || !this.table) throw new Error("nothing to read: there is no asset");
     if (this.still?.view !== view || this.still.revision !== this.revision) await this.settle();
     if (this.view !== view) return this.read(); // moved meanwhile
     const { width, height } = view;
@@ -127,15 +127,15 @@ export class Viewer {
 
   /**
    * Sort for the present camera and draw; without it the first picture after a jump has the old order, and the first
-   * one after rows were appended does not have them.
+   * one after Gaussians were appended does not have them.
    */
   async settle(): Promise<void> {
-    await this.intake.idle();
+    await this.uploads.idle();
     await this.table?.mesh.initialized;
     const { view, revision } = this;
     this.table?.mesh.updateVersion();
     await this.sorted(); // an update during a sort would be put off
-    await this.spark.update({ scene: this.scene, camera: this.lens });
+    await this.spark.update({ scene: this.scene, camera: this.threeCamera });
     await this.sorted();
     this.draw();
     if (view && this.view === view) this.still = { view, revision };
@@ -151,9 +151,9 @@ export class Viewer {
     renderer.setRenderTarget(this.blit.target);
     renderer.setClearColor(0x000000, 0);
     renderer.clear();
-    renderer.render(this.scene, this.lens);
+    renderer.render(this.scene, this.threeCamera);
     this.blit.show(renderer, view.background);
-    this.grid.draw(renderer, this.lens);
+    this.grid.draw(renderer, this.threeCamera);
     this.onDrawn();
   }
 }

@@ -74,7 +74,7 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
     context.page.strokes.clear()
     context.clear_preview = True
     if request.look is None:
-        return Previewed(rows=0)
+        return Previewed(gaussians=0)
     now = context.studio.session.shown
     splats = now.splats
     sh = grade(splats.sh, _settings(context, request.look))
@@ -89,7 +89,7 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
         new = new[:, :1] if np.array_equal(new[:, 1:], old[:, 1:]) else new
         context.preview = frames.preview_colors(new, ids, len(splats), now.version)
         context.previewed_ids = ids
-    return Previewed(rows=len(ids))
+    return Previewed(gaussians=len(ids))
 
 
 class GradeCommit(Command):
@@ -98,7 +98,7 @@ class GradeCommit(Command):
     NAME = "look.commit"
     ANSWER = LayerMade
     look: GradeSliders
-    name: Name = "Look"
+    name: Name = "Adjustment"
     mask: Blob | None = None
     camera: CameraInfo | None = None
 

@@ -259,23 +259,23 @@ class ReceiptShow(Command):
 def show_receipt(context: CommandContext, request: ReceiptShow) -> ReceiptMade:
     receipt = context.studio.session.receipt()
     appended = f", {receipt.appended_rows:,} appended" if receipt.appended_rows else ""
-    text = f"{receipt.untouched_rows:,} of {receipt.asset_rows:,} rows byte-identical{appended}"
+    text = f"{receipt.untouched_rows:,} of {receipt.asset_rows:,} Gaussians byte-identical{appended}"
     return ReceiptMade(receipt=json.loads(receipt.to_json()), text=text, python="session.receipt()")
 
 
 class Verified(Answer):
     proved: bool
-    rows: int
+    gaussians: int
     same: int
     changed: int
     appended: int
     problems: list[str]
     exact: str
-    """How the rows of the file were compared."""
+    """How they were compared."""
 
 
 class AssetVerify(Command):
-    """Write the asset, read it again, and compare it row by row with the original."""
+    """Write the asset, read it again, and compare every Gaussian with the original."""
 
     NAME = "verify"
     ANSWER = Verified
@@ -294,7 +294,7 @@ def verify_asset(context: CommandContext, request: AssetVerify) -> Verified:
     problems = [*proof.problems, *session.verify()]
     return Verified(
         proved=not problems,
-        rows=proof.rows,
+        gaussians=proof.rows,
         same=proof.same,
         changed=proof.changed,
         appended=proof.appended,

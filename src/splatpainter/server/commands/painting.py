@@ -106,7 +106,7 @@ def dab(context: CommandContext, request: PaintDab) -> Previewed:
     if len(ids):
         context.preview = frames.preview_colors(sh, ids, len(now.splats), now.version)
         context.previewed_ids = ids
-    return Previewed(rows=len(ids))
+    return Previewed(gaussians=len(ids))
 
 
 class PaintEnd(Command):

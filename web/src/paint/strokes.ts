@@ -59,7 +59,7 @@ export function beginStroke(
   opacity = brush.value.opacity,
 ): Stroke | null {
   const now = camera.value;
-  if (!now || viewer.rows === 0) return null;
+  if (!now || viewer.count === 0) return null;
   if (readOnly.value) {
     toast(
       "warning",
@@ -76,7 +76,7 @@ export function beginStroke(
     overlay,
     base,
     after: lastCommit,
-    shown: () => camera.value === now,
+    onScreen: () => camera.value === now,
     kind,
     name: unused(name),
     method: method.value,
@@ -90,7 +90,7 @@ export function beginStroke(
   return stroke;
 }
 
-/** Pen up: commit and show what it did. The overlay stays until the new rows are on the screen. */
+/** Pen up: commit and show what it did. The overlay stays until the new Gaussians are on the screen. */
 export function endStroke(stroke: Stroke, finish: (stroke: Stroke) => void = () => {}): Promise<void> {
   const before = lastCommit;
   lastCommit = (async () => {
@@ -131,7 +131,7 @@ export function viewMoved(): void {
 
 /** Read the view before a stroke needs it. */
 export function warmUp(): void {
-  if (camera.value && viewer.rows > 0 && active.size === 0) void viewPixels().catch(() => {});
+  if (camera.value && viewer.count > 0 && active.size === 0) void viewPixels().catch(() => {});
 }
 
 /** The view with the strokes that lie over it. */

@@ -1,22 +1,22 @@
-/** Rows on their way into tables: in order, and a slice at a time, so that a million of them do not stop the page. */
+/** Gaussians on their way into tables: in order, and a slice at a time, so that a million of them do not stop the page. */
 
 import type { Frame } from "../net/frames";
 
-/** Where rows go. */
+/** Where Gaussians go. */
 export interface Target {
-  /** Encode rows `from` to `to` of the frame; nothing of it is shown yet. */
+  /** Encode Gaussians `from` to `to` of the frame; nothing of it is shown yet. */
   write(frame: Frame, from: number, to: number): void;
   /** Everything is written: show it. */
   finish(frame: Frame): void;
 }
 
 /** Milliseconds that one slice may take: less than a picture at 60 Hz. */
-const SLICE = 12;
-/** Rows between two looks at the clock. */
-const STEP = 1024;
+const SLICE_MS = 12;
+/** Gaussians between two looks at the clock. */
+const CLOCK_STEP = 1024;
 
 /** A small frame is finished before `add` returns; a large one goes on after pauses, and what comes later waits for it. */
-export class Intake<T extends Target> {
+export class UploadQueue<T extends Target> {
   private queue: { target: T; frame: Frame; next: number }[] = [];
   private waiting: (() => void)[] = [];
   private paused = false;
@@ -33,7 +33,7 @@ export class Intake<T extends Target> {
   }
 
   /** Forget what is not shown yet: a snapshot replaces it. Returns the targets that it was meant for. */
-  drop(): T[] {
+  clear(): T[] {
     const dropped = this.queue.map((one) => one.target);
     this.queue = [];
     return dropped;
@@ -45,12 +45,12 @@ export class Intake<T extends Target> {
   }
 
   private run(): void {
-    const end = this.clock() + SLICE;
+    const end = this.clock() + SLICE_MS;
     for (let job = this.queue[0]; job; job = this.queue[0]) {
       const { target, frame } = job;
-      while (job.next < frame.rows.count) {
+      while (job.next < frame.gaussians.count) {
         if (this.clock() >= end) return this.later();
-        const to = Math.min(job.next + STEP, frame.rows.count);
+        const to = Math.min(job.next + CLOCK_STEP, frame.gaussians.count);
         target.write(frame, job.next, to);
         job.next = to;
       }

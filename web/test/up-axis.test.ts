@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 
-import { AXES, axisName, OPPOSITE } from "../src/state/upright";
+import { AXES, axisName, OPPOSITE } from "../src/state/up-axis";
 
 test("axes have names, and an opposite that leads back", () => {
   expect(axisName([0, -1, 0])).toBe("-y");

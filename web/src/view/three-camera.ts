@@ -5,7 +5,7 @@ import * as THREE from "three";
 import type { CameraJson } from "./camera";
 
 /** Write `view` into `camera`. near and far only bound what is drawn; depth is not stored. */
-export function setLens(camera: THREE.PerspectiveCamera, view: CameraJson, near: number, far: number): void {
+export function setThreeCamera(camera: THREE.PerspectiveCamera, view: CameraJson, near: number, far: number): void {
   const { width: w, height: h, fx, fy, cx, cy } = view;
   const m = view.world_to_camera;
   camera.matrixAutoUpdate = camera.matrixWorldAutoUpdate = false;

@@ -2,9 +2,9 @@
 
 import { effect, signal } from "@preact/signals";
 
-import { cloneFrom } from "../paint/desk";
+import { cloneFrom } from "../paint/strokes";
 import { drawPlacement, handles, placement } from "../paint/placement";
-import { draft } from "../paint/pointing";
+import { draft } from "../paint/point-tools";
 import { outline } from "../paint/select";
 import { selection } from "../paint/selection";
 import { brush, tool } from "../state/store";
@@ -15,7 +15,7 @@ export const hover = signal<{ x: number; y: number } | null>(null);
 const ROUND = ["brush", "erase", "clone", "heal", "line"];
 
 /** Keep the canvas up to date. `ratio`: canvas pixels per view pixel. */
-export function drawGlass(canvas: HTMLCanvasElement, ratio: () => number): () => void {
+export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () => void {
   const context = canvas.getContext("2d")!;
   let lines: { mask: unknown; path: Path2D } | null = null;
   return effect(() => {

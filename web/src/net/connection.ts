@@ -33,7 +33,7 @@ export class CommandError extends Error {
 }
 
 interface Pending {
-  /** What is sent again after a loss; null: only this connection wants to know. */
+  /** What is sent again after a loss; null: it ends with this connection. */
   text: string | null;
   resolve: (answer: Answer) => void;
   reject: (error: CommandError) => void;
@@ -46,7 +46,7 @@ export interface Handlers {
   event: (event: Event) => void;
   /** Every answer of a command that worked. */
   answered: (answer: Answer) => void;
-  /** Returns false when the rows must be sent again. */
+  /** Returns false when the Gaussians must be sent again. */
   frame: (frame: Frame) => boolean;
 }
 
@@ -55,8 +55,8 @@ export interface Running<A> extends Promise<A> {
   cancel: () => void;
 }
 
-const FIRST_WAIT = 250;
-const LONGEST_WAIT = 8000;
+const FIRST_WAIT_MS = 250;
+const MAX_WAIT_MS = 8000;
 
 export class Link {
   private socket: WebSocket | null = null;
@@ -66,7 +66,7 @@ export class Link {
   private sent = new Set<number>();
   private readonly page = randomName();
   private nextId = 1;
-  private wait = FIRST_WAIT;
+  private wait = FIRST_WAIT_MS;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private session: string | null = null;
   private version: number | null = null;
@@ -102,7 +102,7 @@ export class Link {
     return promise;
   }
 
-  /** Another asset was opened (by whomever): its rows must come whole. */
+  /** Another asset was opened (by whomever): all its Gaussians must come. */
   enter(session: string): void {
     if (session === this.session) return;
     this.session = session;
@@ -121,10 +121,10 @@ export class Link {
       text: null,
       resolve: (answer) => {
         const greeting = answer as Greeting;
-        this.wait = FIRST_WAIT;
+        this.wait = FIRST_WAIT_MS;
         this.greeted = true;
         this.session = greeting.state.session;
-        if (!greeting.known) this.fail((number) => this.sent.has(number));
+        if (!greeting.returning) this.fail((number) => this.sent.has(number));
         this.sent.clear();
         this.handlers.status("open", "");
         this.handlers.greeted(greeting);
@@ -166,14 +166,14 @@ export class Link {
         new CommandError(
           "lost",
           "The connection was lost before the answer came.",
-          "Look at the layers: what is listed there was kept.",
+          "Look at the layers: what is listed there was saved.",
         ),
       );
     }
   }
 
   private receive(data: string | ArrayBuffer): void {
-    if (typeof data !== "string") return this.rows(parseFrame(data));
+    if (typeof data !== "string") return this.apply(parseFrame(data));
     const message = JSON.parse(data) as Answer | Failure | CommandProgress | Event;
     if ("event" in message) return this.handlers.event(message);
     const pending = this.pending.get(message.re);
@@ -187,9 +187,9 @@ export class Link {
     } else pending.reject(new CommandError(message.error.kind, message.error.message, message.error.hint));
   }
 
-  private rows(frame: Frame): void {
+  private apply(frame: Frame): void {
     if (frame.preview) return void this.handlers.frame(frame);
-    if (!frame.snapshot && frame.to === this.version) return; // heard already, e.g. in answer to `sync`
+    if (!frame.snapshot && frame.to === this.version) return; // received already, e.g. in answer to `sync`
     const fits = frame.snapshot || frame.from === this.version;
     if (fits && this.handlers.frame(frame)) {
       this.version = frame.to;
@@ -217,7 +217,7 @@ export class Link {
     this.handlers.status("lost", "");
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.connect(), this.wait);
-    this.wait = Math.min(this.wait * 2, LONGEST_WAIT);
+    this.wait = Math.min(this.wait * 2, MAX_WAIT_MS);
   }
 
   private stop(reason: string): void {

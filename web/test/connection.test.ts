@@ -1,7 +1,7 @@
 import { beforeEach, describe, expect, it, vi } from "vitest";
 
 import { FRAME_PREVIEW, FRAME_SNAPSHOT, SCHEMA_HASH } from "../src/messages";
-import { Link, type Handlers } from "../src/net/link";
+import { Link, type Handlers } from "../src/net/connection";
 import type { Frame } from "../src/net/frames";
 import { makeFrame } from "./make_frame";
 
@@ -32,8 +32,8 @@ class FakeSocket {
   frame(flags: number, from: number, to: number) {
     this.onmessage({ data: makeFrame(flags, from, to, 4, flags & FRAME_SNAPSHOT ? [0, 1, 2, 3] : [1], 1) });
   }
-  greet(session = "s", known = true) {
-    this.say({ re: this.sent[0].id, ok: true, python: "", known, state: { session } });
+  greet(session = "s", returning = true) {
+    this.say({ re: this.sent[0].id, ok: true, python: "", returning, state: { session } });
   }
   drop(code = 1006, reason = "") {
     this.readyState = 3;
@@ -184,7 +184,7 @@ describe("link", () => {
     await expect(waiting).resolves.toBeTruthy();
   });
 
-  it("forgets its rows when another asset is opened", () => {
+  it("forgets its Gaussians when another asset is opened", () => {
     const link = connected();
     link.enter("s");
     expect(asked()).toEqual(["hello"]);

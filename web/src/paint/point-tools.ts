@@ -4,7 +4,7 @@ import { signal } from "@preact/signals";
 
 import { brush, color, fill, hex, paintMode, recentColors, rgb, selecting, state } from "../state/store";
 import { report } from "../state/studio";
-import { beginStroke, endStroke, viewPixels } from "./desk";
+import { beginStroke, endStroke, viewPixels } from "./strokes";
 import { likeColor, soften } from "./flood";
 import { solid } from "./patch";
 import { combine, isEmpty, polygon, rectangle, type Combine } from "./select";

@@ -1,4 +1,4 @@
-/** Rows of Gaussians as they arrive, and their encoding into the textures that Spark's ExtSplats reads. */
+/** Gaussians as they arrive, and their encoding into the textures that Spark's ExtSplats reads. */
 
 import { toHalf } from "./half";
 import { encodeSh, SH_SHOWN } from "./sh";
@@ -6,8 +6,8 @@ import { encodeSh, SH_SHOWN } from "./sh";
 /** Y_00; base colour = 0.5 + SH_C0 * sh[0]. */
 export const SH_C0 = 0.28209479177387814;
 
-/** `count` Gaussians, activated values, row after row (see splatpainter.splats.Splats). */
-export interface Rows {
+/** `count` Gaussians, activated values, one after the other (see splatpainter.splats.Splats). */
+export interface Gaussians {
   count: number;
   /** null: only colours and opacities are given; the shapes stay. */
   shape: Shape | null;
@@ -18,10 +18,10 @@ export interface Rows {
   /** (degree + 1)^2. */
   coefficients: number;
   /** Colours as texels hold them, in place of all the others. */
-  tints?: Tints;
+  packedColors?: PackedColors;
 }
 
-export interface Tints {
+export interface PackedColors {
   /** [count * 3] half floats, the base colours. */
   base: Uint16Array;
   /** [count * (coefficients - 1)], see sh.ts; none: they stay. */
@@ -38,7 +38,7 @@ export interface Shape {
 }
 
 /**
- * The texels of a table of splats: 4 x 32 bit per row in each array.
+ * The texels of a table of splats: 4 x 32 bit per Gaussian in each array.
  * `geometry`: x, y, z, opacity. `appearance`: r g | b sx | sy sz | rotation. `sh`: 0, 1, 2 or 4 arrays for degree 0 to 3.
  */
 export interface Texels {
@@ -60,32 +60,38 @@ export function allocate(capacity: number, coefficients: number): Texels {
   return { geometry: array(), appearance: array(), sh: Array.from({ length: shArrays(coefficients) }, array) };
 }
 
-/** Write row `source` of `rows` as row `target` of `texels`. A row that cannot be drawn gets opacity 0. */
-export function encodeRow(texels: Texels, target: number, rows: Rows, source: number): void {
+/** Write Gaussian `source` of `gaussians` as number `target` of `texels`. One that cannot be drawn gets opacity 0. */
+export function encodeGaussian(texels: Texels, target: number, gaussians: Gaussians, source: number): void {
   const at = target * 4;
-  if (rows.tints) return tint(texels, at, rows.tints, source, rows.coefficients - 1);
+  if (gaussians.packedColors) return copyColors(texels, at, gaussians.packedColors, source, gaussians.coefficients - 1);
   const { geometry, appearance } = texels;
-  const drawable = rows.shape ? encodeShape(texels, at, rows.shape, source) : true;
-  const opacity = rows.opacities[source];
+  const drawable = gaussians.shape ? encodeShape(texels, at, gaussians.shape, source) : true;
+  const opacity = gaussians.opacities[source];
   geometry[at + 3] = drawable ? toHalf(opacity > 1 ? 1 : opacity) : 0; // above 1 means something else to Spark
 
-  const c = source * rows.coefficients * 3;
-  const { sh } = rows;
+  const c = source * gaussians.coefficients * 3;
+  const { sh } = gaussians;
   appearance[at] = toHalf(0.5 + SH_C0 * sh[c]) | (toHalf(0.5 + SH_C0 * sh[c + 1]) << 16);
   appearance[at + 1] = (appearance[at + 1] & 0xffff0000) | toHalf(0.5 + SH_C0 * sh[c + 2]);
-  encodeHarmonics(texels.sh, at, sh, c + 3, Math.min(rows.coefficients - 1, SH_SHOWN));
+  encodeHarmonics(texels.sh, at, sh, c + 3, Math.min(gaussians.coefficients - 1, SH_SHOWN));
 }
 
-/** Colours that need no encoding; a row that cannot be drawn keeps its opacity of 0. */
-function tint({ appearance, sh }: Texels, at: number, { base, codes }: Tints, source: number, count: number): void {
+/** Colours that need no encoding; a Gaussian that cannot be drawn keeps its opacity of 0. */
+function copyColors(
+  { appearance, sh }: Texels,
+  at: number,
+  { base, codes }: PackedColors,
+  source: number,
+  count: number,
+): void {
   const c = source * 3;
   appearance[at] = base[c] | (base[c + 1] << 16);
   appearance[at + 1] = (appearance[at + 1] & 0xffff0000) | base[c + 2];
-  const shown = Math.min(count, sh.length * 4);
-  for (let k = 0; k < shown; k++) sh[k >> 2][at + (k & 3)] = codes[source * count + k];
+  const stored = Math.min(count, sh.length * 4);
+  for (let k = 0; k < stored; k++) sh[k >> 2][at + (k & 3)] = codes[source * count + k];
 }
 
-/** Place, scales and rotation. Returns whether they can be drawn; zeros are written if not. */
+/** Position, scales and rotation. Returns whether they can be drawn; zeros are written if not. */
 function encodeShape(
   { geometry, appearance }: Texels,
   at: number,
@@ -111,8 +117,8 @@ function encodeShape(
 
 /** Coefficient k of PLY order lies at: array 0 words 0-3 for k 0-3, array 1 for 4-7, array 2 for 8-11, array 3 for 12-14. */
 function encodeHarmonics(arrays: Uint32Array[], at: number, sh: Float32Array, from: number, count: number): void {
-  const shown = Math.min(count, arrays.length * 4);
-  for (let k = 0; k < shown; k++) {
+  const stored = Math.min(count, arrays.length * 4);
+  for (let k = 0; k < stored; k++) {
     const c = from + k * 3;
     arrays[k >> 2][at + (k & 3)] = encodeSh(sh[c], sh[c + 1], sh[c + 2]);
   }

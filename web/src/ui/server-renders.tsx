@@ -17,7 +17,7 @@ interface Still {
   version: number;
   profile: Profile;
 }
-const shown: Record<Kind, ReturnType<typeof signal<Still | null>>> = {
+const pictures: Record<Kind, ReturnType<typeof signal<Still | null>>> = {
   true: signal(null),
   before: signal(null),
   coverage: signal(null),
@@ -37,27 +37,27 @@ async function ask(kind: Kind, at: CameraJson, profile: Profile): Promise<string
   return answer && blobUrl(answer.picture);
 }
 
-/** The picture of the present view if it is wanted, there, and up to date; asks for it when the camera rests. */
-function usePicture(kind: Kind, wanted: boolean): string | null {
+/** The picture of the present view if it is enabled, there, and up to date; asks for it when the camera rests. */
+function usePicture(kind: Kind, enabled: boolean): string | null {
   const now = camera.value;
   const version = state.value?.version ?? 0;
   const still = !moving.value;
   // Beside the live view, which draws as 3DGS does, the original is drawn so too.
   const profile = view.value.trueColor ? view.value.profile : "inria";
-  const have = shown[kind].value;
+  const current = pictures[kind].value;
   const fresh =
-    have !== null &&
-    have !== undefined &&
-    have.camera === now &&
-    have.profile === profile &&
-    (kind === "before" || have.version === version);
+    current !== null &&
+    current !== undefined &&
+    current.camera === now &&
+    current.profile === profile &&
+    (kind === "before" || current.version === version);
   useEffect(() => {
-    if (!wanted || !still || fresh || !now) return;
+    if (!enabled || !still || fresh || !now) return;
     void ask(kind, now, profile).then((url) => {
-      if (url) shown[kind].value = { url, camera: now, version, profile };
+      if (url) pictures[kind].value = { url, camera: now, version, profile };
     });
-  }, [wanted, still, now, version, profile]);
-  return wanted && have && have.camera === now && have.profile === profile ? have.url : null;
+  }, [enabled, still, now, version, profile]);
+  return enabled && current && current.camera === now && current.profile === profile ? current.url : null;
 }
 
 export function Overlays() {

@@ -1,4 +1,4 @@
-/** Global look: sliders, tone curve and hues on all rows or on the selected area, previewed live. */
+/** Adjustment layers: sliders, tone curve and hues on all Gaussians or on the selected area, previewed live. */
 
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
@@ -33,14 +33,14 @@ const HUES = [
   ["Magentas", 300],
 ] as const;
 
-const look = signal<Full>(NEUTRAL);
+const sliders = signal<Full>(NEUTRAL);
 const onlySelected = signal(false);
 const hue = signal(0);
-let wanted: Full | null = null;
+let pending: Full | null = null;
 let busy = false;
 let area: { mask: object; blob: string } | null = null;
 
-/** The fields that say where the look applies. */
+/** The fields that say where the adjustment applies. */
 async function where(): Promise<{ mask?: string; camera?: CameraJson }> {
   const selected = selectedArea.value;
   if (!onlySelected.value || !selected) return {};
@@ -53,13 +53,13 @@ const plain = (values: Full) => JSON.stringify(values) === JSON.stringify(NEUTRA
 
 /** Show the newest values; while the server works on one, those in between are skipped. */
 async function preview(values: Full): Promise<void> {
-  wanted = values;
+  pending = values;
   if (busy) return;
   busy = true;
   try {
-    while (wanted) {
-      const next: Full = wanted;
-      wanted = null;
+    while (pending) {
+      const next: Full = pending;
+      pending = null;
       await link.do("look.preview", { look: plain(next) ? null : next, ...(await where()) });
     }
   } catch (error) {
@@ -70,21 +70,25 @@ async function preview(values: Full): Promise<void> {
 }
 
 function change(part: Partial<Full>): void {
-  look.value = { ...look.value, ...part };
-  void preview(look.value);
+  sliders.value = { ...sliders.value, ...part };
+  void preview(sliders.value);
 }
 
-export function resetLook(): void {
-  if (plain(look.value)) return;
-  look.value = NEUTRAL;
+export function resetSliders(): void {
+  if (plain(sliders.value)) return;
+  sliders.value = NEUTRAL;
   void preview(NEUTRAL);
 }
 
 async function commit(): Promise<void> {
-  wanted = null;
-  const answer = await run("look.commit", { look: look.value, ...(await where()) }, "Look");
+  pending = null;
+  const answer = await run(
+    "look.commit",
+    { look: sliders.value, name: "Adjustment", ...(await where()) },
+    "Adjustment",
+  );
   if (!answer) return;
-  look.value = NEUTRAL;
+  sliders.value = NEUTRAL;
   remember(answer.layer);
   selectedLayer.value = answer.layer.id;
 }
@@ -103,10 +107,10 @@ const BANDS = [
   ["Lightness", "lightness", 1, 0.01, ""],
 ] as const;
 
-export function Look() {
+export function Adjustments() {
   const chosen = state.value?.layers.find((layer) => layer.id === selectedLayer.value && layer.kind === "look");
-  useEffect(() => resetLook, []);
-  const values = look.value;
+  useEffect(() => resetSliders, []);
+  const values = sliders.value;
   const band = values.hues.find((one) => one.hue === hue.value) ?? {
     hue: hue.value,
     width: 60,
@@ -118,7 +122,7 @@ export function Look() {
     change({ hues: [...values.hues.filter((one) => one.hue !== hue.value), { ...band, ...part }] });
   const neutral = plain(values);
   return (
-    <div class="look">
+    <div class="adjustments">
       {AMOUNTS.map(([label, key, min, max]) => (
         <Slider
           key={key}
@@ -148,13 +152,13 @@ export function Look() {
           />
         ))}
       </span>
-      {BANDS.map(([label, key, most, step, unit]) => (
+      {BANDS.map(([label, key, limit, step, unit]) => (
         <Slider
           key={key}
           label={label}
           value={band[key] ?? 0}
-          min={-most}
-          max={most}
+          min={-limit}
+          max={limit}
           step={step}
           digits={step < 1 ? 2 : 0}
           unit={unit}
@@ -175,7 +179,7 @@ export function Look() {
         label={selectedArea.value ? "Only the selected area" : "Only the selected area (none yet)"}
         value={onlySelected.value}
         disabled={!selectedArea.value}
-        onChange={(on) => ((onlySelected.value = on), void preview(look.value))}
+        onChange={(on) => ((onlySelected.value = on), void preview(sliders.value))}
       />
       <p class="row actions">
         <Button
@@ -186,14 +190,14 @@ export function Look() {
           disabled={neutral || readOnly.value}
           onClick={() => void commit().catch(report)}
         />
-        <Button label="All sliders to zero" text="Reset" disabled={neutral} onClick={resetLook} />
+        <Button label="All sliders to zero" text="Reset" disabled={neutral} onClick={resetSliders} />
         {chosen && (
           <Button
-            label="Put these sliders into the chosen look layer"
+            label="Put these sliders into the chosen adjustment layer"
             text="Into layer"
             disabled={neutral || readOnly.value}
             onClick={() =>
-              void run("layer.set", { layer: chosen.id, parameters: { ...values } }, "Look").then(resetLook)
+              void run("layer.set", { layer: chosen.id, parameters: { ...values } }, "Adjustment").then(resetSliders)
             }
           />
         )}

@@ -1,7 +1,7 @@
 import { expect, it } from "vitest";
 
 import { parseFrame, type Frame } from "../src/net/frames";
-import { Intake, type Target } from "../src/splats/intake";
+import { UploadQueue, type Target } from "../src/splats/upload-queue";
 import { FRAME_SNAPSHOT } from "../src/messages";
 import { makeFrame } from "./make_frame";
 
@@ -28,36 +28,36 @@ class Table implements Target {
   }
 }
 
-/** An intake whose clock advances by `each` milliseconds whenever it is read, and whose pauses end when told. */
+/** An uploads whose clock advances by `each` milliseconds whenever it is read, and whose pauses end when told. */
 function setUp(each: number) {
   let time = 0;
   const order: Frame[] = [];
   const pauses: (() => void)[] = [];
-  const intake = new Intake<Table>(
+  const uploads = new UploadQueue<Table>(
     (_, frame) => order.push(frame),
     (go) => pauses.push(go),
     () => (time += each),
   );
-  return { intake, order, pauses };
+  return { uploads, order, pauses };
 }
 
 it("finishes small frames at once", () => {
-  const { intake, order, pauses } = setUp(0);
+  const { uploads, order, pauses } = setUp(0);
   const table = new Table();
   const frame = frameOf(3000);
-  intake.add(table, frame);
+  uploads.add(table, frame);
   expect(table.rows).toEqual(Array.from({ length: 3000 }, (_, k) => k));
   expect([table.shown, order, pauses]).toEqual([3000, [frame], []]);
 });
 
 it("pauses in large ones, shows them whole, and keeps the order", async () => {
-  const { intake, order, pauses } = setUp(5);
+  const { uploads, order, pauses } = setUp(5);
   const table = new Table();
   const [large, small] = [frameOf(10_000), frameOf(10)];
-  intake.add(table, large);
-  intake.add(table, small);
+  uploads.add(table, large);
+  uploads.add(table, small);
   let idle = false;
-  const waiting = intake.idle().then(() => (idle = true));
+  const waiting = uploads.idle().then(() => (idle = true));
   for (let k = 0; pauses.length && k < 100; k++) {
     expect([table.shown, idle, pauses.length]).toEqual([order.length ? 10_000 : 0, false, 1]);
     pauses.shift()!();
@@ -69,12 +69,12 @@ it("pauses in large ones, shows them whole, and keeps the order", async () => {
 });
 
 it("forgets what a snapshot replaces", () => {
-  const { intake, order, pauses } = setUp(5);
+  const { uploads, order, pauses } = setUp(5);
   const [old, next] = [new Table(), new Table()];
-  intake.add(old, frameOf(10_000));
-  expect(intake.drop()).toEqual([old]);
+  uploads.add(old, frameOf(10_000));
+  expect(uploads.clear()).toEqual([old]);
   const frame = frameOf(5);
-  intake.add(next, frame);
+  uploads.add(next, frame);
   while (pauses.length) pauses.shift()!();
   expect([old.shown, next.shown, order]).toEqual([0, 5, [frame]]);
 });

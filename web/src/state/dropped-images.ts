@@ -1,0 +1,123 @@
+/** Pictures that came from elsewhere and wait to become an edit: at most four views. */
+
+import { computed, signal } from "@preact/signals";
+
+import type { PictureChecked } from "../messages";
+import { blobUrl, sendBlob } from "../net/blobs";
+import { CommandError } from "../net/connection";
+import { maskPng } from "../paint/picture";
+import { selectedArea } from "../paint/selection";
+import { sameViewpoint, type CameraJson } from "../view/camera";
+import { camera, selectedLayer, state, tab, toast } from "./store";
+import { link, remember, report, run, watched } from "./studio";
+
+export const MAX_IMAGES = 4;
+
+export interface DroppedImage {
+  id: number;
+  name: string;
+  /** The picture as it came. */
+  blob: string;
+  checked: PictureChecked | null;
+  /** Why it could not be used as it is. */
+  problem: string;
+  threshold: number | null;
+}
+
+export const droppedImages = signal<DroppedImage[]>([]);
+export const editMode = signal<"local" | "global">("local");
+/** Of global edits: only what is selected on one of the views. */
+export const onlySelection = signal(false);
+/** The picture on whose view something is selected. */
+export const selectedImage = computed(
+  () =>
+    droppedImages.value.find(
+      ({ checked }) =>
+        checked && selectedArea.value && sameViewpoint(checked.camera as CameraJson, selectedArea.value.camera),
+    ) ?? null,
+);
+let nextId = 1;
+
+computed(() => state.value?.session).subscribe(() => (droppedImages.value = [])); // they were pictures of another asset
+watched.onPicture = (blob, name) => void add(blob, name);
+
+/** A picture that was dropped or chosen. */
+export async function addPicture(file: File): Promise<void> {
+  try {
+    await add(await sendBlob(file, file.name), file.name);
+  } catch (error) {
+    report(error);
+  }
+}
+
+async function add(blob: string, name: string): Promise<void> {
+  tab.value = "pictures";
+  const again = droppedImages.value.find((one) => one.name === name); // saved over: the newer one counts
+  if (!again && droppedImages.value.length >= MAX_IMAGES)
+    return toast("warning", `One edit takes at most ${MAX_IMAGES} pictures.`, "Apply these or take one away.");
+  const image: DroppedImage = { id: again?.id ?? nextId++, name, blob, checked: null, problem: "", threshold: null };
+  droppedImages.value = again
+    ? droppedImages.value.map((one) => (one.id === again.id ? image : one))
+    : [...droppedImages.value, image];
+  await check(image.id, {});
+}
+
+/** Find the camera, correct the size, find what changed. `at`: the picture shows this view. */
+export async function check(id: number, given: { camera?: CameraJson; threshold?: number }): Promise<void> {
+  const image = droppedImages.value.find((one) => one.id === id);
+  if (!image) return;
+  const threshold = given.threshold ?? image.threshold;
+  const at =
+    given.camera ?? (image.checked?.camera_source === "given" ? (image.checked.camera as CameraJson) : undefined);
+  try {
+    const checked = await link.do("picture.check", {
+      picture: image.blob,
+      name: image.name,
+      camera: at ?? null,
+      threshold,
+    });
+    update(id, { checked, problem: "", threshold });
+  } catch (error) {
+    if (!(error instanceof CommandError)) throw error;
+    update(id, { checked: null, problem: [error.message, error.hint].filter(Boolean).join(". ") });
+  }
+}
+
+export const isPresentView = (id: number): Promise<void> =>
+  camera.value ? check(id, { camera: camera.value }) : Promise.resolve();
+
+export function discard(id: number): void {
+  droppedImages.value = droppedImages.value.filter((one) => one.id !== id);
+}
+
+export const maskUrl = (image: DroppedImage): string | null => image.checked && blobUrl(image.checked.mask);
+
+/** One layer from all pictures that have a camera. */
+export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Promise<void> {
+  const ready = droppedImages.value.filter((one) => one.checked);
+  const mode = editMode.value;
+  const limiting = mode === "global" && onlySelection.value ? selectedImage.value : null;
+  const selected = limiting && (await sendBlob(await maskPng(selectedArea.value!.mask), "mask.png"));
+  const views = ready.map((one) => ({
+    camera: one.checked!.camera,
+    picture: one.checked!.picture,
+    mask: mode === "local" ? one.checked!.mask : one === limiting ? selected : null,
+  }));
+  const name = ready
+    .map((one) => one.name.replace(/\.[^.]*$/, ""))
+    .join(", ")
+    .slice(0, 200);
+  const answer = await run(
+    "edit",
+    { views, kind: "picture", mode, method, name, within: limiting !== null },
+    "Lifting the picture onto the asset",
+  );
+  if (!answer) return;
+  droppedImages.value = droppedImages.value.filter((one) => !ready.includes(one));
+  remember(answer.layer);
+  selectedLayer.value = answer.layer.id;
+}
+
+function update(id: number, part: Partial<DroppedImage>): void {
+  droppedImages.value = droppedImages.value.map((one) => (one.id === id ? { ...one, ...part } : one));
+}
