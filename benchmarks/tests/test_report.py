@@ -1,4 +1,4 @@
-"""The report: summaries by hand, a well-formed page without network, hostile text, contact sheets."""
+"""The report: summaries by hand, a well-formed page without network, hostile text, contact sheets, RESULTS.md."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import hashlib
 import io
 import json
 import math
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -17,7 +18,7 @@ import pytest
 from PIL import Image
 from scipy import stats
 from splatbench.report import gallery
-from splatbench.report.page import write_page
+from splatbench.report.page import write_markdown, write_page
 from splatbench.report.summary import MethodNames, best_methods, blocks, read_run, summarize
 
 from benchmarks.tests.support.runs import COLUMNS, METHODS, FakeTable, plain_run, record, write
@@ -284,3 +285,35 @@ def test_contact_sheet_wraps_many_methods(tmp_path):
     assert gallery.write_contact_sheet(tmp_path / "relight", tmp_path / "b.png", TABLES, METHODS) is None
     with pytest.raises(ValueError, match="expected the folder of one of refine, relight"):
         gallery.write_contact_sheet(tmp_path / "s", tmp_path / "b.png")
+
+
+# ---- the Markdown file
+
+
+def test_holds_tables_plots_and_sheets_that_are_there(tmp_path):
+    folder = plain_run(tmp_path / "refine")
+    out = write_markdown([folder], tmp_path / "docs" / "RESULTS.md", "# Results\n\nFive objects.", TABLES, METHODS)
+    text = out.read_text()
+    assert text.startswith("# Results\n\nFive objects.\n\nMeasured on:\n\n- two cores\n")
+    assert "## Made up (Tab. 1)" in text and "3 objects, 3 cases" in text
+    rows = [line for line in text.splitlines() if line.startswith("| VoxHammer")]
+    assert len(rows) == 1 and "not installed" in rows[0] and not re.search(r"\d", rows[0].split("|")[2])
+    links = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
+    assert len(links) >= 2 and all((out.parent / link).is_file() for link in links)
+    for link in links:
+        if link.endswith(".svg"):
+            assert ET.parse(out.parent / link).getroot().tag.endswith("svg")
+    assert text.count("\n\n*PSNR against seconds*\n") == 1, "a caption: pictures do not show their titles"
+    (out.parent / "results" / "refine-of-an-earlier-run.svg").write_text("<svg/>")
+    again = write_markdown([folder], tmp_path / "docs" / "RESULTS.md", "# Results\n\nFive objects.", TABLES, METHODS)
+    assert again.read_text() == text
+    assert not (out.parent / "results" / "refine-of-an-earlier-run.svg").exists()
+
+
+def test_folders_without_records_are_left_out_and_none_at_all_is_an_error(tmp_path):
+    with pytest.raises(ValueError, match=r"^report: expected records of .* in .*relight, found none$"):
+        write_markdown([tmp_path / "relight"], tmp_path / "RESULTS.md", "", TABLES, METHODS)
+    folder = write(tmp_path / "refine", [record("lift", "ant", 20.0)])
+    (tmp_path / "relight").mkdir()
+    out = write_markdown([tmp_path / "relight", folder], tmp_path / "R.md", "", TABLES, METHODS)
+    assert out.read_text().count("## ") == 1

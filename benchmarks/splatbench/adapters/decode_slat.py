@@ -21,8 +21,8 @@ def main(feats: str, coords: str, out: str, model: str = MODEL) -> None:
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     pipeline = pipelines.TrellisTextTo3DPipeline.from_pretrained(model)
     pipeline.to(device)
-    values, places = (torch.load(path, map_location=device, weights_only=True) for path in (feats, coords))
-    decoded = pipeline.decode_slat(sparse.SparseTensor(feats=values, coords=places), ["gaussian"])
+    features, coordinates = (torch.load(path, map_location=device, weights_only=True) for path in (feats, coords))
+    decoded = pipeline.decode_slat(sparse.SparseTensor(feats=features, coords=coordinates), ["gaussian"])
     decoded["gaussian"][0].save_ply(out, transform=None)
 
 
