@@ -11,8 +11,8 @@ import torch
 import splatpainter as sp
 from splatpainter.cameras import bounding_sphere
 from splatpainter.rendering.cpu import projected_view
+from splatpainter.rendering.cpu.compositing import blocks_hit
 from splatpainter.rendering.cpu.geometry import clamped, tile_span
-from splatpainter.rendering.cpu.raster import blocks_hit
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import voxelize
 from tests.support.render_scenes import cameras, scene

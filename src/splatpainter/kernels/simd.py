@@ -1,7 +1,7 @@
-"""What every CPU kernel shares: compile options, the record layout, and the few operations that numba lacks.
+"""What CPU kernels share: compile options, aligned arrays, and the few operations that numba lacks.
 
-A tile is 16 x 16 pixels = 16 blocks of 4 x 4; a block is 16 lanes, one inner loop that LLVM turns into vector code. All
-kernels are generic in dtype; Python float literals would widen float32 maths to float64, hence `F(0.5)` everywhere.
+An inner loop has 16 lanes, which LLVM turns into vector code. Kernels are generic in dtype; Python float literals would
+widen float32 maths to float64, hence `F(0.5)` everywhere.
 """
 
 from __future__ import annotations
@@ -16,52 +16,24 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
-TILE = 16
-"""Tile side, pixels."""
-SIDE = TILE // 4
-"""Blocks along a tile's side."""
-BLOCKS = SIDE * SIDE
 LANES = 16
-PIXELS = BLOCKS * LANES
-"""Of a tile."""
+"""Of one inner loop."""
 
-# One record per row and view, 16 numbers = one cache line in float32.
-RECORD = 16
-MX, MY, CA, CB, CC, OP, RED, GREEN, BLUE, DEPTH, YE, XE, Q, RAW = range(14)
-"""Columns: centre (px); conic A, B, C (sigma = A dx^2 / 2 + B dx dy + C dy^2 / 2); opacity; colour >= 0; z; half
-extents of the drawn ellipse (px); its squared radius in standard deviations; then three columns of unclamped colour."""
-
-FAR_PX = 1e9
-"""Rows whose centre lies farther than this from the picture's corner, in pixels, are not drawn: beyond about 1e19 the
-squares of distances to pixels would not fit into float32."""
-THRESHOLD = 1 / 255
-"""Alphas below this are not drawn."""
-CAP = 0.999
-"""Largest alpha of one row (gsplat 1.5.3)."""
-STOP = 1e-4
-"""A pixel takes no row that would bring its transmittance to this or below."""
-NEAR = 0.01
-"""Rows with z below this are not drawn, world units."""
-EPS2D = 0.3
-"""Added to the diagonal of every 2D covariance, px^2."""
-MARGIN = 0.15
-"""Jacobians are taken at most this fraction of the picture outside it."""
-
-# No "nnan"/"ninf": NaN rows must fail their tests, not be assumed away.
+# No "nnan"/"ninf": NaN must fail its tests, not be assumed away.
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
 kernel = functools.partial(njit, nogil=True, cache=True, fastmath=FAST, error_model="numpy", boundscheck=False)
 """Decorator of what `parallel.run` runs."""
 device = functools.partial(njit, inline="always", fastmath=FAST, error_model="numpy", boundscheck=False)
 """Decorator of what kernels call. Inlined by numba itself, before LLVM looks for vectors: when LLVM inlines, array
 arguments bring alias checks into every block, twice as slow. Footgun: numba's cache does not see edits of a function
-from another file; see warmup.drop_stale."""
+from another file; see compile.drop_stale."""
 strict = functools.partial(njit, forceinline=True, error_model="numpy", boundscheck=False)
 """As `device`, in exact IEEE arithmetic: for results that two kernels must agree on to the last bit. Inlined by LLVM,
 because numba would give it the fast-math flags of its caller."""
 
 
 def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
-    """np.empty on a 64-byte boundary, so that one float32 record is one cache line."""
+    """np.empty on a 64-byte boundary, so that 16 float32 numbers are one cache line."""
     size = math.prod(shape) * dtype.itemsize
     raw = np.empty(size + 64, np.uint8)
     start = -raw.ctypes.data % 64
@@ -120,7 +92,7 @@ def _scratch(typing, like, size):
 
 
 def _prefetch(typing, array, row):
-    """Ask for array[row, :] (2-D, C-contiguous) ahead of its use; lists of rows jump about in memory."""
+    """Ask for array[row, :] (2-D, C-contiguous) ahead of its use; lists of Gaussians jump about in memory."""
 
     def generate(context, builder, signature, arguments):
         ary = context.make_array(signature.args[0])(context, builder, arguments[0])

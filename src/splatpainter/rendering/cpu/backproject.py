@@ -1,7 +1,7 @@
-"""The adjoint of compositing: what pixels give back to rows, by weight. Knows no cameras; see raster.py for the state.
+"""The adjoint of compositing: what pixels give back to Gaussians, by weight. See rasterize.py for the lists.
 
-Sums are stored per (row, tile) pair, beside each other for one row, and added in tile order afterwards: no atomics, so
-results are the same bits for any number of threads.
+Sums are stored per pair of a Gaussian and a tile, those of one Gaussian beside each other, and added in tile order
+afterwards: no atomics, so results are the same bits for any number of threads.
 """
 
 from __future__ import annotations
@@ -9,92 +9,70 @@ from __future__ import annotations
 import numpy as np
 from numba import carray
 
-from splatpainter.kernels.simd import (
+from splatpainter.kernels.simd import LANES, device, kernel, prefetch, scratch, sum_lanes
+from splatpainter.rendering.cpu.compositing import (
+    AHEAD,
     BLOCKS,
-    CAP,
-    LANES,
+    PIXELS,
     SIDE,
-    STOP,
-    THRESHOLD,
-    device,
-    exp,
-    kernel,
-    prefetch,
-    scratch,
-    sum_lanes,
+    accept,
+    alpha_of,
+    block_box,
+    falloff,
+    footprint,
+    is_done,
+    offset,
+    open_tile,
+    pixel_of,
 )
-from splatpainter.rendering.cpu.raster import AHEAD, STATE, blocks_hit, close_blocks, composite, open_tile
-from splatpainter.rendering.profiles import PLAYCANVAS_FALLOFF, PLAYCANVAS_MAX_ALPHA
+from splatpainter.rendering.cpu.rasterize import composite
 
+STATE = 5 * PIXELS
 LANE_SUMS = 6 * LANES
 SUMS = 8
 """Columns of one pair's sums: w m v (3), w m, alpha m, max w, two unused."""
 
 
 @device
-def give_back(records, members, homes, begin, end, x0, y0, state, closed, hidden, lanes, sums, profile):
-    """sums[homes[p]] for list entries [begin, end), from fields T, m v (3), m of the tile. hidden: also count the alpha
-    of rows behind the point where a pixel stops; otherwise stop there too."""
-    F = records.dtype.type
-    zero = F(0)
-    half = F(0.5)
-    threshold = F(THRESHOLD)
-    cap = F(CAP) if profile is None else F(PLAYCANVAS_MAX_ALPHA)
-    floor = F(PLAYCANVAS_FALLOFF)
-    stop = F(STOP)
-    cx = F(x0) + half
-    cy = F(y0) + half
+def backproject_tile(
+    projected, flatten_ids, pair_ids, begin, end, x0, y0, state, closed, through, lanes, sums, profile
+):
+    """sums[pair_ids[p]] for list entries [begin, end), from fields T, m v (3), m of the tile. through: also count the
+    alpha of Gaussians behind the point where all pixels stop; otherwise stop there too. Returns one past the last entry
+    used."""
+    zero = projected.dtype.type(0)
     for p in range(begin, end):
-        i = members[p]
-        prefetch(records, members[min(p + AHEAD, end - 1)])
-        prefetch(sums, homes[min(p + AHEAD, end - 1)])
-        mx = records[i, 0] - cx
-        my = records[i, 1] - cy
-        by0, by1 = blocks_hit(my, records[i, 10])
-        bx0, bx1 = blocks_hit(mx, records[i, 11])
-        a2 = half * records[i, 2]
-        b1 = records[i, 3]
-        c2 = half * records[i, 4]
-        opacity = records[i, 5]
+        i = flatten_ids[p]
+        prefetch(projected, flatten_ids[min(p + AHEAD, end - 1)])
+        prefetch(sums, pair_ids[min(p + AHEAD, end - 1)])
+        mx, my, a2, b1, c2, opacity = footprint(projected, i, x0, y0)
+        by0, by1, bx0, bx1 = block_box(projected, i, mx, my)
         for k in range(6):
             for l in range(LANES):
                 lanes[k, l] = zero
         for by in range(by0, by1):
-            myb = my - F(by << 2)
             for bx in range(bx0, bx1):
                 b = by * SIDE + bx
                 if closed[b]:
                     continue
-                mxb = mx - F(bx << 2)
                 for l in range(LANES):
-                    dx = mxb - F(l & 3)
-                    dy = myb - F(l >> 2)
-                    sigma = max((a2 * dx + b1 * dy) * dx + c2 * dy * dy, zero)
-                    if profile is None:
-                        alpha = min(cap, opacity * exp(-sigma))
-                    else:
-                        alpha = min(cap, opacity * (exp(-sigma) - floor))
-                    alpha = alpha if alpha >= threshold else zero
-                    t = state[0, b, l]
-                    w = alpha * t
-                    left = t - w
-                    takes = left > stop if profile is None else t >= stop
-                    w = w if takes else zero
+                    dx, dy = offset(mx, my, bx, by, l)
+                    alpha = alpha_of(opacity, falloff(dx, dy, a2, b1, c2), profile)
+                    w = accept(state, b, l, alpha, profile)
                     m = state[4, b, l]
-                    state[0, b, l] = left if takes else -abs(t)
                     lanes[0, l] += w * state[1, b, l]
                     lanes[1, l] += w * state[2, b, l]
                     lanes[2, l] += w * state[3, b, l]
                     lanes[3, l] += w * m
                     lanes[4, l] += alpha * m
                     lanes[5, l] = max(lanes[5, l], w if m > zero else zero)
-        home = homes[p]
-        sum_lanes(lanes, 5, sums, home)
-        top = zero
+        pair = pair_ids[p]
+        sum_lanes(lanes, 5, sums, pair)
+        peak = zero
         for l in range(LANES):
-            top = max(top, lanes[5, l])
-        sums[home, 5] = top
-        if not hidden and (p - begin) & 7 == 7 and close_blocks(state, closed) == BLOCKS:
+            peak = max(peak, lanes[5, l])
+        sums[pair, 5] = peak
+        if not through and is_done(p - begin, state, closed):
             return p + 1
     return end
 
@@ -108,8 +86,7 @@ def load_mask(mask, x0, y0, state, closed):
     for b in range(BLOCKS):
         closed[b] = True
         for l in range(LANES):
-            y = y0 + (b // SIDE) * 4 + (l >> 2)
-            x = x0 + (b % SIDE) * 4 + (l & 3)
+            x, y = pixel_of(x0, y0, b, l)
             if y < height and x < width and mask[y, x] > F(0):
                 state[4, b, l] = mask[y, x]
                 closed[b] = False
@@ -120,53 +97,54 @@ def load_mask(mask, x0, y0, state, closed):
 
 
 @device
-def clear(homes, begin, end, sums):
+def clear(pair_ids, begin, end, sums):
     for p in range(begin, end):
         for k in range(SUMS):
-            sums[homes[p], k] = 0
+            sums[pair_ids[p], k] = 0
 
 
 @kernel
-def accumulate_tiles(
-    records,  # [M, 16]
-    members,  # [P]
-    homes,  # [P] place of each member's sums
-    tiles,  # [T]
-    starts,  # [T + 1]
+def backproject_tiles(
+    projected,  # [M, 16]
+    flatten_ids,  # [P]
+    pair_ids,  # [P]
+    tile_ids,  # [T]
+    isect_offsets,  # [T + 1]
     values,  # [H, W, 3]
     mask,  # [H, W] >= 0
     sums,  # out [P, 8]
-    profile,  # None or True, as in raster.draw_tiles
+    profile,
     thread,
     threads,
 ):
     height, width = mask.shape
-    state = carray(scratch(records, STATE), (5, BLOCKS, LANES))
-    lanes = carray(scratch(records, LANE_SUMS), (6, LANES))
+    state = carray(scratch(projected, STATE), (5, BLOCKS, LANES))
+    lanes = carray(scratch(projected, LANE_SUMS), (6, LANES))
     closed = np.empty(BLOCKS, np.bool_)
-    for k in range(thread, tiles.shape[0], threads):
-        x0, y0 = open_tile(tiles[k], width, height, state)
+    for k in range(thread, tile_ids.shape[0], threads):
+        x0, y0 = open_tile(tile_ids[k], width, height, state)
+        begin, end = isect_offsets[k], isect_offsets[k + 1]
         if not load_mask(mask, x0, y0, state, closed):
-            clear(homes, starts[k], starts[k + 1], sums)
+            clear(pair_ids, begin, end, sums)
             continue
         for b in range(BLOCKS):
             for l in range(LANES):
-                y = min(y0 + (b // SIDE) * 4 + (l >> 2), height - 1)
-                x = min(x0 + (b % SIDE) * 4 + (l & 3), width - 1)
+                x, y = pixel_of(x0, y0, b, l)
                 m = state[4, b, l]
                 for c in range(3):
-                    state[1 + c, b, l] = m * values[y, x, c] if m > 0 else m
-        begin, end = starts[k], starts[k + 1]
-        give_back(records, members, homes, begin, end, x0, y0, state, closed, True, lanes, sums, profile)
+                    state[1 + c, b, l] = m * values[min(y, height - 1), min(x, width - 1), c] if m > 0 else m
+        backproject_tile(
+            projected, flatten_ids, pair_ids, begin, end, x0, y0, state, closed, True, lanes, sums, profile
+        )
 
 
 @kernel
-def residual_tiles(
-    records,  # [M, 16]
-    members,  # [P]
-    homes,  # [P] place of each member's sums
-    tiles,  # [T]
-    starts,  # [T + 1]
+def sirt_tiles(
+    projected,  # [M, 16]
+    flatten_ids,  # [P]
+    pair_ids,  # [P]
+    tile_ids,  # [T]
+    isect_offsets,  # [T + 1]
     background,  # [3]
     target,  # [H, W, 3]
     mask,  # [H, W] >= 0
@@ -175,48 +153,50 @@ def residual_tiles(
     thread,
     threads,
 ):
-    """Draw, subtract and give back, tile by tile, while the tile is in cache."""
-    F = records.dtype.type
+    """Rasterize, subtract and backproject, tile by tile, while the tile is in cache."""
+    F = projected.dtype.type
     height, width = mask.shape
-    drawn = carray(scratch(records, STATE), (5, BLOCKS, LANES))
-    state = carray(scratch(records, STATE), (5, BLOCKS, LANES))
-    lanes = carray(scratch(records, LANE_SUMS), (6, LANES))
+    rasterized = carray(scratch(projected, STATE), (5, BLOCKS, LANES))
+    state = carray(scratch(projected, STATE), (5, BLOCKS, LANES))
+    lanes = carray(scratch(projected, LANE_SUMS), (6, LANES))
     closed = np.empty(BLOCKS, np.bool_)
-    for k in range(thread, tiles.shape[0], threads):
-        x0, y0 = open_tile(tiles[k], width, height, state)
-        open_tile(tiles[k], width, height, drawn)
+    for k in range(thread, tile_ids.shape[0], threads):
+        x0, y0 = open_tile(tile_ids[k], width, height, state)
+        open_tile(tile_ids[k], width, height, rasterized)
+        begin, end = isect_offsets[k], isect_offsets[k + 1]
         errors[k] = 0
         if not load_mask(mask, x0, y0, state, closed):
-            clear(homes, starts[k], starts[k + 1], sums)
+            clear(pair_ids, begin, end, sums)
             continue
-        end = composite(records, members, starts[k], starts[k + 1], x0, y0, drawn, closed, None)
+        stop = composite(projected, flatten_ids, begin, end, x0, y0, rasterized, closed, None, None)
         load_mask(mask, x0, y0, state, closed)
         error = F(0)
         for b in range(BLOCKS):
             for l in range(LANES):
                 m = state[4, b, l]
                 if m > F(0):
-                    y = y0 + (b // SIDE) * 4 + (l >> 2)
-                    x = x0 + (b % SIDE) * 4 + (l & 3)
-                    t = abs(drawn[0, b, l])
+                    x, y = pixel_of(x0, y0, b, l)
+                    T = abs(rasterized[0, b, l])
                     for c in range(3):
-                        difference = target[y, x, c] - (drawn[1 + c, b, l] + t * background[c])
+                        difference = target[y, x, c] - (rasterized[1 + c, b, l] + T * background[c])
                         error += m * difference * difference
                         state[1 + c, b, l] = m * difference
         errors[k] = error
-        end = give_back(records, members, homes, starts[k], end, x0, y0, state, closed, False, lanes, sums, None)
-        clear(homes, end, starts[k + 1], sums)
+        stop = backproject_tile(
+            projected, flatten_ids, pair_ids, begin, stop, x0, y0, state, closed, False, lanes, sums, None
+        )
+        clear(pair_ids, stop, end, sums)
 
 
 @kernel
-def reduce_pairs(offsets, sums, out, thread, threads):
-    """out [M, 6]: each record's sums over its tiles, the sixth their maximum."""
+def reduce_pairs(pair_offsets, sums, out, thread, threads):
+    """out [M, 6]: each Gaussian's sums over its tiles, the sixth their maximum."""
     F = sums.dtype.type
     m = out.shape[0]
     for i in range(m * thread // threads, m * (thread + 1) // threads):
         for k in range(6):
             out[i, k] = F(0)
-        for g in range(offsets[i], offsets[i + 1]):
+        for pair in range(pair_offsets[i], pair_offsets[i + 1]):
             for k in range(5):
-                out[i, k] += sums[g, k]
-            out[i, 5] = max(out[i, 5], sums[g, 5])
+                out[i, k] += sums[pair, k]
+            out[i, 5] = max(out[i, 5], sums[pair, 5])

@@ -1,11 +1,11 @@
-"""Derivative of compositing: gradients of pixels -> gradients of records' centres, conics, opacities, colours, depths.
+"""Derivative of compositing: gradients of pixels -> of means2d, conics, opacities, colours, depths, per pair.
 
 Front to back with two numbers of state per pixel. For L with gradients (v_C, v_D, v_T) of colour, accumulated depth and
 final transmittance, and g_i = v_C . c_i + v_D z_i:
 
     dL/d alpha_i = T_i g_i - R_i / (1 - alpha_i),   R_i = sum_{j > i} w_j g_j + T (v_C . bg + v_T)
 
-R starts as the whole sum, known from the picture itself, and loses w_i g_i at each row.
+R starts as the whole sum, known from the picture itself, and loses w_i g_i at each Gaussian.
 """
 
 from __future__ import annotations
@@ -13,23 +13,24 @@ from __future__ import annotations
 import numpy as np
 from numba import carray
 
-from splatpainter.kernels.simd import (
+from splatpainter.kernels.simd import LANES, device, kernel, prefetch, scratch, sum_lanes
+from splatpainter.rendering.cpu.compositing import (
+    AHEAD,
     BLOCKS,
-    CAP,
-    LANES,
     PIXELS,
-    RECORD,
     SIDE,
-    STOP,
-    THRESHOLD,
-    device,
-    exp,
-    kernel,
-    prefetch,
-    scratch,
-    sum_lanes,
+    accept,
+    alpha_of,
+    block_box,
+    close_blocks,
+    falloff,
+    footprint,
+    offset,
+    open_tile,
+    pixel_of,
 )
-from splatpainter.rendering.cpu.raster import AHEAD, blocks_hit, close_blocks, open_tile
+from splatpainter.rendering.cpu.geometry import BLUE, COLUMNS, DEPTH, GREEN, RED
+from splatpainter.rendering.profiles import MAX_ALPHA
 
 STATE = 6 * PIXELS
 LANE_SUMS = 10 * LANES
@@ -45,8 +46,7 @@ def load_gradients(image, alpha, depth, v_image, v_alpha, v_depth, x0, y0, state
     height, width = alpha.shape
     for b in range(BLOCKS):
         for l in range(LANES):
-            y = y0 + (b // SIDE) * 4 + (l >> 2)
-            x = x0 + (b % SIDE) * 4 + (l & 3)
+            x, y = pixel_of(x0, y0, b, l)
             if y < height and x < width and alpha[y, x] > F(0):
                 red = v_image[y, x, 0]
                 green = v_image[y, x, 1]
@@ -70,12 +70,12 @@ def load_gradients(image, alpha, depth, v_image, v_alpha, v_depth, x0, y0, state
 
 
 @kernel
-def draw_back(
-    records,  # [M, 16]
-    members,  # [P]
-    homes,  # [P]
-    tiles,  # [T]
-    starts,  # [T + 1]
+def rasterize_backward_tiles(
+    projected,  # [M, 16]
+    flatten_ids,  # [P]
+    pair_ids,  # [P]
+    tile_ids,  # [T]
+    isect_offsets,  # [T + 1]
     ends,  # [T] where the forward pass stopped
     image,  # [H, W, 3]
     alpha,  # [H, W]
@@ -83,73 +83,52 @@ def draw_back(
     v_image,  # [H, W, 3]
     v_alpha,  # [H, W]
     v_depth,  # [H, W]
-    sums,  # out [P, 16] in record order
+    sums,  # out [P, 16] in the order of pairs
     thread,
     threads,
 ):
-    F = records.dtype.type
+    F = projected.dtype.type
     zero = F(0)
     one = F(1)
-    half = F(0.5)
-    threshold = F(THRESHOLD)
-    cap = F(CAP)
-    stop = F(STOP)
     height, width = alpha.shape
-    state = carray(scratch(records, STATE), (6, BLOCKS, LANES))
-    lanes = carray(scratch(records, LANE_SUMS), (FIELDS, LANES))
+    state = carray(scratch(projected, STATE), (6, BLOCKS, LANES))
+    lanes = carray(scratch(projected, LANE_SUMS), (FIELDS, LANES))
     closed = np.empty(BLOCKS, np.bool_)
-    for k in range(thread, tiles.shape[0], threads):
-        x0, y0 = open_tile(tiles[k], width, height, state)
+    for k in range(thread, tile_ids.shape[0], threads):
+        x0, y0 = open_tile(tile_ids[k], width, height, state)
         load_gradients(image, alpha, depth, v_image, v_alpha, v_depth, x0, y0, state)
         closed[:] = False
-        cx = F(x0) + half
-        cy = F(y0) + half
-        begin = starts[k]
+        begin = isect_offsets[k]
         end = ends[k]
         for p in range(begin, end):
-            i = members[p]
-            prefetch(records, members[min(p + AHEAD, end - 1)])
-            prefetch(sums, homes[min(p + AHEAD, end - 1)])
-            mx = records[i, 0] - cx
-            my = records[i, 1] - cy
-            by0, by1 = blocks_hit(my, records[i, 10])
-            bx0, bx1 = blocks_hit(mx, records[i, 11])
-            a2 = half * records[i, 2]
-            b1 = records[i, 3]
-            c2 = half * records[i, 4]
-            opacity = records[i, 5]
-            red = records[i, 6]
-            green = records[i, 7]
-            blue = records[i, 8]
-            z = records[i, 9]
+            i = flatten_ids[p]
+            prefetch(projected, flatten_ids[min(p + AHEAD, end - 1)])
+            prefetch(sums, pair_ids[min(p + AHEAD, end - 1)])
+            mx, my, a2, b1, c2, opacity = footprint(projected, i, x0, y0)
+            by0, by1, bx0, bx1 = block_box(projected, i, mx, my)
+            red = projected[i, RED]
+            green = projected[i, GREEN]
+            blue = projected[i, BLUE]
+            z = projected[i, DEPTH]
             for f in range(FIELDS):
                 for l in range(LANES):
                     lanes[f, l] = zero
             for by in range(by0, by1):
-                myb = my - F(by << 2)
                 for bx in range(bx0, bx1):
                     b = by * SIDE + bx
                     if closed[b]:
                         continue
-                    mxb = mx - F(bx << 2)
                     for l in range(LANES):
-                        dx = mxb - F(l & 3)
-                        dy = myb - F(l >> 2)
-                        e = exp(-max((a2 * dx + b1 * dy) * dx + c2 * dy * dy, zero))
-                        free = opacity * e
-                        a = min(cap, free)
-                        a = a if a >= threshold else zero
-                        t = state[0, b, l]
-                        w = a * t
-                        left = t - w
-                        takes = left > stop
-                        w = w if takes else zero
-                        state[0, b, l] = left if takes else -abs(t)
+                        dx, dy = offset(mx, my, bx, by, l)
+                        e = falloff(dx, dy, a2, b1, c2)
+                        a = alpha_of(opacity, e, None)
+                        T = state[0, b, l]
+                        w = accept(state, b, l, a, None)
                         g = red * state[2, b, l] + green * state[3, b, l] + blue * state[4, b, l] + z * state[5, b, l]
-                        rest = state[1, b, l] - w * g
-                        state[1, b, l] = rest
-                        u = e * (t * g - rest / (one - a))
-                        u = u if (w > zero) & (free <= cap) else zero
+                        R = state[1, b, l] - w * g
+                        state[1, b, l] = R
+                        u = e * (T * g - R / (one - a))
+                        u = u if (w > zero) & (opacity * e <= F(MAX_ALPHA)) else zero
                         ux = u * dx
                         uy = u * dy
                         lanes[0, l] += u
@@ -162,9 +141,9 @@ def draw_back(
                         lanes[7, l] += w * state[3, b, l]
                         lanes[8, l] += w * state[4, b, l]
                         lanes[9, l] += w * state[5, b, l]
-            sum_lanes(lanes, FIELDS, sums, homes[p])
+            sum_lanes(lanes, FIELDS, sums, pair_ids[p])
             if (p - begin) & 7 == 7:
                 close_blocks(state, closed)
-        for p in range(end, starts[k + 1]):
-            for c in range(RECORD):
-                sums[homes[p], c] = zero
+        for p in range(end, isect_offsets[k + 1]):
+            for c in range(COLUMNS):
+                sums[pair_ids[p], c] = zero

@@ -15,13 +15,11 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.kernels import simd
 from splatpainter.kernels.parallel import run, threads
-from splatpainter.rendering.cpu import backproject, backward, geometry, projection, raster, tile_binning
-from splatpainter.rendering.cpu.heaviest import weigh_tiles
-from splatpainter.rendering.cpu.projection_backward import project_back
+from splatpainter.rendering.cpu import backproject, backward, geometry, projection, rasterize, tile_binning
+from splatpainter.rendering.cpu.geometry import COLUMNS, TILE
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
-TILE = simd.TILE
 MAX_PAIRS = 1 << 30
 """Pairs of a Gaussian and a tile in one view, 12 GiB of lists; beyond 2^31 their numbers would not fit into int32."""
 
@@ -71,37 +69,37 @@ class ProjectedView:
     @property
     def means2d(self) -> np.ndarray:
         """[M, 2] projected means, pixels."""
-        return self.projected[:, simd.MX : simd.MY + 1]
+        return self.projected[:, geometry.MEAN_X : geometry.MEAN_Y + 1]
 
     @property
     def extents(self) -> np.ndarray:
         """[M, 2] half width and height of the drawn ellipse (alpha >= 1/255), pixels."""
-        return self.projected[:, [simd.XE, simd.YE]]
+        return self.projected[:, [geometry.EXTENT_X, geometry.EXTENT_Y]]
 
     @property
     def conics(self) -> np.ndarray:
         """[M, 3] A, B, C of the inverse 2D covariance: sigma = (A dx^2 + C dy^2) / 2 + B dx dy, per px^2."""
-        return self.projected[:, simd.CA : simd.CC + 1]
+        return self.projected[:, geometry.CONIC_A : geometry.CONIC_C + 1]
 
     @property
     def opacities(self) -> np.ndarray:
         """[M] peak alpha in this view (antialiased splats: compensated for the blur)."""
-        return self.projected[:, simd.OP]
+        return self.projected[:, geometry.OPACITY]
 
     @property
     def depths(self) -> np.ndarray:
         """[M] z, world units, ascending."""
-        return self.projected[:, simd.DEPTH]
+        return self.projected[:, geometry.DEPTH]
 
     @property
     def colors(self) -> np.ndarray:
         """[M, 3] colours that rasterize(None) uses: SH towards this view, clamped at 0."""
-        return self.projected[:, simd.RED : simd.BLUE + 1]
+        return self.projected[:, geometry.RED : geometry.BLUE + 1]
 
     @property
     def unclamped_colors(self) -> np.ndarray:
         """[M, 3] the same, not clamped."""
-        return self.projected[:, simd.RAW : simd.RAW + 3]
+        return self.projected[:, geometry.UNCLAMPED_RED :]
 
     def visible_gaussians(self) -> np.ndarray:
         """[N] bool: Gaussians that touch a drawn tile (hidden behind others or not)."""
@@ -141,16 +139,16 @@ class ProjectedView:
             image[:], alpha[:], depth[:] = background, 0, 0
         ends = np.empty(len(self.tile_ids), np.int64)
         lists = (self.with_colors(colors), self.flatten_ids, self.tile_ids, self.isect_offsets)
-        run(raster.draw_tiles, *lists, background, image, alpha, depth, ends, _profile_selector(profile))
+        run(rasterize.rasterize_tiles, *lists, background, image, alpha, depth, ends, _profile_selector(profile))
         return ends
 
     def rasterize_backward(self, ends: np.ndarray, *pictures: np.ndarray) -> np.ndarray:
         """[P, 16] sums of backward.py, from what `rasterize_into` returned. pictures: image [H, W, 3], alpha and depth
         [H, W] as they were rasterized, then their gradients."""
         dtype = self.projected.dtype
-        sums = simd.aligned((len(self.flatten_ids), simd.RECORD), dtype)
+        sums = simd.aligned((len(self.flatten_ids), COLUMNS), dtype)
         inputs = [simd.readonly(picture, dtype) for picture in pictures]
-        run(backward.draw_back, *self.tile_lists(self.projected), ends, *inputs, sums)
+        run(backward.rasterize_backward_tiles, *self.tile_lists(self.projected), ends, *inputs, sums)
         return sums
 
     def project_backward(
@@ -163,7 +161,17 @@ class ProjectedView:
         entries[self.gaussian_ids] = np.arange(len(self), dtype=np.int32)
         camera = geometry.camera_vector(self.camera, np.zeros(4), sums.dtype)
         settings = (splats.sh_degree, camera, bool(splats.antialiased))
-        run(project_back, *attributes, *settings, entries, self.projected, self.pair_offsets, sums, overwrite, *out)
+        run(
+            projection.project_gaussians_backward,
+            *attributes,
+            *settings,
+            entries,
+            self.projected,
+            self.pair_offsets,
+            sums,
+            overwrite,
+            *out,
+        )
 
     def backproject(self, values: np.ndarray, mask: np.ndarray, profile: Profile = "inria") -> Backprojection:
         """The adjoint of compositing over the drawn tiles, with w_ip = alpha_ip T_ip (0 below 1/255 and behind the
@@ -172,7 +180,7 @@ class ProjectedView:
         sums = simd.aligned((len(self.flatten_ids), backproject.SUMS), dtype)
         values, mask = self._readonly_pictures(values, mask)
         run(
-            backproject.accumulate_tiles,
+            backproject.backproject_tiles,
             *self.tile_lists(self.projected),
             values,
             mask,
@@ -195,7 +203,7 @@ class ProjectedView:
         )
         target, mask = self._readonly_pictures(target, mask)
         lists = self.tile_lists(self.with_colors(colors))
-        run(backproject.residual_tiles, *lists, self._background(), target, mask, sums, errors)
+        run(backproject.sirt_tiles, *lists, self._background(), target, mask, sums, errors)
         return self._reduce(sums)[:, :3], float(errors.sum(dtype=np.float64))
 
     def heaviest_gaussians(self, profile: Profile = "inria") -> np.ndarray:
@@ -203,7 +211,7 @@ class ProjectedView:
         where nothing is drawn. All tiles are to be drawn."""
         entries = np.full((self.camera.height, self.camera.width), -1, np.int32)
         lists = (self.projected, self.flatten_ids, self.tile_ids, self.isect_offsets)
-        run(weigh_tiles, *lists, entries, _profile_selector(profile))
+        run(rasterize.heaviest_tiles, *lists, entries, _profile_selector(profile))
         return np.append(self.gaussian_ids, -1)[entries]
 
     def with_colors(self, colors: np.ndarray | None) -> np.ndarray:
@@ -213,7 +221,7 @@ class ProjectedView:
         assert colors.shape == (len(self), 3), f"colors: expected [{len(self)}, 3], got {colors.shape}"
         projected = simd.aligned(self.projected.shape, self.projected.dtype)
         projected[:] = self.projected
-        projected[:, simd.RED : simd.BLUE + 1] = colors
+        projected[:, geometry.RED : geometry.BLUE + 1] = colors
         return simd.readonly(projected, projected.dtype)
 
     def tile_lists(self, projected: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -267,19 +275,19 @@ def project(
 
     blocks = -(-n // projection.BLOCK)
     size = blocks * projection.BLOCK
-    block_projected, keys = simd.aligned((size, simd.RECORD), dtype), np.empty(size, dtype)
+    block_projected, keys = simd.aligned((size, COLUMNS), dtype), np.empty(size, dtype)
     (block_ids, block_tiles), counts = np.empty((2, size), np.int32), np.empty(blocks, np.int32)
     if len(tile_ids) and n and np.abs(camera.position).max() <= MAX_MAGNITUDE:
         settings = (splats.sh_degree, selected, cam, bool(splats.antialiased), grid, tile_slots)
         arguments = (*attributes, attributes[4].reshape(n, -1), *settings)
-        run(projection.project_rows, *arguments, block_projected, keys, block_ids, block_tiles, counts)
+        run(projection.project_gaussians, *arguments, block_projected, keys, block_ids, block_tiles, counts)
     else:
         counts[:] = 0
 
     order = tile_binning.depth_order(keys, counts)
     m = len(order)
-    projected, (gaussian_ids, max_tiles) = simd.aligned((m, simd.RECORD), dtype), np.empty((2, m), np.int32)
-    run(tile_binning.gather_records, order, block_projected, block_ids, block_tiles, projected, gaussian_ids, max_tiles)
+    projected, (gaussian_ids, max_tiles) = simd.aligned((m, COLUMNS), dtype), np.empty((2, m), np.int32)
+    run(tile_binning.gather_sorted, order, block_projected, block_ids, block_tiles, projected, gaussian_ids, max_tiles)
     del block_projected
     begins = np.cumsum(max_tiles, dtype=np.int64) - max_tiles
 
@@ -312,12 +320,12 @@ def project(
 
 
 def _profile_selector(profile: Profile) -> bool | None:
-    """What kernels take for a profile; see raster.draw_tiles."""
+    """What kernels take for a profile; see compositing.py."""
     return None if profile == "inria" else True
 
 
 def _tile_layout(tiles: np.ndarray, tile_ids: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(tile_slots, grid, window) for project_rows, of the tiles in use."""
+    """(tile_slots, grid, window) for project_gaussians, of the tiles in use."""
     height, width = tiles.shape
     if len(tile_ids) == tiles.size:
         empty = simd.readonly(np.empty((0, 0)), np.int32)

@@ -1,8 +1,10 @@
-"""Colour rounds of some rows: what they weigh in every pixel is found once, and a round then costs what they cost.
+"""Steps of SIRT in the colours of some Gaussians: what they weigh in every pixel is found once, and a step then costs
+what they cost.
 
-A picture is linear in the rows' colours, so where only some of them move the others need not be drawn again: C = rest +
-sum over the chosen rows of w_ip c_i. The weights of a tile's chosen rows are kept as blocks of 16 pixels, in the order
-of the tile's list. The same weights as of raster.py and gather.py; sums are the same bits for any number of threads.
+A picture is linear in the Gaussians' colours, so where only some of them move the others need not be rasterized again:
+C = rest + sum over the movable Gaussians of w_ip c_i. Their weights are cached as blocks of 16 pixels, in the order of
+the tile's list. The same weights as of rasterize.py and backproject.py; sums are the same bits for any number of
+threads.
 """
 
 from __future__ import annotations
@@ -14,32 +16,33 @@ from numba import carray
 
 from splatpainter.kernels import simd
 from splatpainter.kernels.parallel import run
-from splatpainter.kernels.simd import (
+from splatpainter.kernels.simd import LANES, device, kernel, prefetch, scratch, sum_lanes
+from splatpainter.rendering.cpu import backproject
+from splatpainter.rendering.cpu.backproject import STATE, load_mask
+from splatpainter.rendering.cpu.compositing import (
+    AHEAD,
     BLOCKS,
-    CAP,
-    LANES,
     PIXELS,
     SIDE,
-    STOP,
-    THRESHOLD,
-    TILE,
-    device,
-    exp,
-    kernel,
-    prefetch,
-    scratch,
-    sum_lanes,
+    accept,
+    alpha_of,
+    block_box,
+    falloff,
+    footprint,
+    is_done,
+    offset,
+    open_tile,
+    pixel_of,
 )
-from splatpainter.rendering.cpu import backproject
-from splatpainter.rendering.cpu.backproject import load_mask
+from splatpainter.rendering.cpu.geometry import BLUE, EXTENT_X, EXTENT_Y, GREEN, MEAN_X, MEAN_Y, RED, TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView
-from splatpainter.rendering.cpu.raster import AHEAD, STATE, blocks_hit, close_blocks, open_tile
 
 MAX_CACHED_BLOCKS = 1 << 20
 """64 MiB in float32. A Gaussian of 1 px touches about 4 blocks, one of 4 px about 30."""
 FIELDS = 4
-"""Of a tile between rounds: what the chosen rows are to make up (3), and the pixels' weight m."""
-_TILE, _TOTALS = FIELDS * PIXELS, FIELDS * LANES
+"""Of a tile between steps: what the movable Gaussians are to make up (3), and the pixels' weight m."""
+TILE_STATE = FIELDS * PIXELS
+LANE_SUMS = FIELDS * LANES
 
 
 def sirt_steps(
@@ -92,7 +95,7 @@ class CachedWeights:
         remainder = simd.aligned((len(view.tile_ids), FIELDS, BLOCKS, LANES), dtype)
         background = simd.readonly(np.array(view.camera.background), dtype)
         movable_lists = (pairs, begins, boxes, block_offsets)
-        run(fill_tiles, *view.tile_lists(view.projected), background, target, mask, *movable_lists, weights, remainder)
+        run(cache_tiles, *view.tile_lists(view.projected), background, target, mask, *movable_lists, weights, remainder)
         entries = (np.cumsum(movable) - 1)[view.flatten_ids[pairs]]
         pair_ids = np.empty(len(pairs), np.int64)
         pair_ids[np.argsort(entries, kind="stable")] = np.arange(len(pairs))
@@ -108,11 +111,11 @@ class CachedWeights:
 
 
 def _block_boxes(view: ProjectedView, entries: np.ndarray, tile: np.ndarray) -> np.ndarray:
-    """[Q, 4] int64 blocks of each pair's tile that its ellipse touches: y from, to, x from, to (raster.blocks_hit)."""
+    """[Q, 4] int64 blocks of each pair's tile that its ellipse touches, rows and columns from, to (see blocks_hit)."""
     projected, across = view.projected[entries], view.tiles.shape[1]
     out = np.empty((len(entries), 4), np.int64)
     for k, (mean, extent, first) in enumerate(
-        [(simd.MY, simd.YE, tile // across * TILE), (simd.MX, simd.XE, tile % across * TILE)]
+        [(MEAN_Y, EXTENT_Y, tile // across * TILE), (MEAN_X, EXTENT_X, tile % across * TILE)]
     ):
         m, e = projected[:, mean] - (first + 0.5).astype(projected.dtype), projected[:, extent]
         out[:, 2 * k] = np.clip(m - e, 0, TILE - 1).astype(np.int64) >> 2
@@ -126,157 +129,138 @@ def _step_sums(
     """[C, 6]: residuals by weight (3), weights, two unused."""
     dtype = remainder.dtype
     sums, out = simd.aligned((num_pairs, backproject.SUMS), dtype), np.empty((len(colors), 6), dtype)
-    run(round_tiles, *lists, remainder, simd.readonly(colors, dtype), sums)
+    run(cached_step_tiles, *lists, remainder, simd.readonly(colors, dtype), sums)
     run(backproject.reduce_pairs, pair_offsets, sums, out)
     return out
 
 
 @device
-def keep(records, members, begin, end, x0, y0, pairs, first, last, boxes, places, state, closed, kept):
-    """Fields T, r, g, b of a tile from the rows that are not chosen; the weights of those that are, into `kept`."""
-    F = records.dtype.type
-    zero = F(0)
-    half = F(0.5)
-    threshold = F(THRESHOLD)
-    cap = F(CAP)
-    stop = F(STOP)
-    cx = F(x0) + half
-    cy = F(y0) + half
-    weights = carray(scratch(records, LANES), (LANES,))
+def cache_tile(
+    projected, flatten_ids, begin, end, x0, y0, pairs, first, last, boxes, block_offsets, state, closed, weights
+):
+    """Fields T, r, g, b of a tile without the movable Gaussians; the weights of these into `weights`."""
+    zero = projected.dtype.type(0)
+    lane_weights = carray(scratch(projected, LANES), (LANES,))
     q = first
     for p in range(begin, end):
-        i = members[p]
-        prefetch(records, members[min(p + AHEAD, end - 1)])
-        mx = records[i, 0] - cx
-        my = records[i, 1] - cy
-        a2 = half * records[i, 2]
-        b1 = records[i, 3]
-        c2 = half * records[i, 4]
-        opacity = records[i, 5]
-        red = records[i, 6]
-        green = records[i, 7]
-        blue = records[i, 8]
-        chosen = q < last and pairs[q] == p
-        if chosen:
+        i = flatten_ids[p]
+        prefetch(projected, flatten_ids[min(p + AHEAD, end - 1)])
+        mx, my, a2, b1, c2, opacity = footprint(projected, i, x0, y0)
+        red = projected[i, RED]
+        green = projected[i, GREEN]
+        blue = projected[i, BLUE]
+        movable = q < last and pairs[q] == p
+        if movable:
             by0, by1, bx0, bx1 = boxes[q, 0], boxes[q, 1], boxes[q, 2], boxes[q, 3]
-            slot = places[q]
+            slot = block_offsets[q]
             red = green = blue = zero
             q += 1
         else:
-            by0, by1 = blocks_hit(my, records[i, 10])
-            bx0, bx1 = blocks_hit(mx, records[i, 11])
+            by0, by1, bx0, bx1 = block_box(projected, i, mx, my)
             slot = 0
         for by in range(by0, by1):
-            myb = my - F(by << 2)
             for bx in range(bx0, bx1):
                 b = by * SIDE + bx
                 if closed[b]:
-                    if chosen:
-                        kept[slot, :] = zero
+                    if movable:
+                        weights[slot, :] = zero
                         slot += 1
                     continue
-                mxb = mx - F(bx << 2)
                 for l in range(LANES):
-                    dx = mxb - F(l & 3)
-                    dy = myb - F(l >> 2)
-                    sigma = max((a2 * dx + b1 * dy) * dx + c2 * dy * dy, zero)
-                    alpha = min(cap, opacity * exp(-sigma))
-                    alpha = alpha if alpha >= threshold else zero
-                    t = state[0, b, l]
-                    w = alpha * t
-                    left = t - w
-                    takes = left > stop
-                    w = w if takes else zero
-                    state[0, b, l] = left if takes else -abs(t)
-                    weights[l] = w
+                    dx, dy = offset(mx, my, bx, by, l)
+                    alpha = alpha_of(opacity, falloff(dx, dy, a2, b1, c2), None)
+                    w = accept(state, b, l, alpha, None)
+                    lane_weights[l] = w
                     state[1, b, l] += w * red
                     state[2, b, l] += w * green
                     state[3, b, l] += w * blue
-                if chosen:
+                if movable:
                     for l in range(LANES):
-                        kept[slot, l] = weights[l]
+                        weights[slot, l] = lane_weights[l]
                     slot += 1
-        if (p - begin) & 7 == 7 and close_blocks(state, closed) == BLOCKS:
+        if is_done(p - begin, state, closed):
             break
-    for k in range(places[q], places[last]):
+    for k in range(block_offsets[q], block_offsets[last]):
         for l in range(LANES):
-            kept[k, l] = zero
+            weights[k, l] = zero
 
 
 @kernel
-def fill_tiles(
-    records,  # [M, 16]
-    members,  # [P]
-    homes,  # [P] unused
-    tiles,  # [T]
-    starts,  # [T + 1]
+def cache_tiles(
+    projected,  # [M, 16]
+    flatten_ids,  # [P]
+    pair_ids,  # [P] unused
+    tile_ids,  # [T]
+    isect_offsets,  # [T + 1]
     background,  # [3]
     target,  # [H, W, 3]
     mask,  # [H, W] >= 0
-    pairs,  # [Q] places in members of the chosen rows
-    begins,  # [T + 1] of each tile in pairs
+    pairs,  # [Q] where in flatten_ids the movable Gaussians stand
+    begins,  # [T + 1] of each tile in the pairs
     boxes,  # [Q, 4] blocks that each pair touches
-    places,  # [Q + 1] of each pair's blocks in kept
-    kept,  # out [B, 16] weights
-    rest,  # out [T, 4, 16, 16] target minus what the other rows make, and m
+    block_offsets,  # [Q + 1] of each pair's blocks in the weights
+    weights,  # out [B, 16]
+    remainder,  # out [T, 4, 16, 16] target minus what the other Gaussians make, and m
     thread,
     threads,
 ):
-    F = records.dtype.type
+    F = projected.dtype.type
     height, width = mask.shape
-    state = carray(scratch(records, STATE), (5, BLOCKS, LANES))
+    state = carray(scratch(projected, STATE), (5, BLOCKS, LANES))
     closed = np.empty(BLOCKS, np.bool_)
-    for k in range(thread, tiles.shape[0], threads):
-        x0, y0 = open_tile(tiles[k], width, height, state)
+    for k in range(thread, tile_ids.shape[0], threads):
+        x0, y0 = open_tile(tile_ids[k], width, height, state)
         if not load_mask(mask, x0, y0, state, closed):
-            rest[k] = F(0)
-            kept[places[begins[k]] : places[begins[k + 1]]] = F(0)
+            remainder[k] = F(0)
+            weights[block_offsets[begins[k]] : block_offsets[begins[k + 1]]] = F(0)
             continue
-        begin, end, first, last = starts[k], starts[k + 1], begins[k], begins[k + 1]
-        keep(records, members, begin, end, x0, y0, pairs, first, last, boxes, places, state, closed, kept)
+        begin, end, first, last = isect_offsets[k], isect_offsets[k + 1], begins[k], begins[k + 1]
+        cache_tile(
+            projected, flatten_ids, begin, end, x0, y0, pairs, first, last, boxes, block_offsets, state, closed, weights
+        )
         for b in range(BLOCKS):
             for l in range(LANES):
-                y = min(y0 + (b // SIDE) * 4 + (l >> 2), height - 1)
-                x = min(x0 + (b % SIDE) * 4 + (l & 3), width - 1)
-                t = abs(state[0, b, l])
+                x, y = pixel_of(x0, y0, b, l)
+                T = abs(state[0, b, l])
                 for c in range(3):
-                    rest[k, c, b, l] = target[y, x, c] - (state[1 + c, b, l] + t * background[c])
-                rest[k, 3, b, l] = state[4, b, l]
+                    rest = state[1 + c, b, l] + T * background[c]
+                    remainder[k, c, b, l] = target[min(y, height - 1), min(x, width - 1), c] - rest
+                remainder[k, 3, b, l] = state[4, b, l]
 
 
 @kernel
-def round_tiles(
+def cached_step_tiles(
     begins,  # [T + 1] of each tile in the pairs
     boxes,  # [Q, 4] blocks that each pair touches
-    places,  # [Q + 1] of each pair's blocks in kept
-    entries,  # [Q] which chosen row each pair is of
-    homes,  # [Q] place of each pair's sums
-    kept,  # [B, 16] weights
-    rest,  # [T, 4, 16, 16]
+    block_offsets,  # [Q + 1] of each pair's blocks in the weights
+    entries,  # [Q] which movable Gaussian each pair is of
+    pair_ids,  # [Q] where each pair keeps its sums
+    weights,  # [B, 16]
+    remainder,  # [T, 4, 16, 16]
     colors,  # [C, 3]
     sums,  # out [Q, 8]
     thread,
     threads,
 ):
-    F = kept.dtype.type
+    F = weights.dtype.type
     zero = F(0)
-    state = carray(scratch(kept, _TILE), (FIELDS, BLOCKS, LANES))
-    totals = carray(scratch(kept, _TOTALS), (FIELDS, LANES))
-    for k in range(thread, rest.shape[0], threads):
+    state = carray(scratch(weights, TILE_STATE), (FIELDS, BLOCKS, LANES))
+    lanes = carray(scratch(weights, LANE_SUMS), (FIELDS, LANES))
+    for k in range(thread, remainder.shape[0], threads):
         if begins[k] == begins[k + 1]:
             continue
         for f in range(FIELDS):
             for b in range(BLOCKS):
                 for l in range(LANES):
-                    state[f, b, l] = rest[k, f, b, l]
+                    state[f, b, l] = remainder[k, f, b, l]
         for q in range(begins[k], begins[k + 1]):
             red, green, blue = colors[entries[q], 0], colors[entries[q], 1], colors[entries[q], 2]
-            slot = places[q]
+            slot = block_offsets[q]
             for by in range(boxes[q, 0], boxes[q, 1]):
                 for bx in range(boxes[q, 2], boxes[q, 3]):
                     b = by * SIDE + bx
                     for l in range(LANES):
-                        w = kept[slot, l]
+                        w = weights[slot, l]
                         state[0, b, l] -= w * red
                         state[1, b, l] -= w * green
                         state[2, b, l] -= w * blue
@@ -288,14 +272,14 @@ def round_tiles(
         for q in range(begins[k], begins[k + 1]):
             for f in range(FIELDS):
                 for l in range(LANES):
-                    totals[f, l] = zero
-            slot = places[q]
+                    lanes[f, l] = zero
+            slot = block_offsets[q]
             for by in range(boxes[q, 0], boxes[q, 1]):
                 for bx in range(boxes[q, 2], boxes[q, 3]):
                     b = by * SIDE + bx
                     for l in range(LANES):
-                        w = kept[slot, l]
+                        w = weights[slot, l]
                         for f in range(FIELDS):
-                            totals[f, l] += w * state[f, b, l]
+                            lanes[f, l] += w * state[f, b, l]
                     slot += 1
-            sum_lanes(totals, 4, sums, homes[q])
+            sum_lanes(lanes, 4, sums, pair_ids[q])

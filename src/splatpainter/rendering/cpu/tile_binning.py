@@ -1,21 +1,32 @@
-"""Depth order, and which rows each tile draws, front to back. Stable, so equal for any number of threads."""
+"""Depth order, and which Gaussians each tile draws, front to back. Stable, so equal for any number of threads."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.kernels.simd import TILE, kernel, prefetch
+from splatpainter.kernels.simd import kernel, prefetch
 from splatpainter.rendering.cpu import geometry as geo
+from splatpainter.rendering.cpu.geometry import (
+    COLUMNS,
+    CONIC_A,
+    CONIC_B,
+    EXTENT_X,
+    EXTENT_Y,
+    MEAN_X,
+    MEAN_Y,
+    SQUARED_RADIUS,
+    TILE,
+)
 from splatpainter.rendering.cpu.projection import BLOCK
 
 AHEAD = 8
-"""Records are asked for this many entries before they are used."""
+"""What is read is asked for this many entries before it is used."""
 
 
 @kernel
 def sort_depths(keys, counts, order, spare, value, value2):
-    """Slots of all records by increasing z (float32, positive, so their bits sort alike), ties by slot: a stable radix
-    sort of 11 + 11 + 10 bits. Returns True when the result lies in `spare` rather than in `order`."""
+    """Slots of all Gaussians by increasing z (float32, positive, so their bits sort alike), ties by slot: a stable
+    radix sort of 11 + 11 + 10 bits. Returns True when the result lies in `spare` rather than in `order`."""
     bits = keys.view(np.uint32)
     m = 0
     for block in range(counts.shape[0]):
@@ -56,7 +67,7 @@ def sort_depths(keys, counts, order, spare, value, value2):
 
 
 def depth_order(keys: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """[M] int32 slots of the records that blocks wrote, front to back, ties in row order."""
+    """[M] int32 slots of what the blocks wrote, front to back, ties in the order of the Gaussians."""
     total = int(counts.sum())
     if keys.dtype == np.float32:
         order, spare = np.empty((2, total), np.int32)
@@ -67,61 +78,61 @@ def depth_order(keys: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def gather_records(order, records, rows, room, records_out, rows_out, room_out, thread, threads):
+def gather_sorted(order, unsorted, ids, tile_counts, projected, gaussian_ids, max_tiles, thread, threads):
     """Everything in depth order, so that all that follows walks memory forwards."""
     m = order.shape[0]
     for i in range(m * thread // threads, m * (thread + 1) // threads):
-        prefetch(records, order[min(i + AHEAD, m - 1)])
+        prefetch(unsorted, order[min(i + AHEAD, m - 1)])
         slot = order[i]
-        for c in range(16):
-            records_out[i, c] = records[slot, c]
-        rows_out[i] = rows[slot]
-        room_out[i] = room[slot]
+        for c in range(COLUMNS):
+            projected[i, c] = unsorted[slot, c]
+        gaussian_ids[i] = ids[slot]
+        max_tiles[i] = tile_counts[slot]
 
 
 @kernel
-def list_pairs(records, begins, room, grid, slots, ends, spots, histogram, thread, threads):
-    """spots[begins[i] : ends[i]] = tiles (indices among those in use) of record i, and how many records of each share
-    [shares, T] of the list touch each tile. room[i] >= ends[i] - begins[i], by project_rows."""
-    F = records.dtype.type
-    m = records.shape[0]
+def list_pairs(projected, begins, max_tiles, grid, tile_slots, ends, pair_tiles, histogram, thread, threads):
+    """pair_tiles[begins[i] : ends[i]] = tiles (indices among those in use) of entry i, and how many entries of each
+    share [shares, T] of the list touch each tile. max_tiles[i] >= ends[i] - begins[i], by project_gaussians."""
+    F = projected.dtype.type
+    m = projected.shape[0]
     shares = histogram.shape[0]
     width = grid[1] - grid[0]
     for share in range(thread, shares, threads):
         for i in range(m * share // shares, m * (share + 1) // shares):
-            mx = records[i, 0]
-            my = records[i, 1]
-            a = records[i, 2]
-            b = records[i, 3]
-            ye = records[i, 10]
-            xe = records[i, 11]
-            q = records[i, 12]
+            mx = projected[i, MEAN_X]
+            my = projected[i, MEAN_Y]
+            a = projected[i, CONIC_A]
+            b = projected[i, CONIC_B]
+            ey = projected[i, EXTENT_Y]
+            ex = projected[i, EXTENT_X]
+            q = projected[i, SQUARED_RADIUS]
             at = begins[i]
-            full = at + room[i]
-            ty0, ty1 = geo.tile_span(my, ye, grid[2], grid[3])
-            tx0, tx1 = geo.tile_span(mx, xe, grid[0], grid[1])
+            full = at + max_tiles[i]
+            ty0, ty1 = geo.tile_span(my, ey, grid[2], grid[3])
+            tx0, tx1 = geo.tile_span(mx, ex, grid[0], grid[1])
             for ty in range(ty0, ty1):
-                begin, end = geo.tile_columns(mx, my, a, b, q, xe, ye, F(ty) * F(TILE), tx0, tx1)
+                begin, end = geo.tile_columns(mx, my, a, b, q, ex, ey, F(ty) * F(TILE), tx0, tx1)
                 for tx in range(begin, end):
-                    tile = ty * width + tx if slots.shape[0] == 0 else slots[ty, tx]
+                    tile = ty * width + tx if tile_slots.shape[0] == 0 else tile_slots[ty, tx]
                     if tile >= 0 and at < full:  # a slip in the count may cost a tile, but never memory
-                        spots[at] = tile
+                        pair_tiles[at] = tile
                         at += 1
                         histogram[share, tile] += 1
             ends[i] = at
 
 
 @kernel
-def place_pairs(begins, ends, spots, offsets, first, members, homes, thread, threads):
-    """Counting sort of the pairs by tile: members[p] = record, homes[p] = the pair's place in record order.
+def place_pairs(begins, ends, pair_tiles, pair_offsets, first, flatten_ids, pair_ids, thread, threads):
+    """Counting sort of the pairs by tile: flatten_ids[p] = entry, pair_ids[p] = the pair's number in order of entries.
     first [shares, T]: where each share of each tile begins."""
     m = begins.shape[0]
     shares = first.shape[0]
     for share in range(thread, shares, threads):
         for i in range(m * share // shares, m * (share + 1) // shares):
             for k in range(ends[i] - begins[i]):
-                tile = spots[begins[i] + k]
+                tile = pair_tiles[begins[i] + k]
                 p = first[share, tile]
                 first[share, tile] = p + 1
-                members[p] = i
-                homes[p] = offsets[i] + k
+                flatten_ids[p] = i
+                pair_ids[p] = pair_offsets[i] + k

@@ -9,6 +9,7 @@ import numpy as np
 
 from splatpainter.cameras import look_at
 from splatpainter.kernels import simd
+from splatpainter.rendering.cpu.geometry import COLUMNS
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import CachedWeights
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -22,7 +23,7 @@ def warm_projection() -> None:
     shapes = {"means": (2, 3), "quats": (2, 4), "scales": (2, 3), "opacities": (2,), "sh": (2, 4, 3)}
     splats = Splats(**{name: rng.uniform(0.1, 0.5, shape).astype(np.float32) for name, shape in shapes.items()})
     view = project(splats, CAMERA)
-    sums = simd.aligned((len(view.flatten_ids), simd.RECORD), np.dtype(np.float32))
+    sums = simd.aligned((len(view.flatten_ids), COLUMNS), np.dtype(np.float32))
     sums[:] = 0
     view.project_backward(splats, sums, tuple(np.empty_like(getattr(splats, name)) for name in ATTRIBUTES))
 
@@ -31,7 +32,7 @@ def warm_tiles() -> None:
     """Drawing, its adjoint, the lift's step, and the derivative of drawing. On a view made by hand, so that this
     process does not compile the kernels of the other."""
     integers, indices = np.zeros(1, np.int64), np.zeros(0, np.int32)
-    projected = simd.readonly(np.zeros((0, simd.RECORD)), np.float32)
+    projected = simd.readonly(np.zeros((0, COLUMNS)), np.float32)
     view = ProjectedView(
         CAMERA, 2, np.zeros((2, 2), bool), integers[:0], projected, integers, indices, indices, indices, integers
     )
