@@ -1,178 +1,253 @@
-"""Edits as an artist makes them: a spot on the surface, a view of it, and a stroke, sticker, word, photo patch or
-recolouring there. What shows too little, or lies beside the object, is thrown away and tried again. Knows no protocol.
+"""Edits as an artist makes them: a point on the surface, a view of it, and a stroke, sticker, word, photo patch or
+recolouring there; and points with texture worth a closer look. What shows too little, or lies beside the object, is
+thrown away and tried again. What is drawn is that of the training data (splatpainter.data.edits). Knows no table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
-from splatbench import ground_truth as ground
-from splatbench.painted_truth import Paint, Tint, Truth, changed
+from splatbench.cases import Setup
+from splatbench.ground_truth import GroundTruth, GroundTruthViews, changed
 from splatpainter.cameras import Camera
 from splatpainter.data import viewpoints
-
-if TYPE_CHECKING:
-    from splatbench.cases import Setup
-    from splatbench.ground_truth import Shown
-    from splatpainter.data.edits.layers import EditResources
+from splatpainter.data.edits import MAX_EDIT_FRACTION, MIN_EDIT_FRACTION, EditDesign, layer_on_object
+from splatpainter.data.edits.layers import Canvas, EditResources, Recoloring, list_files
+from splatpainter.data.edits.surface_points import (
+    MIN_SOLID_ALPHA,
+    MIN_VIEW_COSINE,
+    SurfacePoint,
+    facing_normals,
+    random_surface_point,
+)
 
 KINDS = ("stroke", "sticker", "text", "photo", "recolor")
 """In turn."""
 Framing = Literal["close-up", "whole"]
-SHARE = (0.06, 0.3)
-"""Part of the object in view that paint covers: least, most."""
-WINDOW = (0.7, 1.7)
+PAINTED_SHARE = (0.06, 0.3)
+"""Part of the object in view that paint covers: from, to."""
+WINDOW_RADII = (0.7, 1.7)
 """Height of a close-up, in radii of the object."""
-STEEPEST = 0.45
-"""Least cosine between the surface at a spot and the line of sight that finds it."""
-FILLED = 0.12
-"""Least part of an edited view that the object fills."""
-ON_OBJECT = 0.6
-"""Least part of a layer that lies on the object."""
-SMALLEST, LARGEST = 0.004, 0.5
-"""Part of an edited view that an edit changes."""
-VISIBLE = 0.1
-"""Least change of display values in its own view, root mean square over the pixels that an edit changes."""
-TRIES = 24
-STRICT = 0.75
+MIN_OBJECT_FRACTION = 0.12
+"""Of an edited view that the object fills."""
+MIN_EDIT_RMS = 0.1
+"""Change of display values in an edit's view, root mean square over the pixels that it changes."""
+BLOCKED_SLACK = 0.02
+"""World units that a surface may lie before a point and still be its own."""
+DESIGN_TRIES = 24
+RELAXED_AFTER = 0.75
 """Share of the tries over which the standards fall to nothing: thin objects need patience first."""
+WINDOW_FRACTIONS = (0.6, 0.4, 0.2, 0.0)
+"""Least part of a textured point's window that is object: the first of these that leaves any point."""
+BEST_CONTRAST_SHARE = 0.1
+"""Of all pixels that could be textured points, those with the highest contrast, from which points are drawn."""
+MAX_DEPTH_STEP_PX = 4.0
+"""Steps of depth between neighbours above this many pixel widths are edges of the object, not texture."""
 
 
-@dataclass(frozen=True)
-class Spot:
-    """A place on the surface that some view sees."""
-
-    place: np.ndarray
-    """[3] world."""
-    normal: np.ndarray
-    """[3] unit, towards that view."""
-
-
-def stock(setup: Setup) -> EditResources:
+def resources(setup: Setup) -> EditResources:
     """The files that edits are made of. Raises ValueError for a folder that there is not."""
-    from splatpainter.data.edits.layers import EditResources, list_files
-
-    found = [() if folder is None else list_files(folder) for folder in (setup.decals, setup.fonts, setup.textures)]
-    return EditResources(*found)
+    folders = (setup.decals, setup.fonts, setup.textures)
+    return EditResources(*(() if folder is None else list_files(folder) for folder in folders))
 
 
-def design(
-    rough: Truth,
-    base: Shown,
+def strictness(attempt: int) -> float:
+    """1 at first, 0 after RELAXED_AFTER of the tries."""
+    return max(1 - attempt / (RELAXED_AFTER * DESIGN_TRIES), 0.0)
+
+
+def surface_point(views: GroundTruthViews, rng: np.random.Generator) -> SurfacePoint:
+    """Any that faces one of the views. Raises ValueError where there is none."""
+    return random_surface_point(views.images.cameras, views.depths, views.alphas, rng)
+
+
+def design_edit(
+    preview: GroundTruth,
+    base: GroundTruthViews,
     kind: str,
     framing: Framing,
     files: EditResources,
     rng: np.random.Generator,
-    accept: Callable[[Spot, np.ndarray], bool] = lambda spot, mask: True,
-) -> tuple[Paint, Spot]:
-    """An edit of a kind that shows in its own view. rough: a truth that is quickly drawn (Truth.rough), with earlier
-    edits on it. base: views in which spots are found. accept: whether a spot and what the edit changes in its view
-    ([H, W] bool) will do. Raises ValueError, naming the object, after TRIES."""
-    optics = ground.optics(rough.setup)
-    for attempt in range(TRIES):
-        strict = max(1 - attempt / (STRICT * TRIES), 0.0)
-        spot = any_spot(base, rng)
-        camera = view_of(spot, framing, rough.subject.radius, optics, rng)
-        if ground.blocked(rough.subject.mesh, camera.position, spot.place, 0.02):
+    accept: Callable[[SurfacePoint, np.ndarray], bool] = lambda point, mask: True,
+) -> tuple[EditDesign, SurfacePoint]:
+    """An edit of a kind that shows in its view. preview: a truth that is quickly drawn (GroundTruth.preview), with
+    earlier edits on it. base: views in which points are looked for. accept: whether a point and what the edit changes
+    in its view ([H, W] bool) will do. Raises ValueError, naming the object, after DESIGN_TRIES."""
+    for attempt in range(DESIGN_TRIES):
+        point = surface_point(base, rng)
+        camera = view_of(point, framing, preview.radius, preview.optics, rng)
+        if preview.blocks(camera.position, point.position, BLOCKED_SLACK):
             continue
-        before = rough.show([camera], "design")
-        paint = painting(kind, camera, spot, before, files, rng, strict)
-        if paint is None:
+        before = preview.render([camera], "design")
+        design = draw_edit(kind, camera, point, before, files, rng, strictness(attempt))
+        if design is None:
             continue
-        after = rough.painted(paint).show([camera], "design")
+        after = preview.paint(design).render([camera], "design")
         mask = changed(before, after)[0]
-        if shows(before.pictures.colors[0], after.pictures.colors[0], mask, strict) and accept(spot, mask):
-            return paint, spot
-    raise ValueError(f"{rough.subject.name}: {TRIES} choices of a {kind} edit changed nothing that can be seen")
+        visible = is_visible(before.images.colors[0], after.images.colors[0], mask, strictness(attempt))
+        if visible and accept(point, mask):
+            return design, point
+    raise invisible(preview.name, kind)
 
 
-def shows(before: np.ndarray, after: np.ndarray, mask: np.ndarray, strict: float = 1.0) -> bool:
-    """Whether an edit is worth asking about: pictures [H, W, 3], what it changes [H, W] bool; strict: times VISIBLE."""
-    if not SMALLEST <= mask.mean() <= LARGEST:
+def invisible(name: str, kind: str) -> ValueError:
+    return ValueError(f"{name}: {DESIGN_TRIES} choices of a {kind} edit changed nothing that can be seen")
+
+
+def is_visible(before: np.ndarray, after: np.ndarray, mask: np.ndarray, strict: float = 1.0) -> bool:
+    """Whether an edit is worth asking about: pictures [H, W, 3], what it changes [H, W] bool; strict: times
+    MIN_EDIT_RMS."""
+    if not MIN_EDIT_FRACTION <= mask.mean() <= MAX_EDIT_FRACTION:
         return False
-    return bool(np.sqrt(np.mean((after - before)[mask] ** 2)) >= strict * VISIBLE)
+    return bool(np.sqrt(np.mean((after - before)[mask] ** 2)) >= strict * MIN_EDIT_RMS)
 
 
-def painting(
+def draw_edit(
     kind: str,
     camera: Camera,
-    spot: Spot,
-    shown: Shown,
+    point: SurfacePoint,
+    view: GroundTruthViews,
     files: EditResources,
     rng: np.random.Generator,
     strict: float = 1.0,
-) -> Paint | None:
-    """An edit at a spot, designed on the picture of the view; None where the object fills too little of the view, or
-    too much of the edit would lie beside it. strict: times FILLED and ON_OBJECT."""
-    from splatpainter.data.edits.layers import LAYER_MAKERS, Canvas
-    from splatpainter.data.mesh_visibility import projected
-
-    alpha = shown.alphas[0]
-    extent = float(np.sqrt(rng.uniform(*SHARE) * shown.masks[0].sum()))
-    if shown.masks[0].mean() < strict * FILLED or extent < 2:
+) -> EditDesign | None:
+    """An edit at a point, designed on the picture of the view; None where the object fills too little of the view, or
+    too much of the edit would lie beside it. strict: times MIN_OBJECT_FRACTION and the share that lies on it."""
+    extent = float(np.sqrt(rng.uniform(*PAINTED_SHARE) * view.masks[0].sum()))
+    if view.masks[0].mean() < strict * MIN_OBJECT_FRACTION or extent < 2:
         return None
-    x, y, z = (float(v) for v in projected(spot.place[None], camera)[0])
+    pixels, depths = camera.project(point.position[None])
+    (x, y), z = pixels[0].tolist(), float(depths[0])
     if kind == "recolor":
-        return Paint(kind, camera, Tint(spot.place, 0.8 * extent * z / camera.fy, int(rng.integers(1 << 31))))
-    layer = LAYER_MAKERS[kind](Canvas(shown.pictures.colors[0], (x, y), extent), files, rng)
-    if float((layer[..., 3] * alpha).sum()) < strict * ON_OBJECT * float(layer[..., 3].sum()):
-        return None
-    return Paint(kind, camera, layer)
+        radius, seed = 0.8 * extent * z / camera.fy, int(rng.integers(1 << 31))
+        return EditDesign(kind, camera, Recoloring(point.position, radius, seed))
+    canvas = Canvas(view.images.colors[0], (x, y), extent)
+    layer = layer_on_object(kind, canvas, view.alphas[0], files, rng, strict)
+    return None if layer is None else EditDesign(kind, camera, layer)
 
 
-def any_spot(shown: Shown, rng: np.random.Generator) -> Spot:
-    """A pixel of the pictures where the surface faces the view. Raises ValueError where there is none."""
-    order = rng.permutation(len(shown.pictures))
-    for k in order:
-        camera, depth = shown.pictures.cameras[k], shown.depths[k].astype(np.float64)
-        points = ground.places(camera, depth)
-        down, right = np.gradient(points, axis=(0, 1))
-        normal = np.cross(down, right)
-        line = camera.position - points
-        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
-        normal *= np.where((normal * line).sum(-1, keepdims=True) < 0, -1, 1)
-        cosine = (normal * line).sum(-1) / np.maximum(np.linalg.norm(line, axis=-1), 1e-30)
-        solid = shown.alphas[k] > 0.99
-        for axis in (0, 1):
-            solid = solid & np.roll(solid, 1, axis) & np.roll(solid, -1, axis)
-        fit = np.argwhere(solid & (cosine >= STEEPEST))
-        if len(fit):
-            y, x = fit[rng.integers(len(fit))]
-            return Spot(points[y, x], normal[y, x])
-    raise ValueError("no part of its surface faces a view")
-
-
-def view_of(spot: Spot, framing: Framing, radius: float, optics: viewpoints.Optics, rng: np.random.Generator) -> Camera:
-    """A close-up of the spot, or the whole object from its side."""
+def view_of(
+    point: SurfacePoint, framing: Framing, radius: float, optics: viewpoints.Optics, rng: np.random.Generator
+) -> Camera:
+    """A close-up of the point, or the whole object from its side."""
     if framing == "whole":
-        return viewpoints.around(radius, optics, *viewpoints.view_angles(spot.normal, rng))
-    return viewpoints.facing(spot.place, spot.normal, radius * rng.uniform(*WINDOW), optics, rng)
+        return viewpoints.around(radius, optics, *viewpoints.view_angles(point.normal, rng))
+    return viewpoints.facing(point.position, point.normal, radius * rng.uniform(*WINDOW_RADII), optics, rng)
 
 
-def beside(
-    truth: Truth,
+def views_beside(
+    truth: GroundTruth,
     camera: Camera,
-    spot: Spot,
+    position: np.ndarray,
     count: int,
-    apart: tuple[float, float],
+    degrees: tuple[float, float],
     rng: np.random.Generator,
+    *,
+    nearest_degrees: float = 0.0,
+    tries: int = DESIGN_TRIES,
+    slack: float = BLOCKED_SLACK,
 ) -> list[Camera]:
-    """`count` views of the spot from other sides that see it, `apart` (least, most) degrees away where that can be."""
-    found = []
+    """`count` views of the point from other sides that see it, `degrees` (from, to) away from `camera` where that can
+    be. nearest_degrees: what the second falls to, with every view that something stands in the way of."""
+    cameras = []
     for _ in range(count):
-        for k in range(TRIES + 1):  # nearer and nearer to the view that sees it
-            part = 1 - k / TRIES
-            near = viewpoints.neighbour(camera, spot.place, rng, (apart[0] * part, max(apart[1] * part, 1.0)))
-            if not ground.blocked(truth.subject.mesh, near.position, spot.place, 0.02):
+        for k in range(tries + 1):  # nearer and nearer to the view that sees it
+            part = 1 - k / tries
+            farthest = max(nearest_degrees + (degrees[1] - nearest_degrees) * part, 1.0)
+            neighbour = viewpoints.neighbour(camera, position, rng, (degrees[0] * part, farthest))
+            if not truth.blocks(neighbour.position, position, slack):
                 break
-        found.append(near)
-    return found
+        cameras.append(neighbour)
+    return cameras
 
 
-def apart(spots: Sequence[Spot], least: float) -> Callable[[Spot, np.ndarray], bool]:
-    """For `design`: only spots at least this far, world units, from all of these."""
-    return lambda spot, mask: all(np.linalg.norm(spot.place - other.place) >= least for other in spots)
+def apart(points: Sequence[SurfacePoint], distance: float) -> Callable[[SurfacePoint, np.ndarray], bool]:
+    """For `design_edit`: only points at least this far, world units, from all of these."""
+    return lambda point, mask: all(np.linalg.norm(point.position - other.position) >= distance for other in points)
+
+
+# Points with texture.
+
+
+@dataclass(frozen=True)
+class TexturedPoint:
+    """A point on the surface that has texture around it."""
+
+    position: np.ndarray
+    """[3] world."""
+    view: int
+    """Of the pictures given: one that sees it."""
+    contrast: float
+    """Mean step of luminance between neighbouring pixels around it, 0..1."""
+
+
+def textured_points(views: GroundTruthViews, window: int, count: int, rng: np.random.Generator) -> list[TexturedPoint]:
+    """`count` points, drawn among those with the highest local contrast: the mean over window x window pixels of the
+    luminance's steps, edges of the object left out. They keep about a window's distance where that can be. Raises
+    ValueError where no surface faces any view."""
+    maps = [_contrast(views, k, window) for k in range(len(views.alphas))]
+    contrast, filled = (np.stack(x) for x in zip(*maps, strict=True))
+    for fraction in WINDOW_FRACTIONS:
+        fit = (contrast >= 0) & (filled >= fraction)
+        if fit.any():
+            break
+    else:
+        raise ValueError("no part of its surface faces a view")
+    floor = np.quantile(contrast[fit], 1 - BEST_CONTRAST_SHARE)
+    candidates = np.argwhere(fit & (contrast >= floor))
+    points = np.array([c.unproject(d) for c, d in zip(views.images.cameras, views.depths, strict=True)])
+    chosen: list[TexturedPoint] = []
+    for _ in range(count):
+        positions = points[tuple(candidates.T)]
+        gaps = [np.linalg.norm(positions - point.position, axis=1) for point in chosen]
+        away = np.min(gaps, 0) if gaps else np.full(len(positions), np.inf)
+        free = np.flatnonzero(away >= _extent(views, window))
+        if not len(free):
+            free = np.flatnonzero(away >= away.max())
+        k, y, x = candidates[rng.choice(free)]
+        chosen.append(TexturedPoint(points[k, y, x], int(k), float(contrast[k, y, x])))
+    return chosen
+
+
+def _contrast(views: GroundTruthViews, k: int, window: int) -> tuple[np.ndarray, np.ndarray]:
+    """([H, W] contrast around each pixel, -1 where it cannot be a point; [H, W] part of its window that is object)."""
+    camera, depth = views.images.cameras[k], views.depths[k].astype(np.float64)
+    solid = views.alphas[k] > MIN_SOLID_ALPHA
+    luma = views.images.colors[k].astype(np.float64) @ [0.2126, 0.7152, 0.0722]
+    width = depth / camera.fx  # of a pixel on the surface
+    steps, valid = np.zeros_like(luma), np.zeros_like(luma)
+    for axis in (0, 1):
+        step, jump = (np.abs(np.diff(x, axis=axis, prepend=np.take(x, [0], axis))) for x in (luma, depth))
+        both = solid & np.roll(solid, 1, axis) & (jump < MAX_DEPTH_STEP_PX * np.maximum(width, 1e-9))
+        steps += np.where(both, step, 0) / 2
+        valid += both / 2
+    inside = _summed(valid, window)
+    contrast = _summed(steps, window) / np.maximum(inside, 1e-9)
+    _, cosines = facing_normals(camera.unproject(depth), camera.position)
+    around = solid & np.roll(solid, 1, 0) & np.roll(solid, -1, 0) & np.roll(solid, 1, 1) & np.roll(solid, -1, 1)
+    fit = around & (cosines >= MIN_VIEW_COSINE) & (inside > 0.5)
+    return np.where(fit, contrast, -1.0), _summed(views.masks[k], window) / window**2
+
+
+def _summed(values: np.ndarray, window: int) -> np.ndarray:
+    """[H, W] sums over the window x window pixels around each pixel, less at the picture's edges."""
+    before, after = window // 2, window - window // 2 - 1
+    total = np.pad(values.astype(np.float64), ((before + 1, after), (before + 1, after))).cumsum(0).cumsum(1)
+    h, w = values.shape
+    return (
+        total[window : window + h, window : window + w]
+        - total[:h, window : window + w]
+        - total[window : window + h, :w]
+        + total[:h, :w]
+    )
+
+
+def _extent(views: GroundTruthViews, window: int) -> float:
+    """World units that a window shows, about."""
+    depth, camera = views.depths[0], views.images.cameras[0]
+    typical = float(np.median(depth[depth > 0])) if (depth > 0).any() else 0.0
+    return window * typical / camera.fx

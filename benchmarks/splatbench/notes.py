@@ -89,8 +89,7 @@ def without_lpips(state: RunState) -> bool:
 
 def chosen(setup: Setup) -> list[str]:
     """How objects and lights were chosen."""
-    from splatbench.objects import environments, objects
-    from splatbench.splat_cases import is_splat_folder
+    from splatbench.objects import environments, is_splat_folder, objects
 
     lines: list[str] = []
     if not is_splat_folder(setup.data):

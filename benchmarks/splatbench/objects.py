@@ -92,6 +92,19 @@ def generator(seed: int, what: str, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, *hashlib.sha256(f"{what}:{name}".encode()).digest()])
 
 
+def is_splat_folder(folder: Path | None) -> bool:
+    """Whether a folder holds more files that can only be splat assets than files that may be meshes (.glb may be
+    either)."""
+    from splatpainter.data.meshes import SUFFIXES
+    from splatpainter.data.scenes import SPLAT_SUFFIXES
+
+    if folder is None or not folder.is_dir():
+        return False
+    suffixes = [file.suffix.lower() for file in folder.rglob("*")]
+    splats = sum(suffix in SPLAT_SUFFIXES and suffix not in SUFFIXES for suffix in suffixes)
+    return splats > sum(suffix in SUFFIXES for suffix in suffixes)
+
+
 def _of_folder(setup: Setup, folder: Path) -> Objects:
     from splatpainter.data.scenes import MeshFolder, split
 

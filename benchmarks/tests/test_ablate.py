@@ -34,7 +34,7 @@ ROWS = {method.name: method for method in ablations.METHODS}
 
 @pytest.fixture(autouse=True)
 def few_surfels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ablate, "FEWEST", 800)
+    monkeypatch.setattr(ablate, "MIN_SURFELS", 800)
 
 
 @cache
@@ -47,7 +47,7 @@ def judged_samples() -> list[Any]:
     """The first two that `train judge` would look at, with this data, seed, mixture and sizes."""
     recipe = ablate._supply(SETUP, Stock()).recipe
     supply = Supply(ablate.PROCEDURAL, recipe, SETUP.seed, 0.1, Stock())
-    return [trial.sample for trial in trials(supply, ablate.SHARES, 2, ablate.RELIT)]
+    return [trial.sample for trial in trials(supply, ablate.SHARES, 2, ablate.RELIT_VIEWS)]
 
 
 def test_the_list_begins_with_every_part_of_the_mixture() -> None:
@@ -68,7 +68,7 @@ def test_cases_are_the_samples_that_training_is_judged_on() -> None:
         assert np.array_equal(case.steps[0].edited.colors, sample.edited.colors.numpy())
         assert np.array_equal(case.steps[0].masks, sample.masks) and np.array_equal(case.near, sample.near)
         assert np.array_equal(case.after.colors, sample.novel_after.colors.numpy())
-    assert len(made(0).steps[0].edited) == ablate.RELIT and made(0).facts["mode"] == "global"
+    assert len(made(0).steps[0].edited) == ablate.RELIT_VIEWS and made(0).facts["mode"] == "global"
 
 
 @pytest.mark.parametrize("place", [0, 1])

@@ -7,29 +7,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from splatbench import edit_design as designs
-from splatbench import ground_truth as ground
-from splatbench import painted_truth as painted
-from splatbench import splat_cases
+from splatbench import edit_design, ground_truth
 from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
+from splatbench.edit_design import KINDS, design_edit, resources, surface_point
+from splatbench.ground_truth import GroundTruth, changed, changes
 from splatbench.methods import EditResult
-from splatbench.scoring import drawn
-from splatbench.tables.creative_editing import protocol, rows
+from splatbench.objects import is_splat_folder
+from splatbench.scoring import rendered
+from splatbench.tables.creative_editing import SplatTruth, changed_gaussians, protocol, splat_names
 
 from splatpainter.cameras import orbit
+from splatpainter.data.edits import MAX_EDIT_FRACTION, MIN_EDIT_FRACTION
+from splatpainter.data.edits.surface_points import SurfacePoint
 from splatpainter.splats import Splats
 from tests.support.cli_scenes import ball
 
 SETUP = Setup(truth="surfels", size=48, objects=2, base_views=3, novel_views=3, rows=600, asset_steps=0, samples=4)
 TABLE = protocol()
-GREY = ground.BACKGROUND
+GREY = ground_truth.BACKGROUND
 
 
 @pytest.fixture(scope="module")
 def few() -> object:
     """Coarser surfels, for speed."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ground, "FEWEST", 6000)
+        patch.setattr(ground_truth, "MIN_SURFELS", 6000)
         yield
 
 
@@ -39,13 +41,10 @@ def made(few: object) -> Case:
 
 
 @pytest.fixture(scope="module")
-def truth(few: object, made: Case) -> painted.Truth:
+def truth(few: object, made: Case) -> GroundTruth:
     """The unpainted truth of `made`."""
-    from splatbench.objects import environments, objects
-
     key = TABLE.keys(SETUP)[0]
-    what = ground.subject(key.name, objects(SETUP).load(key.name), SETUP)
-    return painted.Truth(what, environments(SETUP).load(key.settings["light"]), SETUP)
+    return GroundTruth.load(key.name, key.settings["light"], SETUP)
 
 
 def colored(splats: Splats, rows: np.ndarray, level: float) -> Splats:
@@ -61,21 +60,21 @@ def test_kinds_and_framings_take_turns_and_labels_are_unique() -> None:
     keys = TABLE.keys(replace(SETUP, objects=10))
     assert [k.settings["kind"] for k in keys] == 2 * ["stroke", "sticker", "text", "photo", "recolor"]
     assert {(k.settings["kind"], k.settings["framing"]) for k in keys} == {
-        (kind, framing) for kind in designs.KINDS for framing in ("close-up", "whole")
+        (kind, framing) for kind in KINDS for framing in ("close-up", "whole")
     }
     assert len({k.label for k in keys}) == 10 and all("/" not in k.label for k in keys)
 
 
-def test_a_case_asks_for_what_its_truth_shows(made: Case, truth: painted.Truth) -> None:
+def test_a_case_asks_for_what_its_truth_shows(made: Case, truth: GroundTruth) -> None:
     (step,) = made.steps
     assert (made.protocol, step.mode, step.kind, len(step.edited)) == ("creative", "local", "stroke", 1)
-    assert step.masks.shape == (1, 48, 48) and designs.SMALLEST <= step.masks.mean() <= designs.LARGEST
+    assert step.masks.shape == (1, 48, 48) and MIN_EDIT_FRACTION <= step.masks.mean() <= MAX_EDIT_FRACTION
     assert len(made.after) == 3 and made.near.tolist() == [True, True, False]
     assert made.true_views is not None and len(made.true_views) == 12 and len(made.asset) <= 600
-    before = truth.show(step.edited.cameras, "novel").pictures.colors  # unpainted, path tracing would have equal noise
+    before = truth.render(step.edited.cameras, "novel").images.colors  # unpainted, path tracing would have equal noise
     differs = np.abs(before - step.edited.colors).max(-1) > 0.02
     assert not (differs & ~step.masks).sum() > 5 and (differs & step.masks).sum() > 0.5 * differs.sum()
-    assert np.allclose(truth.show(made.before.cameras, "novel").pictures.colors, made.before.colors, atol=1e-6)
+    assert np.allclose(truth.render(made.before.cameras, "novel").images.colors, made.before.colors, atol=1e-6)
     assert np.abs(made.after.colors - made.before.colors)[:2].max() > 0.1  # the paint is on the surface
     assert made.facts["kind"] == "stroke" and made.facts["truth"] == "surfels"
 
@@ -86,20 +85,20 @@ def test_equal_keys_and_setups_give_equal_cases(few: object, made: Case) -> None
     assert (again.after.colors == made.after.colors).all() and again.asset.sha256 == made.asset.sha256
 
 
-def test_both_truths_put_the_same_paint_at_the_same_place(few: object, truth: painted.Truth) -> None:
+def test_both_truths_put_the_same_paint_at_the_same_place(few: object, truth: GroundTruth) -> None:
     pytest.importorskip("mitsuba")
     rng = np.random.default_rng(4)
-    base = truth.show([c for c in orbit([0, 0, 0], 3.5, 2, width=48, height=48, fov=40, background=GREY)], "base")
-    paint, _ = designs.design(truth, base, "sticker", "whole", designs.stock(SETUP), rng)
-    traced = painted.Truth(ground.subject("x", truth.subject.mesh, replace(SETUP, truth="traced")), truth.light, SETUP)
-    assert traced.subject.surfels is None and truth.rough() is truth
+    base = truth.render([c for c in orbit([0, 0, 0], 3.5, 2, width=48, height=48, fov=40, background=GREY)], "base")
+    design, _ = design_edit(truth, base, "sticker", "whole", resources(SETUP), rng)
+    traced = GroundTruth.of("x", truth.mesh, truth.light, replace(SETUP, truth="traced"))
+    assert traced.surfels is None and truth.preview() is truth
     masks = []
     for each in (truth, traced):
-        one, other = (t.show([paint.camera], "here") for t in (each, each.painted(paint)))
-        masks.append(painted.changed(one, other)[0])
+        one, other = (t.render([design.camera], "here") for t in (each, each.paint(design)))
+        masks.append(changed(one, other)[0])
     both, either = (masks[0] & masks[1]).sum(), (masks[0] | masks[1]).sum()
     assert both > 0.6 * either  # a pixel's rim, and surfels' blur
-    layer = paint.region & (base.alphas[0] >= 0)
+    layer = design.region & (base.alphas[0] >= 0)
     assert (masks[1] & ~np.pad(layer, 3, "edge")[3:-3, 3:-3]).sum() < 0.5 * masks[1].sum()
 
 
@@ -118,7 +117,7 @@ def test_a_folder_of_splats_gives_cases_with_no_truth_but_the_picture(tmp_path: 
     case = TABLE.make(key, setup)
     assert case.true_views is None and len(case.after) == 0 and case.near.shape == (0,)
     (step,) = case.steps
-    was = drawn(case.asset, step.edited.cameras)
+    was = rendered(case.asset, step.edited.cameras)
     assert (was != GREY).any(-1).mean() > 0.1  # the camera finds the asset where the file has it
     assert np.abs(was - step.edited.colors)[~step.masks].max() < 0.021
     assert np.abs(was - step.edited.colors)[step.masks].max() > 0.2
@@ -128,26 +127,24 @@ def test_a_folder_of_splats_gives_cases_with_no_truth_but_the_picture(tmp_path: 
 
 
 def test_cameras_of_the_frame_show_the_asset_where_it_is() -> None:
-    what = splat_cases.SplatSubject("x", ball(10), np.array([5.0, 1, 2]), 0.25, 1.0)
+    what = SplatTruth("x", ball(10), np.array([5.0, 1, 2]), 0.25, 1.0)
     camera = orbit([0, 0, 0], 3, 1, start=30, elevation=20, width=48, height=40, fov=40)[0]
     there = what.placed(camera)
-    spot = designs.Spot(np.array([5.4, 0.2, 2.3]), np.array([0.0, 1, 0]))
+    spot = SurfacePoint(np.array([5.4, 0.2, 2.3]), np.array([0.0, 1, 0]))
     framed = what.framed(spot)
-    assert np.allclose(framed.place, 0.25 * np.array([0.4, 0.8, -0.3]))  # y and z turn over
-    from splatpainter.data.mesh_visibility import projected
-
-    one, other = projected(spot.place[None], there)[0], projected(framed.place[None], camera)[0]
-    assert np.allclose(one[:2], other[:2]) and np.isclose(one[2], 4 * other[2])
+    assert np.allclose(framed.position, 0.25 * np.array([0.4, 0.8, -0.3]))  # y and z turn over
+    (one, depth), (other, framed_depth) = there.project(spot.position), camera.project(framed.position)
+    assert np.allclose(one, other) and np.isclose(depth, 4 * framed_depth)
 
 
 def test_folders_are_told_apart_by_what_is_in_them(tmp_path: Path) -> None:
     for name in ("a.ply", "b.sog", "c.glb"):
         (tmp_path / name).touch()
-    assert splat_cases.is_splat_folder(tmp_path)
+    assert is_splat_folder(tmp_path)
     (tmp_path / "d.obj").touch()
-    assert not splat_cases.is_splat_folder(tmp_path) and not splat_cases.is_splat_folder(tmp_path / "none")
+    assert not is_splat_folder(tmp_path) and not is_splat_folder(tmp_path / "none")
     with pytest.raises(ValueError, match="holds no splat asset"):
-        splat_cases.names(replace(SETUP, data=_empty(tmp_path)))
+        splat_names(replace(SETUP, data=_empty(tmp_path)))
 
 
 def _empty(folder: Path) -> Path:
@@ -166,10 +163,10 @@ def test_figures_of_answers_known_by_hand() -> None:
     cameras = sorted((front, side, back), key=lambda c: -c.position[2])  # the cap is at +z
 
     def pictures(splats: Splats, views: list) -> PosedImages:
-        return PosedImages(tuple(views), drawn(splats, views))
+        return PosedImages(tuple(views), rendered(splats, views))
 
     first = pictures(edited, cameras[:1])
-    masks = painted.changes(drawn(asset, cameras[:1]), first.colors)
+    masks = changes(rendered(asset, cameras[:1]), first.colors)
     assert masks.any()
     step = EditStep("local", "stroke", first, masks)
     before, after = pictures(asset, cameras), pictures(edited, cameras)
@@ -202,20 +199,24 @@ def test_rows_count_any_attribute_and_appended_rows() -> None:
     scales = asset.scales.copy()
     scales[[7, 9], 0] *= 2
     made = replace(asset, opacities=opacities, scales=scales).append(asset.take(np.arange(3)))
-    assert rows(asset, EditResult(made, 0, 0)) == {"touched": 2.0, "appended": 3.0, "equal": pytest.approx(96.0)}
+    assert changed_gaussians(asset, EditResult(made, 0, 0)) == {
+        "touched": 2.0,
+        "appended": 3.0,
+        "equal": pytest.approx(96.0),
+    }
 
 
-def test_an_object_that_no_edit_shows_on_is_refused_by_name(truth: painted.Truth) -> None:
+def test_an_object_that_no_edit_shows_on_is_refused_by_name(truth: GroundTruth) -> None:
     cameras = orbit([0, 0, 0], 3.5, 1, width=48, height=48, fov=40, background=GREY)
-    base = truth.show(cameras, "base")
+    base = truth.render(cameras, "base")
     rng = np.random.default_rng(0)
     with pytest.raises(ValueError, match=r"procedural-.*: 2 choices of a text edit changed nothing that can be seen"):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(designs, "TRIES", 2)
-            designs.design(truth, base, "text", "whole", designs.stock(SETUP), rng, lambda spot, mask: False)
+            patch.setattr(edit_design, "DESIGN_TRIES", 2)
+            design_edit(truth, base, "text", "whole", resources(SETUP), rng, lambda point, mask: False)
     empty = replace(base, alphas=np.zeros_like(base.alphas))
     with pytest.raises(ValueError, match="no part of its surface faces a view"):
-        designs.any_spot(empty, rng)
+        surface_point(empty, rng)
 
 
 def test_keys_without_a_light_are_of_splats() -> None:

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from splatbench import ground_truth as ground
 from splatbench.cases import PosedImages, Setup, safe
-from splatbench.ground_truth import BACKGROUND, Shown, blocked, places, show, subject
+from splatbench.edit_design import textured_points
+from splatbench.ground_truth import BACKGROUND, GroundTruth, GroundTruthViews, blocked, optics
 from splatbench.objects import drawn_lights, environments, objects
-from splatbench.surface_points import textured
 
 from splatpainter.cameras import look_at
 from splatpainter.data.lights import WHITE, make_light, uniform_light
@@ -148,64 +147,63 @@ def test_a_triangle_between_two_points_blocks() -> None:
     assert not blocked(wall, np.array([-3.0, 0, 0.5]), np.array([3.0, 0, 0.5]))  # along it
 
 
-def test_places_are_along_the_rays_at_their_depth() -> None:
+def test_unprojected_pixels_are_along_the_rays_at_their_depth() -> None:
     camera = look_at([1, 2, 3], [0.1, 0, 0], width=7, height=5, fov=40)
     depths = np.random.default_rng(0).uniform(1, 4, (5, 7))
     origin, rays = camera.rays()
     along = depths[..., None] / (rays @ camera.forward)[..., None]
-    np.testing.assert_allclose(places(camera, depths), origin + along * rays, atol=1e-5)
+    np.testing.assert_allclose(camera.unproject(depths), origin + along * rays, atol=1e-5)
 
 
-def test_a_subject_says_how_large_it_is_and_refuses_unknown_truth() -> None:
-    traced = subject("wall", quad(MATT), replace(SMALL, truth="traced"))
+def test_a_truth_says_how_large_it_is_and_refuses_unknown_truth() -> None:
+    light = uniform_light()
+    traced = GroundTruth.of("wall", quad(MATT), light, replace(SMALL, truth="traced"))
     assert traced.radius == pytest.approx(2**0.5) and traced.surfels is None
     with pytest.raises(ValueError, match="expected traced or surfels, got 'photo'"):
-        subject("wall", quad(MATT), replace(SMALL, truth="photo"))
+        GroundTruth.of("wall", quad(MATT), light, replace(SMALL, truth="photo"))
 
 
 # Truth
 
 
-@pytest.mark.parametrize("truth", ["surfels", "traced"])
-def test_a_white_ball_in_even_light_has_the_tone_and_depth_of_the_formulas(truth: str) -> None:
-    if truth == "traced":
+@pytest.mark.parametrize("source", ["surfels", "traced"])
+def test_a_white_ball_in_even_light_has_the_tone_and_depth_of_the_formulas(source: str) -> None:
+    if source == "traced":
         pytest.importorskip("mitsuba")
-    setup = replace(SMALL, truth=truth)
-    what = subject("ball", sphere(), setup)
-    camera = around(what.radius, ground.optics(setup), 30, 20)
-    light = make_light(np.ones((8, 16, 3), np.float32))
-    shown = show(what, light, [camera], setup, "test")
+    setup = replace(SMALL, truth=source)
+    truth = GroundTruth.of("ball", sphere(), make_light(np.ones((8, 16, 3), np.float32)), setup)
+    camera = around(truth.radius, truth.optics, 30, 20)
+    shown = truth.render([camera], "test")
     over = WHITE - 0.8  # lights.tone_map: straight up to 0.8, then s + o / (1 + o / (1 - s)); then sRGB
     linear = 0.8 + over / (1 + over / 0.2)
-    middle = shown.pictures.colors[0, 12:20, 12:20]
+    middle = shown.images.colors[0, 12:20, 12:20]
     np.testing.assert_allclose(middle.mean((0, 1)), 1.055 * linear ** (1 / 2.4) - 0.055, atol=0.03)
-    np.testing.assert_array_equal(shown.pictures.colors[0, 0, 0], BACKGROUND)
+    np.testing.assert_array_equal(shown.images.colors[0, 0, 0], BACKGROUND)
     assert shown.alphas[0, 0, 0] == 0 and shown.depths[0, 0, 0] == 0
     distance = float(np.linalg.norm(camera.position))
     assert shown.depths[0, 15:17, 15:17].mean() == pytest.approx(distance - 1, abs=0.02)
-    inside = places(camera, shown.depths[0])[shown.masks[0]]
+    inside = camera.unproject(shown.depths[0])[shown.masks[0]]
     assert np.median(np.linalg.norm(inside, axis=1)) == pytest.approx(1, abs=0.05)
 
 
 def test_noise_of_paths_is_other_for_another_purpose_and_the_same_again() -> None:
     pytest.importorskip("mitsuba")
     setup = replace(SMALL, truth="traced", samples=2)
-    what = subject("ball", sphere(), setup)
-    cameras = [around(what.radius, ground.optics(setup), 30, 20)]
-    light = make_light(np.ones((8, 16, 3), np.float32))
-    first, again, other = (show(what, light, cameras, setup, k).alphas for k in ("base", "base", "novel"))
+    truth = GroundTruth.of("ball", sphere(), make_light(np.ones((8, 16, 3), np.float32)), setup)
+    cameras = [around(truth.radius, truth.optics, 30, 20)]
+    first, again, other = (truth.render(cameras, k).alphas for k in ("base", "base", "novel"))
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
 # Spots
 
 
-def wall_shown(colors: np.ndarray, depths: np.ndarray | None = None, **camera: Any) -> Shown:
+def wall_shown(colors: np.ndarray, depths: np.ndarray | None = None, **camera: Any) -> GroundTruthViews:
     size = colors.shape[0]
     view = look_at([0, 0, 2], [0, 0, 0], width=size, height=size, fov=40, **camera)
     depth = np.full((1, size, size), 2, np.float32) if depths is None else depths[None]
     alphas = (depth > 0).astype(np.float32)
-    return Shown(PosedImages((view,), colors[None].astype(np.float32)), alphas, depth)
+    return GroundTruthViews(PosedImages((view,), colors[None].astype(np.float32)), alphas, depth)
 
 
 def test_spots_lie_on_texture_and_apart() -> None:
@@ -214,11 +212,11 @@ def test_spots_lie_on_texture_and_apart() -> None:
     colors[:32, :32] += rng.uniform(-0.2, 0.2, (32, 32, 1))
     shown = wall_shown(colors)
     for seed in range(5):
-        spots = textured(shown, 8, 2, np.random.default_rng(seed))
+        spots = textured_points(shown, 8, 2, np.random.default_rng(seed))
         for spot in spots:
-            x, y = 32 + shown.pictures.cameras[0].fx * spot.place[:2] * [1, -1] / 2
+            x, y = 32 + shown.images.cameras[0].fx * spot.position[:2] * [1, -1] / 2
             assert x < 33 and y < 33 and spot.contrast > 0.05
-        assert np.linalg.norm(spots[0].place - spots[1].place) > 8 * 2 / shown.pictures.cameras[0].fx * 0.99
+        assert np.linalg.norm(spots[0].position - spots[1].position) > 8 * 2 / shown.images.cameras[0].fx * 0.99
 
 
 def test_edges_of_the_object_are_no_texture() -> None:
@@ -227,21 +225,21 @@ def test_edges_of_the_object_are_no_texture() -> None:
     depths[8:56, 30:40] = 1.5  # a bright strip in front: steps of colour where depth steps too
     colors[8:56, 30:40] = 1.0
     colors[40:50, 12:24] += np.random.default_rng(1).uniform(-0.1, 0.1, (10, 12, 1))
-    spots = textured(wall_shown(colors, depths), 6, 1, np.random.default_rng(0))
-    camera = wall_shown(colors, depths).pictures.cameras[0]
-    x, y = 32 + camera.fx * spots[0].place[:2] * [1, -1] / 2
+    spots = textured_points(wall_shown(colors, depths), 6, 1, np.random.default_rng(0))
+    camera = wall_shown(colors, depths).images.cameras[0]
+    x, y = 32 + camera.fx * spots[0].position[:2] * [1, -1] / 2
     assert 8 <= x <= 28 and 36 <= y <= 54
 
 
 def test_nothing_to_see_is_an_error() -> None:
     empty = wall_shown(np.zeros((16, 16, 3)), np.zeros((16, 16), np.float32))
     with pytest.raises(ValueError, match="no part of its surface"):
-        textured(empty, 4, 1, np.random.default_rng(0))
+        textured_points(empty, 4, 1, np.random.default_rng(0))
 
 
 def test_uniform_light_is_the_same_from_everywhere_for_surfels() -> None:
-    what = subject("ball", sphere(level=3), SMALL)
-    cameras = [around(1, ground.optics(SMALL), turn, 0) for turn in (0, 90, 200)]
-    shown = show(what, uniform_light(), cameras, SMALL, "test")
-    means = [shown.pictures.colors[k][shown.alphas[k] > 0.99].mean() for k in range(3)]
+    truth = GroundTruth.of("ball", sphere(level=3), uniform_light(), SMALL)
+    cameras = [around(1, optics(SMALL), turn, 0) for turn in (0, 90, 200)]
+    shown = truth.render(cameras, "test")
+    means = [shown.images.colors[k][shown.alphas[k] > 0.99].mean() for k in range(3)]
     assert np.ptp(means) < 0.01

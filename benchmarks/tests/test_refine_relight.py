@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from splatbench import assets
-from splatbench import ground_truth as ground
 from splatbench.cases import Case, Setup
+from splatbench.ground_truth import SURFEL_SH_DEGREE, GroundTruth, build_asset
 from splatbench.methods import EditResult
 from splatbench.objects import environments, objects
-from splatbench.scoring import object_masks
+from splatbench.scoring import object_masks, rendered
 from splatbench.tables import local_refinement as refine
 from splatbench.tables import relighting as relight
 from splatbench.tables import table
@@ -35,15 +34,15 @@ def refined() -> Case:
 
 
 @lru_cache(maxsize=2)
-def subject(name: str) -> ground.Subject:
-    return ground.subject(name, objects(SETUP).load(name), SETUP)
+def truth_of(name: str, light: str) -> GroundTruth:
+    return GroundTruth.load(name, light, SETUP)
 
 
 def dense(case: Case, light: str) -> Splats:
     """The truth itself, as an asset."""
-    surfels = subject(case.name).surfels
-    assert surfels is not None
-    return to_splats(surfels, shade(surfels, environments(SETUP).load(light), ground.DEGREE)).numpy()
+    truth = truth_of(case.name, light)
+    assert truth.surfels is not None
+    return to_splats(truth.surfels, shade(truth.surfels, truth.light, SURFEL_SH_DEGREE)).numpy()
 
 
 def same(one: Case, other: Case) -> bool:
@@ -68,7 +67,7 @@ def test_a_refine_case_has_the_papers_parts() -> None:
     step = case.steps[0]
     assert (step.mode, step.kind, len(step.edited)) == ("local", "zoom", 2)
     assert step.masks.shape == (2, size, size) and step.masks.mean((1, 2)).min() > 0.1
-    assert case.true_views is not None and len(case.true_views) == refine.ORACLE
+    assert case.true_views is not None and len(case.true_views) == refine.TRUE_CLOSE_UPS
     assert case.facts["truth"] == "surfels" and case.facts["samples"] is None
 
 
@@ -87,24 +86,18 @@ def test_close_ups_are_tiles_of_a_larger_picture_of_the_whole_object() -> None:
 
 def test_near_views_look_at_a_spot_that_they_and_a_close_up_see() -> None:
     case = refined()
-    what = subject(case.name).mesh
+    truth = truth_of(case.name, case.facts["light"])
     for k in np.flatnonzero(case.near):
         camera, zoom = case.after.cameras[k], case.steps[0].edited.cameras[k % 2]
         assert camera.fx == pytest.approx(zoom.fx)
-        place = camera.position + camera.forward * _surface(case, camera)
-        assert not ground.blocked(what, camera.position, place, 0.05)
-        x, y, z = zoom.world_to_camera[:3, :3] @ place + zoom.world_to_camera[:3, 3]
-        assert 0 <= zoom.fx * x / z + zoom.cx <= zoom.width and 0 <= zoom.fy * y / z + zoom.cy <= zoom.height
-        apart = np.degrees(np.arccos(-camera.forward @ (zoom.position - place) / np.linalg.norm(zoom.position - place)))
-        assert 0 < apart < refine.NEAR[1] + 1
+        point = camera.position + camera.forward * float(truth.render([camera], "test").depths[0, 20, 20])
+        assert not truth.blocks(camera.position, point, 0.05)
+        (x, y), _ = zoom.project(point)
+        assert 0 <= x <= zoom.width and 0 <= y <= zoom.height
+        apart = np.degrees(np.arccos(-camera.forward @ (zoom.position - point) / np.linalg.norm(zoom.position - point)))
+        assert 0 < apart < refine.NEAR_DEGREES[1] + 1
     for camera in case.after.take(np.logical_not(case.near)).cameras:
         assert camera.fx == pytest.approx(case.base.cameras[0].fx)
-
-
-def _surface(case: Case, camera) -> float:
-    what = subject(case.name)
-    light = environments(SETUP).load(case.facts["light"])
-    return float(ground.show(what, light, [camera], SETUP, "test").depths[0, 20, 20])
 
 
 def test_the_truth_itself_scores_far_above_the_asset_in_refine() -> None:
@@ -142,25 +135,16 @@ def test_a_mesh_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 
 
 def test_an_asset_of_base_views_is_nearer_to_them_after_some_steps() -> None:
-    what = subject(objects(SETUP).names[0])
-    light = environments(SETUP).load(environments(SETUP).names[0])
-    rng = np.random.default_rng(0)
-    base = ground.show(what, light, viewpoints.ring(what.radius, ground.optics(SETUP), 4, rng), SETUP, "base")
+    truth = truth_of(objects(SETUP).names[0], environments(SETUP).names[0])
+    base = truth.render(truth.ring(4, np.random.default_rng(0)), "base")
     errors = []
     for steps in (0, 60):
-        built = assets.build(what, light, base, replace(SETUP, asset_steps=steps))
-        drawn = ground.PosedImages(base.pictures.cameras, assets_drawn(built.splats, base))
-        errors.append(float(((drawn.colors - base.pictures.colors) ** 2).mean()))
-        assert isinstance(built.splats.means, np.ndarray) and str(steps) in built.how
+        built = build_asset(replace(truth, setup=replace(SETUP, asset_steps=steps)), base)
+        errors.append(float(((rendered(built.splats, base.images.cameras) - base.images.colors) ** 2).mean()))
+        assert isinstance(built.splats.means, np.ndarray) and str(steps) in built.method
     assert errors[1] < 0.6 * errors[0]
-    thin = assets.build(what, light, base, SETUP, "surfels")
+    thin = build_asset(truth, base, "surfels")
     assert len(thin.splats) == SETUP.rows
-
-
-def assets_drawn(splats: Splats, base: ground.Shown) -> np.ndarray:
-    from splatbench.scoring import drawn
-
-    return drawn(splats, base.pictures.cameras)
 
 
 # Relight
@@ -194,7 +178,7 @@ def test_a_relight_case_has_the_papers_parts() -> None:
     cases = relit()
     first = cases[0]
     assert first.before is cases[1].before and first.after is cases[2].after and first.asset is cases[1].asset
-    assert first.near.all() and len(first.after) == SETUP.novel_views and first.oracle is not None
+    assert first.near.all() and len(first.after) == SETUP.novel_views and first.true_views is not None
     assert first.steps[0].mode == "global" and first.steps[0].masks.any()
     assert np.abs(first.after.colors - first.before.colors).mean() > 0.005
     assert [case.facts["views"] for case in cases] == [1, 2, 4] and len({c.facts["environment"] for c in cases}) == 1
@@ -213,8 +197,8 @@ def test_the_relit_truth_scores_far_above_the_asset_in_relight() -> None:
 
 def test_relight_is_made_again_alike_in_any_order() -> None:
     protocol, before = table("relight"), relit()[1]
-    relight._stage.cache_clear()
-    relight._relit.cache_clear()
+    relight._source.cache_clear()
+    relight._target.cache_clear()
     assert same(protocol.make(protocol.keys(SETUP)[1], SETUP), before)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from splatbench.cases import PosedImages
-from splatbench.scoring import MOST_DB, bounding_box, compared, drawn, object_masks, scored
+from splatbench.scoring import MAX_PSNR_DB, bounding_box, compared, object_masks, rendered, scored
 
 from splatpainter.cameras import orbit
 from splatpainter.metrics import ssim
@@ -71,7 +71,7 @@ def test_without_any_pixel_nothing_is_scored() -> None:
 def test_equal_pictures_have_a_finite_psnr() -> None:
     wanted = noise(4)
     found = compared(wanted, wanted, None, None)
-    assert found["psnr"] == MOST_DB and found["ssim"] == pytest.approx(1)
+    assert found["psnr"] == MAX_PSNR_DB and found["ssim"] == pytest.approx(1)
 
 
 def test_too_small_pictures_have_no_ssim_and_no_lpips() -> None:
@@ -128,9 +128,9 @@ def test_object_masks_are_where_the_background_is_not_also_after_a_case_was_kept
 def test_renders_of_an_asset_against_themselves_are_perfect() -> None:
     asset = ball(200, degree=1)
     cameras = tuple(orbit([0, 0, 0], 3, 2, width=32, height=32))
-    pictures = drawn(asset, cameras)
+    pictures = rendered(asset, cameras)
     assert pictures.dtype == np.float32 and pictures.min() >= 0 and pictures.max() <= 1
     found = scored(asset, PosedImages(cameras, pictures), None, None)
-    assert found["psnr"] == MOST_DB
+    assert found["psnr"] == MAX_PSNR_DB
     inverse = scored(asset, PosedImages(cameras, 1 - pictures), None, None)["psnr"]
     assert inverse is not None and inverse < 30

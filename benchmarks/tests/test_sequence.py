@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from splatbench import ground_truth as ground
-from splatbench import sequences
+from splatbench import ground_truth
 from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
+from splatbench.ground_truth import changes
 from splatbench.methods import EditResult
-from splatbench.painted_truth import changes
-from splatbench.scoring import drawn
-from splatbench.tables.sequential_edits import PARTS, protocol
+from splatbench.scoring import rendered
+from splatbench.tables.sequential_edits import MIN_OVERLAP, PARTS, protocol
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.metrics import psnr
@@ -23,7 +22,7 @@ SETUP = Setup(truth="surfels", size=48, objects=3, base_views=2, novel_views=2, 
 TABLE = protocol()
 ASSET = ball(1500)
 CAMERAS = sorted(
-    orbit([0, 0, 0], 4, 4, width=40, height=40, fov=40, background=ground.BACKGROUND),
+    orbit([0, 0, 0], 4, 4, width=40, height=40, fov=40, background=ground_truth.BACKGROUND),
     key=lambda c: np.arctan2(c.position[0], c.position[2]),
 )
 
@@ -36,12 +35,12 @@ def colored(splats: Splats, towards: Camera, level: float, size: float = 0.85) -
 
 
 def pictures(splats: Splats, *cameras: Camera) -> PosedImages:
-    return PosedImages(tuple(cameras), drawn(splats, cameras))
+    return PosedImages(tuple(cameras), rendered(splats, cameras))
 
 
 def step(before: Splats, after: Splats, camera: Camera) -> EditStep:
     edited = pictures(after, camera)
-    return EditStep("local", "stroke", edited, changes(drawn(before, [camera]), edited.colors))
+    return EditStep("local", "stroke", edited, changes(rendered(before, [camera]), edited.colors))
 
 
 def case(steps: list[EditStep], before: PosedImages, after: PosedImages, near: list[bool], **facts: str) -> Case:
@@ -62,7 +61,7 @@ def cases() -> dict[str, Case]:
     keys = {key.label: key for key in TABLE.keys(SETUP)}
     wanted = ["0-views", "0-edits", "0-conflict", "1-views", "2-views"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ground, "FEWEST", 5000)
+        patch.setattr(ground_truth, "MIN_SURFELS", 5000)
         return {w: TABLE.make(next(k for n, k in keys.items() if n.endswith(w)), SETUP) for w in wanted}
 
 
@@ -111,7 +110,7 @@ def test_conflicting_views_paint_one_region(cases: dict[str, Case]) -> None:
     made = cases["0-conflict"]
     first, second = made.steps
     over = changes(first.edited.colors, made.after.colors[:1])
-    assert (over & first.masks).sum() >= sequences.OVERLAP * min(over.sum(), first.masks.sum())
+    assert (over & first.masks).sum() >= MIN_OVERLAP * min(over.sum(), first.masks.sum())
     assert made.after.cameras[0] is first.edited.cameras[0] and not made.near[0]
     assert (changes(made.before.colors[:1], first.edited.colors) == first.masks).all()
     figures = TABLE.score(made, answers(made.asset, made.asset), None)
@@ -137,7 +136,7 @@ def test_more_views_are_scored_where_the_edit_is() -> None:
     asked = case(steps, before, after, [True, False], part="views", edit="paint")
     figures = TABLE.score(asked, answers(half, right), None)
     mask = changes(before.colors[:1], after.colors[:1])[0]
-    assert figures["first"] == pytest.approx(psnr(drawn(half, [near])[0], after.colors[0], mask), abs=1e-4)
+    assert figures["first"] == pytest.approx(psnr(rendered(half, [near])[0], after.colors[0], mask), abs=1e-4)
     assert figures["last"] == figures["psnr_2"] == 100 and figures["forgetting"] is None
     assert {column.key for column in TABLE.columns} <= set(figures)
     relit = replace(asked, near=np.zeros(2, bool), facts={"part": "views", "edit": "relight"})
@@ -158,7 +157,7 @@ def test_what_a_later_edit_spoils_is_forgotten_and_what_it_overpaints_is_not() -
     assert 0 <= kept["forgetting"] < 30  # far below what can be seen: rows of the one shine through in the other's view
     lost = colored(ASSET, b, 0.9)  # the first edit is gone
     figures = TABLE.score(asked, answers(one, lost), None)
-    gone = psnr(drawn(lost, [a])[0], steps[0].edited.colors[0], steps[0].masks[0])
+    gone = psnr(rendered(lost, [a])[0], steps[0].edited.colors[0], steps[0].masks[0])
     assert figures["forgetting"] == pytest.approx(100 - gone, abs=1e-3)
     assert figures["end_1"] == pytest.approx(gone, abs=1e-3) and figures["fresh_1"] == figures["end_2"] == 100
     assert figures["psnr_2"] == figures["last"] == pytest.approx((gone + 100) / 2, abs=1e-3)

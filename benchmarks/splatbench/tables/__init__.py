@@ -54,10 +54,10 @@ def measures(group: str = "", ending: str = "") -> tuple[Column, Column, Column]
 
 def beside_truth(case: Case, results: Sequence[EditResult], view: int) -> dict[str, Any]:
     """Table.pictures of one novel view: the last answer beside its truth."""
-    from splatbench.scoring import drawn
+    from splatbench.scoring import rendered
 
     truth = case.after.take([view])
-    return {"result": drawn(results[-1].splats, truth.cameras)[0], "truth": truth.colors[0]}
+    return {"result": rendered(results[-1].splats, truth.cameras)[0], "truth": truth.colors[0]}
 
 
 class Table(Protocol):

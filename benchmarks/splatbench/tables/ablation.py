@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
-from splatbench.scoring import drawn
+from splatbench.scoring import rendered
 from splatbench.tables import measures
 from splatpainter.data.recipes import SampleRecipe
 
@@ -39,24 +39,24 @@ SHARES = {
     "conflict": 0.5,
 }
 """Of kinds in the list; every beginning of it is in proportion."""
-PER_OBJECT = 2
-"""Samples per object asked for."""
-RELIT = 2
+SAMPLES_PER_OBJECT = 2
+"""Of `--objects`."""
+RELIT_VIEWS = 2
 """Edited views of every relighting."""
 PROCEDURAL = "procedural:64"
 """The data without a folder."""
-SURFELS = 8
-"""Of the truth per row of the asset (the training samples have 7.5)."""
-FEWEST = 60_000
-SHARE = 0.1
+SURFELS_PER_GAUSSIAN = 8
+"""Of the truth and of the asset (the training samples have 7.5)."""
+MIN_SURFELS = 60_000
+HELD_OUT_SHARE = 0.1
 """Of the objects that training holds out (data.scenes.split's own)."""
-SOLID = 0.5
-"""Alpha from which a pixel is the asset's."""
-KEPT = 0.25
+MIN_ASSET_ALPHA = 0.5
+"""Of a pixel of the asset."""
+UNEDITED_WEIGHT = 0.25
 """Weight of pixels that nobody edited: of the training loss, no figure here depends on it."""
 
 
-class Ablate:
+class Ablation:
     """See the module; one case per sample."""
 
     name = "ablate"
@@ -68,7 +68,7 @@ class Ablate:
         from splatpainter.train.judge import apportioned
 
         possible = _stream(setup, files=False).kinds  # of splat assets neither zooms nor relighting
-        order = apportioned({kind: SHARES[kind] for kind in possible}, PER_OBJECT * setup.objects)
+        order = apportioned({kind: SHARES[kind] for kind in possible}, SAMPLES_PER_OBJECT * setup.objects)
         return [CaseKey(f"{k:03d}-{kind}", f"sample {k}", {"number": k, "kind": kind}) for k, kind in enumerate(order)]
 
     def make(self, key: CaseKey, setup: Setup) -> Case:
@@ -87,7 +87,7 @@ class Ablate:
             near=np.asarray(sample.near, bool),
             facts={"mode": sample.mode, "kind": kind, "views": views, "truth": "surfels", "number": number},
         )
-        if not bool(_wanted(case)[1].focus.any()):
+        if not bool(_target(case)[1].focus.any()):
             raise ValueError(f"{sample.name}: no novel view shows the edit ({kind})")
         return case
 
@@ -96,20 +96,24 @@ class Ablate:
 
         from splatpainter.train.report import figures
 
-        places, wanted = _wanted(case)
-        made = torch.from_numpy(drawn(results[-1].splats, [case.after.cameras[k] for k in places]))
-        found = figures("psnr", made, wanted, perceptual)
-        return {"psnr": found.get("psnr"), "ssim": found.get("psnr SSIM"), "lpips": found.get("psnr LPIPS-Alex")}
+        views, target = _target(case)
+        made = torch.from_numpy(rendered(results[-1].splats, [case.after.cameras[k] for k in views]))
+        measured = figures("psnr", made, target, perceptual)
+        return {
+            "psnr": measured.get("psnr"),
+            "ssim": measured.get("psnr SSIM"),
+            "lpips": measured.get("psnr LPIPS-Alex"),
+        }
 
     def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
-        places, wanted = _wanted(case)
-        shown = int(wanted.focus.flatten(1).sum(1).argmax())
-        made = drawn(results[-1].splats, [case.after.cameras[places[shown]]])[0]
-        return {"result": made, "truth": wanted.colors[shown].numpy()}
+        views, target = _target(case)
+        k = int(target.focus.flatten(1).sum(1).argmax())
+        made = rendered(results[-1].splats, [case.after.cameras[views[k]]])[0]
+        return {"result": made, "truth": target.colors[k].numpy()}
 
 
-def protocol() -> Ablate:
-    return Ablate()
+def protocol() -> Ablation:
+    return Ablation()
 
 
 def _supply(setup: Setup, stock: Stock) -> Supply:
@@ -123,12 +127,12 @@ def _supply(setup: Setup, stock: Stock) -> Supply:
         SHARES,
         size=setup.size,
         rows=setup.rows,
-        surfels=max(FEWEST, SURFELS * setup.rows),
+        surfels=max(MIN_SURFELS, SURFELS_PER_GAUSSIAN * setup.rows),
         base_views=setup.base_views,
         novel_views=setup.novel_views,
         steps_per_object=1,
     )
-    return Supply(data, recipe, setup.seed, SHARE, stock, memory=256 << 20)
+    return Supply(data, recipe, setup.seed, HELD_OUT_SHARE, stock, memory=256 << 20)
 
 
 @lru_cache(maxsize=2)
@@ -141,7 +145,9 @@ def _stream(setup: Setup, files: bool = True) -> SampleStream:
     supply = _supply(setup, stock)
     stream = supply.stream(held=setup.held_out)
     if stream is None:
-        raise ValueError(f"{supply.data}: none of its objects is held out of training (a share of {SHARE:g}); add some")
+        raise ValueError(
+            f"{supply.data}: none of its objects is held out of training (a share of {HELD_OUT_SHARE:g}); add some"
+        )
     return stream
 
 
@@ -152,7 +158,7 @@ def _of_kind(stream: SampleStream, kind: str) -> SampleStream:
     own = copy(stream)
     own.kinds = {kind: 1.0}
     if kind == MANY_VIEWS:
-        own.recipe = replace(stream.recipe, views=(0.0,) * (RELIT - 1) + (1.0,))
+        own.recipe = replace(stream.recipe, views=(0.0,) * (RELIT_VIEWS - 1) + (1.0,))
     return own
 
 
@@ -162,7 +168,7 @@ def _pictures(views: Views) -> PosedImages:
     return PosedImages(views.cameras, torch.as_tensor(views.colors).cpu().numpy().astype(np.float32))
 
 
-def _wanted(case: Case) -> tuple[list[int], PictureTarget]:
+def _target(case: Case) -> tuple[list[int], PictureTarget]:
     """(indices of the novel views that count, what they should show), as train/stages/refine.py judges."""
     import torch
 
@@ -170,11 +176,12 @@ def _wanted(case: Case) -> tuple[list[int], PictureTarget]:
     from splatpainter.train.loss import global_target, local_target
 
     local = case.steps[-1].mode == "local"
-    places = np.flatnonzero(case.near) if local and case.near.any() else np.arange(len(case.after))
-    shown = render(case.asset, [case.after.cameras[k] for k in places])
+    views = np.flatnonzero(case.near) if local and case.near.any() else np.arange(len(case.after))
+    asset = render(case.asset, [case.after.cameras[k] for k in views])
     after, before, now, alpha = (
         torch.from_numpy(np.ascontiguousarray(x, np.float32))
-        for x in (case.after.colors[places], case.before.colors[places], shown.colors, shown.alphas[..., 0])
+        for x in (case.after.colors[views], case.before.colors[views], asset.colors, asset.alphas[..., 0])
     )
-    wanted = local_target(after, before, now, KEPT) if local else global_target(after, alpha > SOLID)
-    return places.tolist(), wanted
+    if local:
+        return views.tolist(), local_target(after, before, now, UNEDITED_WEIGHT)
+    return views.tolist(), global_target(after, alpha > MIN_ASSET_ALPHA)

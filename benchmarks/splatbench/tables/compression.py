@@ -2,7 +2,7 @@
 
 The LRM sees the asset or its base views; rows differ by what becomes of its Gaussians. Figures are over the object's
 pixels, against the truth and against the asset itself (what is copied): the second says what the reconstruction loses,
-free of what the asset lacks. Row counts before and after are the paper's figure of the two stages.
+free of what the asset lacks. Numbers of Gaussians before and after are the paper's figure of the two stages.
 """
 
 from __future__ import annotations
@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatbench import assets
-from splatbench import ground_truth as ground
 from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup, safe
+from splatbench.ground_truth import GroundTruth, build_asset
 from splatbench.objects import drawn_lights, environments, generator, objects
-from splatbench.scoring import drawn, object_masks, scored
+from splatbench.scoring import object_masks, rendered, scored
 from splatbench.tables import Column, beside_truth, measures
-from splatpainter.data import viewpoints
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult
@@ -27,7 +25,7 @@ COUNTS = ("gaussians_before", "voxels", "gaussians_kept")
 """Of EditResult.numbers; the asset as it is has none of them."""
 
 
-class Compress:
+class Compression:
     """See the module; one case per object."""
 
     name = "compress"
@@ -49,42 +47,39 @@ class Compress:
         ]
 
     def make(self, key: CaseKey, setup: Setup) -> Case:
-        what = ground.subject(key.name, objects(setup).load(key.name), setup)
-        light = environments(setup).load(key.settings["light"])
+        truth = GroundTruth.load(key.name, key.settings["light"], setup)
         rng = generator(setup.seed, "compress", key.name)
-        optics = ground.optics(setup)
-        ring = viewpoints.ring(what.radius, optics, setup.base_views, rng)
-        novel = viewpoints.ring(what.radius, optics, setup.novel_views, rng)
-        base = ground.show(what, light, ring, setup, "base")
-        truth = ground.show(what, light, novel, setup, "compress").pictures
-        built = assets.build(what, light, base, setup)
+        ring, novel = truth.ring(setup.base_views, rng), truth.ring(setup.novel_views, rng)
+        base = truth.render(ring, "base")
+        images = truth.render(novel, "compress").images
+        asset = build_asset(truth, base)
         return Case(
             protocol=self.name,
             name=key.name,
             label=key.label,
-            asset=built.splats,
-            base=base.pictures,
-            steps=(EditStep("global", "plain", base.pictures, base.masks),),
-            before=truth,
-            after=truth,
+            asset=asset.splats,
+            base=base.images,
+            steps=(EditStep("global", "plain", base.images, base.masks),),
+            before=images,
+            after=images,
             near=np.zeros(len(novel), bool),
-            setup_seconds=built.seconds,
-            facts={**ground.told(setup), "asset": built.how, "light": light.name, "views": len(ring)},
+            setup_seconds=asset.seconds,
+            facts={**truth.facts, "asset": asset.method, "light": truth.light.name, "views": len(ring)},
         )
 
     def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
         """Also Gaussians kept per Gaussian before."""
         last, masks = results[-1], object_masks(case.after)
-        found = scored(last.splats, case.after, masks, perceptual)
-        copied = PosedImages(case.after.cameras, drawn(case.asset, case.after.cameras))
-        found["psnr_asset"] = scored(last.splats, copied, masks, None)["psnr"]
+        figures = scored(last.splats, case.after, masks, perceptual)
+        copied = PosedImages(case.after.cameras, rendered(case.asset, case.after.cameras))
+        figures["psnr_asset"] = scored(last.splats, copied, masks, None)["psnr"]
         counts = {name: last.numbers.get(name) for name in COUNTS}
         before, kept = counts["gaussians_before"], counts["gaussians_kept"]
-        return found | counts | {"share_kept": kept / before if before and kept is not None else None}
+        return figures | counts | {"share_kept": kept / before if before and kept is not None else None}
 
     def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
         return beside_truth(case, results, 0)
 
 
-def protocol() -> Compress:
-    return Compress()
+def protocol() -> Compression:
+    return Compression()

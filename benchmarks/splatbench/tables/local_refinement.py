@@ -1,4 +1,4 @@
-"""Tab. 1: detail from zoomed-in views. An asset of base views, two close-ups of textured spots, scored near them.
+"""Tab. 1: detail from zoomed-in views. An asset of base views, two close-ups of textured points, scored near them.
 
 The close-ups are crops of pictures `setup.detail` times larger, from the same truth and light as everything else: what
 is asked is texture that the asset lacks. All figures are over the object's pixels.
@@ -11,37 +11,35 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatbench import assets
-from splatbench import ground_truth as ground
 from splatbench.cases import Case, CaseKey, EditStep, Setup, safe
+from splatbench.edit_design import TexturedPoint, textured_points, views_beside
+from splatbench.ground_truth import GroundTruth, build_asset
 from splatbench.objects import drawn_lights, environments, generator, objects
-from splatbench.scoring import drawn, object_masks, scored
-from splatbench.surface_points import textured
+from splatbench.scoring import object_masks, rendered, scored
 from splatbench.tables import beside_truth, measures
 from splatpainter.cameras import Camera
 from splatpainter.data import viewpoints
-from splatpainter.data.meshes import Mesh
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult
-    from splatbench.surface_points import Spot
 
-ZOOMS = 2
-"""Close-ups handed in."""
-ORACLE = 12
-"""True close-ups for methods that are upper bounds."""
-TURN = (12.0, 8.0)
-"""Degrees by which a close-up's line of sight differs, at most, from the base view in which its spot was found: around
-the object, and up or down."""
-NEAR = (8.0, 30.0)
-"""Degrees between a close-up and the novel views near it: least, most."""
-WIDE = (5.0, 45.0)
-"""The same for the oracle's."""
+CLOSE_UPS = 2
+TRUE_CLOSE_UPS = 12
+"""For methods that are upper bounds."""
+MAX_TURN_DEGREES = (12.0, 8.0)
+"""By which a close-up's line of sight differs from the base view in which its point was found: around the object, and
+up or down."""
+NEAR_DEGREES = (8.0, 30.0)
+"""Between a close-up and the novel views near it: from, to."""
+WIDE_DEGREES = (5.0, 45.0)
+"""The same for the true close-ups."""
 TRIES = 20
 """Of a view that something stands in the way of."""
+SLACK = 0.01
+"""World units that a surface may lie before a point and still be its own."""
 
 
-class Refine:
+class LocalRefinement:
     """See the module; one case per object."""
 
     name = "refine"
@@ -53,103 +51,95 @@ class Refine:
         lights = environments(setup).names
         keys = []
         for name in objects(setup).names:
-            settings = {"light": drawn_lights(lights, name, 1, setup.seed)[0], "zooms": ZOOMS}
+            settings = {"light": drawn_lights(lights, name, 1, setup.seed)[0], "zooms": CLOSE_UPS}
             keys.append(CaseKey(f"{safe(name)}-refine", name, settings))
         return keys
 
     def make(self, key: CaseKey, setup: Setup) -> Case:
-        what = ground.subject(key.name, objects(setup).load(key.name), setup)
-        light = environments(setup).load(key.settings["light"])
+        truth = GroundTruth.load(key.name, key.settings["light"], setup)
         rng = generator(setup.seed, "refine", key.name)
-        optics = ground.optics(setup)
-        ring = viewpoints.ring(what.radius, optics, setup.base_views, rng)
-        base = ground.show(what, light, ring, setup, "base")
+        ring = truth.ring(setup.base_views, rng)
+        base = truth.render(ring, "base")
         try:
-            spots = textured(base, max(setup.size // setup.detail, 3), key.settings["zooms"], rng)
+            points = textured_points(base, max(setup.size // setup.detail, 3), key.settings["zooms"], rng)
         except ValueError as error:
             raise ValueError(f"{key.name}: {error}") from None
-        zooms = [_zoom(what, spot, ring[spot.view], optics, setup.detail, rng) for spot in spots]
+        zooms = [_close_up(truth, point, ring[point.view], rng) for point in points]
         near = (setup.novel_views + 1) // 2
-        novel = _beside(what.mesh, zooms, spots, near, NEAR, rng)
-        novel += viewpoints.ring(what.radius, optics, setup.novel_views - near, rng)
-        around = _beside(what.mesh, zooms, spots, ORACLE, WIDE, rng)
+        novel = _beside(truth, zooms, points, near, NEAR_DEGREES, rng)
+        novel += truth.ring(setup.novel_views - near, rng)
+        around = _beside(truth, zooms, points, TRUE_CLOSE_UPS, WIDE_DEGREES, rng)
         # One call for all pictures of a light: path tracing builds its scene once per call.
-        shown = ground.show(what, light, [*zooms, *novel, *around], setup, "refine")
-        count, first = len(zooms), len(zooms) + len(novel)
-        truth, oracle = (shown.pictures.take(range(*span)) for span in ((count, first), (first, first + ORACLE)))
-        step = EditStep("local", "zoom", shown.pictures.take(range(count)), shown.masks[:count])
-        built = assets.build(what, light, base, setup)
+        views = truth.render([*zooms, *novel, *around], "refine")
+        count, end = len(zooms), len(zooms) + len(novel)
+        after = views.images.take(range(count, end))
+        step = EditStep("local", "zoom", views.images.take(range(count)), views.masks[:count])
+        asset = build_asset(truth, base)
         return Case(
             protocol=self.name,
             name=key.name,
             label=key.label,
-            asset=built.splats,
-            base=base.pictures,
+            asset=asset.splats,
+            base=base.images,
             steps=(step,),
-            before=truth,
-            after=truth,
+            before=after,
+            after=after,
             near=np.arange(len(novel)) < near,
-            true_views=oracle,
-            setup_seconds=built.seconds,
+            true_views=views.images.take(range(end, end + TRUE_CLOSE_UPS)),
+            setup_seconds=asset.seconds,
             facts={
-                **ground.told(setup),
-                "asset": built.how,
-                "light": light.name,
+                **truth.facts,
+                "asset": asset.method,
+                "light": truth.light.name,
                 "views": count,
                 "detail": setup.detail,
-                "contrast": [round(spot.contrast, 4) for spot in spots],
+                "contrast": [round(point.contrast, 4) for point in points],
             },
         )
 
     def score(self, case: Case, results: Sequence[EditResult], perceptual: Any | None) -> dict[str, float | None]:
         splats, masks = results[-1].splats, object_masks(case.after)
-        near, others = case.near, np.logical_not(case.near)
+        near, rest = case.near, np.logical_not(case.near)
         close = scored(splats, case.after.take(near), masks[near], perceptual)
-        around = scored(splats, case.after.take(others), masks[others], perceptual)
+        around = scored(splats, case.after.take(rest), masks[rest], perceptual)
         return close | {f"{name}_around": value for name, value in around.items()}
 
     def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
-        found = beside_truth(case, results, int(np.argmax(case.near)))
-        whole = np.flatnonzero(np.logical_not(case.near))
-        if len(whole):
-            found["whole"] = drawn(results[-1].splats, case.after.take(whole[:1]).cameras)[0]
-        return found
+        pictures = beside_truth(case, results, int(np.argmax(case.near)))
+        rest = np.flatnonzero(np.logical_not(case.near))
+        if len(rest):
+            pictures["whole"] = rendered(results[-1].splats, case.after.take(rest[:1]).cameras)[0]
+        return pictures
 
 
-def protocol() -> Refine:
-    return Refine()
+def protocol() -> LocalRefinement:
+    return LocalRefinement()
 
 
-def _zoom(
-    what: ground.Subject, spot: Spot, seen: Camera, optics: viewpoints.Optics, detail: int, rng: np.random.Generator
-) -> Camera:
-    """A tile of a large picture of the whole object, from about where `seen` stands, around the spot."""
-    azimuth, elevation = viewpoints.angles(seen.position)
+def _close_up(truth: GroundTruth, point: TexturedPoint, base: Camera, rng: np.random.Generator) -> Camera:
+    """A tile of a large picture of the whole object, from about where `base` stands, around the point."""
+    azimuth, elevation = viewpoints.angles(base.position)
     for k in range(TRIES + 1):
-        turn, tilt = (1 - k / TRIES) * rng.uniform(-1, 1, 2) * TURN
+        turn, tilt = (1 - k / TRIES) * rng.uniform(-1, 1, 2) * MAX_TURN_DEGREES
         height = float(np.clip(elevation + tilt, viewpoints.MIN_ELEVATION, viewpoints.MAX_ELEVATION))
-        whole = viewpoints.around(what.radius, optics, azimuth + turn, height)
-        if not ground.blocked(what.mesh, whole.position, spot.place):
+        full = viewpoints.around(truth.radius, truth.optics, azimuth + turn, height)
+        if not truth.blocks(full.position, point.position, SLACK):
             break
-    return viewpoints.crop(whole, spot.place, detail)
+    return viewpoints.crop(full, point.position, truth.setup.detail)
 
 
 def _beside(
-    mesh: Mesh,
+    truth: GroundTruth,
     zooms: Sequence[Camera],
-    spots: Sequence[Spot],
+    points: Sequence[TexturedPoint],
     count: int,
-    apart: tuple[float, float],
+    degrees: tuple[float, float],
     rng: np.random.Generator,
 ) -> list[Camera]:
-    """`count` views of the close-ups' spots in turn, as close, from other sides that see them."""
+    """`count` views of the close-ups' points in turn, as close, from other sides that see them."""
+    how = {"nearest_degrees": degrees[0], "tries": TRIES, "slack": SLACK}
     cameras = []
     for i in range(count):
-        zoom, spot = zooms[i % len(zooms)], spots[i % len(spots)]
-        for k in range(TRIES + 1):  # nearer and nearer to the close-up, which sees its spot
-            most = apart[0] + (apart[1] - apart[0]) * (1 - k / TRIES)
-            camera = viewpoints.neighbour(zoom, spot.place, rng, (apart[0] * (1 - k / TRIES), most))
-            if not ground.blocked(mesh, camera.position, spot.place):
-                break
-        cameras.append(camera)
+        zoom, position = zooms[i % len(zooms)], points[i % len(points)].position
+        cameras += views_beside(truth, zoom, position, 1, degrees, rng, **how)
     return cameras

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatbench import assets
-from splatbench import ground_truth as ground
 from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup, safe
+from splatbench.ground_truth import BuiltAsset, GroundTruth, GroundTruthViews, build_asset
 from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.scoring import object_masks, scored
 from splatbench.tables import beside_truth, measures
@@ -24,17 +23,16 @@ from splatpainter.data import viewpoints
 if TYPE_CHECKING:
     from splatbench.methods import EditResult
     from splatpainter.cameras import Camera
-    from splatpainter.data.lights import Light
 
-VIEWS = (1, 2, 4)
+VIEW_COUNTS = (1, 2, 4)
 """Relit views handed in."""
-TURNS = (0.0, 180.0, 90.0, 270.0)
-"""Degrees around the object of each relit view from the first: any of VIEWS spreads evenly."""
-HEIGHTS = (0.0, 35.0)
-"""Elevation of relit views, degrees: least, most."""
+TURN_DEGREES = (0.0, 180.0, 90.0, 270.0)
+"""Around the object of each relit view from the first: any of VIEW_COUNTS spreads evenly."""
+ELEVATION_DEGREES = (0.0, 35.0)
+"""Of relit views: from, to."""
 
 
-class Relight:
+class Relighting:
     """See the module; one case per object, target light and number of views."""
 
     name = "relight"
@@ -51,31 +49,31 @@ class Relight:
         for name in objects(setup).names:
             source, *targets = drawn_lights(lights, name, setup.lights + 1, setup.seed)
             for target in targets:
-                for count in VIEWS:
+                for count in VIEW_COUNTS:
                     settings = {"source": source, "target": target, "views": count}
                     keys.append(CaseKey(f"{safe(name)}-{safe(target)}-{count}views", name, settings))
         return keys
 
     def make(self, key: CaseKey, setup: Setup) -> Case:
         source, target, count = (key.settings[k] for k in ("source", "target", "views"))
-        stage = _stage(key.name, source, setup)
-        relit = _relit(key.name, source, target, setup)
-        step = EditStep("global", "relight", relit.edited.pictures.take(range(count)), relit.edited.masks[:count])
+        lit = _source(key.name, source, setup)
+        relit = _target(key.name, source, target, setup)
+        step = EditStep("global", "relight", relit.edited.images.take(range(count)), relit.edited.masks[:count])
         return Case(
             protocol=self.name,
             name=key.name,
             label=key.label,
-            asset=stage.asset.splats,
-            base=stage.base,
+            asset=lit.asset.splats,
+            base=lit.base,
             steps=(step,),
-            before=stage.novel,
+            before=lit.novel,
             after=relit.novel,
-            near=np.ones(len(stage.novel), bool),  # the edit is everywhere
+            near=np.ones(len(lit.novel), bool),  # the edit is everywhere
             true_views=relit.around,
-            setup_seconds=stage.asset.seconds,
+            setup_seconds=lit.asset.seconds,
             facts={
-                **ground.told(setup),
-                "asset": stage.asset.how,
+                **lit.truth.facts,
+                "asset": lit.asset.method,
                 "light": source,
                 "environment": target,
                 "views": count,
@@ -89,27 +87,27 @@ class Relight:
         return beside_truth(case, results, 0)
 
 
-def protocol() -> Relight:
-    return Relight()
+def protocol() -> Relighting:
+    return Relighting()
 
 
 @dataclass(frozen=True)
-class _Stage:
+class _Source:
     """An object in its source light, and the cameras that see it in others."""
 
-    subject: ground.Subject
-    asset: assets.Asset
+    truth: GroundTruth
+    asset: BuiltAsset
     base: PosedImages
     novel: PosedImages
     edited: tuple[Camera, ...]
-    """As many as the most of VIEWS."""
+    """As many as the most of VIEW_COUNTS."""
 
 
 @dataclass(frozen=True)
-class _Relit:
+class _Target:
     """It in one target light."""
 
-    edited: ground.Shown
+    edited: GroundTruthViews
     novel: PosedImages
     around: PosedImages
     """The base views and the edited ones."""
@@ -119,34 +117,28 @@ class _Relit:
 
 
 @lru_cache(maxsize=1)
-def _stage(name: str, source: str, setup: Setup) -> _Stage:
-    what = ground.subject(name, objects(setup).load(name), setup)
-    light = _light(source, setup)
+def _source(name: str, light: str, setup: Setup) -> _Source:
+    truth = GroundTruth.load(name, light, setup)
     rng = generator(setup.seed, "relight", name)
-    optics = ground.optics(setup)
-    ring = viewpoints.ring(what.radius, optics, setup.base_views, rng)
+    ring = truth.ring(setup.base_views, rng)
     start = float(rng.uniform(0, 360))
-    edited = [viewpoints.around(what.radius, optics, start + t, float(rng.uniform(*HEIGHTS))) for t in TURNS]
-    novel = viewpoints.ring(what.radius, optics, setup.novel_views, rng)
-    shown = ground.show(what, light, [*ring, *novel], setup, "source")
-    count = len(ring)
-    base = ground.Shown(shown.pictures.take(range(count)), shown.alphas[:count], shown.depths[:count])
+    edited = [
+        viewpoints.around(truth.radius, truth.optics, start + turn, float(rng.uniform(*ELEVATION_DEGREES)))
+        for turn in TURN_DEGREES
+    ]
+    views = truth.render([*ring, *truth.ring(setup.novel_views, rng)], "source")
+    base = views.take(range(len(ring)))
     if not base.masks.any():
         raise ValueError(f"{name}: nothing of it can be seen")
-    asset = assets.build(what, light, base, setup)
-    after = shown.pictures.take(range(count, len(shown.pictures)))
-    return _Stage(what, asset, base.pictures, after, tuple(edited))
+    novel = views.images.take(range(len(ring), len(views.images)))
+    return _Source(truth, build_asset(truth, base), base.images, novel, tuple(edited))
 
 
 @lru_cache(maxsize=1)
-def _relit(name: str, source: str, target: str, setup: Setup) -> _Relit:
-    stage = _stage(name, source, setup)
-    cameras = [*stage.edited, *stage.base.cameras, *stage.novel.cameras]
-    shown = ground.show(stage.subject, _light(target, setup), cameras, setup, f"target {target}")
-    first, last = len(stage.edited), len(stage.edited) + len(stage.base)
-    edited = ground.Shown(shown.pictures.take(range(first)), shown.alphas[:first], shown.depths[:first])
-    return _Relit(edited, shown.pictures.take(range(last, len(cameras))), shown.pictures.take(range(last)))
-
-
-def _light(name: str, setup: Setup) -> Light:
-    return environments(setup).load(name)
+def _target(name: str, source: str, target: str, setup: Setup) -> _Target:
+    lit = _source(name, source, setup)
+    cameras = [*lit.edited, *lit.base.cameras, *lit.novel.cameras]
+    views = lit.truth.under(target).render(cameras, f"target {target}")
+    edited, end = len(lit.edited), len(lit.edited) + len(lit.base)
+    novel = views.images.take(range(end, len(cameras)))
+    return _Target(views.take(range(edited)), novel, views.images.take(range(end)))
