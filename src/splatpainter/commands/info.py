@@ -47,7 +47,7 @@ def describe(splats: Splats, path: Path) -> dict:
     entry = FORMATS[splats.source.format]
     with np.errstate(all="ignore"):  # of extreme or damaged rows, which are counted below
         drawable = splats.drawable
-        placed = splats.means[np.isfinite(splats.means).all(1)]
+        finite = splats.means[np.isfinite(splats.means).all(1)]
         center, radius = bounding_sphere(splats)
     return {
         "file": path,
@@ -65,7 +65,7 @@ def describe(splats: Splats, path: Path) -> dict:
             "from": splats.source.frame_from,
             "description": frame_line(splats.source),
         },
-        "bounds": [placed.min(0), placed.max(0)] if len(placed) else None,
+        "bounds": [finite.min(0), finite.max(0)] if len(finite) else None,
         "reach": {"center": center, "radius": radius} if drawable.any() else None,
         "problems": list(splats.source.problems),
         "exact": entry.exact,

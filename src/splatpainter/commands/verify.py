@@ -53,24 +53,24 @@ def run(config: Config) -> Outcome:
     receipt = read_receipt(path) if path is not None else None
     with stages(1) as bar:
         bar.enter("comparing")
-        found = verify(config.original, config.edited, receipt, frame=config.frame, out_frame=config.out_frame)
-    record = {"original": config.original, "edited": config.edited, "receipt": path, **asdict(found)}
+        verification = verify(config.original, config.edited, receipt, frame=config.frame, out_frame=config.out_frame)
+    record = {"original": config.original, "edited": config.edited, "receipt": path, **asdict(verification)}
     lines = [
-        f"{found.same:,} of {count(found.rows, 'row')} {same_words(found)}; "
-        f"{found.changed:,} changed, {found.appended:,} appended",
+        f"{verification.same:,} of {count(verification.rows, 'row')} {same_words(verification)}; "
+        f"{verification.changed:,} changed, {verification.appended:,} appended",
         f"receipt: {path}" if path is not None else "no receipt: changed rows are counted, not judged",
-        *found.differences,
-        f"compared: {'; '.join((found.exact, *found.compared))}",
-        *(f"not compared: {part}" for part in found.not_compared),
-        *([f"frame: {found.frame}"] if found.frame_is_news else []),
-        *(f"wrong: {problem}" for problem in found.problems),
-        "verified" if found.ok else "NOT verified",
+        *verification.differences,
+        f"compared: {'; '.join((verification.exact, *verification.compared))}",
+        *(f"not compared: {part}" for part in verification.not_compared),
+        *([f"frame: {verification.frame}"] if verification.frame_is_news else []),
+        *(f"wrong: {problem}" for problem in verification.problems),
+        "verified" if verification.ok else "NOT verified",
     ]
-    return Outcome(record, lines, 0 if found.ok else 1)
+    return Outcome(record, lines, 0 if verification.ok else 1)
 
 
 def receipt_of(edited: Path) -> Path:
-    """Where `edit` puts the receipt unless told otherwise; of a folder of SOG planes: beside the folder."""
+    """Where `edit` puts the receipt by default; of a folder of SOG planes: beside the folder."""
     asset = Path(os.path.abspath(edited)).parent if edited.name.lower() == META else edited
     return asset.with_name(asset.name + ".receipt.json")
 
@@ -81,6 +81,6 @@ def read_receipt(path: Path) -> Receipt:
     return Receipt.from_json(data.decode(errors="replace"), str(path))
 
 
-def same_words(found: Verification) -> str:
+def same_words(verification: Verification) -> str:
     """How strongly equal the same rows are."""
-    return "byte-identical" if "byte" in found.exact else "identical in value, bit for bit"
+    return "byte-identical" if "byte" in verification.exact else "identical in value, bit for bit"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -48,15 +48,9 @@ class Format:
     """Axes of a file's numbers unless it says otherwise (key of axes.AXES)."""
 
 
-def _lazy_reader(module: str, name: str) -> Reader:
-    return _lazy(module, name)
-
-
-def _lazy_writer(module: str, name: str) -> Writer:
-    return _lazy(module, name)
-
-
 def _lazy(module: str, name: str) -> Callable[..., Any]:
+    """A function of a module that is imported when it is called: most processes meet one format."""
+
     def call(*arguments: Any, **options: Any) -> Any:
         # Files hold floats of any bits: what overflows or is NaN is reported as a problem of rows, not as a warning.
         with np.errstate(all="ignore"):
@@ -72,8 +66,8 @@ FORMATS: dict[str, Format] = {
         Format(
             "compressed.ply",
             (".compressed.ply",),
-            _lazy_reader("compressed_ply", "read_compressed_ply"),
-            _lazy_writer("compressed_ply", "write_compressed_ply"),
+            _lazy("compressed_ply", "read_compressed_ply"),
+            _lazy("compressed_ply", "write_compressed_ply"),
             "PlayCanvas compressed PLY: chunks of 256 rows, 16 bytes a row",
             "Chunks without a changed row keep their bytes; in a changed chunk, unchanged values do where the chunk's "
             "range of them still fits.",
@@ -82,8 +76,8 @@ FORMATS: dict[str, Format] = {
         Format(
             "ply",
             (".ply",),
-            _lazy_reader("ply", "read_ply"),
-            _lazy_writer("ply", "write_ply"),
+            _lazy("ply", "read_ply"),
+            _lazy("ply", "write_ply"),
             "INRIA PLY: little or big endian or text, any property order, SH degree 0-4",
             "Every byte outside the values that changed: header, property order, extra properties and elements, "
             "trailing bytes.",
@@ -92,8 +86,8 @@ FORMATS: dict[str, Format] = {
         Format(
             "splat",
             (".splat",),
-            _lazy_reader("splat", "read_splat"),
-            _lazy_writer("splat", "write_splat"),
+            _lazy("splat", "read_splat"),
+            _lazy("splat", "write_splat"),
             "antimatter15 .splat: 32 bytes a row",
             "Every byte outside the values that changed.",
             "SH above degree 0 is dropped; colours, opacities and rotations are rounded to 8 bits.",
@@ -102,7 +96,7 @@ FORMATS: dict[str, Format] = {
         Format(
             "ksplat",
             (".ksplat",),
-            _lazy_reader("ksplat", "read_ksplat"),
+            _lazy("ksplat", "read_ksplat"),
             None,
             "GaussianSplats3D .ksplat, compression levels 0-2 (read only)",
             "Cannot be written; convert to PLY.",
@@ -110,8 +104,8 @@ FORMATS: dict[str, Format] = {
         Format(
             "spz",
             (".spz",),
-            _lazy_reader("spz", "read_spz"),
-            _lazy_writer("spz", "write_spz"),
+            _lazy("spz", "read_spz"),
+            _lazy("spz", "write_spz"),
             "Niantic SPZ, versions 1-4",
             "The quantised values of rows that did not change.",
             "Positions are fixed-point; scales, colours, opacities, rotations and SH have 8 bits or fewer.",
@@ -120,8 +114,8 @@ FORMATS: dict[str, Format] = {
         Format(
             "sog",
             (".sog", "meta.json"),
-            _lazy_reader("sog", "read_sog"),
-            _lazy_writer("sog", "write_sog"),
+            _lazy("sog", "read_sog"),
+            _lazy("sog", "write_sog"),
             "PlayCanvas SOG version 2: a .sog bundle, or a folder with meta.json and WebP planes",
             "The quantised values of rows that did not change.",
             "Positions have 16 bits; scales, colours and SH come from codebooks of 256 values; SH from a palette.",
@@ -129,8 +123,8 @@ FORMATS: dict[str, Format] = {
         Format(
             "glb",
             (".glb",),
-            _lazy_reader("glb", "read_glb"),
-            _lazy_writer("glb", "write_glb"),
+            _lazy("glb", "read_glb"),
+            _lazy("glb", "write_glb"),
             "glTF 2.0 binary with KHR_gaussian_splatting",
             "Every byte outside the values that changed.",
             frame="luf",
@@ -257,8 +251,6 @@ def format_of_name(path: Path) -> str | None:
 
 def canonical(splats: Splats) -> Splats:
     """`splats` with C-contiguous float32 numpy attributes; raises ValueError where shapes do not fit together."""
-    from dataclasses import replace
-
     converted = splats.numpy()
     arrays = {name: np.ascontiguousarray(getattr(converted, name), np.float32) for name in ATTRIBUTES}
     rows = len(converted)

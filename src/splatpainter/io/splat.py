@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.io import activations, files
-from splatpainter.io.reuse import differs, row_problems
+from splatpainter.io.reuse import row_problems, unchanged
 from splatpainter.splats import Source, Splats
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1"), ("quats", "u1", 4)])
@@ -71,16 +71,13 @@ def write_splat(path: Path, splats: Splats) -> None:
     if not len(splats):
         raise ValueError(f"{path}: a .splat file needs at least one row, got none")
     rows, after = np.zeros(len(splats), ROW), b""
-    changed = {name: np.ones(len(splats), bool) for name in ("means", "scales", "rgb", "alpha", "quats")}
-    source = splats.source
-    if source is not None and source.format == "splat" and splats.origin is not None:
-        after, old, origin = source.detail.after, source.splats, np.asarray(splats.origin)
-        has_source = origin >= 0
-        rows[has_source] = source.detail.rows[origin[has_source]]
-        now, then = _columns(splats), _columns(old)
-        for name, mask in changed.items():
-            changes = differs(now[name][has_source], then[name][origin[has_source]])
-            mask[has_source] = changes if changes.ndim == 1 else changes.any(1)
+    same = unchanged(splats, "splat")
+    masks = {name: np.zeros(len(splats), bool) for name in ROW.names or ()}
+    if same is not None and splats.source is not None:
+        after, has_source = splats.source.detail.after, same.source_rows >= 0
+        rows[has_source] = splats.source.detail.rows[same.source_rows[has_source]]
+        masks = {"means": same.means, "scales": same.scales, "rgb": same.base}
+        masks |= {"alpha": same.opacities, "quats": same.quats}
     norms = np.linalg.norm(splats.quats.astype(np.float64), axis=1, keepdims=True)
     values = {
         "means": splats.means,
@@ -89,22 +86,11 @@ def write_splat(path: Path, splats: Splats) -> None:
         "alpha": _to_uint8(splats.opacities * 255),
         "quats": _to_uint8(splats.quats / np.where(norms > 0, norms, 1) * 128 + 128),
     }
-    for name, mask in changed.items():
-        rows[name][mask] = values[name][mask]
+    for name, mask in masks.items():
+        rows[name][~mask] = values[name][~mask]
     with files.writing(path) as file:
         file.write(rows.tobytes())
         file.write(after)
-
-
-def _columns(splats: Splats) -> dict[str, np.ndarray]:
-    """What each field of ROW is made from."""
-    return {
-        "means": splats.means,
-        "scales": splats.scales,
-        "rgb": splats.sh[:, 0],
-        "alpha": splats.opacities,
-        "quats": splats.quats,
-    }
 
 
 def _to_uint8(values: np.ndarray) -> np.ndarray:
