@@ -130,7 +130,7 @@ def test_copy_is_the_most_opaque_rows_of_what_the_lrm_saw(precision: str) -> Non
         seen = model.copy_rows(asset_views(SPLATS, canonical_cameras(SPLATS, COPY.lrm), voxelize(SPLATS, 4))[0]).rows
     # Rounded to 8 bits, hundreds of opacities would be equal, and the order of the rows would decide in their place.
     assert len(np.unique(seen.opacities.numpy())) > 0.95 * len(seen)
-    assert same_bits(asset.splats, encoded.rows.numpy())  # test_encode.py says which rows these are
+    assert same_bits(asset.splats, encoded.gaussians.numpy())  # test_encode.py says which rows these are
     # A lift of a copy: its further rows stand behind it, and the next edit with the network knows whose they are.
     lifted = painter.apply(asset, [dab(asset.splats, RED)], method="lift")
     again = painter.apply(lifted, [dab(lifted.splats, BLUE)])
@@ -250,7 +250,7 @@ def test_lift_and_network_take_turns_on_one_asset() -> None:
     # An asset that another painter made is encoded on the way.
     other = Painter().apply(Asset(SPLATS), [dab(SPLATS, RED, 28)])
     taken = painter.apply(other, [dab(other.splats, BLUE, 32)])
-    assert taken.encoding is not None and len(taken.encoding.encoded.rows) == len(other.splats)
+    assert taken.encoding is not None and len(taken.encoding.encoded.gaussians) == len(other.splats)
 
 
 def test_the_models_own_mode_comes_back_and_counts_for_nothing() -> None:

@@ -211,7 +211,7 @@ def test_hostile_text_stays_text(tmp_path):
         record("ttt", "ant", error=evil, facts={"views": evil}),
     ]
     table = FakeTable(title=evil, columns=(replace(COLUMNS[0], label=evil, group=evil),), split_by="views")
-    folder = write(tmp_path / "refine", told, places={evil: "evil", "../../../etc": "etc"})
+    folder = write(tmp_path / "refine", told, latent_ids={evil: "evil", "../../../etc": "etc"})
     page, _ = page_of(folder, tmp_path / "out", table)
     assert len(page.all("script")) == 1 and not [name for _, a in page.elements for name in a if name.startswith("on")]
     assert all((image.get("src") or "data:").startswith("data:") for image in page.all("img"))

@@ -323,7 +323,7 @@ class Painter:
             else:
                 encoded = encode_half(model, asset.splats, asset.grid)
         if model.config.representation == "copy":
-            asset = Asset(encoded.rows.numpy())
+            asset = Asset(encoded.gaussians.numpy())
         return replace(asset, encoding=EncodedAsset(model, encoded, np.arange(len(asset.splats))))
 
     @cached_property

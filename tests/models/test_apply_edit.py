@@ -237,7 +237,7 @@ def test_a_copy_gets_only_what_the_edit_changed() -> None:
     """Its rows hold what Stage I's decoder said already: an edit without strength must leave them where they are."""
     model = built(COPY, awake=0.05)
     encoded = encode_asset(model, SPLATS)
-    asset = encoded.rows.numpy()
+    asset = encoded.gaussians.numpy()
     views = views_of(Edit(np.full((64, 64, 3), 0.5), CAMERA, np.ones((64, 64), bool)), splats=asset)
     edit = lift_global_views(asset, views, "own")
     for name, weight in model.refiner.named_parameters():  # blocks that add nothing to a latent

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from splatpainter.models.compress import Compressor
 from splatpainter.models.config import CompressConfig, ModelConfig
-from splatpainter.models.gaussian_groups import RowGroups, TokenLinks, attribute_features, links_from_views
+from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks, attribute_features, links_from_views
 from splatpainter.nn.layers import PackedBlock
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.model_scenes import TINY, cameras, grid_of, links, shell, with_compress
@@ -52,7 +52,7 @@ def block(layer: PackedBlock, x: Tensor) -> Tensor:
 
 
 def by_voxel(
-    net: Compressor, tokens: Tensor, rows: Splats, tied: TokenLinks, groups: RowGroups, share: float
+    net: Compressor, tokens: Tensor, rows: Splats, tied: TokenLinks, groups: GaussianGroups, share: float
 ) -> dict[int, Tensor]:
     """Row -> latent: one voxel at a time, the token and the attributes concatenated as in the paper."""
     features = attribute_features(rows, groups, net.degree)
@@ -105,7 +105,7 @@ def test_equals_a_loop_over_voxels(grouping: str, share: float) -> None:
     config = with_compress(TINY, grouping=grouping)
     splats = shell()
     grid = grid_of(splats, config)
-    groups = RowGroups.of(grid)
+    groups = GaussianGroups.of(grid)
     assert groups.lengths.max() >= 5  # some voxels are worth attending in
     net, tied, tokens, rows = stage(config, share), links(len(splats), TOKENS), lrm_tokens(), splats.torch()
     latents = net(tokens, rows, tied, groups)
@@ -123,8 +123,8 @@ def test_permuting_the_rows_permutes_the_latents(grouping: str) -> None:
     turn = np.random.default_rng(5).permutation(len(splats))
     net, tied, tokens = stage(config, 0.5), links(len(splats), TOKENS), lrm_tokens()
     other = TokenLinks(tied.patches[turn], tied.weights[turn])
-    one = net(tokens, splats.torch(), tied, RowGroups.of(grid_of(splats, config)))
-    two = net(tokens, splats.take(turn).torch(), other, RowGroups.of(grid_of(splats.take(turn), config)))
+    one = net(tokens, splats.torch(), tied, GaussianGroups.of(grid_of(splats, config)))
+    two = net(tokens, splats.take(turn).torch(), other, GaussianGroups.of(grid_of(splats.take(turn), config)))
     place = {row: n for n, row in enumerate(one.groups.order.tolist())}
     match = [place[int(turn[row])] for row in two.groups.order.tolist()]
     assert len(match) == len(place)
@@ -134,7 +134,7 @@ def test_permuting_the_rows_permutes_the_latents(grouping: str) -> None:
 @torch.no_grad()
 def test_chunks_of_any_size_give_the_same() -> None:
     splats = shell()
-    groups = RowGroups.of(grid_of(splats, TINY))
+    groups = GaussianGroups.of(grid_of(splats, TINY))
     net, tied, tokens, rows = stage(TINY, 0.25), links(len(splats), TOKENS), lrm_tokens(), splats.torch()
     whole = net(tokens, rows, tied, groups, chunk=len(splats))
     for chunk in (9, 128):
@@ -145,7 +145,7 @@ def test_chunks_of_any_size_give_the_same() -> None:
 
 def test_two_runs_are_bitwise_equal_with_their_gradients() -> None:
     splats = shell()
-    groups = RowGroups.of(grid_of(splats, TINY))
+    groups = GaussianGroups.of(grid_of(splats, TINY))
     results = []
     for _ in range(2):
         net, tokens = stage(TINY), lrm_tokens().requires_grad_()
@@ -158,7 +158,7 @@ def test_two_runs_are_bitwise_equal_with_their_gradients() -> None:
 
 def test_recomputed_activations_give_the_same_gradients() -> None:
     splats = shell()
-    groups = RowGroups.of(grid_of(splats, TINY))
+    groups = GaussianGroups.of(grid_of(splats, TINY))
     grads = []
     for again in (False, True):
         net = stage(with_compress(TINY, checkpoint_activations=again))
@@ -174,8 +174,8 @@ def test_kept_rows_are_the_most_opaque_with_stable_ties(share: float) -> None:
     splats = shell(400)
     coarse = (np.round(splats.opacities * 4) / 4).astype(np.float32)  # many ties
     splats = replace(splats, opacities=coarse)
-    groups = RowGroups.of(grid_of(splats, TINY))
-    kept, places = groups.kept(share)
+    groups = GaussianGroups.of(grid_of(splats, TINY))
+    kept, places = groups.most_opaque(share)
     assert (groups.order[places] == kept.order).all()
     for b, length in enumerate(groups.lengths.tolist()):
         members = groups.order[groups.starts[b] : groups.starts[b + 1]].tolist()
@@ -186,20 +186,20 @@ def test_kept_rows_are_the_most_opaque_with_stable_ties(share: float) -> None:
 @pytest.mark.parametrize("largest", [1, 3, 7, 10_000])
 def test_cut_groups_hold_the_rows_of_one_voxel_in_its_order(largest: int) -> None:
     grid = grid_of(shell(), TINY)
-    cut = RowGroups.of(grid, largest)
+    cut = GaussianGroups.of(grid, largest)
     pieces = {tuple(cut.order[a:b].tolist()) for a, b in pairwise(cut.starts.tolist())}
     voxels = [grid.order[a:b].tolist() for a, b in pairwise(grid.starts.tolist())]
     assert pieces == {tuple(rows[k : k + largest]) for rows in voxels for k in range(0, len(rows), largest)}
     assert len(pieces) == len(cut.lengths) and (np.diff(cut.lengths) >= 0).all()  # shorter ones first
     own = grid.centers(grid.index[cut.order])  # by each row's own key
-    assert np.array_equal(cut.row_centers(), own)
+    assert np.array_equal(cut.gaussian_centers(), own)
     some = np.random.default_rng(0).integers(0, len(cut), 50)
-    assert np.array_equal(cut.row_centers(some), own[some])
+    assert np.array_equal(cut.gaussian_centers(some), own[some])
 
 
 @pytest.mark.parametrize("rows", [1, 5, 64, 1000])
 def test_chunks_cover_all_groups_once(rows: int) -> None:
-    groups = RowGroups.of(grid_of(shell(), TINY))
+    groups = GaussianGroups.of(grid_of(shell(), TINY))
     parts = list(groups.chunks(rows))
     assert np.array_equal(np.concatenate([p.order for p in parts]), groups.order)
     assert np.array_equal(np.concatenate([p.lengths for p in parts]), groups.lengths)
@@ -216,7 +216,7 @@ def test_features_of_one_row_by_hand() -> None:
         sh=torch.arange(3.0).reshape(1, 1, 3),
     )
     center = np.array([[0.25, -0.25, 0.25]])
-    groups = RowGroups(np.array([0]), np.array([0, 1]), center, voxel=0.5, middle=np.zeros(3), half=0.5)
+    groups = GaussianGroups(np.array([0]), np.array([0, 1]), center, voxel=0.5, center=np.zeros(3), half_extent=0.5)
     got = attribute_features(rows, groups, degree=1)[0]
     offset, place, scale, quat = [0.25, 0, -0.25], [0.5, -0.5, 0.5], [0, 1, -1], [1, 0, 0, 0]
     expected = torch.tensor([*offset, *place, *scale, *quat, 0.0, 0, 1, 2, *[0] * 9])
@@ -230,7 +230,7 @@ def test_features_do_not_depend_on_units_or_origin_and_are_bounded() -> None:
     splats = replace(splats, means=far)
     # Powers of two, so that scaling is exact in float32.
     larger = replace(splats, means=splats.means * 64, scales=splats.scales * 64)
-    one, two = (attribute_features(s.torch(), RowGroups.of(grid_of(s, TINY)), 3) for s in (splats, larger))
+    one, two = (attribute_features(s.torch(), GaussianGroups.of(grid_of(s, TINY)), 3) for s in (splats, larger))
     torch.testing.assert_close(one, two, rtol=1e-5, atol=1e-5)
     assert torch.isfinite(one).all() and one.abs().max() <= 16
 
@@ -238,7 +238,7 @@ def test_features_do_not_depend_on_units_or_origin_and_are_bounded() -> None:
 def test_rows_without_a_view_have_no_token() -> None:
     """Their latents do not move when the tokens do; those of the voxels beside them do."""
     splats = shell()
-    alone = RowGroups.of(grid_of(splats, TINY), largest=1)
+    alone = GaussianGroups.of(grid_of(splats, TINY), max_size=1)
     tied = links(len(splats), TOKENS)
     net, rows = stage(TINY), splats.torch()
     with torch.no_grad():
@@ -254,7 +254,7 @@ def test_links_against_one_row_at_a_time() -> None:
     rng = np.random.default_rng(8)
     shown = rng.random((5, 200), np.float32)
     shown[:, ::9] = 0
-    tied = links_from_views(splats.means, views, shown, patch=8, most=3)
+    tied = links_from_views(splats.means, views, shown, patch=8, max_links=3)
     assert tied.patches.shape == (200, 3)
     for i in range(200):
         best = []
@@ -284,7 +284,7 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match=r"expected contributions \[2, 20\], got \[3, 20\]"):
         links_from_views(splats.means, cameras(2), np.ones((3, 20), np.float32), 8)
     with pytest.raises(ValueError, match="expected links of 20 rows, got 19"):
-        stage(TINY)(lrm_tokens(), splats.torch(), links(19, TOKENS), RowGroups.of(grid_of(splats, TINY)))
+        stage(TINY)(lrm_tokens(), splats.torch(), links(19, TOKENS), GaussianGroups.of(grid_of(splats, TINY)))
     with pytest.raises(ValueError, match="expected two"):
         TokenLinks(np.zeros((3, 2), np.int64), np.zeros((3, 1), np.float32))
     with pytest.raises(ValueError, match="expected keep above 0"):
@@ -294,5 +294,5 @@ def test_what_does_not_fit_is_refused() -> None:
 def test_the_asset_is_not_written_to() -> None:
     splats = shell().torch()
     before = {n: getattr(splats, n).clone() for n in ATTRIBUTES}
-    stage(TINY)(lrm_tokens(), splats, links(len(splats), TOKENS), RowGroups.of(grid_of(splats, TINY)))
+    stage(TINY)(lrm_tokens(), splats, links(len(splats), TOKENS), GaussianGroups.of(grid_of(splats, TINY)))
     assert all(torch.equal(getattr(splats, n), before[n]) for n in ATTRIBUTES)

@@ -58,7 +58,7 @@ def test_views_are_the_render_and_contributions_its_weights() -> None:
     grid = voxelize(some)
     cameras = canonical_cameras(some, LrmConfig(views=2, image_size=24))
     views, contributions = asset_views(some, cameras, grid)
-    assert views.half == grid.size / 2 and contributions.shape == (2, len(some))
+    assert views.half_extent == grid.size / 2 and contributions.shape == (2, len(some))
     assert views.depth is not None and views.alpha is not None
     for view, camera in enumerate(cameras):
         weights, left = dense_weights(some, camera)
@@ -76,10 +76,12 @@ def test_views_are_the_render_and_contributions_its_weights() -> None:
 def test_a_native_encoding_is_lrm_links_and_stage_one_of_the_rows() -> None:
     splats, model = thing(), built()
     encoded = encode_asset(model, splats)
-    assert all(np.array_equal(getattr(encoded.rows.numpy(), n), getattr(splats, n), equal_nan=True) for n in ATTRIBUTES)
+    assert all(
+        np.array_equal(getattr(encoded.gaussians.numpy(), n), getattr(splats, n), equal_nan=True) for n in ATTRIBUTES
+    )
     # The rows that cannot be drawn have no latent, all others have one.
-    assert (encoded.places[:DRAWABLE] >= 0).all() and (encoded.places[DRAWABLE:] == -1).all()
-    assert (encoded.latents.groups.order[encoded.places[:DRAWABLE]] == np.arange(DRAWABLE)).all()
+    assert (encoded.latent_ids[:DRAWABLE] >= 0).all() and (encoded.latent_ids[DRAWABLE:] == -1).all()
+    assert (encoded.latents.groups.order[encoded.latent_ids[:DRAWABLE]] == np.arange(DRAWABLE)).all()
     # By hand, of the drawable rows alone.
     some = splats.take(np.arange(DRAWABLE))
     grid = voxelize(some, TINY.compress.resolution)
@@ -101,10 +103,10 @@ def test_permuting_the_rows_permutes_their_latents() -> None:
     splats, model = uneven(), built()
     turn = np.random.default_rng(3).permutation(len(splats))
     one, two = encode_asset(model, splats), encode_asset(model, splats.take(turn))
-    kept = one.places[turn] >= 0
-    assert (kept == (two.places >= 0)).all()
+    kept = one.latent_ids[turn] >= 0
+    assert (kept == (two.latent_ids >= 0)).all()
     torch.testing.assert_close(
-        two.latents.values[two.places[kept]], one.latents.values[one.places[turn][kept]], rtol=1e-3, atol=1e-4
+        two.latents.values[two.latent_ids[kept]], one.latents.values[one.latent_ids[turn][kept]], rtol=1e-3, atol=1e-4
     )
 
 
@@ -112,8 +114,8 @@ def test_permuting_the_rows_permutes_their_latents() -> None:
 def test_copy_becomes_what_stage_one_decodes() -> None:
     splats, model = thing(), built(COPY)
     encoded = encode_asset(model, splats)
-    count = len(encoded.rows)
-    assert encoded.places.tolist() == list(range(count)) and len(encoded.latents.values) == count
+    count = len(encoded.gaussians)
+    assert encoded.latent_ids.tolist() == list(range(count)) and len(encoded.latents.values) == count
     # Untrained: the most opaque quarter of the LRM's Gaussians of each voxel, bit for bit.
     grid = voxelize(splats, COPY.compress.resolution)
     views, _ = asset_views(splats, canonical_cameras(splats, COPY.lrm), grid)
@@ -129,9 +131,9 @@ def test_copy_becomes_what_stage_one_decodes() -> None:
     def listed(splats: Splats) -> set[bytes]:
         return {b"".join(getattr(splats, name)[i].tobytes() for name in ATTRIBUTES) for i in range(len(splats))}
 
-    assert count == len(kept) and listed(encoded.rows.numpy()) == listed(rows.take(np.array(kept)))
+    assert count == len(kept) and listed(encoded.gaussians.numpy()) == listed(rows.take(np.array(kept)))
     cell = encoded.latents.groups
-    assert (np.abs(encoded.rows.means.numpy() - cell.row_centers()) <= cell.voxel * 0.5001).all()
+    assert (np.abs(encoded.gaussians.means.numpy() - cell.gaussian_centers()) <= cell.voxel * 0.5001).all()
 
 
 def test_gradients_are_there_where_torch_has_them() -> None:

@@ -50,13 +50,14 @@ def cached(config: ModelConfig = OWN, splats: Splats = SPLATS, seed: int = 7) ->
 
 
 def same(one: Encoded, two: Encoded) -> bool:
-    groups = ("order", "starts", "centers", "middle")
+    groups = ("order", "starts", "centers", "center")
     return (
         torch.equal(one.latents.values, two.latents.values)
         and one.latents.values.dtype == two.latents.values.dtype
-        and same_bits(one.rows.numpy(), two.rows.numpy())
+        and same_bits(one.gaussians.numpy(), two.gaussians.numpy())
         and all(np.array_equal(getattr(one.latents.groups, n), getattr(two.latents.groups, n)) for n in groups)
-        and (one.latents.groups.voxel, one.latents.groups.half) == (two.latents.groups.voxel, two.latents.groups.half)
+        and (one.latents.groups.voxel, one.latents.groups.half_extent)
+        == (two.latents.groups.voxel, two.latents.groups.half_extent)
     )
 
 

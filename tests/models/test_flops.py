@@ -12,7 +12,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from splatpainter.models.config import PRESETS, ModelConfig
 from splatpainter.models.flops import flops, parameters, table
-from splatpainter.models.gaussian_groups import RowGroups
+from splatpainter.models.gaussian_groups import GaussianGroups
 from splatpainter.models.image_tokens import tokenize
 from splatpainter.models.model import SplatPainterModel
 from tests.support.model_scenes import TINY, asset_views, grid_of, links, pictures, shell, with_refine
@@ -65,7 +65,7 @@ def test_operations_equal_what_torch_counts(loss: str, representation: str) -> N
 
     # Voxels of exactly four rows each.
     splats = shell(200)
-    whole = RowGroups.of(grid_of(splats, config))
+    whole = GaussianGroups.of(grid_of(splats, config))
     groups = replace(whole, starts=np.arange(0, 201, 4), centers=np.repeat(whole.centers[:1], 50, axis=0))
     assert isinstance(tokens, torch.Tensor)
     tied, rows = links(200, len(tokens)), splats.torch()

@@ -35,8 +35,8 @@ def views(count: int = 2, seed: int = 0, **settings) -> AssetViews:
         colors=torch.rand(*shape, 3, generator=generator),
         depth=torch.where(alpha > 0.3, 5 + 2 * torch.rand(*shape, 1, generator=generator), 0),
         alpha=torch.where(alpha > 0.3, alpha, 0),
-        middle=MIDDLE,
-        half=HALF,
+        center=MIDDLE,
+        half_extent=HALF,
     )
 
 
@@ -260,7 +260,7 @@ def test_world_units_do_not_matter(config: LrmConfig) -> None:
         matrix[:3, 3] = -matrix[:3, :3] @ (4 * view.position + shift)
         moved.append(replace(view, world_to_camera=matrix))
     assert own.depth is not None
-    there = replace(own, cameras=moved, depth=4 * own.depth, middle=4 * np.array(MIDDLE) + shift, half=4 * HALF)
+    there = replace(own, cameras=moved, depth=4 * own.depth, center=4 * np.array(MIDDLE) + shift, half_extent=4 * HALF)
     a, b = made(own), made(there)
     torch.testing.assert_close(b.tokens, a.tokens, atol=1e-3, rtol=1e-3)
     expected = 4 * a.splats.means + torch.from_numpy(shift).float()
@@ -343,7 +343,7 @@ def bad_views() -> dict[str, tuple[dict, str]]:
         "none": ({"cameras": []}, "1 to 16 views, got 0"),
         "colors": ({"colors": torch.rand(2, 3, 12, 16)}, r"colors \[2, 12, 16, 3\], got \[2, 3, 12, 16\]"),
         "depth": ({"depth": torch.rand(2, 12, 16)}, r"depth \[2, 12, 16, 1\], got \[2, 12, 16\]"),
-        "cube": ({"half": 0.0}, "half > 0, got 0.0"),
+        "cube": ({"half_extent": 0.0}, "half > 0, got 0.0"),
     }
 
 

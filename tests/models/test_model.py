@@ -56,7 +56,7 @@ def edit(model: SplatPainterModel, latents: Latents, places: np.ndarray | None =
         model.initial_state(),
         latents,
         pictures(),
-        places=places,
+        latent_ids=places,
         lift=lift,
         **options,  # type: ignore[arg-type]
     )
@@ -78,12 +78,12 @@ def test_untrained_native_returns_the_asset_bit_for_bit() -> None:
     latents = encode(model, splats)
     refined = edit(model, latents, detail=True)
     decoded = model.decode(latents, refined, splats.torch())
-    assert sorted(decoded.rows.tolist()) == list(range(len(splats)))  # nothing is dropped
-    assert same_bits(decoded.splats, splats.take(decoded.rows))
-    assert decoded.further is not None and len(decoded.further) == 0  # and nothing appended
+    assert sorted(decoded.gaussian_ids.tolist()) == list(range(len(splats)))  # nothing is dropped
+    assert same_bits(decoded.splats, splats.take(decoded.gaussian_ids))
+    assert decoded.children is not None and len(decoded.children) == 0  # and nothing appended
     drawn = model.train().decode(latents, refined, splats.torch())  # but all of it is drawn where it must learn
     assert same_bits(drawn.splats, decoded.splats)
-    assert drawn.further is not None and len(drawn.further) == len(splats)
+    assert drawn.children is not None and len(drawn.children) == len(splats)
 
 
 @torch.no_grad()
@@ -92,19 +92,19 @@ def test_untrained_copy_returns_the_top_rows_of_the_lrm() -> None:
     copy = model.copy_rows(asset_views(COPY))
     output = model.lrm(asset_views(COPY)).splats
     kept = output.opacities > COPY.compress.min_opacity
-    assert same_bits(copy.rows, output.take(kept))
+    assert same_bits(copy.gaussians, output.take(kept))
     assert (copy.links.patches[:, 0] == (torch.arange(len(output)) // 64)[kept].numpy()).all()
-    grid = grid_of(copy.rows, COPY)
-    latents = model.compressor(copy.tokens, copy.rows, copy.links, model.groups(grid))
-    decoded = model.decode(latents, edit(model, latents, detail=True), copy.rows)
-    opacities = copy.rows.opacities.numpy()
+    grid = grid_of(copy.gaussians, COPY)
+    latents = model.compressor(copy.tokens, copy.gaussians, copy.links, model.groups(grid))
+    decoded = model.decode(latents, edit(model, latents, detail=True), copy.gaussians)
+    opacities = copy.gaussians.opacities.numpy()
     wanted = set()
     for b in range(len(grid.keys)):
         members = grid.order[grid.starts[b] : grid.starts[b + 1]].tolist()
         wanted |= set(sorted(members, key=lambda i: (-opacities[i], i))[: max(len(members) // 4, 1)])
-    assert set(decoded.rows.tolist()) == wanted and len(decoded.rows) == len(wanted)
-    assert same_bits(decoded.splats, copy.rows.take(torch.from_numpy(decoded.rows)))
-    assert decoded.further is not None and len(decoded.further) == 0
+    assert set(decoded.gaussian_ids.tolist()) == wanted and len(decoded.gaussian_ids) == len(wanted)
+    assert same_bits(decoded.splats, copy.gaussians.take(torch.from_numpy(decoded.gaussian_ids)))
+    assert decoded.children is not None and len(decoded.children) == 0
 
 
 @torch.no_grad()
@@ -115,15 +115,15 @@ def test_a_local_edit_decodes_the_chosen_rows_and_their_children() -> None:
     places = np.argsort(latents.groups.order)[[3, 50, 51, 7]]
     refined = edit(model, latents, places, detail=True)
     decoded = model.decode(latents, refined, splats.torch())
-    assert decoded.rows.tolist() == latents.groups.order[places].tolist()
-    assert not same_bits(decoded.splats, splats.take(decoded.rows))
-    assert decoded.further is not None and decoded.parents is not None
-    assert decoded.parents.tolist() == decoded.rows.tolist() and len(decoded.further) == 4
-    assert (decoded.further.numpy().scales < 0.9 * splats.take(decoded.parents).scales).all()
+    assert decoded.gaussian_ids.tolist() == latents.groups.order[places].tolist()
+    assert not same_bits(decoded.splats, splats.take(decoded.gaussian_ids))
+    assert decoded.children is not None and decoded.parents is not None
+    assert decoded.parents.tolist() == decoded.gaussian_ids.tolist() and len(decoded.children) == 4
+    assert (decoded.children.numpy().scales < 0.9 * splats.take(decoded.parents).scales).all()
     # The same rows of a global edit by the same lift features come out the same: rows do not see each other.
     lift = torch.full((len(splats), 13), 0.5)
     state = model.initial_state()
-    local = model.refine(state, latents, pictures(), places=places, lift=lift[:4])
+    local = model.refine(state, latents, pictures(), latent_ids=places, lift=lift[:4])
     whole = model.refine(state, latents, pictures(), lift=lift)
     torch.testing.assert_close(local.values, whole.values[places], rtol=1e-4, atol=1e-5)
 
@@ -132,13 +132,15 @@ def test_a_local_edit_decodes_the_chosen_rows_and_their_children() -> None:
 def test_copy_decodes_its_second_set_like_the_first() -> None:
     model = wake(build(COPY))
     copy = model.copy_rows(asset_views(COPY))
-    latents = model.compressor(copy.tokens, copy.rows, copy.links, model.groups(grid_of(copy.rows, COPY)))
+    latents = model.compressor(copy.tokens, copy.gaussians, copy.links, model.groups(grid_of(copy.gaussians, COPY)))
     refined = edit(model, latents, np.arange(10), detail=True)
-    assert refined.second is not None
-    decoded = model.decode(latents, refined, copy.rows)
-    swapped = model.decode(latents, replace(refined, values=refined.second, second=None), copy.rows)
-    assert decoded.further is not None and len(decoded.further) == 10  # the count doubles
-    assert same_bits(decoded.further, swapped.splats)
+    assert refined.detail_latents is not None
+    decoded = model.decode(latents, refined, copy.gaussians)
+    swapped = model.decode(
+        latents, replace(refined, values=refined.detail_latents, detail_latents=None), copy.gaussians
+    )
+    assert decoded.children is not None and len(decoded.children) == 10  # the count doubles
+    assert same_bits(decoded.children, swapped.splats)
 
 
 @torch.no_grad()
@@ -156,7 +158,7 @@ def test_permuting_the_rows_permutes_the_edited_asset() -> None:
         latents = model.compressor(tokens, rows.torch(), replace(tied, patches=patches, weights=weights), groups)
         refined = model.refine(model.initial_state(), latents, pictures(), lift=torch.full((len(splats), 13), 0.5))
         decoded = model.decode(latents, refined, rows.torch())
-        back = np.argsort(decoded.rows)
+        back = np.argsort(decoded.gaussian_ids)
         results.append(decoded.splats.take(torch.from_numpy(back)))
     for name in ATTRIBUTES:
         one, two = (getattr(result, name) for result in results)
@@ -175,11 +177,11 @@ def test_edit_is_refine_and_decode_in_runs_of_any_size(
     lift = torch.rand(len(splats) if places is None else len(places), 13, generator=torch.Generator().manual_seed(5))
     monkeypatch.setattr("splatpainter.models.model.CHUNK", 16)
     first = model.initial_state()
-    state, decoded = model.edit(first, latents, pictures(), splats, places=places, lift=lift, detail=detail)
-    refined = model.refine(first, latents, pictures(), places=places, lift=lift, detail=detail)
+    state, decoded = model.edit(first, latents, pictures(), splats, latent_ids=places, lift=lift, detail=detail)
+    refined = model.refine(first, latents, pictures(), latent_ids=places, lift=lift, detail=detail)
     wanted = model.decode(latents, refined, splats)
-    assert decoded.rows.tolist() == wanted.rows.tolist()
-    assert (decoded.further is None) == (wanted.further is None) == (not detail)
+    assert decoded.gaussian_ids.tolist() == wanted.gaussian_ids.tolist()
+    assert (decoded.children is None) == (wanted.children is None) == (not detail)
     for name in ATTRIBUTES:
         torch.testing.assert_close(getattr(decoded.splats, name), getattr(wanted.splats, name), rtol=1e-4, atol=1e-5)
     for one, two in zip(state.blocks, refined.state.blocks, strict=True):
@@ -229,10 +231,10 @@ def training_step(config: ModelConfig, seed: int = 7) -> tuple[SplatPainterModel
         latents = encode(model, shell())
     else:
         copy = model.copy_rows(asset_views(config))
-        splats = copy.rows
+        splats = copy.gaussians
         latents = model.compressor(copy.tokens, splats, copy.links, model.groups(grid_of(splats, config)))
     decoded: Decoded = model.decode(latents, edit(model, latents, detail=config.refine.detail), splats)
-    parts = [decoded.splats] + ([decoded.further] if decoded.further is not None else [])
+    parts = [decoded.splats] + ([decoded.children] if decoded.children is not None else [])
     loss = sum((getattr(part, n).square().mean() for part in parts for n in ATTRIBUTES), torch.zeros(()))
     loss.backward()
     return model, loss.detach()
@@ -303,10 +305,15 @@ def test_what_the_model_cannot_do_is_refused_in_one_line() -> None:
         with pytest.raises(ValueError, match=r"^refine: this model has no detail layer; [^\n]*$"):
             edit(model, latents, detail=True)
         with pytest.raises(ValueError, match=r"^refine: expected lift features \[3, 13\], got None$"):
-            model.refine(model.initial_state(), latents, pictures(), places=np.arange(3))
+            model.refine(model.initial_state(), latents, pictures(), latent_ids=np.arange(3))
         with pytest.raises(ValueError, match=r"^refine: expected lift features of 3 latents, got 200$"):
             model.edit(
-                model.initial_state(), latents, pictures(), splats.torch(), places=np.arange(3), lift=torch.ones(200, 7)
+                model.initial_state(),
+                latents,
+                pictures(),
+                splats.torch(),
+                latent_ids=np.arange(3),
+                lift=torch.ones(200, 7),
             )
         with pytest.raises(ValueError, match=r"^encode: expected a grid of 4 voxels per edge, got 8$"):
             model.groups(grid_of(splats, with_compress(TINY, resolution=8)))

@@ -12,14 +12,14 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from splatpainter.models.config import ModelConfig
-from splatpainter.models.gaussian_groups import RowGroups
+from splatpainter.models.gaussian_groups import GaussianGroups
 from splatpainter.models.image_tokens import Pictures, PictureTokens, tokenize
 from splatpainter.models.refine import FastMixer, RefineBlock, Refiner, RefineState
 from splatpainter.nn.fast_weights import FastWeights
 from tests.support.model_scenes import SIZE, TINY, cameras, grid_of, pictures, shell, with_refine
 
 DIM = TINY.compress.dim
-GROUPS = RowGroups.of(grid_of(shell(), TINY))
+GROUPS = GaussianGroups.of(grid_of(shell(), TINY))
 
 
 def refiner(config: ModelConfig = TINY) -> Refiner:
@@ -258,7 +258,7 @@ def test_no_parameter_of_any_configuration_is_dead(changes: dict) -> None:
     net = refiner(with_refine(TINY, **changes))
     rows = (some_latents()[:8], torch.rand(8, generator=torch.Generator().manual_seed(6)))
     taught = rows if config.row_tokens else None
-    state = net.adapt(net.initial_state(), tokenize(pictures(), GROUPS, config), rows=taught)
+    state = net.adapt(net.initial_state(), tokenize(pictures(), GROUPS, config), teacher_tokens=taught)
     drift = torch.randn(len(some_latents()), 7, generator=torch.Generator().manual_seed(4))
     original = net.prepare(some_latents(), some_lift() if config.lift_features else None, drift)
     values = net.read(state, original)
@@ -298,12 +298,12 @@ def test_rows_teach_like_pictures_with_heads_of_their_own() -> None:
     config = with_refine(TINY, row_tokens=6, blocks=1, newton_schulz_steps=0, inner_loss="dot").refine
     net = refiner(with_refine(TINY, row_tokens=6, blocks=1, newton_schulz_steps=0, inner_loss="dot"))
     tokens, lift = tokenize(pictures(), GROUPS, config), some_lift()
-    chosen = net.teachers(lift)
+    chosen = net.teacher_ids(lift)
     assert chosen is not None and sorted(chosen.tolist()) == sorted(torch.argsort(-lift[:, 6])[:6].tolist())
     rows, shares = net.prepare(some_latents(), lift)[chosen].detach(), lift[chosen, 6]
     start = net.initial_state()
-    (after,), (alone,) = (net.adapt(start, tokens, rows=told).blocks for told in ((rows, shares), None))
-    (still,) = net.adapt(start, tokens, rows=(rows, torch.zeros(6))).blocks
+    (after,), (alone,) = (net.adapt(start, tokens, teacher_tokens=told).blocks for told in ((rows, shares), None))
+    (still,) = net.adapt(start, tokens, teacher_tokens=(rows, torch.zeros(6))).blocks
     assert all(torch.equal(a, b) for a, b in zip(alone, still, strict=True))
     assert not any(torch.allclose(a, b, atol=1e-6) for a, b in zip(alone, after, strict=True))
 
@@ -333,7 +333,7 @@ def test_normals_are_those_of_the_surface_that_is_seen() -> None:
     """A sphere's depth map: normals point from its centre to the surface, towards the camera."""
     (camera,) = cameras(1, 64)
     origin, directions = camera.rays()
-    middle, radius = GROUPS.middle, 0.9
+    middle, radius = GROUPS.center, 0.9
     along = -((origin - middle) * directions).sum(-1)
     missed = ((origin - middle) ** 2).sum(-1) - along**2
     hit = missed < (0.85 * radius) ** 2
@@ -374,13 +374,13 @@ def test_tokens_hold_the_pixels_of_their_patch() -> None:
     # Rays and positions against the camera's own matrices, one pixel.
     origin, directions = views[1].rays()
     direction = directions[9, 17].astype(np.float64)
-    place = (origin - GROUPS.middle) / GROUPS.half
+    place = (origin - GROUPS.center) / GROUPS.half_extent
     np.testing.assert_allclose(inside[1, 1, 3:6], direction, atol=1e-5)
     np.testing.assert_allclose(inside[1, 1, 6:9], place - (place @ direction) * direction, atol=1e-5)
     z = float(depth[1, 9, 17, 0])
     camera_point = z * np.array([(17.5 - views[1].cx) / views[1].fx, (9.5 - views[1].cy) / views[1].fy, 1])
     world = np.linalg.inv(views[1].world_to_camera) @ [*camera_point, 1]
-    expected = np.clip((world[:3] - GROUPS.middle) / GROUPS.half, -2, 2) * float(alpha[1, 9, 17, 0])
+    expected = np.clip((world[:3] - GROUPS.center) / GROUPS.half_extent, -2, 2) * float(alpha[1, 9, 17, 0])
     np.testing.assert_allclose(inside[1, 1, 12:15], expected, atol=1e-4)
 
 

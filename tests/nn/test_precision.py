@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from splatpainter.lift.features import SEEN_FEATURE
 from splatpainter.models.image_tokens import tokenize
 from splatpainter.models.lrm import patchify
-from splatpainter.models.refine import SEEN
 from splatpainter.nn import precision as rule
 from splatpainter.nn.precision import VARIABLE, autocast, exact, resolve, setting
 from splatpainter.painter import Painter
@@ -114,7 +114,7 @@ def test_stage_one_tells_rows_apart_that_bf16_would_not() -> None:
     net, splats = built(TINY), shell(2)
     grid = grid_of(replace(splats, means=splats.means * 0 + np.array([[1, 1, 1], [4, 4, 4]], np.float32)), TINY)
     groups = net.groups(grid)
-    means = torch.from_numpy(groups.row_centers().astype(np.float32)) + 0.3 * groups.voxel
+    means = torch.from_numpy(groups.gaussian_centers().astype(np.float32)) + 0.3 * groups.voxel
     first = replace(splats.torch(), means=means)
     second = replace(first, means=means + 2**-10 * groups.voxel)
     tie = links(2, 4)
@@ -130,7 +130,7 @@ def test_what_enters_stage_two_is_never_rounded() -> None:
     net = built(with_refine(TINY, base="lift", detail=False)).refiner
     generator = torch.Generator().manual_seed(3)
     latents, lift, drift = (torch.rand(40, count, generator=generator) for count in (TINY.compress.dim, 13, 7))
-    assert lift.shape[1] > SEEN
+    assert lift.shape[1] > SEEN_FEATURE
     plain = net.prepare(latents, lift, drift)
     with autocast("cpu", "bfloat16"):
         rounded = net.prepare(latents, lift, drift)

@@ -73,7 +73,7 @@ def asset_views(config: ModelConfig, seed: int = 2) -> AssetViews:
     rng = np.random.default_rng(seed)
     size, count = config.lrm.image_size, config.lrm.views
     colors, depth, alpha = (torch.from_numpy(rng.random((count, size, size, c), np.float32)) for c in (3, 1, 1))
-    return AssetViews(cameras(count, size), colors, 2 + 2 * depth, alpha, middle=(3.0, -2.0, 5.0), half=1.2)
+    return AssetViews(cameras(count, size), colors, 2 + 2 * depth, alpha, center=(3.0, -2.0, 5.0), half_extent=1.2)
 
 
 def links(count: int, tokens: int, seed: int = 3) -> TokenLinks:

@@ -100,14 +100,14 @@ def test_all_rows_or_some_have_the_same_picture_and_on_average_the_same_gradient
         task.model.head.linear.weight.copy_(head)
     known = task._remembered(sample)
     views = task._edits(sample, known)
-    draft = task._draft(sample, known, views)
+    start = task._start(sample, known, views)
     cameras, wanted = task._wanted(sample, known, views, np.random.default_rng(5))
-    draft = task._shown(draft, cameras)
+    start = task._shown(start, cameras)
     for seed in range(24):
         from splatpainter.train.stages.task import draw
 
         task.zero_grad()
-        edited = task._refined(known, draft, views, 0, np.random.default_rng(100 + seed))
+        edited = task._refined(known, start, views, 0, np.random.default_rng(100 + seed))
         task.loss(draw(edited, cameras, task.device)[0], wanted)["loss"].backward()
         total += task.model.head.linear.weight.grad / 24
     share = float((total * found["every"]).sum() / (found["every"] ** 2).sum())
@@ -125,9 +125,9 @@ def test_a_part_of_the_voxels_has_the_latents_of_the_whole(precision: str) -> No
     with task.arithmetic():
         part = task._encoded(task._know(asset), rows)
     with torch.no_grad():
-        same = whole.latents.values[whole.places[rows]]
+        same = whole.latents.values[whole.latent_ids[rows]]
     assert len(part.latents.groups) < len(whole.latents.groups)
-    torch.testing.assert_close(part.latents.values[part.places[rows]], same, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(part.latents.values[part.latent_ids[rows]], same, rtol=1e-4, atol=1e-5)
     groups = holding(net.groups(grid), rows, len(asset))
     assert set(rows) <= set(groups.order.tolist()) and groups.starts[-1] == len(groups.order)
 
@@ -232,7 +232,7 @@ def test_refinement_of_the_papers_copy_leaves_the_decoder_alone(kind: str, preci
     found = gradients(task, sample)
     assert max(float(g.abs().max()) for g in found.values()) > 0
     known = task._remembered(sample)
-    assert len(known.splats) == len(known.encoded.rows) != len(sample.asset)
+    assert len(known.splats) == len(known.encoded.gaussians) != len(sample.asset)
     assert np.isfinite(task.eval().judge(sample).numbers["ours"])
     with pytest.raises(ValueError, match="train_encoder nothing"):
         task_of(replace(RECIPE, train_encoder="compress"), COPY)

@@ -66,13 +66,13 @@ def all_views(model: SplatPainterModel, task: EditTask, edited: PosedImages) -> 
     pictures of several sizes."""
     import torch
 
-    from splatpainter.models.lrm import MOST_VIEWS, AssetViews
+    from splatpainter.models.lrm import MAX_VIEWS, AssetViews
     from splatpainter.rendering import render
     from splatpainter.voxels.grid import bounding_cube
 
-    if len(edited) > MOST_VIEWS:
-        raise ValueError(f"lrm: expected at most {MOST_VIEWS} edited views in all, got {len(edited)}")
-    count = min(MOST_VIEWS - len(edited), len(task.base))
+    if len(edited) > MAX_VIEWS:
+        raise ValueError(f"lrm: expected at most {MAX_VIEWS} edited views in all, got {len(edited)}")
+    count = min(MAX_VIEWS - len(edited), len(task.base))
     base = task.base.take(np.arange(count) * len(task.base) // max(count, 1))
     images = sized(joined(base, edited), model.config.lrm)
     cameras, colors = images.cameras, images.colors.astype(np.float32)
@@ -108,7 +108,7 @@ def dense(model: SplatPainterModel, views: AssetViews) -> Copy:
         view = AssetViews([views.cameras[k]], views.colors[one], **geometry, middle=views.middle, half=views.half)
         parts.append(model.lrm.decode(part, view))
     splats = replace(parts[0], **{name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES})
-    visible = (splats.opacities > model.config.compress.min_opacity) & model.lrm.shown(views, splats)
+    visible = (splats.opacities > model.config.compress.min_opacity) & model.lrm.on_surface(views, splats)
     gaussian_ids = torch.nonzero(visible)[:, 0]
     if len(gaussian_ids) == 0:
         raise ValueError("encode: the model sees nothing in the views; check that they show the asset")
@@ -120,10 +120,10 @@ def compressed(model: SplatPainterModel, copy: Copy) -> tuple[Splats, dict[str, 
     """(what Stage I makes of the LRM's Gaussians, numbers of Gaussians at its ends)."""
     from splatpainter.voxels.grid import voxelize
 
-    grid = voxelize(copy.rows.numpy(), model.config.compress.resolution)
-    latents = model.compressor(copy.tokens, copy.rows, copy.links, model.groups(grid))
-    splats = model.decode_latents(latents, copy.rows)
-    counts = {"gaussians_before": len(copy.rows), "voxels": len(grid.keys), "latents": len(latents.values)}
+    grid = voxelize(copy.gaussians.numpy(), model.config.compress.resolution)
+    latents = model.compressor(copy.tokens, copy.gaussians, copy.links, model.groups(grid))
+    splats = model.decode_latents(latents, copy.gaussians)
+    counts = {"gaussians_before": len(copy.gaussians), "voxels": len(grid.keys), "latents": len(latents.values)}
     return splats, {name: float(count) for name, count in counts.items()} | {"gaussians_kept": float(len(splats))}
 
 
@@ -142,9 +142,9 @@ def reconstruction(weights: Weights, *, stage_one: bool) -> Callable[[EditTask, 
         with torch.inference_mode(), autocast(budget.device):
             views = all_views(model, task, edited)
             copy = dense(model, views)
-            splats, numbers = compressed(model, copy) if stage_one else (copy.rows, {})
+            splats, numbers = compressed(model, copy) if stage_one else (copy.gaussians, {})
             splats = splats.numpy()
-        numbers["lrm_gaussians"] = float(len(copy.rows))
+        numbers["lrm_gaussians"] = float(len(copy.gaussians))
         seconds = time.perf_counter() - start
         note = f"{len(views.cameras)} views of {views.cameras[0].width} px at once; {weights.source(budget)}"
         return EditResult(splats, 0.0, seconds, keeps_rows=False, numbers=numbers, note=note, state=edited)
@@ -193,7 +193,7 @@ def unedited(weights: Weights, *, compress: bool) -> Callable[[EditTask, Budget]
             if compress:
                 splats, numbers = compressed(model, model.copy_rows(views))
             else:
-                splats, numbers = dense(model, views).rows, {}
+                splats, numbers = dense(model, views).gaussians, {}
             splats = splats.numpy()
         seconds = time.perf_counter() - start
         if not compress:

@@ -29,35 +29,37 @@ def refine_edit(
     model: SplatPainterModel, state: RefineState, encoded: Encoded, lifted: LiftedEdit, views: Sequence[EditView]
 ) -> tuple[RefineState, Splats, Splats | None]:
     """Stage II and the decoder: (next state, J torch Gaussians in place of lifted.splats[lifted.ids], J children to
-    append, each of the Gaussian at its index, or None). state: model.initial_state() for the first edit; lifted.parents
-    count Gaussians of encoded.rows. Differentiable in the model's parameters and in the latents; without gradients in
-    chunks. Raises ValueError for views of several sizes or without depth and alpha where the model needs them, and for
-    Gaussians that were not encoded."""
+    append, each of the Gaussian at its index, or None).
+
+    state: model.initial_state() for the first edit; lifted.parents count Gaussians of encoded.gaussians. Differentiable
+    in the model's parameters and in the latents; without gradients in chunks. Raises ValueError for views of several
+    sizes or without depth and alpha where the model needs them, and for Gaussians that were not encoded."""
     import torch
 
     from splatpainter.models.gaussian_groups import drift_features
 
     config = model.config.refine
     device = encoded.latents.values.device
-    places = encoded.places[lifted.parents]
-    if (places < 0).any():
-        raise ValueError(f"refine: {int((places < 0).sum())} of the {len(places)} rows were not encoded; encode again")
+    latent_ids = encoded.latent_ids[lifted.parents]
+    missing = int((latent_ids < 0).sum())
+    if missing:
+        raise ValueError(f"refine: {missing} of the {len(latent_ids)} rows were not encoded; encode again")
     base = lifted.splats.take(lifted.ids).torch(str(device))
     drift = None
     if config.base == "lift":
-        drift = drift_features(base, encoded.rows.take(lifted.parents), encoded.latents.groups.voxel)
+        drift = drift_features(base, encoded.gaussians.take(lifted.parents), encoded.latents.groups.voxel)
     state, decoded = model.edit(
         state,
         encoded.latents,
         _pictures(views, str(device)),
-        encoded.rows,
-        places=places,
+        encoded.gaussians,
+        latent_ids=latent_ids,
         lift=torch.from_numpy(lifted.features).to(device) if config.lift_features else None,
         drift=drift,
         base=base,
         detail=lifted.detail and config.detail,
     )
-    children = decoded.further
+    children = decoded.children
     return state, decoded.splats, children if children is not None and len(children) else None
 
 

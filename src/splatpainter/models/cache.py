@@ -107,27 +107,28 @@ def _packed(model: SplatPainterModel, encoded: Encoded) -> dict[str, Tensor]:
     held = {"values": encoded.latents.values}
     if model.config.representation == "copy":
         groups = encoded.latents.groups
-        held |= {name: getattr(encoded.rows, name) for name in ATTRIBUTES}
-        held |= {name: torch.from_numpy(getattr(groups, name)) for name in ("starts", "centers", "middle")}
-        held["edges"] = torch.tensor([groups.voxel, groups.half], dtype=torch.float64)
+        held |= {name: getattr(encoded.gaussians, name) for name in ATTRIBUTES}
+        arrays = {"starts": groups.starts, "centers": groups.centers, "middle": groups.center}
+        held |= {name: torch.from_numpy(array) for name, array in arrays.items()}
+        held["edges"] = torch.tensor([groups.voxel, groups.half_extent], dtype=torch.float64)
     return {name: tensor.detach().cpu().contiguous() for name, tensor in held.items()}
 
 
 def _unpacked(model: SplatPainterModel, splats: Splats, grid: VoxelGrid, held: dict[str, Tensor]) -> Encoded | None:
     """None where it does not fit the asset: a file of another program under this name."""
     from splatpainter.models.compress import Latents
-    from splatpainter.models.gaussian_groups import RowGroups
+    from splatpainter.models.gaussian_groups import GaussianGroups
 
     device = str(next(model.parameters()).device)
     try:
         values = held["values"].to(device)
         if model.config.representation == "native":
-            groups, rows = model.groups(grid).kept(1.0)[0], splats.torch(device)
+            groups, rows = model.groups(grid).most_opaque(1.0)[0], splats.torch(device)
         else:
             order = np.arange(len(values), dtype=np.int64)
             starts, centers, middle = (held[name].numpy() for name in ("starts", "centers", "middle"))
             voxel, half = held["edges"].tolist()
-            groups = RowGroups(order, starts, centers, voxel, middle, half)
+            groups = GaussianGroups(order, starts, centers, voxel, middle, half)
             means, quats, scales, opacities, sh = (held[name].to(device) for name in ATTRIBUTES)
             rows = Splats(means, quats, scales, opacities, sh)
     except (KeyError, ValueError):

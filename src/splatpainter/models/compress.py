@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from torch.utils.checkpoint import checkpoint
 
 from splatpainter.models.config import CompressConfig
-from splatpainter.models.gaussian_groups import RowGroups, TokenLinks, attribute_features, feature_count
+from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks, attribute_features, feature_count
 from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.layers import CrossAttention, PackedBlock, layer_norm, linear
 from splatpainter.nn.precision import exact
@@ -32,7 +32,7 @@ class Latents:
 
     values: Tensor = field(repr=False)
     """[K, D] of any float type, packed as `groups` says."""
-    groups: RowGroups
+    groups: GaussianGroups
     """The kept rows: groups.order[i] is the row of the asset that values[i] belongs to."""
 
 
@@ -67,9 +67,9 @@ class Compressor(nn.Module):
     def forward(
         self,
         tokens: Tensor,
-        rows: Splats,
+        gaussians: Splats,
         links: TokenLinks,
-        groups: RowGroups,
+        groups: GaussianGroups,
         *,
         chunk: int | None = None,
         dtype: torch.dtype = torch.float32,
@@ -81,58 +81,58 @@ class Compressor(nn.Module):
 
         Permuting the rows permutes the latents with them, up to rounding (equal opacities in a voxel excepted).
         """
-        if len(links.patches) != len(rows):
-            raise ValueError(f"encode: expected links of {len(rows)} rows, got {len(links.patches)}")
+        if len(links.patches) != len(gaussians):
+            raise ValueError(f"encode: expected links of {len(gaussians)} rows, got {len(links.patches)}")
         table = self.token(self.token_norm(tokens.float())).float()
-        kept, _ = groups.kept(self.share)
+        chosen, _ = groups.most_opaque(self.share)
         size = max(chunk or (len(groups) if torch.is_grad_enabled() else CHUNK), 1)
-        parts = (self._part(table, rows, links, part) for part in groups.chunks(size))
+        parts = (self._part(table, gaussians, links, part) for part in groups.chunks(size))
         if torch.is_grad_enabled():
-            return Latents(torch.cat([*parts, table.new_zeros(0, self.config.dim)]).to(dtype), kept)
+            return Latents(torch.cat([*parts, table.new_zeros(0, self.config.dim)]).to(dtype), chosen)
         # In place: torch.cat would need the memory twice (and refuses float16 under bf16 autocast).
-        values = torch.empty(len(kept), self.config.dim, dtype=dtype, device=table.device)
+        values = torch.empty(len(chosen), self.config.dim, dtype=dtype, device=table.device)
         done = 0
         for part in parts:
             values[done : done + len(part)] = part
             done += len(part)
-        return Latents(values, kept)
+        return Latents(values, chosen)
 
-    def _part(self, table: Tensor, rows: Splats, links: TokenLinks, groups: RowGroups) -> Tensor:
+    def _part(self, table: Tensor, gaussians: Splats, links: TokenLinks, groups: GaussianGroups) -> Tensor:
         """[K, D] latents of some groups. table: [P, D] projected tokens."""
-        x = self._embed(table, rows, links, groups)
-        kept, places = groups.kept(self.share)
+        x = self._embed(table, gaussians, links, groups)
+        chosen, indices = groups.most_opaque(self.share)
         if self.config.grouping == "voxel_mean":
-            return self._voxel_mean(x, groups, kept)
-        own = Groups.of(groups.lengths, x.device)
-        x = self._run(self.encoder, x, own)
+            return self._voxel_mean(x, groups, chosen)
+        within = Groups.of(groups.lengths, x.device)
+        x = self._run(self.encoder, x, within)
         if self.config.grouping == "latent_query":
-            ends = torch.from_numpy(kept.starts)
-            nth = torch.arange(len(kept)) - torch.repeat_interleave(ends[:-1], ends.diff(), output_size=len(kept))
+            ends = torch.from_numpy(chosen.starts)
+            nth = torch.arange(len(chosen)) - torch.repeat_interleave(ends[:-1], ends.diff(), output_size=len(chosen))
             query = self.queries[(nth % self.config.latent_queries).to(x.device)]
         else:
-            query = x if self.share == 1 else x[torch.from_numpy(places).to(x.device)]
-        cross = CrossGroups.of(kept.lengths, groups.lengths, x.device)
+            query = x if self.share == 1 else x[torch.from_numpy(indices).to(x.device)]
+        cross = CrossGroups.of(chosen.lengths, groups.lengths, x.device)
         z = query + self.cross(self.query_norm(query), self.key_norm(x), cross)
-        return self._run(self.decoder, z, own if self.share == 1 else Groups.of(kept.lengths, x.device))
+        return self._run(self.decoder, z, within if self.share == 1 else Groups.of(chosen.lengths, x.device))
 
-    def _embed(self, table: Tensor, rows: Splats, links: TokenLinks, groups: RowGroups) -> Tensor:
+    def _embed(self, table: Tensor, gaussians: Splats, links: TokenLinks, groups: GaussianGroups) -> Tensor:
         """[M, D]: W_f (weighted mean of the row's tokens) + W_g (attributes)."""
         patches = torch.from_numpy(links.patches[groups.order]).to(table.device)
         weights = torch.from_numpy(links.weights[groups.order]).to(table.device, table.dtype)
-        told = F.embedding_bag(patches, table, per_sample_weights=weights, mode="sum")
+        token_mean = F.embedding_bag(patches, table, per_sample_weights=weights, mode="sum")
         # Float32 also under autocast: what the layers add up stays exact, only what they multiply is rounded.
         with exact(table.device):
-            return told + self.attribute(attribute_features(rows, groups, self.degree))
+            return token_mean + self.attribute(attribute_features(gaussians, groups, self.degree))
 
-    def _voxel_mean(self, x: Tensor, groups: RowGroups, kept: RowGroups) -> Tensor:
+    def _voxel_mean(self, x: Tensor, groups: GaussianGroups, chosen: GaussianGroups) -> Tensor:
         """VoxelAtt: the mean token of each voxel, through layers of the same depth, handed to each of its kept rows."""
         lengths = torch.from_numpy(groups.lengths).to(x.device)
         owner = torch.repeat_interleave(torch.arange(len(lengths), device=x.device), lengths, output_size=len(x))
         mean = x.new_zeros(len(lengths), x.shape[1]).index_add(0, owner, x) / lengths.clamp(min=1)[:, None].to(x.dtype)
         single = Groups.of(np.ones(len(lengths), np.int64), x.device)
         mean = self._run(self.decoder, self._run(self.encoder, mean, single), single)
-        counts = torch.from_numpy(kept.lengths).to(x.device)
-        return torch.repeat_interleave(mean, counts, dim=0, output_size=len(kept))
+        counts = torch.from_numpy(chosen.lengths).to(x.device)
+        return torch.repeat_interleave(mean, counts, dim=0, output_size=len(chosen))
 
     def _run(self, layers: nn.ModuleList, x: Tensor, groups: Groups) -> Tensor:
         for layer in layers:

@@ -59,15 +59,15 @@ class AttributeHead(nn.Module):
         """Whether every weight is zero, so that it says exactly nothing about anything: an untrained residual."""
         return not (self.linear.weight.any() or self.linear.bias.any())
 
-    def attributes(self, raw: Tensor, rows: Splats, centers: Tensor, voxel: float) -> Splats:
+    def attributes(self, raw: Tensor, gaussians: Splats, centers: Tensor, voxel: float) -> Splats:
         """The decoded rows. raw: [M, C]; rows: the M rows, torch float32; centers: [M, 3] of their voxels, and voxel,
         the edge of one, world units."""
         if self.kind == "residual":
-            return apply_residual(rows, raw, voxel)
+            return apply_residual(gaussians, raw, voxel)
         if self.kind == "bounded":
-            size = rows.scales.detach().amax(1, keepdim=True).clamp(max=voxel)
-            return apply_residual(rows, bounded(raw), size)
-        return absolute(rows, raw, centers, voxel)
+            size = gaussians.scales.detach().amax(1, keepdim=True).clamp(max=voxel)
+            return apply_residual(gaussians, bounded(raw), size)
+        return absolute(gaussians, raw, centers, voxel)
 
 
 def bounded(raw: Tensor) -> Tensor:
@@ -77,7 +77,7 @@ def bounded(raw: Tensor) -> Tensor:
     return limits * torch.tanh(raw / limits)
 
 
-def apply_residual(rows: Splats, residual: Tensor, unit: float | Tensor) -> Splats:
+def apply_residual(gaussians: Splats, residual: Tensor, unit: float | Tensor) -> Splats:
     """Rows moved by a residual [M, C]: centre in units (world, one or [M, 1]), log scale, quaternion (of the row's own
     norm), logit opacity, SH of the bands that C has (others stay). Where a number of the residual is exactly 0, the
     row's own number returns bit for bit. Differentiable in both, at 0 too.
@@ -86,31 +86,31 @@ def apply_residual(rows: Splats, residual: Tensor, unit: float | Tensor) -> Spla
     sigmoid(logit o + d) = o e^d / (1 - o + o e^d).
     """
     centre, scale, turn, opacity, sh = _split(residual)
-    norm = rows.quats.norm(dim=1, keepdim=True)
+    norm = gaussians.quats.norm(dim=1, keepdim=True)
     odds = torch.exp(opacity.clamp(-16, 16))
-    o = rows.opacities.clamp(OPAQUE, 1 - OPAQUE)
-    bands = min(sh.shape[1], rows.sh.shape[1])
-    low = _keep(rows.sh[:, :bands] + sh[:, :bands], rows.sh[:, :bands], sh[:, :bands])
+    o = gaussians.opacities.clamp(OPAQUE, 1 - OPAQUE)
+    bands = min(sh.shape[1], gaussians.sh.shape[1])
+    low = _keep(gaussians.sh[:, :bands] + sh[:, :bands], gaussians.sh[:, :bands], sh[:, :bands])
     return replace(
-        rows,
-        means=_keep(rows.means + unit * centre, rows.means, centre),
-        scales=_keep(rows.scales * torch.exp(scale.clamp(-8, 8)), rows.scales, scale),
-        quats=_keep(rows.quats + norm * turn, rows.quats, turn),
-        opacities=_keep(o * odds / (1 - o + o * odds), rows.opacities, opacity),
-        sh=low if bands == rows.sh.shape[1] else torch.cat([low, rows.sh[:, bands:]], dim=1),
+        gaussians,
+        means=_keep(gaussians.means + unit * centre, gaussians.means, centre),
+        scales=_keep(gaussians.scales * torch.exp(scale.clamp(-8, 8)), gaussians.scales, scale),
+        quats=_keep(gaussians.quats + norm * turn, gaussians.quats, turn),
+        opacities=_keep(o * odds / (1 - o + o * odds), gaussians.opacities, opacity),
+        sh=low if bands == gaussians.sh.shape[1] else torch.cat([low, gaussians.sh[:, bands:]], dim=1),
     )
 
 
-def absolute(rows: Splats, raw: Tensor, centers: Tensor, voxel: float) -> Splats:
+def absolute(gaussians: Splats, raw: Tensor, centers: Tensor, voxel: float) -> Splats:
     """Rows as raw [M, C] says, with constants so that raw 0 is a grey, round, half transparent row of half a voxel in
     its voxel's middle. rows gives only the number of SH bands and what is not an attribute."""
     centre, scale, turn, opacity, sh = _split(raw)
-    bands = rows.sh.shape[1]
+    bands = gaussians.sh.shape[1]
     sh = sh[:, :bands]
     if sh.shape[1] < bands:
         sh = torch.cat([sh, sh.new_zeros(len(sh), bands - sh.shape[1], 3)], dim=1)
     return replace(
-        rows,
+        gaussians,
         means=centers.to(raw.dtype) + voxel * centre,
         scales=0.5 * voxel * torch.exp(scale.clamp(-8, 8)),
         quats=turn + turn.new_tensor([1.0, 0.0, 0.0, 0.0]),

@@ -42,14 +42,14 @@ class Encoded:
 
     latents: Latents
     """K latents; latents.groups.order are rows of `rows`. Rows that cannot be drawn have none."""
-    rows: Splats = field(repr=False)
+    gaussians: Splats = field(repr=False)
     """Torch float32. native: the N rows that were encoded. copy: K rows, decoded by Stage I; they are the asset now."""
 
     @cached_property
-    def places(self) -> np.ndarray:
+    def latent_ids(self) -> np.ndarray:
         """[len(rows)] int64 index into latents.values of each row's latent; -1 for rows without one."""
         order = self.latents.groups.order
-        out = np.full(len(self.rows), -1, np.int64)
+        out = np.full(len(self.gaussians), -1, np.int64)
         out[order] = np.arange(len(order))
         return out
 
@@ -58,7 +58,7 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
     """config.views cameras around the asset's cube, config.image_size pixels square. Deterministic. Raises ValueError
     when no row can be drawn."""
     lo, size = bounding_cube(splats)
-    middle, distance = lo + size / 2, BALL * size / 2 / math.sin(math.radians(FOV / 2))
+    center, distance = lo + size / 2, BALL * size / 2 / math.sin(math.radians(FOV / 2))
     first, made = config.views // 3, []  # the first camera looks slightly down
     for k in range(first, first + config.views):
         # Heights of equal area between both limits.
@@ -66,8 +66,8 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
         around = math.radians((k % config.views - first) * GOLDEN)
         level = math.sqrt(1 - height**2)
         away = np.array([level * math.sin(around), -height, level * math.cos(around)])  # assets have y down
-        eye = middle + distance * away
-        made.append(look_at(eye, middle, (0.0, -1.0, 0.0), width=config.image_size, height=config.image_size, fov=FOV))
+        eye = center + distance * away
+        made.append(look_at(eye, center, (0.0, -1.0, 0.0), width=config.image_size, height=config.image_size, fov=FOV))
     return made
 
 
@@ -83,7 +83,9 @@ def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> t
         drawn = render(splats, list(cameras), contributions=True)
     colors, depths, alphas = (torch.as_tensor(x).float() for x in (drawn.colors, drawn.depths, drawn.alphas))
     seen = drawn.contributions if isinstance(drawn.contributions, np.ndarray) else drawn.contributions.cpu().numpy()
-    views = AssetViews(cameras, colors.clamp(0, 1), depths, alphas, middle=grid.lo + grid.size / 2, half=grid.size / 2)
+    views = AssetViews(
+        cameras, colors.clamp(0, 1), depths, alphas, center=grid.lo + grid.size / 2, half_extent=grid.size / 2
+    )
     return views, seen.astype(np.float32, copy=False)
 
 
@@ -107,16 +109,16 @@ def encode_asset(
     own = splats.numpy()
     if grid is None or grid.resolution != config.compress.resolution:
         grid = voxelize(own, config.compress.resolution)
-    rows = splats.torch(str(device))
+    gaussians = splats.torch(str(device))
     cameras = canonical_cameras(own, config.lrm)
-    views, contributions = asset_views(rows if device.type == "cuda" else own, cameras, grid)
+    views, contributions = asset_views(gaussians if device.type == "cuda" else own, cameras, grid)
     if config.representation == "copy":
         return _copied(model, views, kind)
     tokens = model.encode_views(views)
     # Rows that cannot be drawn contribute nothing; their NaN must not reach the arithmetic.
     means = np.where(own.drawable[:, None], own.means, 0)
     links = links_from_views(means, cameras, contributions, config.lrm.patch)
-    return Encoded(model.compressor(tokens, rows, links, model.groups(grid), dtype=kind), rows)
+    return Encoded(model.compressor(tokens, gaussians, links, model.groups(grid), dtype=kind), gaussians)
 
 
 def _copied(model: SplatPainterModel, views: AssetViews, dtype: torch.dtype) -> Encoded:
@@ -124,8 +126,8 @@ def _copied(model: SplatPainterModel, views: AssetViews, dtype: torch.dtype) -> 
     from splatpainter.models.compress import Latents
 
     copy = model.copy_rows(views)
-    grid = voxelize(copy.rows.numpy(), model.config.compress.resolution)
-    latents = model.compressor(copy.tokens, copy.rows, copy.links, model.groups(grid), dtype=dtype)
-    rows = model.decode_latents(latents, copy.rows)
+    grid = voxelize(copy.gaussians.numpy(), model.config.compress.resolution)
+    latents = model.compressor(copy.tokens, copy.gaussians, copy.links, model.groups(grid), dtype=dtype)
+    gaussians = model.decode_latents(latents, copy.gaussians)
     groups = replace(latents.groups, order=np.arange(len(latents.groups), dtype=np.int64))
-    return Encoded(Latents(latents.values, groups), rows)
+    return Encoded(Latents(latents.values, groups), gaussians)

@@ -1,7 +1,7 @@
-"""Rows as Stage I sees them: grouped by voxel, described by their attributes, and tied to tokens of the LRM.
+"""Gaussians as Stage I sees them: grouped by voxel, described by their attributes, tied to tokens of the LRM.
 
-Knows no network. N rows of the asset, M rows in groups (packed), B groups (voxels), P LRM tokens (patches of all
-canonical views), S links per row, A features per row.
+Knows no network. N Gaussians of the asset, M in groups (packed), B groups (voxels), P LRM tokens (patches of all
+canonical views), S links and A features per Gaussian.
 """
 
 from __future__ import annotations
@@ -22,81 +22,81 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class RowGroups:
-    """Which rows share a voxel: packed, group after group. Host arrays; made once per asset."""
+class GaussianGroups:
+    """Which Gaussians share a voxel: packed, group after group. Host arrays; made once per asset."""
 
     order: np.ndarray = field(repr=False)
-    """[M] int64 rows, group after group; inside a group by falling opacity, equal ones by row (as in VoxelGrid)."""
+    """[M] int64 Gaussians, group after group; in a group by falling opacity, equal ones in their order (VoxelGrid)."""
     starts: np.ndarray = field(repr=False)
     """[B + 1] int64: group b is order[starts[b] : starts[b + 1]] (cu_seqlens of packed attention)."""
     centers: np.ndarray = field(repr=False)
     """[B, 3] float64 centres of the groups' voxels, world units."""
     voxel: float
     """Edge of a voxel, world units."""
-    middle: np.ndarray = field(repr=False)
+    center: np.ndarray = field(repr=False)
     """[3] float64 centre of the asset's cube, world units."""
-    half: float
+    half_extent: float
     """Half the edge of the asset's cube, world units."""
 
     @staticmethod
-    def of(grid: VoxelGrid, largest: int = 0) -> RowGroups:
+    def of(grid: VoxelGrid, max_size: int = 0) -> GaussianGroups:
         """The groups of a grid, shorter ones first: in every run of groups attention then finds batches of one length
-        as they lie. largest: voxels with more rows than this become several groups; 0: never."""
+        as they lie. max_size: voxels with more Gaussians than this become several groups; 0: never."""
         starts = np.asarray(grid.starts, np.int64)
         lengths = np.diff(starts)
-        pieces = np.maximum(-(-lengths // largest), 1) if largest else np.ones_like(lengths)
+        pieces = np.maximum(-(-lengths // max_size), 1) if max_size else np.ones_like(lengths)
         nth = _within(pieces)  # 0, 1, ... inside each voxel
-        cut = np.append(np.repeat(starts[:-1], pieces) + nth * largest, starts[-1])
+        cut = np.append(np.repeat(starts[:-1], pieces) + nth * max_size, starts[-1])
         rank = np.argsort(np.diff(cut), kind="stable")
         counts = np.diff(cut)[rank]
-        places = np.repeat(cut[:-1][rank], counts) + _within(counts)
-        return RowGroups(
-            order=np.asarray(grid.order, np.int64)[places],
+        indices = np.repeat(cut[:-1][rank], counts) + _within(counts)
+        return GaussianGroups(
+            order=np.asarray(grid.order, np.int64)[indices],
             starts=np.append(0, np.cumsum(counts)).astype(np.int64),
             centers=np.repeat(grid.centers(grid.keys), pieces, axis=0)[rank],
             voxel=grid.voxel,
-            middle=grid.lo + grid.size / 2,
-            half=grid.size / 2,
+            center=grid.lo + grid.size / 2,
+            half_extent=grid.size / 2,
         )
 
     def __len__(self) -> int:
-        """M, the number of grouped rows."""
+        """M, the number of grouped Gaussians."""
         return len(self.order)
 
     @cached_property
     def lengths(self) -> np.ndarray:
-        """[B] int64 rows per group."""
+        """[B] int64 Gaussians per group."""
         return np.diff(self.starts)
 
-    def row_centers(self, places: np.ndarray | None = None) -> np.ndarray:
-        """[M, 3] float64 voxel centre of each grouped row, or of those at `places` in the packed order."""
-        if places is None:
+    def gaussian_centers(self, indices: np.ndarray | None = None) -> np.ndarray:
+        """[M, 3] float64 voxel centre of each grouped Gaussian, or of those at `indices` in the packed order."""
+        if indices is None:
             return np.repeat(self.centers, self.lengths, axis=0)
-        return self.centers[np.searchsorted(self.starts, places, side="right") - 1]
+        return self.centers[np.searchsorted(self.starts, indices, side="right") - 1]
 
-    def part(self, first: int, last: int) -> RowGroups:
+    def part(self, first: int, last: int) -> GaussianGroups:
         """Groups first .. last - 1."""
         a, b = self.starts[first], self.starts[last]
         return replace(
             self, order=self.order[a:b], starts=self.starts[first : last + 1] - a, centers=self.centers[first:last]
         )
 
-    def chunks(self, rows: int) -> Iterator[RowGroups]:
-        """Runs of whole groups of at most `rows` rows each (one group, where that alone has more)."""
+    def chunks(self, size: int) -> Iterator[GaussianGroups]:
+        """Runs of complete groups of at most `size` Gaussians each (one group, where that alone has more)."""
         first, count = 0, len(self.lengths)
         while first < count:
-            last = int(np.searchsorted(self.starts, self.starts[first] + rows, side="right")) - 1
+            last = int(np.searchsorted(self.starts, self.starts[first] + size, side="right")) - 1
             last = max(last, first + 1)
             yield self.part(first, last)
             first = last
 
-    def kept(self, share: float) -> tuple[RowGroups, np.ndarray]:
-        """The most opaque K = max(floor(share N_k), 1) rows of every group (none of an empty group), and their places
-        [K_all] int64 in the packed order."""
+    def most_opaque(self, share: float) -> tuple[GaussianGroups, np.ndarray]:
+        """The most opaque K = max(floor(share N_k), 1) Gaussians of every group (none of an empty group), and their
+        indices [K_all] int64 in the packed order."""
         counts = np.minimum(np.maximum(np.floor(share * self.lengths).astype(np.int64), 1), self.lengths)
-        places = np.repeat(self.starts[:-1], counts) + _within(counts)
+        indices = np.repeat(self.starts[:-1], counts) + _within(counts)
         starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        return replace(self, order=self.order[places], starts=starts), places
+        return replace(self, order=self.order[indices], starts=starts), indices
 
 
 def _within(counts: np.ndarray) -> np.ndarray:
@@ -110,53 +110,53 @@ def feature_count(degree: int) -> int:
     return 14 + 3 * (degree + 1) ** 2
 
 
-def attribute_features(rows: Splats, groups: RowGroups, degree: int) -> torch.Tensor:
-    """[M, A] float32 what a row is: centre relative to its voxel (voxel units) and the voxel in the cube (-1..1), log
-    scale in voxels, unit quaternion with w >= 0, logit opacity, SH of bands 0..degree (zeros where the row has fewer).
+def attribute_features(gaussians: Splats, groups: GaussianGroups, degree: int) -> torch.Tensor:
+    """[M, A] float32 what a Gaussian is: centre relative to its voxel (voxel units) and the voxel in the cube (-1..1),
+    log scale in voxels, unit quaternion with w >= 0, logit opacity, SH of bands 0..degree (zeros where it has fewer).
 
-    rows: the N rows of the asset, with torch attributes. Every feature is of order 1 and bounded, also for outliers
+    gaussians: the N of the asset, with torch attributes. Every feature is of order 1 and bounded, also for outliers
     beyond the cube. Differentiable in the attributes.
     """
     import torch
 
-    device = rows.means.device
+    device = gaussians.means.device
     index = torch.from_numpy(groups.order).to(device)
-    center = torch.from_numpy(groups.row_centers()).to(device)
-    middle = torch.from_numpy(groups.middle).to(device)
+    voxel_center = torch.from_numpy(groups.gaussian_centers()).to(device)
+    cube_center = torch.from_numpy(groups.center).to(device)
     # Float64 until the difference is taken: captures lie kilometres from their origin.
-    offset = (rows.means[index].double() - center) / groups.voxel
-    place = (center - middle) / groups.half
-    scale = torch.log((rows.scales[index].float() / groups.voxel).clamp(1e-6, 1e6))
-    quat = torch.nn.functional.normalize(rows.quats[index].float(), dim=1)
+    offset = (gaussians.means[index].double() - voxel_center) / groups.voxel
+    position = (voxel_center - cube_center) / groups.half_extent
+    scale = torch.log((gaussians.scales[index].float() / groups.voxel).clamp(1e-6, 1e6))
+    quat = torch.nn.functional.normalize(gaussians.quats[index].float(), dim=1)
     quat = torch.where(quat[:, :1] < 0, -quat, quat)
-    opacity = torch.logit(rows.opacities[index].float(), eps=1e-4)
-    wanted = (degree + 1) ** 2
-    sh = rows.sh[index][:, :wanted].float().clamp(-16, 16)
-    sh = torch.nn.functional.pad(sh.flatten(1), (0, 3 * (wanted - sh.shape[1])))
-    parts = (offset.float().clamp(-4, 4), place.float(), scale / 4, quat, opacity[:, None] / 4, sh)
+    opacity = torch.logit(gaussians.opacities[index].float(), eps=1e-4)
+    bands = (degree + 1) ** 2
+    sh = gaussians.sh[index][:, :bands].float().clamp(-16, 16)
+    sh = torch.nn.functional.pad(sh.flatten(1), (0, 3 * (bands - sh.shape[1])))
+    parts = (offset.float().clamp(-4, 4), position.float(), scale / 4, quat, opacity[:, None] / 4, sh)
     return torch.cat(parts, dim=1)
 
 
 def drift_features(now: Splats, encoded: Splats, voxel: float) -> torch.Tensor:
-    """[J, 7] float32 how rows differ from those that their latents describe: centre (voxels), log scale, opacity. Zeros
-    for the same rows; a row that the lift split off says where in its parent it lies.
+    """[J, 7] float32 how Gaussians differ from those that their latents describe: centre (voxels), log scale, opacity.
+    Zeros for the same ones; one that the lift split off says where in its parent it lies.
 
-    now, encoded: J rows each, torch; voxel: edge of a voxel, world units. Bounded, as attribute_features."""
+    now, encoded: J Gaussians each, torch; voxel: edge of a voxel, world units. Bounded, as attribute_features."""
     import torch
 
-    place = ((now.means - encoded.means) / voxel).clamp(-4, 4)
+    offset = ((now.means - encoded.means) / voxel).clamp(-4, 4)
     size = torch.log((now.scales / encoded.scales).clamp(1e-6, 1e6))
-    return torch.cat([place, size / 4, (now.opacities - encoded.opacities)[:, None]], dim=1).float()
+    return torch.cat([offset, size / 4, (now.opacities - encoded.opacities)[:, None]], dim=1).float()
 
 
 @dataclass(frozen=True)
 class TokenLinks:
-    """Which LRM tokens describe a row, and how much of each."""
+    """Which LRM tokens describe a Gaussian, and how much of each."""
 
     patches: np.ndarray = field(repr=False)
     """[N, S] int64 tokens, 0..P - 1."""
     weights: np.ndarray = field(repr=False)
-    """[N, S] float32 >= 0; sum to 1, or to 0 for a row that no view shows."""
+    """[N, S] float32 >= 0; sum to 1, or to 0 for one that no view shows."""
 
     def __post_init__(self) -> None:
         if self.patches.shape != self.weights.shape or self.patches.ndim != 2:
@@ -164,35 +164,32 @@ class TokenLinks:
 
 
 def links_from_views(
-    means: np.ndarray, cameras: Sequence[Camera], contributions: np.ndarray, patch: int, most: int = 4
+    means: np.ndarray, cameras: Sequence[Camera], contributions: np.ndarray, patch: int, max_links: int = 4
 ) -> TokenLinks:
-    """Tie each row to the patches that its centre falls into, weighted by how much of it each view shows.
+    """Tie each Gaussian to the patches that its centre falls into, weighted by how much of it each view shows.
 
-    means: [N, 3] world; cameras: the V canonical views, in the LRM's order; contributions: [V, N] pixels per row and
-    view (`Render.contributions`); patch: pixels per edge. Rows keep the `most` views that show most of them. Tokens are
-    counted view by view, in each row by row of patches. Raises ValueError for contributions of another shape.
+    means: [N, 3] world; cameras: the V canonical views, in the LRM's order; contributions: [V, N] pixels per Gaussian
+    and view (`Render.contributions`); patch: pixels per edge. Only the `max_links` views that show most of a Gaussian
+    count. Tokens are numbered view by view, in each row by row of patches. Raises ValueError for contributions of
+    another shape.
     """
-    count, rows = len(cameras), len(means)
-    if contributions.shape != (count, rows):
-        raise ValueError(f"links: expected contributions [{count}, {rows}], got {list(contributions.shape)}")
-    patches = np.zeros((count, rows), np.int64)
-    weights = np.zeros((count, rows), np.float32)
+    count, n = len(cameras), len(means)
+    if contributions.shape != (count, n):
+        raise ValueError(f"links: expected contributions [{count}, {n}], got {list(contributions.shape)}")
+    patches = np.zeros((count, n), np.int64)
+    weights = np.zeros((count, n), np.float32)
     first = 0
     for view, camera in enumerate(cameras):
         wide, high = -(-camera.width // patch), -(-camera.height // patch)
-        turn, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-        x, y, z = (means.astype(np.float64) @ turn.T + shift).T
-        ahead = z > 1e-9
-        depth = np.where(ahead, z, 1.0)
-        u, v = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
-        shown = ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        column, line = (np.where(shown, place, 0).astype(np.int64) // patch for place in (u, v))
+        pixels, z = camera.project(means)
+        inside = (z > 1e-9) & (pixels >= 0).all(1) & (pixels < [camera.width, camera.height]).all(1)
+        column, line = (np.where(inside[:, None], pixels, 0).astype(np.int64) // patch).T
         patches[view] = first + line * wide + column
-        weights[view] = np.where(shown, np.maximum(contributions[view], 0), 0)
+        weights[view] = np.where(inside, np.maximum(contributions[view], 0), 0)
         first += wide * high
-    if most < count:
+    if max_links < count:
         # Stable: equal views keep their order, so that two runs agree.
-        best = np.argsort(-weights, axis=0, kind="stable")[:most]
+        best = np.argsort(-weights, axis=0, kind="stable")[:max_links]
         patches, weights = np.take_along_axis(patches, best, 0), np.take_along_axis(weights, best, 0)
     total = weights.sum(0)
     weights = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0)

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from splatpainter.cameras import Camera
 from splatpainter.models.config import RefineConfig
-from splatpainter.models.gaussian_groups import RowGroups
+from splatpainter.models.gaussian_groups import GaussianGroups
 from splatpainter.models.lrm import AssetViews, nearest_points, patchify, rays, slants
 
 MOST = 16
@@ -72,7 +72,7 @@ class PictureTokens:
     """[V] int64 on the host: tokens per picture."""
 
 
-def tokenize(pictures: Pictures, groups: RowGroups, config: RefineConfig) -> PictureTokens:
+def tokenize(pictures: Pictures, groups: GaussianGroups, config: RefineConfig) -> PictureTokens:
     """Cut pictures into patches, padding right and below with zeros (and nothing edited) to whole patches. Positions
     and rays are in the asset's cube (-1..1), so that world units do not matter.
 
@@ -95,10 +95,12 @@ def tokenize(pictures: Pictures, groups: RowGroups, config: RefineConfig) -> Pic
     return PictureTokens(pixels.flatten(0, 1)[index], weights.flatten()[index], edited.sum(1))
 
 
-def _channels(pictures: Pictures, mask: Tensor, groups: RowGroups, config: RefineConfig) -> Tensor:
+def _channels(pictures: Pictures, mask: Tensor, groups: GaussianGroups, config: RefineConfig) -> Tensor:
     """[V, H, W, C] in the order of config.image_channels."""
     edited = pictures.edited
-    origins, directions = rays(AssetViews(pictures.cameras, edited, middle=groups.middle, half=groups.half))
+    origins, directions = rays(
+        AssetViews(pictures.cameras, edited, center=groups.center, half_extent=groups.half_extent)
+    )
     parts = []
     for name in config.image_channels:
         if name == "edited":
@@ -109,7 +111,7 @@ def _channels(pictures: Pictures, mask: Tensor, groups: RowGroups, config: Refin
             parts.append(2 * _present(pictures.render, name) - 1)
         elif name in ("geometry", "normals"):
             alpha = _present(pictures.alpha, name)
-            along = _present(pictures.depth, name) / (groups.half * slants(pictures.cameras, directions))
+            along = _present(pictures.depth, name) / (groups.half_extent * slants(pictures.cameras, directions))
             position = origins[:, None, None] + directions * along
             if name == "normals":
                 parts.append(_normals(position, alpha, directions))

@@ -25,7 +25,7 @@ from splatpainter.nn.layers import PackedBlock, layer_norm, linear
 from splatpainter.nn.precision import exact
 from splatpainter.splats import SH_C0, Splats
 
-MOST_VIEWS = 16
+MAX_VIEWS = 16
 REACH = 1.8
 """A Gaussian lies at most this far along its ray from the ray's point nearest the cube's centre (cube: -1..1, its
 corners at 1.73)."""
@@ -55,20 +55,22 @@ class AssetViews:
     """[V, H, W, 1] expected z-depth, world units, 0 where there is nothing; for a model that sees geometry."""
     alpha: Tensor | None = field(default=None, repr=False)
     """[V, H, W, 1] in 0..1; likewise."""
-    middle: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
+    center: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
     """[3] centre of the asset's cube, world units."""
-    half: float = 1.0
+    half_extent: float = 1.0
     """Half the edge of the asset's cube, world units, > 0."""
 
     def __post_init__(self) -> None:
         sizes = sorted({(camera.width, camera.height) for camera in self.cameras})
-        if not 1 <= len(self.cameras) <= MOST_VIEWS:
-            raise ValueError(f"encode: expected 1 to {MOST_VIEWS} views, got {len(self.cameras)}")
+        if not 1 <= len(self.cameras) <= MAX_VIEWS:
+            raise ValueError(f"encode: expected 1 to {MAX_VIEWS} views, got {len(self.cameras)}")
         if len(sizes) > 1:
             listed = ", ".join(f"{w}x{h}" for w, h in sizes)
             raise ValueError(f"encode: expected views of one size, got {listed}; render them at one size")
-        if not (np.isfinite(self.half) and self.half > 0 and np.isfinite(self.middle).all()):
-            raise ValueError(f"encode: expected a finite cube with half > 0, got {self.half} around {self.middle}")
+        if not (np.isfinite(self.half_extent) and self.half_extent > 0 and np.isfinite(self.center).all()):
+            raise ValueError(
+                f"encode: expected a finite cube with half > 0, got {self.half_extent} around {self.center}"
+            )
         width, height = sizes[0]
         for name, channels in (("colors", 3), ("depth", 1), ("alpha", 1)):
             values = getattr(self, name)
@@ -134,28 +136,28 @@ class GaussianLrm(nn.Module):
         means = origins.repeat_interleave(len(tokens) // len(origins), 0)[:, None] + along * directions  # [V L, p^2, 3]
         if self.training:
             means = means.clamp(-1, 1)
-        middle = torch.as_tensor(np.asarray(views.middle, np.float32)).to(means.device)
+        center = torch.as_tensor(np.asarray(views.center, np.float32)).to(means.device)
         sh = sh.unflatten(1, (count, 3))
         scale_bias, opacity_bias = torch.full_like(scales[:, :1], SCALE_BIAS), OPACITY_BIAS
         if self.config.geometry:
             # The surface and its colours are given: where the head says 0, the views' own pixels lie on it.
             assert views.alpha is not None
-            known = patchify(views.alpha, patch).reshape(-1, 1) > KNOWN_ALPHA
+            on_asset = patchify(views.alpha, patch).reshape(-1, 1) > KNOWN_ALPHA
             focal = min(views.cameras[0].fx, views.cameras[0].fy)
             footprint = torch.log(KNOWN_SCALE / focal * along.flatten(0, 1).detach().clamp_min(1e-3))
-            scale_bias = torch.where(known, footprint, scale_bias)
-            opacity_bias = torch.where(known[:, 0], KNOWN_OPACITY_BIAS, EMPTY_OPACITY_BIAS)
-            own = (patchify(views.colors, patch).reshape(-1, 1, 3) - 0.5) / SH_C0
-            sh = torch.cat([sh[:, :1] + own, sh[:, 1:]], dim=1)
+            scale_bias = torch.where(on_asset, footprint, scale_bias)
+            opacity_bias = torch.where(on_asset[:, 0], KNOWN_OPACITY_BIAS, EMPTY_OPACITY_BIAS)
+            base = (patchify(views.colors, patch).reshape(-1, 1, 3) - 0.5) / SH_C0
+            sh = torch.cat([sh[:, :1] + base, sh[:, 1:]], dim=1)
         return Splats(
-            means=means.flatten(0, 1) * views.half + middle,
+            means=means.flatten(0, 1) * views.half_extent + center,
             quats=quats,
-            scales=torch.exp((scales + scale_bias).clamp_max(SCALE_MOST)) * views.half,
+            scales=torch.exp((scales + scale_bias).clamp_max(SCALE_MOST)) * views.half_extent,
             opacities=torch.sigmoid(opacities[:, 0] + opacity_bias),
             sh=sh,
         )
 
-    def shown(self, views: AssetViews, splats: Splats) -> Tensor:
+    def on_surface(self, views: AssetViews, splats: Splats) -> Tensor:
         """[V * H * W] bool: Gaussians (one per pixel, of `decode`) that are worth drawing: with known geometry those of
         pixels that show the asset, the rest of the picture teaches nothing."""
         if not self.config.geometry or views.alpha is None:
@@ -184,7 +186,7 @@ def rays(views: AssetViews) -> tuple[Tensor, Tensor]:
     """(origins [V, 3], unit directions [V, H, W, 3] through the pixel centres) in the asset's cube, on the device of
     the colours."""
     device, (height, width) = views.colors.device, views.colors.shape[1:3]
-    origins = np.stack([(camera.position - np.asarray(views.middle)) / views.half for camera in views.cameras])
+    origins = np.stack([(camera.position - np.asarray(views.center)) / views.half_extent for camera in views.cameras])
     lenses = np.array([(camera.fx, camera.fy, camera.cx, camera.cy) for camera in views.cameras])
     turns = np.stack([camera.world_to_camera[:3, :3] for camera in views.cameras])
     origin, lens, turn = (torch.from_numpy(x.astype(np.float32)).to(device) for x in (origins, lenses, turns))
@@ -234,5 +236,5 @@ def _depth_range(views: AssetViews, origins: Tensor, directions: Tensor, geometr
     slant = slants(views.cameras, directions)
     known = (views.alpha > KNOWN_ALPHA) & (views.depth > 0)
     # z-depth to distance along the ray; clamped, since a background row may lie far behind the cube.
-    along = (views.depth / (slant * views.half) - nearest).clamp(-REACH, REACH) + nearest
+    along = (views.depth / (slant * views.half_extent) - nearest).clamp(-REACH, REACH) + nearest
     return torch.where(known, along, nearest), torch.where(known, DEPTH_REACH, REACH).to(nearest.dtype)

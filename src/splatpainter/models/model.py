@@ -20,15 +20,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from splatpainter.lift.features import SEEN_FEATURE
 from splatpainter.models import checkpoint
 from splatpainter.models.compress import Compressor, Latents
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.decode import AttributeHead, init_children
-from splatpainter.models.gaussian_groups import RowGroups, TokenLinks
+from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.image_tokens import Pictures, tokenize
 from splatpainter.models.lrm import AssetViews, GaussianLrm
 from splatpainter.models.predictor import Predictor
-from splatpainter.models.refine import CHUNK, SEEN, Refiner, RefineState
+from splatpainter.models.refine import CHUNK, Refiner, RefineState
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import VoxelGrid
 
@@ -37,7 +38,7 @@ from splatpainter.voxels.grid import VoxelGrid
 class Copy:
     """The LRM's own Gaussians, as rows for Stage I (`copy` representation)."""
 
-    rows: Splats
+    gaussians: Splats
     """N Gaussians above config.compress.min_opacity, torch."""
     tokens: Tensor = field(repr=False)
     """[P, token width]."""
@@ -51,11 +52,11 @@ class Refined:
 
     state: RefineState
     """Where the next edit starts."""
-    places: np.ndarray
+    latent_ids: np.ndarray
     """[J] int64 the chosen latents, indices into Latents.values."""
     values: Tensor = field(repr=False)
     """[J, D]."""
-    second: Tensor | None = field(repr=False)
+    detail_latents: Tensor | None = field(repr=False)
     """[J, D] the second set of a local edit, or None."""
 
 
@@ -65,10 +66,10 @@ class Decoded:
 
     splats: Splats
     """J rows, torch float32."""
-    rows: np.ndarray
-    """[J] int64 the rows of the asset that they replace."""
-    further: Splats | None
-    """Rows to append: J; none from a decoder that says nothing yet; or None where there was no second set."""
+    gaussian_ids: np.ndarray
+    """[J] int64 the asset's Gaussians that they replace."""
+    children: Splats | None
+    """Gaussians to append: J; none from an untrained decoder; or None where there were no detail latents."""
     parents: np.ndarray | None
     """[len(further)] int64 the rows of the asset that they belong to."""
 
@@ -114,13 +115,13 @@ class SplatPainterModel(nn.Module):
             folder, self.config, self.state_dict(), dtype=dtype, notes=self.notes if notes is None else notes
         )
 
-    def groups(self, grid: VoxelGrid) -> RowGroups:
+    def groups(self, grid: VoxelGrid) -> GaussianGroups:
         """The rows of a grid, grouped as Stage I wants them. Raises ValueError for a grid of another resolution."""
         if grid.resolution != self.config.compress.resolution:
             raise ValueError(
                 f"encode: expected a grid of {self.config.compress.resolution} voxels per edge, got {grid.resolution}"
             )
-        return RowGroups.of(grid, self.config.compress.largest_group)
+        return GaussianGroups.of(grid, self.config.compress.largest_group)
 
     def encode_views(self, views: AssetViews) -> Tensor:
         """[P, token width] tokens of an asset's canonical views. Raises ValueError as GaussianLrm."""
@@ -129,13 +130,13 @@ class SplatPainterModel(nn.Module):
     def copy_rows(self, views: AssetViews) -> Copy:
         """The LRM's Gaussians that can be seen, with their tokens. Raises ValueError when there are none."""
         output = self.lrm(views)
-        seen = (output.splats.opacities > self.config.compress.min_opacity) & self.lrm.shown(views, output.splats)
-        shown = torch.nonzero(seen)[:, 0]
-        if len(shown) == 0:
+        opaque = output.splats.opacities > self.config.compress.min_opacity
+        ids = torch.nonzero(opaque & self.lrm.on_surface(views, output.splats))[:, 0]
+        if len(ids) == 0:
             raise ValueError("encode: the model sees nothing in the views; check that they show the asset")
-        patches = (shown // self.config.lrm.patch**2).cpu().numpy()[:, None]
+        patches = (ids // self.config.lrm.patch**2).cpu().numpy()[:, None]
         links = TokenLinks(patches, np.ones(patches.shape, np.float32))
-        return Copy(output.splats.take(shown), output.tokens, links)
+        return Copy(output.splats.take(ids), output.tokens, links)
 
     def initial_state(self) -> RefineState:
         """Before any edit: the learned first fast weights (the parameters themselves: do not write)."""
@@ -147,7 +148,7 @@ class SplatPainterModel(nn.Module):
         latents: Latents,
         pictures: Pictures,
         *,
-        places: np.ndarray | None = None,
+        latent_ids: np.ndarray | None = None,
         lift: Tensor | None = None,
         drift: Tensor | None = None,
         detail: bool = False,
@@ -164,27 +165,27 @@ class SplatPainterModel(nn.Module):
         """
         if detail and not self.config.refine.detail:
             raise ValueError("refine: this model has no detail layer; use detail=False")
-        chosen, original = self._chosen(latents, places)
+        chosen, original = self._chosen(latents, latent_ids)
         original = self.refiner.prepare(original, lift, drift)
-        teachers = self.refiner.teachers(lift)
-        rows = None if teachers is None or lift is None else (original[teachers], lift[teachers, SEEN])
+        ids = self.refiner.teacher_ids(lift)
+        teacher_tokens = None if ids is None or lift is None else (original[ids], lift[ids, SEEN_FEATURE])
         tokens = tokenize(pictures, latents.groups, self.config.refine)
-        state = self.refiner.adapt(state, tokens, rows=rows, strength=strength)
+        state = self.refiner.adapt(state, tokens, teacher_tokens=teacher_tokens, strength=strength)
         values = self.refiner.read(state, original, chunk=chunk)
-        second = None
+        detail_latents = None
         if detail:
             state = self.refiner.learn_detail(state, values, strength=strength)
-            second = self.refiner.read_detail(state, original)
-        return Refined(state, chosen, values, second)
+            detail_latents = self.refiner.read_detail(state, original)
+        return Refined(state, chosen, values, detail_latents)
 
     def edit(
         self,
         state: RefineState,
         latents: Latents,
         pictures: Pictures,
-        rows: Splats,
+        gaussians: Splats,
         *,
-        places: np.ndarray | None = None,
+        latent_ids: np.ndarray | None = None,
         lift: Tensor | None = None,
         drift: Tensor | None = None,
         base: Splats | None = None,
@@ -195,41 +196,47 @@ class SplatPainterModel(nn.Module):
         million rows need little more than themselves."""
         if torch.is_grad_enabled():
             refined = self.refine(
-                state, latents, pictures, places=places, lift=lift, drift=drift, detail=detail, strength=strength
+                state,
+                latents,
+                pictures,
+                latent_ids=latent_ids,
+                lift=lift,
+                drift=drift,
+                detail=detail,
+                strength=strength,
             )
-            return refined.state, self.decode(latents, refined, rows, base)
+            return refined.state, self.decode(latents, refined, gaussians, base)
         if detail and not self.config.refine.detail:
             raise ValueError("refine: this model has no detail layer; use detail=False")
-        chosen = np.arange(len(latents.values)) if places is None else np.asarray(places, np.int64)
-        for name, told in (("lift features", lift), ("drift", drift)):
-            if told is not None and len(told) != len(chosen):
-                raise ValueError(f"refine: expected {name} of {len(chosen)} latents, got {len(told)}")
+        chosen = np.arange(len(latents.values)) if latent_ids is None else np.asarray(latent_ids, np.int64)
+        for name, values in (("lift features", lift), ("drift", drift)):
+            if values is not None and len(values) != len(chosen):
+                raise ValueError(f"refine: expected {name} of {len(chosen)} latents, got {len(values)}")
 
         def original(run: slice | np.ndarray) -> Tensor:
-            told = (None if values is None else values[run] for values in (lift, drift))
-            return self.refiner.prepare(self._chosen(latents, chosen[run])[1], *told)
+            parts = (None if values is None else values[run] for values in (lift, drift))
+            return self.refiner.prepare(self._chosen(latents, chosen[run])[1], *parts)
 
-        teachers = self.refiner.teachers(lift)
-        taught = None
-        if teachers is not None and lift is not None:
-            taught = original(teachers.cpu().numpy()), lift[teachers, SEEN]
+        ids, teacher_tokens = self.refiner.teacher_ids(lift), None
+        if ids is not None and lift is not None:
+            teacher_tokens = original(ids.cpu().numpy()), lift[ids, SEEN_FEATURE]
         tokens = tokenize(pictures, latents.groups, self.config.refine)
-        state = self.refiner.adapt(state, tokens, rows=taught, strength=strength)
+        state = self.refiner.adapt(state, tokens, teacher_tokens=teacher_tokens, strength=strength)
         runs = [slice(first, first + CHUNK) for first in range(0, max(len(chosen), 1), CHUNK)]
 
-        def decoded(values: Tensor, second: Tensor | None, run: slice) -> Decoded:
+        def decoded(values: Tensor, detail_latents: Tensor | None, run: slice) -> Decoded:
             part = None if base is None else base.take(np.arange(len(chosen))[run])
-            return self.decode(latents, Refined(state, chosen[run], values, second), rows, part)
+            return self.decode(latents, Refined(state, chosen[run], values, detail_latents), gaussians, part)
 
         if not detail:
             return state, _joined([decoded(self.refiner.read(state, original(run)), None, run) for run in runs])
         # The extra layer learns from all refined latents before any is read again.
         values = torch.cat([self.refiner.read(state, original(run)) for run in runs])
         state = self.refiner.learn_detail(state, values, strength=strength)
-        seconds = ((run, self.refiner.read_detail(state, original(run))) for run in runs)
-        return state, _joined([decoded(values[run], second, run) for run, second in seconds])
+        detail_parts = ((run, self.refiner.read_detail(state, original(run))) for run in runs)
+        return state, _joined([decoded(values[run], detail_latents, run) for run, detail_latents in detail_parts])
 
-    def decode(self, latents: Latents, refined: Refined, rows: Splats, base: Splats | None = None) -> Decoded:
+    def decode(self, latents: Latents, refined: Refined, gaussians: Splats, base: Splats | None = None) -> Decoded:
         """Attributes of refined latents. rows: the N rows of the asset that the latents belong to, torch float32; base:
         J rows that the residuals are added to (the lift's answer), by default the latents' own of `rows`.
 
@@ -237,40 +244,40 @@ class SplatPainterModel(nn.Module):
         Where `base` rows are given and Stage I has decoded them before (`copy`), they get only what changed: the
         residual of the refined latent minus that of the latent before. A residual that is exactly zero returns a row's
         bits and, unless in training mode, appends nothing."""
-        index = latents.groups.order[refined.places]
+        index = latents.groups.order[refined.latent_ids]
         native = self.config.representation == "native"
-        own = rows.take(index) if base is None else base
+        base_gaussians = gaussians.take(index) if base is None else base
         again = base is not None and not native and self.config.decoder != "absolute"
-        told = self.head(self._chosen(latents, refined.places)[1]) if again else None
-        splats = self._decoded(latents, refined.values, refined.places, own, told)
-        if refined.second is None:
+        before = self.head(self._chosen(latents, refined.latent_ids)[1]) if again else None
+        splats = self._decoded(latents, refined.values, refined.latent_ids, base_gaussians, before)
+        if refined.detail_latents is None:
             return Decoded(splats, index, None, None)
-        parents = init_children(own) if native else own
-        further = self._decoded(latents, refined.second, refined.places, parents, told)
+        parents = init_children(base_gaussians) if native else base_gaussians
+        children = self._decoded(latents, refined.detail_latents, refined.latent_ids, parents, before)
         if self.head.is_untrained and not self.training:
             # In training mode all are drawn: what is never drawn never learns.
-            return Decoded(splats, index, further.take(index[:0]), index[:0])
-        return Decoded(splats, index, further, index)
+            return Decoded(splats, index, children.take(index[:0]), index[:0])
+        return Decoded(splats, index, children, index)
 
-    def decode_latents(self, latents: Latents, rows: Splats, places: np.ndarray | None = None) -> Splats:
+    def decode_latents(self, latents: Latents, gaussians: Splats, latent_ids: np.ndarray | None = None) -> Splats:
         """What Stage I alone says: the chosen latents (all by default), decoded as they are. J rows."""
-        chosen, values = self._chosen(latents, places)
-        return self._decoded(latents, values, chosen, rows.take(latents.groups.order[chosen]))
+        chosen, values = self._chosen(latents, latent_ids)
+        return self._decoded(latents, values, chosen, gaussians.take(latents.groups.order[chosen]))
 
-    def _chosen(self, latents: Latents, places: np.ndarray | None) -> tuple[np.ndarray, Tensor]:
+    def _chosen(self, latents: Latents, latent_ids: np.ndarray | None) -> tuple[np.ndarray, Tensor]:
         """([J] indices, [J, D] float32 latents)."""
-        if places is None:
+        if latent_ids is None:
             return np.arange(len(latents.values)), latents.values.float()
-        chosen = np.asarray(places, np.int64)
+        chosen = np.asarray(latent_ids, np.int64)
         return chosen, latents.values[torch.from_numpy(chosen).to(latents.values.device)].float()
 
     def _decoded(
-        self, latents: Latents, values: Tensor, places: np.ndarray, base: Splats, told: Tensor | None = None
+        self, latents: Latents, values: Tensor, latent_ids: np.ndarray, base: Splats, before: Tensor | None = None
     ) -> Splats:
-        """J rows. values: [J, D]; base: J rows; told: [J, C] what the decoder has said about them already."""
-        centers = torch.from_numpy(latents.groups.row_centers(places)).to(base.means)
+        """J rows. values: [J, D]; base: J rows; before: [J, C] what the decoder said about them before the edit."""
+        centers = torch.from_numpy(latents.groups.gaussian_centers(latent_ids)).to(base.means)
         raw = self.head(values)
-        raw = raw if told is None else raw - told
+        raw = raw if before is None else raw - before
         return self.head.attributes(raw, base, centers, latents.groups.voxel)
 
 
@@ -278,12 +285,12 @@ def _joined(parts: list[Decoded]) -> Decoded:
     """One after the other."""
     if len(parts) == 1:
         return parts[0]
-    further = [part.further for part in parts if part.further is not None]
+    children = [part.children for part in parts if part.children is not None]
     parents = [part.parents for part in parts if part.parents is not None]
     return Decoded(
         _stacked([part.splats for part in parts]),
-        np.concatenate([part.rows for part in parts]),
-        _stacked(further) if further else None,
+        np.concatenate([part.gaussian_ids for part in parts]),
+        _stacked(children) if children else None,
         np.concatenate(parents) if parents else None,
     )
 

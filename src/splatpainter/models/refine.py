@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
+from splatpainter.lift.features import LIFT_FEATURES, SEEN_FEATURE
 from splatpainter.models.config import RefineConfig
 from splatpainter.models.image_tokens import PictureTokens
 from splatpainter.nn.attention import CrossGroups, Groups
@@ -23,13 +24,8 @@ from splatpainter.nn.ttt import TTTLayer
 
 CHUNK = 1 << 12
 """Latents that are worked on at once without gradients: few enough for what they pass through to stay in the caches."""
-LIFT_FEATURES = 13
-"""Numbers per latent that the analytic lift says: colour before and after (3 + 3), how much was seen, the colour that
-its regression predicts (3), and the row's normal (3)."""
-SEEN = 6
-"""Which of them says how much was seen."""
 DRIFT_FEATURES = 7
-"""Numbers per latent that say how its row differs from the one that was encoded (rows.drift_features)."""
+"""Numbers per latent that say how its row differs from the one that was encoded (gaussian_groups.drift_features)."""
 Memory = FastWeights | Tensor
 """What a block knows of the edits so far: fast weights, or (cross_attention) the [T, D] tokens of all of them."""
 
@@ -65,24 +61,26 @@ class FastMixer(nn.Module):
     def initial(self) -> Memory:
         return self.ttt.initial_state()
 
-    def learn(
+    def update(
         self,
         memory: Memory,
         tokens: Tensor,
         weights: Tensor | None,
         strength: float | None,
-        rows: tuple[Tensor, Tensor] | None = None,
+        teacher_tokens: tuple[Tensor, Tensor] | None = None,
     ) -> Memory:
         assert isinstance(memory, FastWeights)
         # Without gradients in parts: the second set learns from every latent of the edit.
         chunk = None if torch.is_grad_enabled() else CHUNK
-        return self.ttt.update(memory, tokens, weights, rows=rows, edit_strength=strength, chunk=chunk)
+        return self.ttt.update(
+            memory, tokens, weights, teacher_tokens=teacher_tokens, edit_strength=strength, chunk=chunk
+        )
 
-    def tell_pictures(self, memory: Memory, tokens: Tensor) -> Tensor:
+    def read_image_tokens(self, memory: Memory, tokens: Tensor) -> Tensor:
         assert isinstance(memory, FastWeights)
         return self.ttt.read(memory, tokens, "image")
 
-    def tell_rows(self, memory: Memory, tokens: Tensor) -> Tensor:
+    def read_gaussian_tokens(self, memory: Memory, tokens: Tensor) -> Tensor:
         assert isinstance(memory, FastWeights)
         return self.ttt.read(memory, tokens, "voxel")
 
@@ -100,22 +98,22 @@ class AttentionMixer(nn.Module):
         weight = self.rows.out.weight
         return weight.new_zeros(0, self.dim)
 
-    def learn(
+    def update(
         self,
         memory: Memory,
         tokens: Tensor,
         weights: Tensor | None,
         strength: float | None,
-        rows: tuple[Tensor, Tensor] | None = None,
+        teacher_tokens: tuple[Tensor, Tensor] | None = None,
     ) -> Memory:
         assert isinstance(memory, Tensor)
         return torch.cat([memory, tokens.to(memory.dtype)])
 
-    def tell_pictures(self, memory: Memory, tokens: Tensor) -> Tensor:
+    def read_image_tokens(self, memory: Memory, tokens: Tensor) -> Tensor:
         assert isinstance(memory, Tensor) and self.pictures is not None
         return self.pictures(tokens, memory, CrossGroups.of([len(tokens)], [len(memory)], tokens.device))
 
-    def tell_rows(self, memory: Memory, tokens: Tensor) -> Tensor:
+    def read_gaussian_tokens(self, memory: Memory, tokens: Tensor) -> Tensor:
         assert isinstance(memory, Tensor)
         return self.rows(tokens, memory, CrossGroups.of([len(tokens)], [len(memory)], tokens.device))
 
@@ -151,7 +149,7 @@ class RefineBlock(nn.Module):
         weights: Tensor | None,
         groups: Groups | None,
         strength: float | None,
-        rows: Tensor | None,
+        teachers: Tensor | None,
         shares: Tensor | None,
     ) -> tuple[Memory, Tensor, Tensor | None]:
         """The memory after the edit, and what the next block learns from: picture tokens [T, D] and teaching latents
@@ -159,17 +157,17 @@ class RefineBlock(nn.Module):
         if groups is not None:
             x = x + self.attention(self.norm_attention(x), groups)
         tokens = self.norm_pictures(x)
-        taught = None if rows is None or shares is None else (self.norm_rows(rows), shares)
-        memory = self.mixer.learn(memory, tokens, weights, strength, taught)
+        normalised = None if teachers is None or shares is None else (self.norm_rows(teachers), shares)
+        memory = self.mixer.update(memory, tokens, weights, strength, normalised)
         if self.last:
-            return memory, x, rows
-        x = x + self.mixer.tell_pictures(memory, tokens)
+            return memory, x, teachers
+        x = x + self.mixer.read_image_tokens(memory, tokens)
         x = x + self.mlp_pictures(self.norm_pictures_mlp(x))
-        return memory, x, None if rows is None else self.read(memory, rows)
+        return memory, x, None if teachers is None else self.read(memory, teachers)
 
     def read(self, memory: Memory, x: Tensor) -> Tensor:
         """Latents [K, D] after this block."""
-        x = x + self.mixer.tell_rows(memory, self.norm_rows(x))
+        x = x + self.mixer.read_gaussian_tokens(memory, self.norm_rows(x))
         return x + self.mlp_rows(self.norm_rows_mlp(x))
 
 
@@ -202,15 +200,16 @@ class Refiner(nn.Module):
         state: RefineState,
         tokens: PictureTokens,
         *,
-        rows: tuple[Tensor, Tensor] | None = None,
+        teacher_tokens: tuple[Tensor, Tensor] | None = None,
         strength: float | None = None,
     ) -> RefineState:
-        """The state after an edit. rows: ([R, D] latents from `prepare` that teach along, see `teachers`, [R] 0..1 how
-        much each counts), for a model with row_tokens; strength: overrides config.edit_strength. An edit without tokens
-        changes nothing. Permuting the pictures changes the state by rounding only."""
+        """The state after an edit. teacher_tokens: ([R, D] latents from `prepare` that teach along, see
+        `teacher_ids`, [R] 0..1 how much each counts), for a model with row_tokens; strength: overrides
+        config.edit_strength. An edit without tokens changes nothing. Permuting the pictures changes the state by
+        rounding only."""
         if len(tokens.pixels) == 0:
             return state
-        latents, shares = rows or (None, None)
+        teachers, shares = teacher_tokens or (None, None)
         with exact(tokens.pixels.device):  # float32, so that so is the sum that the blocks add to
             x = self.pictures(tokens.pixels)
         groups = Groups.of(tokens.lengths, x.device) if self.config.image_attention else None
@@ -218,36 +217,36 @@ class Refiner(nn.Module):
         memories = []
         for block, memory in zip(self._blocks(), state.blocks, strict=True):
             if self._recompute():
-                step = (memory, x, weights, groups, strength, latents, shares)
-                memory, x, latents = checkpoint(block.adapt, *step, use_reentrant=False)  # type: ignore[misc]
+                step = (memory, x, weights, groups, strength, teachers, shares)
+                memory, x, teachers = checkpoint(block.adapt, *step, use_reentrant=False)  # type: ignore[misc]
             else:
-                memory, x, latents = block.adapt(memory, x, weights, groups, strength, latents, shares)
+                memory, x, teachers = block.adapt(memory, x, weights, groups, strength, teachers, shares)
             memories.append(memory)
         return replace(state, blocks=tuple(memories))
 
-    def teachers(self, lift: Tensor | None) -> Tensor | None:
-        """[R] int64 the rows that teach along with the pictures: at most config.row_tokens, those that the edit shows
-        most (lift: [K, 13], see `prepare`); None for a model without, or where the edit shows none."""
+    def teacher_ids(self, lift: Tensor | None) -> Tensor | None:
+        """[R] int64 the latents that teach along with the pictures: at most config.row_tokens, those that the edit
+        shows most (lift: [K, 13], see `prepare`); None for a model without, or where the edit shows none."""
         if not self.config.row_tokens or lift is None:
             return None
-        seen = lift[:, SEEN]
+        seen = lift[:, SEEN_FEATURE]
         count = min(self.config.row_tokens, int((seen > 0).sum()))
         return torch.topk(seen, count).indices if count else None
 
     def prepare(self, latents: Tensor, lift: Tensor | None, drift: Tensor | None = None) -> Tensor:
         """[K, D] latents with what is known of their rows beyond. lift: [K, 13] colour before, colour after, seen,
         colour predicted (0..1), and unit normal, for a model with lift features; drift: [K, 7] of
-        `rows.drift_features`, for one with base "lift" (None: the rows are those that were encoded). Raises ValueError
+        `drift_features`, for one with base "lift" (None: the rows are those that were encoded). Raises ValueError
         where they are missing or of another shape."""
-        wanted = [len(latents), LIFT_FEATURES]
+        shape = [len(latents), LIFT_FEATURES]
         if self.config.lift_features:
-            if lift is None or list(lift.shape) != wanted:
-                raise ValueError(f"refine: expected lift features {wanted}, got {_shape(lift)}")
+            if lift is None or list(lift.shape) != shape:
+                raise ValueError(f"refine: expected lift features {shape}, got {_shape(lift)}")
             before, after, seen, predicted, normal = lift.split([3, 3, 1, 3, 3], dim=1)
             changes = (2 * (after - before), seen, 2 * (predicted - before))
-            told = torch.cat([2 * before - 1, *changes, normal], dim=1)
+            inputs = torch.cat([2 * before - 1, *changes, normal], dim=1)
             with exact(latents.device):
-                latents = latents + self.lift(told.to(self.lift.weight.dtype))
+                latents = latents + self.lift(inputs.to(self.lift.weight.dtype))
         if self.config.base == "lift" and drift is not None:
             if list(drift.shape) != [len(latents), DRIFT_FEATURES]:
                 raise ValueError(f"refine: expected drift [{len(latents)}, {DRIFT_FEATURES}], got {_shape(drift)}")
@@ -274,14 +273,14 @@ class Refiner(nn.Module):
     def learn_detail(self, state: RefineState, refined: Tensor, *, strength: float | None = None) -> RefineState:
         """The state after the extra layer has learnt from the refined latents [K, D] of a local edit."""
         assert self.config.detail and state.detail is not None, "a model without detail layer"
-        memory = self.detail_mixer.learn(state.detail, self.norm_refined(refined), None, strength)
+        memory = self.detail_mixer.update(state.detail, self.norm_refined(refined), None, strength)
         return replace(state, detail=memory)
 
     def read_detail(self, state: RefineState, original: Tensor) -> Tensor:
         """A second set of latents [K, D]: what the extra layer says to the original ones, from `prepare`; each by
         itself."""
         assert state.detail is not None, "a model without detail layer"
-        return original + self.detail_mixer.tell_rows(state.detail, self.norm_original(original))
+        return original + self.detail_mixer.read_gaussian_tokens(state.detail, self.norm_original(original))
 
     def _blocks(self) -> list[RefineBlock]:
         return [block for block in self.blocks if isinstance(block, RefineBlock)]

@@ -78,30 +78,30 @@ class TTTLayer(nn.Module):
         tokens: Tensor,
         mask: Tensor | None = None,
         *,
-        rows: tuple[Tensor, Tensor] | None = None,
+        teacher_tokens: tuple[Tensor, Tensor] | None = None,
         edit_strength: float | Tensor | None = None,
         chunk: int | None = None,
     ) -> FastWeights:
         """The state after an edit; the given one stays as it is.
 
         tokens: [T, D] of the whole edit, normalised. mask: [T] bool or 0..1, how much each token counts; 0 leaves it
-        out exactly, and an edit of none returns the same bits. rows: ([R, D] voxel tokens, normalised, [R] 0..1 how
-        much each counts), which teach along with the image tokens, in a layer with that teacher. edit_strength:
-        overrides the layer's. chunk: tokens in work at once, which bounds the memory; the same up to rounding, since
-        the direction is a sum over tokens.
+        out exactly, and an edit of none returns the same bits. teacher_tokens: ([R, D] voxel tokens, normalised, [R]
+        0..1 how much each counts), which teach along with the image tokens, in a layer with that teacher.
+        edit_strength: overrides the layer's. chunk: tokens in work at once, which bounds the memory; the same up to
+        rounding, since the direction is a sum over tokens.
         """
         size = chunk or max(len(tokens), 1)
         parts = tokens.split(size)
         masks = [None] * len(parts) if mask is None else mask.split(size)
         # One part is kept over the inner steps, many are made again in each.
-        whole = self._lesson(tokens, mask, "image") if len(parts) == 1 else None
-        further = () if rows is None else (self._lesson(*rows, "voxel"),)
+        single = self._keys_values_rates(tokens, mask, "image") if len(parts) == 1 else None
+        voxels = () if teacher_tokens is None else (self._keys_values_rates(*teacher_tokens, "voxel"),)
 
         def direction(weights: FastWeights) -> FastWeights:
             pairs = zip(parts, masks, strict=True)
-            pictures = (self._lesson(*pair, "image") for pair in pairs) if whole is None else (whole,)
-            ways = (fast_weights.ascent(weights, *lesson, self.inner_loss) for lesson in chain(pictures, further))
-            return reduce(lambda one, two: FastWeights(*(a + b for a, b in zip(one, two, strict=True))), ways)
+            images = (self._keys_values_rates(*pair, "image") for pair in pairs) if single is None else (single,)
+            steps = (fast_weights.ascent(weights, *part, self.inner_loss) for part in chain(images, voxels))
+            return reduce(lambda one, two: FastWeights(*(a + b for a, b in zip(one, two, strict=True))), steps)
 
         return fast_weights.advance(
             state,
@@ -118,7 +118,7 @@ class TTTLayer(nn.Module):
         said = functional.rms_norm(said.float(), said.shape[-1:], self.gain.float(), EPS)
         return self.out(said.flatten(1))
 
-    def _lesson(self, tokens: Tensor, mask: Tensor | None, stream: Stream) -> tuple[Tensor, Tensor, Tensor]:
+    def _keys_values_rates(self, tokens: Tensor, mask: Tensor | None, stream: Stream) -> tuple[Tensor, Tensor, Tensor]:
         """Keys and values [H, T, D/H] and rates [H, T, 3] of a stream's tokens [T, D]; mask as in `update`."""
         kv, rate = (self.kv, self.rates) if stream == "image" else (self.kv_rows, self.rates_rows)
         # Keys and values under the caller's autocast, the state and its norms in float32.

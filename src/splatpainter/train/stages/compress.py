@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from splatpainter.models.encode import asset_views, canonical_cameras
-from splatpainter.models.gaussian_groups import RowGroups, TokenLinks, links_from_views
+from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks, links_from_views
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.train.loss import PictureLoss
@@ -57,9 +57,9 @@ class CopyTask(Task[SplatPainterModel]):
         with self.arithmetic():
             with torch.no_grad():
                 copy = self.model.copy_rows(input_views(self.model, sample, self.device))
-            grid = voxelize(copy.rows.numpy(), self.model.config.compress.resolution)
-            latents = self.model.compressor(copy.tokens, copy.rows, copy.links, self.model.groups(grid))
-        return self.model.decode_latents(latents, copy.rows), copy.rows
+            grid = voxelize(copy.gaussians.numpy(), self.model.config.compress.resolution)
+            latents = self.model.compressor(copy.tokens, copy.gaussians, copy.links, self.model.groups(grid))
+        return self.model.decode_latents(latents, copy.gaussians), copy.gaussians
 
 
 class HiddenColors(Task[SplatPainterModel]):
@@ -70,7 +70,7 @@ class HiddenColors(Task[SplatPainterModel]):
         super().__init__()
         self.model = model
         self.guess = nn.Linear(model.config.compress.dim, 3 * (model.config.sh_degree + 1) ** 2)
-        self._known: Recent[tuple[Tensor, Splats, TokenLinks, RowGroups]] = Recent(objects)
+        self._known: Recent[tuple[Tensor, Splats, TokenLinks, GaussianGroups]] = Recent(objects)
         freeze(model.lrm, model.refiner, model.head, model.predictor)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
@@ -102,7 +102,7 @@ class HiddenColors(Task[SplatPainterModel]):
         return self.guess(F.layer_norm(latents.values, latents.values.shape[1:]))[asked], sh[asked], sh[~asked]
 
     @torch.no_grad()
-    def _know(self, splats: Splats) -> tuple[Tensor, Splats, TokenLinks, RowGroups]:
+    def _know(self, splats: Splats) -> tuple[Tensor, Splats, TokenLinks, GaussianGroups]:
         config = self.model.config
         grid = voxelize(splats, config.compress.resolution)
         cameras = canonical_cameras(splats, config.lrm)

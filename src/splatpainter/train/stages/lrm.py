@@ -89,7 +89,7 @@ def input_views(model: SplatPainterModel, sample: Sample, device: torch.device) 
             f"train: expected {config.views} base views per sample, got {len(cameras)}; raise data.base_views"
         )
     colors = tensor(sample.base.colors, device)[: config.views]
-    return AssetViews(cameras, colors, middle=grid.lo + grid.size / 2, half=grid.size / 2)
+    return AssetViews(cameras, colors, center=grid.lo + grid.size / 2, half_extent=grid.size / 2)
 
 
 def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], PictureTarget]:
@@ -101,13 +101,13 @@ def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], PictureTa
 
 
 def _drawn(made: Splats, views: AssetViews, model: SplatPainterModel) -> Splats:
-    return made.take(torch.nonzero(model.lrm.shown(views, made))[:, 0])
+    return made.take(torch.nonzero(model.lrm.on_surface(views, made))[:, 0])
 
 
 def _distances(made: Splats, views: AssetViews) -> Tensor:
     """[V * H * W] distance from the camera minus the camera's from the middle, half cubes."""
     eyes = np.stack([camera.position for camera in views.cameras])
-    far = np.linalg.norm(eyes - np.asarray(views.middle), axis=1)
+    far = np.linalg.norm(eyes - np.asarray(views.center), axis=1)
     per_view = made.means.view(len(eyes), -1, 3)
     eye = tensor(eyes, made.means.device)[:, None]
-    return (((per_view - eye).norm(dim=-1) - tensor(far, made.means.device)[:, None]) / views.half).reshape(-1)
+    return (((per_view - eye).norm(dim=-1) - tensor(far, made.means.device)[:, None]) / views.half_extent).reshape(-1)

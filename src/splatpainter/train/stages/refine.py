@@ -24,7 +24,7 @@ from splatpainter.lighting import row_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit
 from splatpainter.models.encode import Encoded, asset_views, canonical_cameras, encode_asset
-from splatpainter.models.gaussian_groups import RowGroups, TokenLinks, links_from_views
+from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks, links_from_views
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import predicting
 from splatpainter.rendering import render
@@ -170,7 +170,7 @@ class RefineTask(Task[SplatPainterModel]):
             with self.arithmetic():
                 encoded = encode_asset(self.model, splats, grid)
             if self.copies:  # what is edited is what Stage I decodes
-                splats = encoded.rows.numpy()
+                splats = encoded.gaussians.numpy()
                 grid = voxelize(splats, resolution)
             return Known(splats, grid, *self._aside(splats), encoded, None, None)
         if self.options.train_encoder == "all":
@@ -315,7 +315,7 @@ def _louder(values: Tensor, factor: float) -> Tensor:
     return values.detach() + factor * (values - values.detach())
 
 
-def holding(groups: RowGroups, rows: np.ndarray, count: int) -> RowGroups:
+def holding(groups: GaussianGroups, rows: np.ndarray, count: int) -> GaussianGroups:
     """Those groups that hold any of the given rows, whole: nothing crosses a voxel's border, so Stage I gives their
     rows the same latents. count: N rows of the asset."""
     wanted = np.zeros(count, bool)
