@@ -74,6 +74,7 @@ def surroundings(installed: Path, home: Path) -> dict[str, str]:
 def test_the_wheel_has_what_the_package_needs_and_nothing_else(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as bundle:
         names = set(bundle.namelist())
+        (entry_points,) = (bundle.read(name).decode() for name in names if name.endswith("/entry_points.txt"))
     expected = {
         path.relative_to(ROOT / "src").as_posix()
         for path in (ROOT / "src" / "splatpainter").rglob("*")
@@ -81,6 +82,7 @@ def test_the_wheel_has_what_the_package_needs_and_nothing_else(wheel: Path) -> N
     }
     packed = {name for name in names if ".dist-info/" not in name}
     assert packed == expected
+    assert "splatpainter.cli:main" in entry_points and "bench" not in entry_points, "benches are another distribution"
     for part in ("server/static/index.html", "server/static/studio.js", "train/recipes/", "weights/", "py.typed"):
         assert any(name.startswith(f"splatpainter/{part}") for name in packed), part
     assert any(name.endswith(".safetensors") for name in packed)

@@ -79,16 +79,20 @@ def _module(name: str) -> Any:
     group `splatpainter.commands`. Raises ValueError where that distribution is missing."""
     if name not in DISTRIBUTIONS:
         return importlib.import_module("splatpainter.commands." + name)
-    points = importlib.metadata.entry_points(group=ENTRY_POINTS, name=name)
-    if not points:
-        raise ValueError(
-            f"{PROGRAM} {name}: expected {DISTRIBUTIONS[name]}, which is not installed; see benchmarks/README.md"
-        )
-    return next(iter(points)).load()
+    if not _is_installed(name):
+        raise ValueError(f"{PROGRAM} {name}: not installed; it comes with {DISTRIBUTIONS[name]}")
+    return next(iter(importlib.metadata.entry_points(group=ENTRY_POINTS, name=name))).load()
+
+
+def _is_installed(name: str) -> bool:
+    return name not in DISTRIBUTIONS or bool(importlib.metadata.entry_points(group=ENTRY_POINTS, name=name))
 
 
 def _help() -> str:
-    rows = [f"  {name:<9} {line}" for name, line in SUMMARIES.items()]
+    rows = [
+        f"  {name:<9} {line}" + ("" if _is_installed(name) else " (separate: see benchmarks/README.md)")
+        for name, line in SUMMARIES.items()
+    ]
     return "\n".join(
         [
             f"usage: {PROGRAM} COMMAND ...",
