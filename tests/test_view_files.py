@@ -19,8 +19,8 @@ from splatpainter.image_files import encode_png, find_camera, quantized, read_de
 from splatpainter.rendering import reference
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.sources import edit_from_files
-from splatpainter.sources.files import over_render
-from splatpainter.sources.pictures import read_picture
+from splatpainter.sources.edit_files import over_render
+from splatpainter.sources.picture_reader import read_picture
 from splatpainter.splats import Splats
 from splatpainter.view_files import PictureOptions, draw_passes, normals_of, view_files
 from tests.support.cli_scenes import BOX, Capture, ball, run, saved
@@ -155,7 +155,7 @@ def test_transparent_pictures_over_a_background_are_the_opaque_render(
     kind: str, bits: int, asset: Splats, tmp_path: Path
 ) -> None:
     """In the space in which the asset's colours are blended."""
-    from splatpainter.sources.color import from_display
+    from splatpainter.color import from_display
 
     camera = replace(orbit_cameras(asset, 1, size=48)[0], background=(0.9, 0.3, 0.1))
     made = view_files(asset, camera, "v", PictureOptions(bits=bits, transparent=kind))  # type: ignore[arg-type]

@@ -26,7 +26,7 @@ from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 from splatpainter.image_files import to_uint8
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.receipts import score
-from splatpainter.sources.layers import filled, over
+from splatpainter.sources.layers import over, solid_layer
 from splatpainter.splats import Splats
 
 BACKGROUND = (0.33, 0.35, 0.37)
@@ -218,7 +218,7 @@ def painted_layers(image: np.ndarray, cover: np.ndarray, config: LiftBench) -> l
     stroke = scenes.stroke_layer(shape, scenes.wave(shape, 0.68), 30 * unit, 6 * unit)
     first = scenes.color_against(image, text[..., 3])
     second = scenes.color_against(image, stroke[..., 3], first)
-    layers = [filled(text[..., 3], first), filled(stroke[..., 3], second)]
+    layers = [solid_layer(text[..., 3], first), solid_layer(stroke[..., 3], second)]
     for layer in layers:
         layer[..., 3] *= np.clip((cover - 0.8) / 0.15, 0, 1)
     return layers

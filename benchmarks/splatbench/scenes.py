@@ -15,7 +15,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.image_files import to_uint8
-from splatpainter.sources.layers import face, filled, over
+from splatpainter.sources.layers import load_font, over, solid_layer
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -141,13 +141,13 @@ def text_layer(
     from PIL import Image, ImageDraw
 
     scale = SUPERSAMPLING
-    letters = face(font, height * scale)
+    letters = load_font(font, height * scale)
     canvas = Image.new("L", (shape[1] * scale, shape[0] * scale))
     position = (center[0] * scale, center[1] * scale)
     bold = round(0.04 * height * scale)  # the built-in font has one weight
     ImageDraw.Draw(canvas).text(position, text, 255, letters, anchor="mm", stroke_width=bold, stroke_fill=255)
     coverage = canvas.resize((shape[1], shape[0]), Image.Resampling.BOX)
-    return filled(np.asarray(coverage, np.float32) / 255, color)
+    return solid_layer(np.asarray(coverage, np.float32) / 255, color)
 
 
 def stroke_layer(
@@ -164,7 +164,7 @@ def stroke_layer(
         t = np.clip(((x - a[0]) * along[0] + (y - a[1]) * along[1]) / length, 0, 1) if length else 0.0
         nearest = np.minimum(nearest, (x - a[0] - t * along[0]) ** 2 + (y - a[1] - t * along[1]) ** 2)
     fall = np.clip((width / 2 - np.sqrt(nearest)) / max(softness, 1e-3), 0, 1)
-    return filled(fall * fall * (3 - 2 * fall), color)
+    return solid_layer(fall * fall * (3 - 2 * fall), color)
 
 
 def wave(shape: tuple[int, int], height: float) -> np.ndarray:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.splats import SH_C0, Array
+from splatpainter.splats import SH_C0, Array, ColorSpace
 
 LUMA = (0.2126, 0.7152, 0.0722)
 """Weights of Rec. 709: the luminance of linear colours, and near enough the luma of display colours."""
@@ -23,6 +23,21 @@ def linear_to_srgb(linear: Array) -> Array:
     """Linear light >= 0 -> display sRGB, the inverse of `srgb_to_linear`."""
     high = 1.055 * linear.clip(0.0031308, None) ** (1 / 2.4) - 0.055
     return _where(linear <= 0.0031308, 12.92 * linear, high)
+
+
+def to_display(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
+    """Colours of an asset as a picture shows them, sRGB 0..1 (clipped to 0..1 where they are linear)."""
+    return colors if space == "srgb" else linear_to_srgb(np.clip(np.nan_to_num(colors), 0, 1)).astype(colors.dtype)
+
+
+def from_display(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
+    """The inverse of `to_display`, for sRGB 0..1."""
+    return colors if space == "srgb" else srgb_to_linear(np.clip(colors, 0, 1)).astype(colors.dtype)
+
+
+def to_light(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
+    """Colours of an asset as linear light, 1 = white; not clipped above."""
+    return colors if space == "linear" else srgb_to_linear(np.maximum(colors, 0)).astype(colors.dtype)
 
 
 def luminance(colors: Array) -> Array:

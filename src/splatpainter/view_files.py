@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.color import to_display, to_light
 from splatpainter.image_files import (
     ALPHA_KEY,
     CAMERA_KEYWORD,
@@ -28,8 +29,7 @@ from splatpainter.image_files import (
 )
 from splatpainter.lift.normals import outward_normals
 from splatpainter.rendering.profiles import Profile
-from splatpainter.sources.color import to_display, to_light
-from splatpainter.sources.pictures import straight
+from splatpainter.sources.picture_reader import straight
 from splatpainter.splats import ColorSpace, Splats
 
 Aov = Literal["alpha", "depth", "normal", "gaussian-ids", "coverage"]

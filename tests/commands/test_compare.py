@@ -13,7 +13,7 @@ from PIL import Image
 
 import splatpainter as sp
 from splatpainter.cameras import Camera
-from splatpainter.sources.color import to_light
+from splatpainter.color import to_light
 from splatpainter.splats import SH_C0
 from tests.support.cli_scenes import Capture, ball, run, saved
 

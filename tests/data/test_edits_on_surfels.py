@@ -14,7 +14,7 @@ from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.data.edits import change_masks, on_surfels
 from splatpainter.data.edits.layers import PaintCoverage
 from splatpainter.rendering import render
-from splatpainter.sources import looks
+from splatpainter.sources import color_grading
 from splatpainter.splats import SH_C0, Splats
 
 
@@ -143,14 +143,14 @@ def test_lit_paint_is_as_bright_as_the_light_on_the_surface() -> None:
 
 
 def test_a_regrade_of_matt_rows_is_the_look_of_their_colours() -> None:
-    look = looks.random_look(np.random.default_rng(1))
+    look = color_grading.random_grade(np.random.default_rng(1))
     colors = torch.rand(60, 3)
     out = on_surfels.grade_sh(((colors - 0.5) / SH_C0)[:, None], look)
-    np.testing.assert_allclose(0.5 + SH_C0 * out[:, 0], looks.apply_look(colors, look), atol=1e-6)
+    np.testing.assert_allclose(0.5 + SH_C0 * out[:, 0], color_grading.apply_grade(colors, look), atol=1e-6)
 
 
 def test_a_regrade_of_a_small_lobe_is_the_look_of_what_each_direction_shows() -> None:
-    look = looks.Look(contrast=1.4, saturation=1.5, curve=((0.0, 0.0), (0.5, 0.6), (1.0, 1.0)))
+    look = color_grading.ColorGrade(contrast=1.4, saturation=1.5, curve=((0.0, 0.0), (0.5, 0.6), (1.0, 1.0)))
     generator = torch.Generator().manual_seed(0)
     sh = torch.randn(200, 4, 3, generator=generator, dtype=torch.float64) * 0.01
     sh[:, 0] = (torch.rand(200, 3, generator=generator, dtype=torch.float64) * 0.5 + 0.25 - 0.5) / SH_C0
@@ -158,7 +158,7 @@ def test_a_regrade_of_a_small_lobe_is_the_look_of_what_each_direction_shows() ->
     c1 = 0.4886025119029199
     for x, y, z in ((0.0, 0.0, 1.0), (0.6, -0.8, 0.0)):
         basis = torch.tensor([SH_C0, -c1 * y, c1 * z, -c1 * x], dtype=torch.float64)[:, None]
-        wanted = looks.apply_look(0.5 + (basis * sh).sum(1), look)
+        wanted = color_grading.apply_grade(0.5 + (basis * sh).sum(1), look)
         inner = ((wanted > 0.04) & (wanted < 0.96)).all(1)  # a lobe that clips has no derivative
         assert inner.sum() > 100
         np.testing.assert_allclose((0.5 + (basis * out).sum(1))[inner], wanted[inner], atol=5e-4)

@@ -16,7 +16,7 @@ from PIL import Image, PngImagePlugin
 from splatpainter.cameras import Camera, look_at
 from splatpainter.image_files import CAMERA_KEYWORD
 from splatpainter.sources import edit_from_files
-from splatpainter.sources.files import camera_from
+from splatpainter.sources.edit_files import camera_from
 
 from .mutations import bend_bytes, bend_integer, bend_json, bend_list, few, json_bytes, maybe
 from .target import Fault, Target, Verdict, refusal

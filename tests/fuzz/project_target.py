@@ -138,7 +138,7 @@ class ProjectTarget(Target):
             return
         database.execute(f"UPDATE OR REPLACE {table} SET {columns[k]} = ? WHERE {where}", (fresh, *row))
         if table == "layers" and columns[k] == "content" and isinstance(fresh, str):  # so that it is believed
-            from splatpainter.session.layers import digest
+            from splatpainter.session.document import digest
 
             database.execute("UPDATE OR REPLACE layers SET sha256 = ? WHERE content = ?", (digest(fresh), fresh))
 

@@ -287,7 +287,7 @@ def test_the_first_message_is_hello_of_the_same_schema(studio: Live) -> None:
         ('{"id": 7, "do": "jump", "cursor": -1}', "greater than or equal to 0"),
         ('{"id": 7, "do": "undo", "twice": true}', "twice: Extra inputs are not permitted"),
         ('{"id": 7, "do": "look.commit", "look": {"exposure": NaN}}', "finite number"),
-        ('{"id": 7, "do": "jump", "cursor": 99}', "history: expected a place of 0 to 0"),
+        ('{"id": 7, "do": "jump", "cursor": 99}', "history: expected an index of 0 to 0"),
         ('{"id": 7, "do": "layer.delete", "layer": "9"}', "layer: expected one of none, got '9'"),
     ],
 )

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import splatpainter as sp
-from splatpainter.session import Session, database, deltas
-from splatpainter.session.original import is_local_path, is_plain_name
-from splatpainter.session.project import Project
+from splatpainter.session import Session, database, delta
+from splatpainter.session.asset_files import is_local_path, is_plain_name
+from splatpainter.session.project_file import Project
 from splatpainter.session.scratch import OWNER, ScratchFolder, sweep_folder, sweep_scratch
 from tests.support.session_scenes import BLUE, RED, FlatPainter, asset, dab, flat, print_of
 from tests.support.systems import posix_only
@@ -157,18 +157,18 @@ def bomb(head: dict, parts: int) -> list[bytes]:
     import zstandard
 
     pack = zstandard.ZstdCompressor(level=3).compress
-    return [pack(json.dumps(head).encode()), pack(b""), *[pack(bytes(deltas.PART))] * parts]
+    return [pack(json.dumps(head).encode()), pack(b""), *[pack(bytes(delta.PART_BYTES))] * parts]
 
 
 def test_a_delta_unpacks_no_more_than_its_packed_bytes_justify(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(deltas, "UNPACKED_FREE_BYTES", 8 << 20)
+    monkeypatch.setattr(delta, "UNPACKED_FREE_BYTES", 8 << 20)
     rows = 1 << 24
     parts = bomb({"version": 1, "count": 0, "rows": 0, "appended": rows, "coefficients": 1}, 40)
     with pytest.raises(ValueError, match="unpack to more than"):
-        deltas.decode(parts)
+        delta.decode(parts)
     for head in (DEEP, '{"version": 1, "coefficients": 1, "count": 1e999, "rows": 0, "appended": 0}', "[]", "7"):
         with pytest.raises(ValueError, match="damaged"):
-            deltas.decode([_packed(head)])
+            delta.decode([_packed(head)])
 
 
 def _packed(text: str) -> bytes:
@@ -367,7 +367,7 @@ def test_an_export_that_fails_names_its_target(tmp_path: Path, monkeypatch: pyte
         def nowhere(path, splats):
             raise ValueError(f"{path}: cannot be written (No space left on device)")
 
-        monkeypatch.setattr("splatpainter.session.export.write", nowhere)
+        monkeypatch.setattr("splatpainter.session.asset_files.write", nowhere)
         with pytest.raises(ValueError) as error:
             session.export(target)
         assert str(error.value) == f"{target}: cannot be written (No space left on device)"
@@ -375,7 +375,7 @@ def test_an_export_that_fails_names_its_target(tmp_path: Path, monkeypatch: pyte
         def refused(*words, **how):
             raise PermissionError(13, "Permission denied", str(tmp_path / ".out.ply.abc.part"))
 
-        monkeypatch.setattr("splatpainter.session.export.tempfile.TemporaryDirectory", refused)
+        monkeypatch.setattr("splatpainter.session.asset_files.tempfile.TemporaryDirectory", refused)
         with pytest.raises(ValueError) as error:
             session.export(target)
         assert str(error.value) == f"{target}: cannot be written (Permission denied)"

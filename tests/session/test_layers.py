@@ -67,7 +67,7 @@ def commands_of(session: Session, a: str, b: str, c: str) -> list[tuple[str, Any
         ("look", lambda: session.add("look", parameters={"look": "gain", "gain": [1.1, 1, 0.9]})),
         ("regrade", lambda: session.add("look", [Edit(np.full((SIZE, SIZE, 3), 0.8, np.float32), CAMERA)])),
         ("merge", lambda: session.merge([c, a])),
-        ("settle", lambda: session.settle(a, b, "blend")),
+        ("resolve", lambda: session.resolve_conflict(a, b, "blend")),
         ("delete", lambda: session.delete(b)),
     ]
 
@@ -91,7 +91,7 @@ def test_undo_and_redo_of_everything_restore_the_bits():
         assert not session.redo()
         session.jump(0)
         assert same_bits(session.splats, session.original) and not session.undo()
-        with pytest.raises(ValueError, match=r"^history: expected a place of 0 to \d+, got 99$"):
+        with pytest.raises(ValueError, match=r"^history: expected an index of 0 to \d+, got 99$"):
             session.jump(99)
 
 
@@ -225,11 +225,11 @@ def test_readers_are_never_kept_waiting_and_never_see_halves():
             return super().apply(asset, edits, mode, method)
 
     with flat(painter=Slow()) as session:
-        before = session.shown
+        before = session.snapshot
         writer = threading.Thread(target=session.add, args=("paint", [dab()]))
         writer.start()
         assert entered.wait(20)
-        assert session.shown is before and session.delta(1).version == 1 and len(session.history) == 1
+        assert session.snapshot is before and session.delta(1).version == 1 and len(session.history) == 1
         leave.set()
         writer.join(20)
         after = session.delta(1)
@@ -258,12 +258,12 @@ def test_progress_can_cancel():
             if done == 2:
                 raise KeyboardInterrupt
 
-        before = session.shown
+        before = session.snapshot
         session.progress = stop
         with pytest.raises(KeyboardInterrupt):
             session.set(a, opacity=0.5)
         assert seen == [(0, 3, "a"), (1, 3, "b"), (2, 3, "c")]
-        assert session.shown is before and len(session.history) == 4
+        assert session.snapshot is before and len(session.history) == 4
         session.progress = None
         session.set(a, opacity=0.5)
         assert session.verify() == []
@@ -284,7 +284,7 @@ def test_what_a_painter_learnt_is_replayed_and_kept(tmp_path):
         return FlatPainter(model=Model(2, 2))
 
     def weights(session: Session) -> Any:
-        return session.shown.level.state.blocks[0].w0
+        return session.snapshot.state.painter_state.blocks[0].w0
 
     path = tmp_path / "a.splatproj"
     with flat(project=path, painter=learner()) as session:
@@ -314,7 +314,7 @@ def test_what_a_painter_learnt_is_replayed_and_kept(tmp_path):
 def test_what_cannot_be_done_changes_nothing():
     session, (a, _, _) = three()
     with session:
-        before, steps = session.shown, len(session.history)
+        before, steps = session.snapshot, len(session.history)
         edit = dab()
         wrong: list[tuple[Any, str]] = [
             (lambda: session.add("paint"), "expected at least one edited view"),
@@ -326,13 +326,13 @@ def test_what_cannot_be_done_changes_nothing():
             (lambda: session.set(a), "to set, got nothing"),
             (lambda: session.set(a, views=()), "to set, got views"),
             (lambda: session.set("9", opacity=0.5), "expected one of 1, 2, 3, got '9'"),
-            (lambda: session.move(a, 3), "expected a place of 0 to 2, got 3"),
+            (lambda: session.move(a, 3), "expected an index of 0 to 2, got 3"),
             (lambda: session.layer("none"), "expected one of 1, 2, 3"),
         ]
         for action, said in wrong:
             with pytest.raises(ValueError, match=said):
                 action()
-        assert session.shown is before and len(session.history) == steps
+        assert session.snapshot is before and len(session.history) == steps
         assert session.verify() == []
 
 

@@ -51,15 +51,15 @@ def test_layers_are_the_painter_applied_again_and_again(config, tmp_path: Path):
         expected = straight(painter, EDITS[:2])
         assert layer.method == "ttt" and session.facts(layer.id)["method"] == "ttt"
         assert same_bits(session.splats, expected.splats)
-        assert same_state(session.shown.level.state, expected)
+        assert same_state(session.snapshot.state.painter_state, expected)
     with Session.load(path, painter=painter) as session:
         # From the stored state, which went through the file.
         session.add("paint", [EDITS[2]])
         expected = straight(painter, EDITS)
-        assert same_bits(session.splats, expected.splats) and same_state(session.shown.level.state, expected)
+        assert same_bits(session.splats, expected.splats) and same_state(session.snapshot.state.painter_state, expected)
         session.set("1", visible=False)
         expected = straight(painter, EDITS[1:])
-        assert same_bits(session.splats, expected.splats) and same_state(session.shown.level.state, expected)
+        assert same_bits(session.splats, expected.splats) and same_state(session.snapshot.state.painter_state, expected)
         session.undo()
         assert session.verify(repaint=True) == []
 

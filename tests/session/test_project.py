@@ -14,8 +14,8 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.session import Session
+from splatpainter.session.database import APPLICATION_ID, VERSION
 from splatpainter.session.lock import ProjectLock
-from splatpainter.session.schema import APPLICATION, VERSION
 from tests.support.lift_scenes import same_bits
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, FlatPainter, asset, dab, flat, print_of
 
@@ -48,7 +48,7 @@ def test_everything_is_there_again(path):
         first = session.add("paint", [dab(RED)], name="red")
         session.add("paint", [dab(BLUE, 19)], opacity=0.5, blend="lighten")
         session.set(first.id, visible=False)
-        session.settle("1", "2", "first")
+        session.resolve_conflict("1", "2", "first")
         session.undo()
         mark = session.add_bookmark("front", CAMERA)
         session.add_bookmark("gone", CAMERA)
@@ -109,7 +109,7 @@ def test_save_as_leaves_the_old_file_as_it_is(path):
 def test_an_asset_that_cannot_be_drawn_leaves_no_file(path):
     splats = asset(3)
     splats.means[:] = np.nan
-    with pytest.raises(ValueError, match="^asset: none of the 9 rows can be drawn"):
+    with pytest.raises(ValueError, match="^asset: none of the 9 Gaussians can be drawn"):
         flat(splats, path)
     assert not list(path.parent.iterdir())
 
@@ -273,7 +273,7 @@ def test_files_that_are_no_projects(path):
     database.close()
     with pytest.raises(ValueError, match="database of another program"):
         load(path)
-    assert APPLICATION == int.from_bytes(b"SPLP", "big")
+    assert APPLICATION_ID == int.from_bytes(b"SPLP", "big")
 
 
 def test_damage_is_one_clear_line_and_leaves_no_lock(path):
@@ -339,8 +339,6 @@ def test_version_1_is_brought_up(path):
 
 
 def test_a_failed_migration_leaves_version_1(path, monkeypatch):
-    from splatpainter.session import schema
-
     database = sqlite3.connect(path)
     database.executescript(V1.read_text(encoding="utf-8"))
     database.execute("UPDATE layers SET content = '{' WHERE id = 2")
@@ -352,7 +350,7 @@ def test_a_failed_migration_leaves_version_1(path, monkeypatch):
     assert database.execute("PRAGMA user_version").fetchone() == (1,)
     assert "gesture" not in str(database.execute("SELECT sql FROM sqlite_master WHERE name = 'steps'").fetchone())
     database.close()
-    assert schema.VERSION == 2
+    assert VERSION == 2
 
 
 # Out of it
@@ -407,7 +405,7 @@ def test_one_layer_travels_alone(tmp_path, path):
 
 
 def test_history_is_bounded(path, monkeypatch):
-    monkeypatch.setattr("splatpainter.session.project.STEPS", 5)
+    monkeypatch.setattr("splatpainter.session.project_file.MAX_STEPS", 5)
     with flat(project=path) as session:
         for k in range(12):
             session.add("look", parameters={"look": "gain", "gain": [1, 1, 1 + k / 100]})

@@ -11,8 +11,8 @@ import pytest
 from splatpainter.cameras import Camera, look_at
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
-from splatpainter.session.deltas import Delta
-from splatpainter.session.read_set import Read, moved, read_of
+from splatpainter.session.delta import Delta
+from splatpainter.session.read_set import ReadSet, read_set_of, renumber
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import voxelize
 from tests.support.lift_scenes import disk, same_bits, sheet
@@ -35,13 +35,13 @@ def ground() -> Splats:
 def counted(session: Session) -> list[str]:
     """Names of the layers that are painted from now on."""
     names: list[str] = []
-    paint = session._replay.paint
+    compute = session._replay._result
 
     def noted(below, layer):
         names.append(layer.name)
-        return paint(below, layer)
+        return compute(below, layer)
 
-    session._replay.paint = noted  # type: ignore[method-assign]
+    session._replay._result = noted  # type: ignore[method-assign]
     return names
 
 
@@ -122,43 +122,43 @@ def test_conflicts_name_the_rows_where_they_are_now() -> None:
         session.set(low.id, visible=False)
         assert names == [] and len(before) == 1
         (now,) = session.conflicts()
-        assert now.share == before[0].share and len(now.rows) == len(before[0].rows) > 0
+        assert now.share == before[0].share and len(now.gaussian_ids) == len(before[0].gaussian_ids) > 0
         assert session.verify(repaint=True) == []
-        assert same_bits(session.splats.take(now.rows), shown.take(before[0].rows))
-        assert (now.rows != before[0].rows).any()
+        assert same_bits(session.splats.take(now.gaussian_ids), shown.take(before[0].gaussian_ids))
+        assert (now.gaussian_ids != before[0].gaussian_ids).any()
 
 
 def test_what_a_lift_reads_holds_all_that_it_writes() -> None:
     splats = ground()
     edit = dab(RED, 30, 40)
     assert edit.mask is not None
-    read = read_of(splats, voxelize(splats), CAMERA, edit.mask)
-    assert read is not None and 0 < len(read.rows) < len(splats) / 2
+    read = read_set_of(splats, voxelize(splats), CAMERA, edit.mask)
+    assert read is not None and 0 < len(read.gaussian_ids) < len(splats) / 2
     painter = Painter.load("lift")
     done = painter.apply(painter.encode(splats), [edit])
-    assert done.receipt is not None and np.isin(done.receipt.touched, read.rows).all()
+    assert done.receipt is not None and np.isin(done.receipt.touched, read.gaussian_ids).all()
     elsewhere = replace(splats, sh=splats.sh.copy())
-    elsewhere.sh[np.setdiff1d(np.arange(len(splats)), read.rows)] += 0.3
+    elsewhere.sh[np.setdiff1d(np.arange(len(splats)), read.gaussian_ids)] += 0.3
     again = painter.apply(painter.encode(elsewhere), [edit])
     changed = np.append(done.receipt.touched, np.arange(len(splats), len(done.splats)))
     assert same_bits(done.splats.take(changed), again.splats.take(changed))
     here = replace(splats, sh=splats.sh.copy())
-    here.sh[read.rows[0]] += 1e-3
-    other = read_of(here, voxelize(here), CAMERA, edit.mask)
+    here.sh[read.gaussian_ids[0]] += 1e-3
+    other = read_set_of(here, voxelize(here), CAMERA, edit.mask)
     assert other is not None and other.digest != read.digest
     nowhere = np.zeros((SIZE, SIZE), bool)
     nowhere[0, 0] = True
     aside = look_at((0, 0, 2.6), (1.6, 0, 0), width=SIZE, height=SIZE, fov=42)
-    assert read_of(splats, voxelize(splats), aside, nowhere[:, ::-1]) is None  # beside the sheet
+    assert read_set_of(splats, voxelize(splats), aside, nowhere[:, ::-1]) is None  # beside the sheet
 
 
 def test_a_delta_moves_only_where_all_its_rows_do() -> None:
     rows, none = ground().take(np.arange(2)), ground().take(np.zeros(0, np.int64))
     delta = Delta(9, np.array([2, 5]), rows, rows, np.array([5, -1]))
-    old, new = Read(np.array([2, 3, 5], np.int32), "x"), Read(np.array([0, 4, 7], np.int32), "x")
-    found = moved(delta, old, new, 8)
+    old, new = ReadSet(np.array([2, 3, 5], np.int32), "x"), ReadSet(np.array([0, 4, 7], np.int32), "x")
+    found = renumber(delta, old, new, 8)
     assert found is not None and found.count == 8
-    assert found.rows.tolist() == [0, 7] and found.parents.tolist() == [7, -1]
-    assert moved(replace(delta, rows=np.array([2, 4])), old, new, 8) is None
-    assert moved(replace(delta, rows=np.array([2, 9])), old, new, 8) is None
-    assert moved(Delta(9, np.zeros(0, np.int64), none, none, np.zeros(0, np.int64)), old, new, 8) is not None
+    assert found.gaussian_ids.tolist() == [0, 7] and found.parent_ids.tolist() == [7, -1]
+    assert renumber(replace(delta, gaussian_ids=np.array([2, 4])), old, new, 8) is None
+    assert renumber(replace(delta, gaussian_ids=np.array([2, 9])), old, new, 8) is None
+    assert renumber(Delta(9, np.zeros(0, np.int64), none, none, np.zeros(0, np.int64)), old, new, 8) is not None

@@ -79,7 +79,7 @@ def test_erasing_can_be_partial_and_needs_a_mask():
 
 def test_looks_are_functions_of_each_row():
     y0 = 0.28209479177387814
-    with flat(looks={"grey": lambda sh, parameters: sh.mean(2, keepdims=True).repeat(3, 2)}) as session:
+    with flat(adjustments={"grey": lambda sh, parameters: sh.mean(2, keepdims=True).repeat(3, 2)}) as session:
         old = session.splats
         layer = session.add("look", parameters={"look": "gain", "gain": [2, 1, 0.5], "offset": [0, 0.1, 0]})
         wanted = (0.5 + y0 * old.sh[:, 0].astype(np.float64)) * [2, 1, 0.5] + [0, 0.1, 0]
@@ -124,7 +124,7 @@ def conflicting(policy: Any) -> tuple[Session, str, str]:
     a = session.add("paint", [dab(RED)])
     b = session.add("paint", [dab(BLUE, 20, camera=SIDE)])
     if policy:
-        session.settle(a.id, b.id, policy)
+        session.resolve_conflict(a.id, b.id, policy)
     return session, a.id, b.id
 
 
@@ -132,12 +132,12 @@ def test_conflicts_are_reported():
     session, a, b = conflicting(None)
     with session:
         (found,) = session.conflicts()
-        below = session._replay.compose(replace(session.shown.document, layers=session.layers[:1])).splats
+        below = session._replay.compose(replace(session.snapshot.document, layers=session.layers[:1])).splats
         first = np.flatnonzero(differing(session.original, below))
         second = np.flatnonzero(differing(below, session.splats))
         expected = np.intersect1d(np.append(first, 100), second)
         assert (found.lower, found.upper, found.policy, found.winner) == (a, b, "latest", b)
-        np.testing.assert_array_equal(found.rows, expected)
+        np.testing.assert_array_equal(found.gaussian_ids, expected)
         assert found.share == pytest.approx(len(expected) / (len(first) + 1))
         session.add("paint", [dab(GREEN, 17)])  # from where the first one was painted, not the second
         assert {(own.lower, own.upper) for own in session.conflicts()} == {(a, b), (b, "3")}
@@ -151,22 +151,22 @@ def test_policies_decide_conflicts():
     blend, *_ = conflicting("blend")
     with latest, first, blend:
         (found,) = latest.conflicts()
-        rows = found.rows[found.rows < 100]
+        rows = found.gaussian_ids[found.gaussian_ids < 100]
         assert len(rows)
-        red = latest._replay.compose(replace(latest.shown.document, layers=latest.layers[:1])).splats
+        red = latest._replay.compose(replace(latest.snapshot.document, layers=latest.layers[:1])).splats
         for name in ("means", "scales", "sh"):
             np.testing.assert_array_equal(getattr(first.splats, name)[rows], getattr(red, name)[rows])
         middle = (red.sh[rows].astype(np.float64) + latest.splats.sh[rows]) / 2
         np.testing.assert_allclose(blend.splats.sh[rows], middle, atol=1e-6)
-        others = np.setdiff1d(np.flatnonzero(differing(red, latest.splats)), found.rows)
+        others = np.setdiff1d(np.flatnonzero(differing(red, latest.splats)), found.gaussian_ids)
         assert len(others)
         np.testing.assert_array_equal(first.splats.sh[others], latest.splats.sh[others])
         assert first.conflicts()[0].winner == a and blend.conflicts()[0].winner is None
         assert first.undo() and same_bits(first.splats, latest.splats)
         with pytest.raises(ValueError, match="^conflict: expected "):
-            latest.settle(a, "77", "first")
+            latest.resolve_conflict(a, "77", "first")
         with pytest.raises(ValueError, match="^conflict: expected latest, first or blend"):
-            latest.settle(a, b, "loudest")  # type: ignore[arg-type]
+            latest.resolve_conflict(a, b, "loudest")  # type: ignore[arg-type]
 
 
 def test_coverage_says_what_was_seen():

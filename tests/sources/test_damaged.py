@@ -10,9 +10,9 @@ import pytest
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.image_files import find_camera
-from splatpainter.sources import pictures
-from splatpainter.sources.files import edit_from_files
-from splatpainter.sources.pictures import read_picture
+from splatpainter.sources import picture_reader
+from splatpainter.sources.edit_files import edit_from_files
+from splatpainter.sources.picture_reader import read_picture
 
 
 def png(header: bytes, *parts: tuple[bytes, bytes]) -> bytes:
@@ -65,6 +65,6 @@ def test_a_kilobyte_that_claims_megapixels_of_another_shape_is_not_decoded(
     header = struct.pack(">IIBBBBB", 24, 2_000_000, 8, 2, 0, 0, 0)
     path = tmp_path / "a.png"
     path.write_bytes(png(header, (b"tEXt", b"splatpainter\0" + camera), PIXELS))
-    monkeypatch.setattr(pictures, "_srgb", lambda *_: pytest.fail("it was decoded"))
+    monkeypatch.setattr(picture_reader, "_srgb", lambda *_: pytest.fail("it was decoded"))
     with pytest.raises(ValueError, match="aspect ratio of its camera .24x16., got 24x2000000"):
         edit_from_files(path)

@@ -97,7 +97,7 @@ def main() -> None:
     with sp.Session(sp.read(asset)) as session:
         session.save_as("ball.splatproj")
     with sp.Session.load("ball.splatproj") as session:
-        assert len(session.shown.splats) == 400
+        assert len(session.snapshot.splats) == 400
     with ShardWriter(Path("shards"), {"seed": 3}, 1, 1) as writer:
         writer.add(0, Scene("thing", [{"txt": b"text"}], ["plain"]))
     running = sp.studio(asset, port=0, projects="projects")

@@ -91,8 +91,8 @@ def cameras_on_rings(cube: Cube, count: int, *, pixels: int, fov: float = 50.0) 
 
 def render_views(splats: Splats, cameras: Sequence[Camera]) -> Iterator[AssetView]:
     """The asset from each camera (all of one size), a few at a time."""
+    from splatpainter.color import to_display
     from splatpainter.rendering import render
-    from splatpainter.sources.color import to_display
 
     for start in range(0, len(cameras), RENDERS_AT_ONCE):
         batch = [replace(camera, background=(0.0, 0.0, 0.0)) for camera in cameras[start : start + RENDERS_AT_ONCE]]

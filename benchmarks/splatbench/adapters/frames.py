@@ -130,9 +130,9 @@ def splats_of_mesh(path: Path, count: int, seed: int = 0) -> Splats:
     what TRELLIS bakes into them is how the object looks."""
     import trimesh
 
+    from splatpainter.color import linear_to_srgb
     from splatpainter.data.meshes import load_mesh
     from splatpainter.data.surfels import sample_surfels
-    from splatpainter.sources.looks import to_display
 
     mesh = load_mesh(path)  # normalised to its own box; undone below
     low, high = np.asarray(trimesh.load_scene(path, process=False).bounds, np.float64)  # its nodes' transforms applied
@@ -143,7 +143,7 @@ def splats_of_mesh(path: Path, count: int, seed: int = 0) -> Splats:
         raise ValueError(f"{path}: its broken triangles reach beyond the others; the position of the mesh is unknown")
     surfels = sample_surfels(mesh, count, seed)
     means = surfels.means.numpy().astype(np.float64) * scale + (low + high) / 2
-    colors = to_display(surfels.albedo.numpy().clip(0, 1))
+    colors = linear_to_srgb(surfels.albedo.numpy().clip(0, 1))
     return Splats(
         means.astype(np.float32),
         surfels.quats.numpy(),

@@ -142,8 +142,8 @@ class System:
 def write_common(job: Job) -> dict[str, str]:
     """Write what every system gets; the values of the placeholders."""
     from splatpainter import io
+    from splatpainter.color import to_display
     from splatpainter.rendering import render
-    from splatpainter.sources.color import to_display
 
     work, edits = job.work, job.inputs / "edits"
     for folder in (edits, job.out):

@@ -237,7 +237,7 @@ def program(adapters: Path | None, factor: int, folder: Path) -> Prior:
         from PIL import Image
 
         from splatpainter.image_files import to_uint8
-        from splatpainter.sources.pictures import read_picture
+        from splatpainter.sources.picture_reader import read_picture
 
         pixels = to_uint8(picture)
         name = hashlib.sha256(pixels.tobytes()).hexdigest()[:16]

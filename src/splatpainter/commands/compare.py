@@ -158,10 +158,10 @@ def _compared(
     """(likeness per view, the three pictures per view shrunk for the sheet); saves a picture of each view."""
     import numpy as np
 
+    from splatpainter.color import from_display, to_display
     from splatpainter.contact_sheet import Strip, sheet, write_sheet
     from splatpainter.kernels.compile import ensure_compiled
     from splatpainter.rendering import render
-    from splatpainter.sources.color import from_display, to_display
 
     ensure_compiled()
     results, thumbs = [], []

@@ -217,7 +217,7 @@ def _by_table(table: Path, wish: Wish) -> list[Shown]:
 
 
 def _frame(table: Path, told: dict[str, Any], wish: Wish, k: int) -> Shown:
-    from splatpainter.sources.pictures import read_picture
+    from splatpainter.sources.picture_reader import read_picture
 
     name = table.parent / str(told["file_path"])
     path = next((p for p in (name, name.with_name(name.name + ".png")) if p.is_file()), name)
@@ -243,7 +243,7 @@ def _frame(table: Path, told: dict[str, Any], wish: Wish, k: int) -> Shown:
 def _shown(path: Path, camera: Camera, wish: Wish, k: int) -> Shown:
     """Picture k. Transparent pixels show one of BACKGROUNDS; in pictures without any, those of exactly the camera's
     background count as empty."""
-    from splatpainter.sources.pictures import read_picture
+    from splatpainter.sources.picture_reader import read_picture
 
     if wish.size is not None:
         part = wish.size / max(camera.width, camera.height)

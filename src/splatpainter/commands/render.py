@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from splatpainter.cameras import Camera, orbit_cameras
+from splatpainter.color import from_display
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.targets import check_folder, check_target, make_folder
@@ -17,7 +18,6 @@ from splatpainter.commands.terminal import count, progress
 from splatpainter.io import files, frame_is_news, frame_line, read
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.rendering.profiles import Profile
-from splatpainter.sources.color import from_display
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def _check(config: Config) -> None:
 
 def given_cameras(paths: Sequence[Path], size: int | None) -> list[Camera]:
     """The cameras in these files; size: pixels of the longer side, None: as they say. Raises ValueError."""
-    from splatpainter.sources.files import camera_from
+    from splatpainter.sources.edit_files import camera_from
 
     cameras = [camera_from(path) for path in paths]
     if size is None:

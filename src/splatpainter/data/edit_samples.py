@@ -27,7 +27,7 @@ from splatpainter.data.edits.on_surfels import apply_paint, grade_sh, paint_cove
 from splatpainter.data.lights import Light, shade
 from splatpainter.data.lit_scenes import LitScene, Renders, Views, recolored, render_views
 from splatpainter.data.recipes import SampleRecipe
-from splatpainter.sources.looks import random_look
+from splatpainter.sources.color_grading import random_grade
 from splatpainter.splats import Splats
 
 MIN_FILLED = 0.18
@@ -153,7 +153,7 @@ def relight(scene: LitScene, light: Light, spec: SampleSpec, rng: np.random.Gene
 
 def regrade(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
     """The whole object with another look."""
-    return _global_sample(scene, recolored(scene.truth, grade_sh(scene.truth.sh, random_look(rng))), spec, rng)
+    return _global_sample(scene, recolored(scene.truth, grade_sh(scene.truth.sh, random_grade(rng))), spec, rng)
 
 
 def plain(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSample:

@@ -31,7 +31,7 @@ from splatpainter.lift.global_edit import seen_change
 from splatpainter.lift.joint_colors import MIN_SEEN_PX
 from splatpainter.lift.normals import outward_normals
 from splatpainter.lighting import row_transfer
-from splatpainter.sources.looks import random_look
+from splatpainter.sources.color_grading import random_grade
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import sh_rotations
 
@@ -154,7 +154,7 @@ class RowStream:
             both = shade_all(rows, coefficients[pick], exposures[pick], degree)
         else:
             own = shade_all(rows, coefficients[pick[0]], exposures[pick[0]], degree)
-            both = torch.stack([own, grade_sh(own, random_look(rng))])
+            both = torch.stack([own, grade_sh(own, random_grade(rng))])
         before, after = (0.5 + SH_C0 * both[:, :, 0]).numpy()
         return before, after
 

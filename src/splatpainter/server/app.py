@@ -149,7 +149,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
 
     @app.get("/api/splats", response_class=Response, summary="All Gaussians as one binary frame (frames.py)")
     async def splats() -> Response:
-        now = studio.session.shown
+        now = studio.session.snapshot
         data = await asyncio.to_thread(frames.snapshot, now.splats, now.version)
         return Response(data, media_type="application/octet-stream", headers=NO_STORE)
 

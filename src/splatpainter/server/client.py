@@ -168,7 +168,7 @@ class Client:
         """Those that changed since this client's version, and the true colours of those whose preview is over."""
         studio, page = self.hub.studio, self.page
         clear, page.clear_preview = page.clear_preview, False
-        version, session_id = studio.session.shown.version, studio.session_id
+        version, session_id = studio.session.snapshot.version, studio.session_id
         if self.session == session_id and self.version == version and not clear:
             return
         old, page.previewed_ids = page.previewed_ids, np.zeros(0, np.int64)

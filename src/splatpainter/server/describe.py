@@ -17,7 +17,7 @@ from splatpainter.io import FORMATS, frame_line
 from splatpainter.receipts import changed_rows
 from splatpainter.server import protocol
 from splatpainter.session import Layer, Session
-from splatpainter.session.project import Bookmark, Step
+from splatpainter.session.project_file import Bookmark, Step
 from splatpainter.splats import Splats
 
 HOME_VIEW = {"elevation": 15.0, "fov": 40.0}
@@ -123,7 +123,7 @@ def conflict_infos(session: Session) -> list[protocol.ConflictInfo]:
     """Layers that edited the same Gaussians from different views."""
     return [
         protocol.ConflictInfo(
-            lower=c.lower, upper=c.upper, gaussians=len(c.rows), share=min(c.share, 1), policy=c.policy
+            lower=c.lower, upper=c.upper, gaussians=len(c.gaussian_ids), share=min(c.share, 1), policy=c.policy
         )
         for c in session.conflicts()
     ]

@@ -123,7 +123,7 @@ class Hub:
 
 def _frames(session: Session, since: int | None, stale_ids: np.ndarray) -> tuple[int, list[bytes]]:
     while True:
-        now = session.shown
+        now = session.snapshot
         if since is None:
             return now.version, [frames.snapshot(now.splats, now.version)]
         delta = session.delta(since)
@@ -132,7 +132,7 @@ def _frames(session: Session, since: int | None, stale_ids: np.ndarray) -> tuple
     if delta.since is None:
         return now.version, [frames.snapshot(now.splats, now.version)]
     count, out = len(now.splats), []
-    changed_ids = np.concatenate([delta.rows, np.arange(delta.kept, count)])
+    changed_ids = np.concatenate([delta.gaussian_ids, np.arange(delta.retained, count)])
     if since != now.version:
         out.append(frames.delta(now.splats, changed_ids, since, now.version, delta.recolored))
     stale_ids = np.setdiff1d(stale_ids[stale_ids < count], changed_ids)

@@ -18,8 +18,8 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, to_uint8
 from splatpainter.lift.masks import change_mask
-from splatpainter.sources.files import ASPECT
-from splatpainter.sources.pictures import resample
+from splatpainter.sources.edit_files import ASPECT
+from splatpainter.sources.picture_reader import resample
 
 THUMBNAIL_PX = 48
 """Pixels of the thumbnails that pictures are recognised by."""

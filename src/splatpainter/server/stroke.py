@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.color import from_display, to_display
 from splatpainter.lift.colors import MAX_COLOR, recolor
 from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE
 from splatpainter.lift.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import sirt_steps
-from splatpainter.sources.color import from_display, to_display
 from splatpainter.splats import Splats
 
 SIRT_STEPS = 3

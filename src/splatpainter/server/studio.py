@@ -1,7 +1,7 @@
 """The studio without HTTP: one open session, what was uploaded, the folders, and the state that clients get.
 
-`open`, `refresh` and everything that changes the session run on the queue's one writer thread; `state`, `session.shown`
-and blobs may be read from anywhere.
+`open`, `refresh` and everything that changes the session run on the queue's one writer thread; `state`,
+`session.snapshot` and blobs may be read from anywhere.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Studio:
         _close(old, self.projects)
 
     def _adopt(self, session: Session, name: str) -> None:
-        session_id, lists, shown = secrets.token_hex(8), describe.Lists(), session.shown
+        session_id, lists, shown = secrets.token_hex(8), describe.Lists(), session.snapshot
         with _one_line_errors(name):
             asset = describe.counted(describe.asset_info(session, name), session.original, shown.splats)
             state = self._state_of(session, session_id, name, asset, lists)
@@ -106,7 +106,7 @@ class Studio:
 
     def refresh(self) -> None:
         """Describe the session anew; cheap where the Gaussians are the same."""
-        session, shown = self.session, self.session.shown
+        session, shown = self.session, self.session.snapshot
         if self._asset.up != list(describe.up_axis(session)):
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
         if self._counted != shown.version:
@@ -118,7 +118,7 @@ class Studio:
     def _state_of(self, session: Session, session_id: str, name: str, asset: AssetInfo, lists: describe.Lists) -> State:
         return State(
             session=session_id,
-            version=session.shown.version,
+            version=session.snapshot.version,
             asset=asset,
             layers=[describe.layer_info(session, layer) for layer in session.layers],
             history=lists.history(session),

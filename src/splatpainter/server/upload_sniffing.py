@@ -11,7 +11,7 @@ from typing import Literal
 from splatpainter.io import detect
 from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
-from splatpainter.sources.pictures import KINDS, LIMIT
+from splatpainter.sources.picture_reader import KINDS, LIMIT
 
 Kind = Literal["picture", "asset", "project", "layer"]
 SQLITE, ZIP = b"SQLite format 3\0", b"PK\x03\x04"

@@ -17,7 +17,7 @@ from splatpainter.server.hub import Hub, log, problem_of
 from splatpainter.server.protocol import PictureEvent, ToastEvent
 from splatpainter.server.storage import StoredBlob
 from splatpainter.server.studio import Studio
-from splatpainter.sources.pictures import read_picture
+from splatpainter.sources.picture_reader import read_picture
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 QUIET_MS = 300

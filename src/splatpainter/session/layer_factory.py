@@ -1,18 +1,27 @@
-"""Edited pictures become a new layer: judged, brought to 8 bits, and given a mask that stays what it is. Pure."""
+"""Edited pictures become a new layer: judged, brought to 8 bits, and given a mask that stays what it is; and the PNG
+bytes in which layers keep pictures and masks. What comes back is what went in at 8 bits; sizes are judged first. Pure.
+"""
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from splatpainter.cameras import Camera
+from splatpainter.color import from_display, to_display
+from splatpainter.image_files import to_uint8
 from splatpainter.io import files
 from splatpainter.painter import MAX_VIEWS, Edit
-from splatpainter.session import pictures
-from splatpainter.session.layers import Kind, Layer, View
-from splatpainter.sources.color import to_display
-from splatpainter.splats import Splats
+from splatpainter.session.document import Kind, Layer, View
+from splatpainter.splats import ColorSpace, Splats
+
+MAX_PICTURE_PIXELS = 64_000_000
+THUMBNAIL_PX = 96
+"""Longer side of a thumbnail."""
 
 
 def new_layer(
@@ -43,25 +52,59 @@ def new_layer(
     for edit in edits:
         mask = edit.mask
         if mask is None and pictured and mode == "local":
-            # Found once: on replay over other layers everything would differ.
-            mask = _changed(splats, edit)
+            # Judged once: on replay over other layers everything would differ.
+            mask = _changed_pixels(splats, edit)
         if mask is None and not pictured:
             raise ValueError(f"{edit.name}: expected a mask for a view of kind {kind}")
-        picture = put(pictures.encode_picture(edit.image, splats.color_space)) if pictured else None
-        views.append(View(edit.camera, picture, None if mask is None else put(pictures.encode_mask(mask))))
+        picture = put(encode_picture(edit.image, splats.color_space)) if pictured else None
+        views.append(View(edit.camera, picture, None if mask is None else put(encode_mask(mask))))
         if small is None:
-            shown = (
-                to_display(edit.image, splats.color_space)
-                if pictured
-                else np.repeat(np.asarray(mask, np.float32)[..., None], 3, -1)
-            )
-            small = put(pictures.thumbnail(shown, mask))
-    own = {**settings, "mode": mode}
-    title = name or str(kind).capitalize()
-    return Layer("", title, kind, tuple(views), parameters, **own, thumbnail=small), blobs
+            image = to_display(edit.image, splats.color_space)
+            if not pictured:
+                image = np.repeat(np.asarray(mask, np.float32)[..., None], 3, -1)
+            small = put(thumbnail(image, mask))
+    fields = {**settings, "mode": mode, "thumbnail": small}
+    return Layer("", name or str(kind).capitalize(), kind, tuple(views), parameters, **fields), blobs
 
 
-def _changed(splats: Splats, edit: Edit) -> np.ndarray:
+def encode_picture(image: np.ndarray, space: ColorSpace = "srgb") -> bytes:
+    """[H, W, 3] floats 0..1 in the asset's colour space -> PNG of display colours. Encoded fast rather than small."""
+    return _png(to_uint8(to_display(image, space)))
+
+
+def encode_mask(mask: np.ndarray) -> bytes:
+    """[H, W] bool -> PNG of 0 and 255."""
+    return _png(np.where(mask, 255, 0).astype(np.uint8))
+
+
+def decode_picture(data: bytes, camera: Camera, where: str, space: ColorSpace = "srgb") -> np.ndarray:
+    """[H, W, 3] float32 0..1 in the asset's colour space. Raises ValueError naming `where`: no PNG, damaged, not of the
+    camera's size."""
+    levels = from_display(np.arange(256, dtype=np.float32) / 255, space)
+    return levels[_pixels(data, camera, where, "RGB")]
+
+
+def decode_mask(data: bytes, camera: Camera, where: str) -> np.ndarray:
+    """[H, W] bool. Raises ValueError as `decode_picture`."""
+    return _pixels(data, camera, where, "L") > 127
+
+
+def thumbnail(image: np.ndarray, mask: np.ndarray | None) -> bytes:
+    """PNG of the part of a picture that was edited, THUMBNAIL_PX pixels on its longer side at most."""
+    from PIL import Image
+
+    pixels = to_uint8(image)
+    if mask is not None and mask.any():
+        ys, xs = np.nonzero(mask)
+        margin = 4 + max(np.ptp(ys), np.ptp(xs)) // 4
+        top, left = max(ys.min() - margin, 0), max(xs.min() - margin, 0)
+        pixels = pixels[top : ys.max() + margin + 1, left : xs.max() + margin + 1]
+    small = Image.fromarray(pixels)
+    small.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX))
+    return _png(np.asarray(small))
+
+
+def _changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
     from splatpainter.lift.masks import change_mask
     from splatpainter.rendering import render
 
@@ -69,3 +112,28 @@ def _changed(splats: Splats, edit: Edit) -> np.ndarray:
     if not mask.any():
         raise ValueError(f"{edit.name}: nothing to do, the picture does not differ from the render")
     return mask
+
+
+def _png(pixels: np.ndarray) -> bytes:
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "PNG", compress_level=1)
+    return file.getvalue()
+
+
+def _pixels(data: bytes, camera: Camera, where: str, mode: str) -> np.ndarray:
+    from PIL import Image
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's own size warning: judged here
+        try:
+            with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+                if image.width * image.height > MAX_PICTURE_PIXELS:
+                    raise ValueError(f"more than {MAX_PICTURE_PIXELS // 10**6} megapixels")
+                if image.size != (camera.width, camera.height):
+                    expected = f"{camera.width}x{camera.height}"
+                    raise ValueError(f"is {image.width}x{image.height}, its camera {expected}")
+                return np.asarray(image.convert(mode))
+        except Exception as error:  # decoders of damaged files raise anything
+            raise ValueError(f"{where}: expected a PNG of its camera's size ({error})") from None

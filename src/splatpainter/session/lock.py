@@ -73,5 +73,5 @@ def _locked(path: Path, project: Path) -> sqlite3.Connection | None:
             connection.close()
         if getattr(error, "sqlite_errorname", "").startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
             return None
-        said = "its folder allows no new files" if is_unwritable(error) else " ".join(str(error).split())
-        raise ValueError(f"{project}: cannot be locked ({said})") from None
+        reason = "its folder allows no new files" if is_unwritable(error) else " ".join(str(error).split())
+        raise ValueError(f"{project}: cannot be locked ({reason})") from None

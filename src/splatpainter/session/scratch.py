@@ -17,8 +17,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from splatpainter.session.database import SUFFIX
 from splatpainter.session.lock import LOCK_ENDING, ProjectLock
-from splatpainter.session.schema import SUFFIX
 
 SCRATCH_FOLDER = re.compile(r"splatpainter-(original|session|studio|blobs|verify)-[a-z0-9_]{8}")
 """Names of scratch folders, in the system's folder for temporary files."""
@@ -29,9 +29,9 @@ OLD_SECONDS = 24 * 3600.0
 PARTIAL_FILE = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 """Names of files that io.files.writing was killed at."""
 PARTIAL_FOLDER = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
-"""Names of folders that session.export was killed at."""
+"""Names of folders that asset_files.export_asset was killed at."""
 PARTIAL_PROJECT = re.compile(rf"\.(.+{re.escape(SUFFIX)})\.part(-wal|-shm|-journal)?")
-"""Names of projects that session.project was killed at while it made them."""
+"""Names of projects that project_file.Project was killed at while it made them."""
 
 
 class ScratchFolder:
@@ -66,8 +66,7 @@ def sweep_scratch(root: Path | None = None, old_seconds: float = OLD_SECONDS) ->
     folder for temporary files). Those without a lock are removed when they are old and empty."""
     root, swept = root or Path(tempfile.gettempdir()), []
     for entry in _entries(root):
-        ours = SCRATCH_FOLDER.fullmatch(entry.name) and _is_ours(entry) and entry.is_dir(follow_symlinks=False)
-        if not ours:
+        if not (SCRATCH_FOLDER.fullmatch(entry.name) and _is_ours(entry) and entry.is_dir(follow_symlinks=False)):
             continue
         folder = root / entry.name
         if (folder / (OWNER + LOCK_ENDING)).exists():

@@ -6,41 +6,61 @@
     session.undo()
     session.export("painted.ply")
 
-The shown asset is a pure function of the original file and the ordered layers (replay.py). Every command is one step of
-the history, is on disk when it returns, and can be undone, bit for bit, also after the project was closed.
+The asset is a pure function of the original file and the ordered layers (compose.py). Every command is one step of the
+history, is on disk when it returns, and can be undone, bit for bit, also after the project was closed. What a session
+shows is one immutable Snapshot after the other, for any number of readers in other threads.
 """
 
 from __future__ import annotations
 
 import struct
 import threading
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from splatpainter.cameras import UPS, Camera
+import numpy as np
+
+from splatpainter.cameras import AUTO_UP, UPS, Camera
+from splatpainter.image_files import Alpha
 from splatpainter.io import read
 from splatpainter.io.files import printable
 from splatpainter.painter import Edit, Method, Mode, Painter
-from splatpainter.session import commands, export, original, schema
-from splatpainter.session.adapter import fingerprint
-from splatpainter.session.changes import Changes
-from splatpainter.session.deltas import bare
+from splatpainter.receipts import Receipt, Verification
+from splatpainter.rendering.profiles import Profile
+from splatpainter.session import asset_files, conflicts
+from splatpainter.session.asset_files import ANY_FILE, OriginalRule
+from splatpainter.session.compose import LayerState, Progress, Replay, fingerprint
+from splatpainter.session.compositing import ADJUSTMENTS, AdjustmentFunction
+from splatpainter.session.database import SUFFIX
+from splatpainter.session.delta import AssetDelta, VersionLog, bare
+from splatpainter.session.document import (
+    Blend,
+    Document,
+    Kind,
+    Layer,
+    Policy,
+    add_layer,
+    change_layer,
+    delete_layer,
+    duplicate_layer,
+    merge_layers,
+    move_layer,
+    resolve_conflict,
+)
 from splatpainter.session.layer_factory import new_layer
-from splatpainter.session.layers import Blend, Document, Kind, Layer, Policy
-from splatpainter.session.looks import LOOKS, LookFunction
-from splatpainter.session.original import ANY_FILE, OriginalRule
-from splatpainter.session.pending import Pending
-from splatpainter.session.project import Project
-from splatpainter.session.reader import Reader, Shown
-from splatpainter.session.replay import Progress, Replay
+from splatpainter.session.project_file import Bookmark, Project, Step, Transaction
 from splatpainter.session.scratch import ScratchFolder
+from splatpainter.session.verify import find_problems
 from splatpainter.splats import Frame, Splats
+from splatpainter.view_files import Aov
 
-ODD = (
+DAMAGE_ERRORS = (
     ValueError,
     TypeError,
     KeyError,
@@ -58,8 +78,26 @@ ODD = (
 SETTABLE = ("name", "visible", "opacity", "blend", "parameters", "method")
 
 
-class Session(Reader):
-    """An open project. Commands wait for each other; reading what is shown (reader.py) waits for nobody."""
+@dataclass(frozen=True)
+class Snapshot:
+    """One immutable version of the asset, for readers in other threads."""
+
+    version: int
+    """Goes up with every change of the Gaussians."""
+    state: LayerState
+    document: Document
+    history: tuple[Step, ...]
+    """Oldest first; the first one is the asset as it was opened."""
+    cursor: int
+    """Index in the history of the step in effect."""
+
+    @property
+    def splats(self) -> Splats:
+        return self.state.splats
+
+
+class Session:
+    """An open project. Commands wait for each other; reading waits for nobody."""
 
     def __init__(
         self,
@@ -67,45 +105,46 @@ class Session(Reader):
         project: str | Path | None = None,
         *,
         painter: Painter | None = None,
-        looks: Mapping[str, LookFunction] | None = None,
+        adjustments: Mapping[str, AdjustmentFunction] | None = None,
         embed: bool = True,
         overwrite: bool = False,
         frame: Frame = "auto",
     ) -> None:
-        """asset: a splat file, its rows as read, rows of any origin, or a project file (then as `load`).
+        """asset: a splat file, its Gaussians as read, those of any origin, or a project file (then as `load`).
 
         project: the project file to make; None: a temporary one, which `save_as` moves to a name and `close` deletes.
-        painter: default the analytic lift. looks: functions of look layers by name, besides looks.LOOKS. embed: the
-        project holds the original's bytes; False: only its path and hash. frame: of a splat file, as in
-        io.read. Raises ValueError for what cannot be read,
-        an asset without a row that can be drawn, and a project that exists (unless overwrite)."""
-        if not isinstance(asset, Splats) and Path(asset).suffix.lower() == schema.SUFFIX:
+        painter: default Painter.load(). adjustments: functions of adjustment layers by name, besides
+        compositing.ADJUSTMENTS. embed: the project holds the original's bytes; False: only its path and hash. frame: of
+        a splat file, as in io.read. Raises ValueError for what cannot be read, an asset of which nothing can be drawn,
+        and a project that exists (unless overwrite)."""
+        if not isinstance(asset, Splats) and Path(asset).suffix.lower() == SUFFIX:
             if project is not None:
                 raise ValueError(f"{asset}: is a project already; open it alone, then save_as")
-            self._start(Project.open(Path(asset)), painter, looks)
+            self._start(Project.open(Path(asset)), painter, adjustments)
             return
         splats = asset if isinstance(asset, Splats) else read(asset, frame=frame)
-        splats = original.numbered(splats.numpy())
+        splats = asset_files.numbered(splats.numpy())
         if not splats.drawable.any():
-            raise ValueError(f"asset: none of the {len(splats)} rows can be drawn (NaN, zero scale or zero quaternion)")
-        source = original.file_of(splats)
+            reasons = "NaN, zero scale or zero quaternion"
+            raise ValueError(f"asset: none of the {len(splats)} Gaussians can be drawn ({reasons})")
+        source = asset_files.file_of(splats)
         if source is None:
-            splats = original.numbered(bare(splats))
+            splats = asset_files.numbered(bare(splats))
             if not embed:
                 raise ValueError("session: embed=False needs an asset that was read from a file")
         scratch = None
         if project is None:
             scratch = ScratchFolder("session")
-            project = scratch.path / f"unsaved{schema.SUFFIX}"
+            project = scratch.path / f"unsaved{SUFFIX}"
         try:
-            place = _project_name(project)
-            facts = original.describe(splats, source, embed)
-            made = Project.create(place, facts, original.pieces(splats, source) if embed else (), overwrite)
+            facts = asset_files.describe(splats, source, embed)
+            pieces = asset_files.pieces(splats, source) if embed else ()
+            created = Project.create(_project_path(project), facts, pieces, overwrite)
         except BaseException:
             if scratch is not None:
                 scratch.close()
             raise
-        self._start(made, painter, looks, splats=splats, scratch=scratch)
+        self._start(created, painter, adjustments, splats=splats, scratch=scratch)
 
     @classmethod
     def load(
@@ -113,7 +152,7 @@ class Session(Reader):
         project: str | Path,
         *,
         painter: Painter | None = None,
-        looks: Mapping[str, LookFunction] | None = None,
+        adjustments: Mapping[str, AdjustmentFunction] | None = None,
         readonly: bool | None = None,
         original: str | Path | None = None,
         embedded: bool = False,
@@ -129,35 +168,181 @@ class Session(Reader):
         refused or another."""
         session = cls.__new__(cls)
         at, within = (None if path is None else Path(path) for path in (original, folder))
-        session._start(Project.open(Path(project), readonly), painter, looks, rule=OriginalRule(at, embedded, within))
+        session._start(
+            Project.open(Path(project), readonly), painter, adjustments, rule=OriginalRule(at, embedded, within)
+        )
         return session
 
-    def _start(self, project: Project, painter, looks, *, splats=None, scratch=None, rule=ANY_FILE) -> None:
+    def _start(self, project: Project, painter, adjustments, *, splats=None, scratch=None, rule=ANY_FILE) -> None:
         self._project, self._scratch, self._rule = project, scratch, rule
         self._commands = threading.RLock()
-        self._changes = Changes()
-        self._pending = Pending(project)
+        self._versions = VersionLog()
+        self._transaction = Transaction(project)
         self.painter = painter or Painter.load()
         self.progress: Progress | None = None
         """Called before each layer that has to be computed; what it raises cancels the command."""
         try:
-            self.original = original.restore(project, rule) if splats is None else splats
-            self._replay = Replay(self.original, self.painter, self._pending, {**LOOKS, **(looks or {})})
-            steps, at = project.steps()
-            document = project.document(steps[at].id)
-            level = self._replay.compose(document)
-            self._shown = Shown(1, level, document, tuple(steps), at)
-            if self._pending.more.results:  # of a project that lost some
-                project.move(steps[at].id, level.results, self._pending.more)
-                self._pending.drop()
+            self.original = asset_files.restore(project, rule) if splats is None else splats
+            table = {**ADJUSTMENTS, **(adjustments or {})}
+            self._replay = Replay(self.original, self.painter, self._transaction, table)
+            steps, cursor = project.steps()
+            document = project.document(steps[cursor].id)
+            state = self._replay.compose(document)
+            self._snapshot = Snapshot(1, state, document, tuple(steps), cursor)
+            if self._transaction.results:  # of a project that lost some
+                project.move(steps[cursor].id, state.results, self._transaction)
+                self._transaction.clear()
         except BaseException as error:
             project.close()
             if scratch is not None:
                 scratch.close()
-            if splats is None and isinstance(error, ODD) and str(project.path) not in str(error):
+            if splats is None and isinstance(error, DAMAGE_ERRORS) and str(project.path) not in str(error):
                 reason = printable(" ".join(str(error).split()), 300)
                 raise ValueError(f"{project.path}: damaged project file ({reason})") from error
             raise
+
+    # ---- what there is: changes nothing
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The present version: what belongs together stays together while other threads write."""
+        return self._snapshot
+
+    @property
+    def splats(self) -> Splats:
+        """The Gaussians as they are now; those of the original keep their ids."""
+        return self._snapshot.splats
+
+    @property
+    def version(self) -> int:
+        return self._snapshot.version
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """Lowest first."""
+        return self._snapshot.document.layers
+
+    @property
+    def path(self) -> Path | None:
+        """The project file; None while it is temporary."""
+        return None if self._scratch is not None else self._project.path
+
+    @property
+    def up(self) -> str:
+        """Which way of the asset is up on the screen: a key of cameras.UPS."""
+        up = self._project.fact("up") or AUTO_UP
+        return up if up in UPS else AUTO_UP
+
+    @property
+    def read_only(self) -> str:
+        """Why nothing can be changed; "" where it can."""
+        return self._project.read_only
+
+    @property
+    def history(self) -> tuple[Step, ...]:
+        """Oldest first; the first one is the asset as it was opened."""
+        return self._snapshot.history
+
+    @property
+    def cursor(self) -> int:
+        """Index in the history of the step in effect."""
+        return self._snapshot.cursor
+
+    def layer(self, layer: str) -> Layer:
+        """A layer by its id. Raises ValueError for an unknown one."""
+        document = self._snapshot.document
+        return document.layers[document.index(layer)]
+
+    def facts(self, layer: str) -> dict[str, Any]:
+        """What is known of a layer's last computation: rows_touched, rows_appended, seconds, method, note, views with
+        psnr_before, psnr_after, psnr_outside; "problem" where it cannot be applied. Empty for a hidden layer."""
+        return dict(self._snapshot.state.facts).get(layer, {})
+
+    def blob(self, sha256: str) -> bytes:
+        """PNG bytes of a picture, mask or thumbnail that a layer names. Raises ValueError: unknown."""
+        return self._project.blob(sha256)
+
+    def conflicts(self) -> list[conflicts.Conflict]:
+        """Gaussians that several layers changed from different views, and who wins."""
+        snapshot = self._snapshot
+        return conflicts.find_conflicts(snapshot.state.edited, snapshot.document)
+
+    def coverage(self) -> np.ndarray:
+        """[N] uint8 per Gaussian: conflicts.ORIGINAL, SEEN or PREDICTED."""
+        snapshot = self._snapshot
+        return conflicts.coverage(snapshot.state.edited, len(snapshot.splats))
+
+    def delta(self, since: int | None = None) -> AssetDelta:
+        """What changed since a version that was seen before (None: everything)."""
+        while True:
+            snapshot = self._snapshot
+            delta = self._versions.since(since, snapshot.version, snapshot.splats)
+            if self._snapshot is snapshot:
+                return delta
+
+    def prepare(self) -> None:
+        """Make now what the next local edit would make first (the voxels of the asset), in another thread than
+        commands, while the edit is still being drawn. Changes nothing."""
+        self._replay.prepare(self._snapshot.state)
+
+    def bookmarks(self) -> list[Bookmark]:
+        """Views to come back to. Not part of the history."""
+        return self._project.bookmarks()
+
+    def receipt(self) -> Receipt:
+        """Of the session: the original against the asset as it is now."""
+        return self._receipt(self._snapshot)
+
+    def _receipt(self, snapshot: Snapshot) -> Receipt:
+        note = ", ".join(layer.name for layer in snapshot.document.layers if layer.visible) or "none"
+        used = {facts.get("precision", "") for _, facts in snapshot.state.facts}
+        precision = next((word for word in ("bfloat16", "float32") if word in used), "")  # the roughest of the layers'
+        preset = self.painter.preset
+        return asset_files.receipt_between(self.original, snapshot.splats, preset, f"layers: {note}", precision)
+
+    def export(self, path: str | Path, *, overwrite: bool = False) -> tuple[Receipt, Verification]:
+        """Write the asset as it is now and its receipt (NAME.receipt.json), proved by reading it again; the name says
+        the format. Raises ValueError: the name, an existing file; RuntimeError: the file does not prove the receipt."""
+        snapshot = self._snapshot
+        receipt = self._receipt(snapshot)
+        return asset_files.export_asset(self.original, snapshot.splats, receipt, Path(path), overwrite)
+
+    def export_view(
+        self,
+        path: str | Path,
+        camera: Camera,
+        *,
+        bits: int | None = None,
+        transparent: Alpha | None = None,
+        aovs: Sequence[Aov] = (),
+        profile: Profile = "inria",
+        overwrite: bool = False,
+    ) -> list[Path]:
+        """Render the asset into NAME.png or NAME.exr, its AOVs (NAME.depth.png, ...; "coverage" is the
+        session's) and the sidecar NAME.json; returns their paths. bits, transparent, aovs, profile: as
+        view_files.PictureOptions. Raises ValueError: these, the name, an existing file, a missing library."""
+        snapshot, target = self._snapshot, Path(path)
+        options = asset_files.view_options(target, bits, transparent, tuple(aovs), profile)
+        contents = asset_files.view_files_of(snapshot.splats, snapshot.state.edited, camera, target.stem, options)
+        return asset_files.write_files(target.parent, contents, overwrite)
+
+    def verify(self, *, repaint: bool = False) -> list[str]:
+        """Check everything; what is wrong, one line each. The file's structure and hashes, the original, and that
+        replaying the layers gives the asset bit for bit; repaint: with every layer computed anew."""
+        with self._commands:
+            rule = replace(self._rule, at=None)  # what is checked is what the project itself leads to
+            document, splats = self._snapshot.document, self._snapshot.splats
+            return find_problems(self._project, document, splats, self._replay, repaint, rule)
+
+    def refresh(self) -> bool:
+        """For a session that can only be looked at: show what the writer has done since. False: nothing."""
+        with self._commands:
+            steps, cursor = self._project.steps()
+            document = self._project.document(steps[cursor].id)
+            state = self._replay.compose(document)
+            changed = state.key != self._snapshot.state.key or document != self._snapshot.document
+            self._publish(state, document)
+            return changed
 
     # ---- layers
 
@@ -172,22 +357,21 @@ class Session(Reader):
         parameters: Mapping[str, Any] | None = None,
         opacity: float = 1.0,
         blend: Blend = "normal",
-        place: int | None = None,
+        index: int | None = None,
     ) -> Layer:
-        """A new layer (on top, or at a place) and its result.
+        """A new layer (on top, or at an index, 0 the lowest) and its result.
 
-        kind paint, picture, clone: edits with pictures, mode local unless said; look: pictures that regrade everything
-        (mode global), or parameters {"look": name, ...} with edits whose masks limit it; erase: edits of which only
-        cameras and masks count. Pictures are kept with 8 bits. A local edit without a mask gets the one of what
-        differs from the asset now. Raises ValueError as Painter.apply does, with nothing changed."""
+        kind paint, picture, clone: edits with pictures, mode local unless said; look (an adjustment layer): pictures
+        that grade everything (mode global), or parameters {"look": name, ...} with edits whose masks limit it; erase:
+        edits of which only cameras and masks count. Pictures are kept with 8 bits. A local edit without a mask gets the
+        one of what differs from the asset now. Raises ValueError as Painter.apply does, with nothing changed."""
         with self._command():
             method = self.painter.choose(method, mode or ("global" if kind == "look" else "local"))[0]
             settings = {"mode": mode, "method": method, "opacity": opacity, "blend": blend}
             settings["painter"] = fingerprint(self.painter, method)
-            layer, self._pending.more.blobs = new_layer(
-                self.splats, kind, edits, name, dict(parameters or {}), settings
-            )
-            document, layer = commands.added(self._shown.document, layer, place)
+            layer, blobs = new_layer(self.splats, kind, edits, name, dict(parameters or {}), settings)
+            self._transaction.blobs = blobs
+            document, layer = add_layer(self._snapshot.document, layer, index)
             self._commit(f"add {layer.name}", document, strict=layer.id)
             return layer
 
@@ -203,51 +387,53 @@ class Session(Reader):
             if "method" in values:
                 values["method"] = self.painter.choose(values["method"], self.layer(layer).mode)[0]
                 values["painter"] = fingerprint(self.painter, values["method"])
-            document = commands.changed(self._shown.document, layer, **values)
+            document = change_layer(self._snapshot.document, layer, **values)
             verb = {"visible": "show" if values.get("visible") else "hide", "name": "rename"}
             first = next(iter(values))
             label = f"{verb.get(first, 'set ' + first)} {self.layer(layer).name}"
             self._commit(label, document, gesture=gesture)
             return self.layer(layer)
 
-    def move(self, layer: str, place: int) -> None:
-        """Reorder: 0 is the lowest place."""
+    def move(self, layer: str, index: int) -> None:
+        """Reorder: 0 is the lowest."""
         with self._command():
-            self._commit(f"move {self.layer(layer).name}", commands.moved(self._shown.document, layer, place))
+            self._commit(f"move {self.layer(layer).name}", move_layer(self._snapshot.document, layer, index))
 
     def duplicate(self, layer: str) -> Layer:
         """A copy right above."""
         with self._command():
-            document, copy = commands.duplicated(self._shown.document, layer)
+            document, copy = duplicate_layer(self._snapshot.document, layer)
             self._commit(f"duplicate {self.layer(layer).name}", document)
             return copy
 
     def delete(self, layer: str) -> None:
+        """Remove a layer from the document."""
         with self._command():
-            self._commit(f"delete {self.layer(layer).name}", commands.deleted(self._shown.document, layer))
+            self._commit(f"delete {self.layer(layer).name}", delete_layer(self._snapshot.document, layer))
 
     def merge(self, layers: Sequence[str], name: str | None = None) -> Layer:
         """Neighbouring layers become one, which shows the same, bit for bit."""
         with self._command():
-            document, one = commands.merged(self._shown.document, layers, name)
+            document, one = merge_layers(self._snapshot.document, layers, name)
             self._commit(f"merge {len(one.layers)} layers", document)
             return one
 
-    def settle(self, lower: str, upper: str, policy: Policy) -> None:
-        """Who wins where two layers wrote the same rows: "latest" (the upper one), "first" (the lower), "blend"."""
+    def resolve_conflict(self, lower: str, upper: str, policy: Policy) -> None:
+        """Who wins where two layers changed the same Gaussians: "latest" (the upper one), "first" (the lower), "blend"
+        (half of each)."""
         with self._command():
-            self._commit(f"conflict: {policy}", commands.settled(self._shown.document, lower, upper, policy))
+            document = resolve_conflict(self._snapshot.document, lower, upper, policy)
+            self._commit(f"conflict: {policy}", document)
 
     def export_layer(self, layer: str, path: str | Path, *, overwrite: bool = False) -> None:
         """One layer with its pictures as a .splatlayer file."""
-        export.write_layer(Path(path), self.layer(layer), self.blob, overwrite)
+        asset_files.write_layer(Path(path), self.layer(layer), self.blob, overwrite)
 
     def import_layer(self, path: str | Path) -> Layer:
         """Add the layer of a .splatlayer file on top. Raises ValueError: not such a file, or it cannot be applied."""
         with self._command():
-            layer, blobs = export.read_layer(Path(path))
-            self._pending.more.blobs = blobs
-            document, layer = commands.added(self._shown.document, layer)
+            layer, self._transaction.blobs = asset_files.read_layer(Path(path))
+            document, layer = add_layer(self._snapshot.document, layer)
             self._commit(f"import {layer.name}", document, strict=layer.id)
             return layer
 
@@ -262,21 +448,22 @@ class Session(Reader):
         return self._jump(1)
 
     def jump(self, cursor: int) -> None:
-        """To any place of the history. Raises ValueError for one that is not there."""
+        """To any step of the history. Raises ValueError for one that is not there."""
         with self._command():
             self._jump(cursor - self.cursor, strict=True)
 
     def _jump(self, by: int, strict: bool = False) -> bool:
         with self._command():
-            steps, at = self._project.steps()
-            if not 0 <= at + by < len(steps):
+            steps, cursor = self._project.steps()
+            cursor += by
+            if not 0 <= cursor < len(steps):
                 if strict:
-                    raise ValueError(f"history: expected a place of 0 to {len(steps) - 1}, got {at + by}")
+                    raise ValueError(f"history: expected an index of 0 to {len(steps) - 1}, got {cursor}")
                 return False
-            document = self._project.document(steps[at + by].id)
-            level = self._replay.compose(document, self.progress)
-            self._project.move(steps[at + by].id, level.results, self._pending.more)
-            self._publish(level, document)
+            document = self._project.document(steps[cursor].id)
+            state = self._replay.compose(document, self.progress)
+            self._project.move(steps[cursor].id, state.results, self._transaction)
+            self._publish(state, document)
             return True
 
     # ---- bookmarks
@@ -290,7 +477,7 @@ class Session(Reader):
 
     def set_up(self, up: str) -> None:
         """Which way of the asset is up on the screen: a key of cameras.UPS. Kept in the project, not part of the
-        history; no row changes. Raises ValueError for another one."""
+        history; no Gaussian changes. Raises ValueError for another one."""
         if up not in UPS:
             raise ValueError(f"up: expected one of {', '.join(UPS)}, got {str(up)[:20]!r}")
         self._project.set_fact("up", up)
@@ -300,20 +487,20 @@ class Session(Reader):
     def save_as(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Go on in a project file of another name (from a temporary one: move there). The old file stays as it is."""
         with self._commands:
-            place = _project_name(path)
-            if place == self._project.path:
+            target = _project_path(path)
+            if target == self._project.path:
                 return  # all of it is there already
-            self._project.copy(place, overwrite)
+            self._project.copy(target, overwrite)
             old, scratch = self._project, self._scratch
-            self._project, self._scratch = Project.open(place, readonly=False), None
-            self._pending.project = self._project
+            self._project, self._scratch = Project.open(target, readonly=False), None
+            self._transaction.project = self._project
             old.close()
             if scratch is not None:
                 scratch.close()
 
     def save_copy(self, path: str | Path, *, overwrite: bool = False) -> None:
         """A copy of the project in another file; the session stays where it is."""
-        self._project.copy(_project_name(path), overwrite)
+        self._project.copy(_project_path(path), overwrite)
 
     def close(self) -> None:
         """Leave one file behind (none where it was temporary). Nothing needs to be saved first."""
@@ -331,11 +518,20 @@ class Session(Reader):
     # ---- inside
 
     def _commit(self, label: str, document: Document, *, strict: str | None = None, gesture: str | None = None) -> None:
-        """Compute, make durable, show: in this order, so that what was shown is never lost."""
-        level = self._replay.compose(document, self.progress, strict)
-        gone = self._project.commit(label, document, level.results, self._pending.more, gesture)
-        self._replay.forget(gone)
-        self._publish(level, document)
+        """Compute, make durable, publish: in this order, so that what was published is never lost."""
+        state = self._replay.compose(document, self.progress, strict)
+        removed = self._project.commit(label, document, state.results, self._transaction, gesture)
+        self._replay.forget(removed)
+        self._publish(state, document)
+
+    def _publish(self, state: LayerState, document: Document) -> None:
+        before = self._snapshot
+        version = before.version
+        if state.key != before.state.key:
+            version += 1
+            self._versions.note(version, before.splats, state.splats)
+        steps, cursor = self._project.steps()
+        self._snapshot = Snapshot(version, state, document, tuple(steps), cursor)
 
     @contextmanager
     def _command(self) -> Iterator[None]:
@@ -346,11 +542,29 @@ class Session(Reader):
             try:
                 yield
             finally:
-                self._pending.drop()
+                self._transaction.clear()
 
 
-def _project_name(path: str | Path) -> Path:
-    place = Path(path).absolute()
-    if place.suffix.lower() != schema.SUFFIX:
-        raise ValueError(f"{path}: expected a project file name ending in {schema.SUFFIX}")
-    return place
+def _project_path(path: str | Path) -> Path:
+    if Path(path).suffix.lower() != SUFFIX:
+        raise ValueError(f"{path}: expected a project file name ending in {SUFFIX}")
+    return Path(path).absolute()
+
+
+# Names up to version 0.1, which still work.
+
+
+def _renamed(cls: type, old: str, new: str) -> None:
+    def get(self: Any) -> Any:
+        warnings.warn(f"{cls.__name__}.{old} is now called {new}", DeprecationWarning, stacklevel=2)
+        return getattr(self, new)
+
+    setattr(cls, old, property(get))
+
+
+_renamed(Session, "shown", "snapshot")
+_renamed(Session, "settle", "resolve_conflict")
+_renamed(Snapshot, "level", "state")
+_renamed(conflicts.Conflict, "rows", "gaussian_ids")
+_renamed(AssetDelta, "rows", "gaussian_ids")
+_renamed(AssetDelta, "kept", "retained")

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-from splatpainter.sources.files import FileEdit as FileEdit
-from splatpainter.sources.files import edit_from_files as edit_from_files
+from splatpainter.sources.edit_files import FileEdit as FileEdit
+from splatpainter.sources.edit_files import edit_from_files as edit_from_files

@@ -1,7 +1,10 @@
 """Paint as layers over a picture: brush strokes with pressure, lettering, stickers, photo patches, noise.
 
-A layer is [H, W, 4] float32: display colour 0..1 and coverage 0..1, the colour not multiplied by it. Places are in
-pixels (x, y), pixel centres at +0.5. Pure: what is random is drawn by the caller or from the generator given.
+A layer is [H, W, 4] float32: display colour 0..1 and coverage 0..1, the colour not multiplied by it. Points are (x, y)
+in pixels, pixel centres at +0.5. Pure: what is random is drawn by the caller or from the generator given.
+
+    layer = draw_stroke((height, width), points, pressure, Brush(12), color)
+    picture = over(picture, stack_layers(layer, draw_text((height, width), "hello", center, 30, color)))
 """
 
 from __future__ import annotations
@@ -12,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-FINE = 3
-"""Lettering and stickers are drawn this much larger per axis and averaged."""
+SUPERSAMPLING = 3
+"""Text and stickers are drawn this much larger per axis and averaged."""
 
 
 @dataclass(frozen=True)
@@ -36,25 +39,25 @@ def over(image: np.ndarray, layer: np.ndarray) -> np.ndarray:
     return (image * (1 - share) + layer[..., :3] * share).astype(np.float32)
 
 
-def stacked(below: np.ndarray, above: np.ndarray) -> np.ndarray:
+def stack_layers(below: np.ndarray, above: np.ndarray) -> np.ndarray:
     """[H, W, 4] two layers as one."""
     share = above[..., 3:] + below[..., 3:] * (1 - above[..., 3:])
     colors = above[..., :3] * above[..., 3:] + below[..., :3] * below[..., 3:] * (1 - above[..., 3:])
     return np.concatenate([colors / np.maximum(share, 1e-6), share], -1).astype(np.float32)
 
 
-def spline(points: np.ndarray, count: int) -> np.ndarray:
+def catmull_rom(points: np.ndarray, count: int) -> np.ndarray:
     """[count, C] samples, evenly in parameter, of the uniform Catmull-Rom spline through points
     [K, C], K >= 2; its ends are the first and the last point."""
     ends = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
-    place = np.linspace(0, len(points) - 1, count)
-    k = np.minimum(place.astype(int), len(points) - 2)
-    t = (place - k)[:, None]
+    at = np.linspace(0, len(points) - 1, count)
+    k = np.minimum(at.astype(int), len(points) - 2)
+    t = (at - k)[:, None]
     a, b, c, d = (ends[k + j] for j in range(4))
     return 0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
 
 
-def stroke(
+def draw_stroke(
     shape: tuple[int, int],
     points: np.ndarray,
     pressure: np.ndarray,
@@ -67,7 +70,7 @@ def stroke(
     coverage = np.zeros(shape, np.float32)
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     count = max(int(length / max(0.12 * brush.width, 0.7)), 2)
-    path = spline(np.concatenate([points, pressure[:, None]], 1), count)
+    path = catmull_rom(np.concatenate([points, pressure[:, None]], 1), count)
     hairs = np.random.default_rng(seed).uniform(0, 1, (2, max(brush.bristles, 1) + 1))
     along = np.gradient(path[:, :2], axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
@@ -83,18 +86,18 @@ def stroke(
         dab = dab * dab * (3 - 2 * dab)
         if brush.bristles:
             across = (along[k, 0] * dy - along[k, 1] * dx) / radius
-            place = np.clip((across + 1) / 2 * brush.bristles, 0, brush.bristles - 1e-3)
-            left = place.astype(int)
-            wet, dry = ((hair[left] * (left + 1 - place) + hair[left + 1] * (place - left)) for hair in hairs)
+            hair = np.clip((across + 1) / 2 * brush.bristles, 0, brush.bristles - 1e-3)
+            left = hair.astype(int)
+            wet, dry = ((value[left] * (left + 1 - hair) + value[left + 1] * (hair - left)) for value in hairs)
             dab = dab * (0.45 + 0.55 * wet) * np.clip((0.75 + 0.6 * dry - k / count) * 5, 0, 1)
         np.maximum(coverage[box], dab, out=coverage[box])
-    return filled(coverage * brush.flow, color)
+    return solid_layer(coverage * brush.flow, color)
 
 
-def lettering(
+def draw_text(
     shape: tuple[int, int],
     text: str,
-    middle: tuple[float, float],
+    center: tuple[float, float],
     height: float,
     color: tuple[float, float, float],
     font: Path | None = None,
@@ -102,13 +105,13 @@ def lettering(
     outline: tuple[float, float, float] | None = None,
     weight: float = 0.0,
 ) -> np.ndarray:
-    """Antialiased text. middle: of the text; height: of its capitals, pixels; font: a TrueType or OpenType file, by
+    """Antialiased text. center: of the text; height: of its capitals, pixels; font: a TrueType or OpenType file, by
     default Pillow's own scalable font; angle: degrees, counter-clockwise; outline: colour of a rim around the letters;
     weight: how much fatter the letters become, in parts of `height`. Raises ValueError when the font cannot be read."""
     from PIL import Image, ImageDraw
 
-    letters, rim = face(font, height * FINE), round(0.09 * height * FINE) if outline else 0
-    bold = round(weight * height * FINE)
+    letters, rim = load_font(font, height * SUPERSAMPLING), round(0.09 * height * SUPERSAMPLING) if outline else 0
+    bold = round(weight * height * SUPERSAMPLING)
     left, top, right, bottom = (round(v) for v in letters.getbbox(text, stroke_width=rim + bold, anchor="ls"))
     size = (max(right - left, 1) + 2, max(bottom - top, 1) + 2)
     stamp = np.zeros((size[1], size[0], 4), np.float32)
@@ -116,19 +119,19 @@ def lettering(
         if ink is not None:
             part = Image.new("L", size)  # coverage alone: drawn in colour, the edges would mix with black
             ImageDraw.Draw(part).text((1 - left, 1 - top), text, 255, letters, anchor="ls", stroke_width=stroke_width)
-            stamp = stacked(stamp, filled(np.asarray(part, np.float32) / 255, ink))
-    return sticker(shape, stamp, middle, max(size) / FINE, angle)
+            stamp = stack_layers(stamp, solid_layer(np.asarray(part, np.float32) / 255, ink))
+    return draw_sticker(shape, stamp, center, max(size) / SUPERSAMPLING, angle)
 
 
-def sticker(
+def draw_sticker(
     shape: tuple[int, int],
     stamp: np.ndarray,
-    middle: tuple[float, float],
+    center: tuple[float, float],
     size: float,
     angle: float = 0.0,
     flow: float = 1.0,
 ) -> np.ndarray:
-    """A picture [h, w, 4] (or [h, w, 3], opaque), 0..1, laid down around `middle`. size: of its longer side, pixels;
+    """A picture [h, w, 4] (or [h, w, 3], opaque), 0..1, laid down around `center`. size: of its longer side, pixels;
     angle: degrees, counter-clockwise; flow: of its coverage."""
     from PIL import Image
 
@@ -136,28 +139,28 @@ def sticker(
         stamp = np.concatenate([stamp, np.ones_like(stamp[..., :1])], -1)
     out = np.zeros((*shape, 4), np.float32)
     longest = max(stamp.shape[:2])
-    box = _box(shape, *middle, math.hypot(*stamp.shape[:2]) / longest * size / 2 + 1)
+    box = _box(shape, *center, math.hypot(*stamp.shape[:2]) / longest * size / 2 + 1)
     if box is None:
         return out
     shrink = max(int(longest / (size * 2)), 1)  # bilinear looks at 2 x 2 pixels: bring it near them first
     packed = Image.fromarray((np.clip(stamp, 0, 1) * 255 + 0.5).astype(np.uint8), "RGBA").reduce(shrink)
-    scale, turn = longest / shrink / (size * FINE), math.radians(angle)  # source pixels per fine pixel
+    scale, turn = longest / shrink / (size * SUPERSAMPLING), math.radians(angle)  # source pixels per fine pixel
     a, b = math.cos(turn) * scale, -math.sin(turn) * scale
-    x, y = (middle[0] - box[1].start) * FINE, (middle[1] - box[0].start) * FINE
+    x, y = (center[0] - box[1].start) * SUPERSAMPLING, (center[1] - box[0].start) * SUPERSAMPLING
     matrix = (a, b, packed.width / 2 - a * x - b * y, -b, a, packed.height / 2 + b * x - a * y)
-    big = ((box[1].stop - box[1].start) * FINE, (box[0].stop - box[0].start) * FINE)
-    laid = packed.transform(big, Image.Transform.AFFINE, matrix, Image.Resampling.BILINEAR).reduce(FINE)
+    big = ((box[1].stop - box[1].start) * SUPERSAMPLING, (box[0].stop - box[0].start) * SUPERSAMPLING)
+    laid = packed.transform(big, Image.Transform.AFFINE, matrix, Image.Resampling.BILINEAR).reduce(SUPERSAMPLING)
     out[box] = np.asarray(laid, np.float32) / 255  # Pillow averages RGBA with colours times coverage, and divides again
     out[..., 3] *= flow
     return out
 
 
-def blob(
-    shape: tuple[int, int], middle: tuple[float, float], radius: float, softness: float, rng: np.random.Generator
+def round_spot(
+    shape: tuple[int, int], center: tuple[float, float], radius: float, softness: float, rng: np.random.Generator
 ) -> np.ndarray:
     """[H, W] coverage of an irregular round spot: its radius swings by a third. softness: 0..1 of the radius."""
     y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) + np.float32(0.5) for n in shape), indexing="ij")
-    dx, dy = x - np.float32(middle[0]), y - np.float32(middle[1])
+    dx, dy = x - np.float32(center[0]), y - np.float32(center[1])
     angle, reach = np.arctan2(dy, dx), np.hypot(dx, dy)
     edge = np.full(shape, radius, np.float32)
     for k in (2, 3, 5):
@@ -166,7 +169,7 @@ def blob(
     return fall * fall * (3 - 2 * fall)
 
 
-def noise(shape: tuple[int, int], grain: float, rng: np.random.Generator, octaves: int = 3) -> np.ndarray:
+def value_noise(shape: tuple[int, int], grain: float, rng: np.random.Generator, octaves: int = 3) -> np.ndarray:
     """[H, W, 3] value noise of mean about 0 and standard deviation about 1. grain: pixels of its coarsest spots."""
     from PIL import Image
 
@@ -181,14 +184,14 @@ def noise(shape: tuple[int, int], grain: float, rng: np.random.Generator, octave
     return out / np.float32(math.sqrt(total) * 0.7)
 
 
-def filled(coverage: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
+def solid_layer(coverage: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
     """[H, W] coverage in one colour -> layer."""
     out = np.empty((*coverage.shape, 4), np.float32)
     out[..., :3], out[..., 3] = color, coverage
     return out
 
 
-def blurred(image: np.ndarray, radius: float) -> np.ndarray:
+def gaussian_blur(image: np.ndarray, radius: float) -> np.ndarray:
     """[H, W, C] after a Gaussian of standard deviation `radius` pixels; edges are repeated."""
     reach = max(math.ceil(3 * radius), 1)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(radius, 1e-3)) ** 2).astype(np.float32)
@@ -204,7 +207,7 @@ def blurred(image: np.ndarray, radius: float) -> np.ndarray:
     return out
 
 
-def face(font: Path | None, height: float):  # noqa: ANN202 - Pillow's two font classes
+def load_font(font: Path | None, height: float):  # noqa: ANN202 - Pillow's two font classes
     """A font at the size where its capitals are `height` pixels tall. Raises ValueError when it cannot be read."""
     from PIL import ImageFont
 

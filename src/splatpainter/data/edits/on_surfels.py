@@ -16,7 +16,7 @@ from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_co
 from splatpainter.data.edits import EditDesign
 from splatpainter.data.edits.layers import PaintCoverage
 from splatpainter.data.surfels import Surfels
-from splatpainter.sources.looks import Look, apply_look
+from splatpainter.sources.color_grading import ColorGrade, apply_grade
 
 DEPTH_TOLERANCE = 0.01
 """A surfel is the first that a view meets if it lies at most this part of its depth behind the rendered depth."""
@@ -118,18 +118,18 @@ def display_colors(sh: Tensor) -> Tensor:
     return base_color(sh).clamp(0, 1)
 
 
-def grade_sh(sh: Tensor, look: Look) -> Tensor:
+def grade_sh(sh: Tensor, look: ColorGrade) -> Tensor:
     """[N, K, 3] SH after a look: band 0 takes the look of the base colour; higher bands are carried through its
     derivative there (a central difference along each coefficient), so that small lobes stay true."""
     colors = base_color(sh)
     out = torch.empty_like(sh)
-    out[:, 0] = sh_from_color(apply_look(colors, look))
+    out[:, 0] = sh_from_color(apply_grade(colors, look))
     if sh.shape[1] > 1:
         step = 0.02
         bands = sh[:, 1:]
         size = bands.abs().amax(-1, keepdim=True).clamp(min=1e-6)
         along = step * bands / size
         middle = colors.clamp(2 * step, 1 - 2 * step)[:, None]
-        change = apply_look(middle + along, look) - apply_look(middle - along, look)
+        change = apply_grade(middle + along, look) - apply_grade(middle - along, look)
         out[:, 1:] = change * (size / (2 * step))
     return out

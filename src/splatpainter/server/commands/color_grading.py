@@ -22,8 +22,8 @@ from splatpainter.server.commands.context import (
 )
 from splatpainter.server.describe import camera_from_wire
 from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
-from splatpainter.session import erase
-from splatpainter.sources.grade import Grade, grade
+from splatpainter.session.compositing import reached_gaussians
+from splatpainter.sources.color_grading import GradeSettings, grade_sh
 
 
 class HueSliders(Message):
@@ -75,13 +75,13 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
     context.clear_preview = True
     if request.look is None:
         return Previewed(gaussians=0)
-    now = context.studio.session.shown
+    now = context.studio.session.snapshot
     splats = now.splats
-    sh = grade(splats.sh, _settings(context, request.look))
+    sh = grade_sh(splats.sh, _settings(context, request.look))
     if request.mask is not None:
         camera = _mask_camera(request)
         masks = [(camera, mask_from_upload(context, request.mask, camera))]
-        sh = np.where(erase.reached(splats, masks)[:, None, None], sh, splats.sh)
+        sh = np.where(reached_gaussians(splats, masks)[:, None, None], sh, splats.sh)
     ids = changed_rows(splats, replace(splats, sh=sh))
     if len(ids):
         every = len(ids) == len(splats)  # as a rule; 100,000 Gaussians need not be copied for it
@@ -121,7 +121,7 @@ def commit_grade(context: CommandContext, request: GradeCommit) -> LayerMade:
 
 def _settings(context: CommandContext, sliders: GradeSliders) -> dict:
     space = context.studio.session.original.color_space
-    return Grade.from_dict({**sliders.model_dump(), "space": space}).to_dict()
+    return GradeSettings.from_dict({**sliders.model_dump(), "space": space}).to_dict()
 
 
 def _mask_camera(request: GradePreview | GradeCommit) -> Camera:

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.color import to_display
 from splatpainter.rendering.profiles import Profile
 from splatpainter.server.describe import layer_info
 from splatpainter.server.image_registration import same_shape
@@ -23,8 +24,7 @@ from splatpainter.server.page_state import PageState
 from splatpainter.server.protocol import Answer, Command, LayerMade
 from splatpainter.server.studio import Studio
 from splatpainter.server.work_queue import Ticket
-from splatpainter.sources.color import to_display
-from splatpainter.sources.pictures import read_mask, resample
+from splatpainter.sources.picture_reader import read_mask, resample
 from splatpainter.splats import Splats
 
 Run = Callable[["CommandContext", Any], Answer]

@@ -16,7 +16,7 @@ from splatpainter.server.commands.context import (
 )
 from splatpainter.server.describe import conflict_infos
 from splatpainter.server.protocol import Answer, Blend, Blob, Command, ConflictInfo, Exported, LayerMade, Name, Unit
-from splatpainter.sources.grade import NAME, Grade
+from splatpainter.sources.color_grading import GRADE, GradeSettings
 
 
 class LayerSet(Command):
@@ -44,9 +44,9 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
     }
     session = context.studio.session
     layer = session.layer(request.layer)
-    if "parameters" in values and layer.parameters.get("look") == NAME:
+    if "parameters" in values and layer.parameters.get("look") == GRADE:
         space = session.original.color_space
-        values["parameters"] = Grade.from_dict({**values["parameters"], "space": space}).to_dict()
+        values["parameters"] = GradeSettings.from_dict({**values["parameters"], "space": space}).to_dict()
     with progress(context, "layers"):
         session.set(request.layer, gesture=request.gesture, **values)
     return layer_made(context, request.layer, python_line("session.set", request.layer, **values))
@@ -205,5 +205,5 @@ class ConflictSet(Command):
 def set_conflict(context: CommandContext, request: ConflictSet) -> Answer:
     args = (request.lower, request.upper, request.policy)
     with progress(context, "layers"):
-        context.studio.session.settle(*args)
-    return Answer(python=python_line("session.settle", *args))
+        context.studio.session.resolve_conflict(*args)
+    return Answer(python=python_line("session.resolve_conflict", *args))

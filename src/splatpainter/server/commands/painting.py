@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from splatpainter.color import from_display
 from splatpainter.image_files import find_alpha
 from splatpainter.painter import Edit
 from splatpainter.server import frames
@@ -43,10 +44,9 @@ from splatpainter.server.protocol import (
     Unit,
 )
 from splatpainter.server.stroke import Stroke
-from splatpainter.session.replay import WITHIN
-from splatpainter.sources.color import from_display
-from splatpainter.sources.files import FileEdit, unmultiplied
-from splatpainter.sources.pictures import read_picture
+from splatpainter.session.compose import WITHIN
+from splatpainter.sources.edit_files import FileEdit, unmultiplied
+from splatpainter.sources.picture_reader import read_picture
 
 
 class StrokeStarted(Answer):
@@ -68,7 +68,7 @@ class PaintBegin(Command):
 def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     studio = context.studio
     stroke = Stroke(camera_from_wire(request.camera), request.kind == "erase")
-    now = studio.session.shown
+    now = studio.session.snapshot
     stroke.prepare(now.splats, studio.original, now.version)
     threading.Thread(target=studio.session.prepare, daemon=True).start()  # ready when the pen goes up
     context.clear_preview = True
@@ -101,7 +101,7 @@ def dab(context: CommandContext, request: PaintDab) -> Previewed:
     except binascii.Error:
         raise ValueError("dab: expected base64 of RGBA bytes") from None
     box = stroke.patch(request.x, request.y, request.width, request.height, rgba)
-    now = studio.session.shown
+    now = studio.session.snapshot
     ids, sh = stroke.preview(now.splats, studio.original, now.version, box)
     if len(ids):
         context.preview = frames.preview_colors(sh, ids, len(now.splats), now.version)
@@ -129,7 +129,7 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     if not stroke.mask.any():
         raise ValueError("stroke: nothing was painted")
     session = studio.session
-    now = session.shown
+    now = session.snapshot
     picture = stroke.picture(now.splats, studio.original, now.version)
     image = from_display(picture.astype(np.float32), now.splats.color_space)
     edit = Edit(image, stroke.camera, stroke.mask, request.name)

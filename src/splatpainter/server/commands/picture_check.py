@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from splatpainter.cameras import Camera
+from splatpainter.color import to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.server import image_registration as registration
 from splatpainter.server.commands.context import CommandContext, command, render_alpha, render_display
@@ -17,9 +18,8 @@ from splatpainter.server.describe import camera_from_wire, camera_to_wire
 from splatpainter.server.image_registration import Crop, find_crop
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
 from splatpainter.server.storage import StoredBlob
-from splatpainter.sources.color import to_display
-from splatpainter.sources.files import over_render, unmultiplied
-from splatpainter.sources.pictures import Picture, read_picture
+from splatpainter.sources.edit_files import over_render, unmultiplied
+from splatpainter.sources.picture_reader import Picture, read_picture
 
 MAX_CROP_CANDIDATES = 8
 """Latest exported views that a picture without a camera may be a part of."""

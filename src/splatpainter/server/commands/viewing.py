@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from splatpainter.cameras import Camera, orbit
+from splatpainter.color import to_display
 from splatpainter.image_files import to_uint8
 from splatpainter.io.files import sha256, writing
 from splatpainter.rendering.profiles import Profile
@@ -21,10 +22,9 @@ from splatpainter.server.describe import camera_from_wire, camera_to_wire, up_ax
 from splatpainter.server.image_registration import png_bytes, thumbnail
 from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, FileName, Point, Rgb
 from splatpainter.server.studio import ExportedView
+from splatpainter.session.asset_files import view_files_of
 from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.session.conflicts import coverage as covered
-from splatpainter.session.export import view_files_of
-from splatpainter.sources.color import to_display
 from splatpainter.view_files import Aov, PictureOptions
 
 MAX_EXPORT_PIXELS = 1 << 24
@@ -97,13 +97,13 @@ class ViewExport(Command):
 @command(ViewExport, background=True)
 def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     studio, camera = context.studio, camera_from_wire(request.camera)
-    now = studio.session.shown
+    now = studio.session.snapshot
     bits, aovs = request.bits, tuple(request.aovs)
     options = PictureOptions(request.format, bits, request.transparent, aovs, request.profile, PNG_LEVEL)
     sized = camera if request.size is None else _resized(camera, request.size)
     image = render_display(now.splats, camera, request.profile)
     context.ticket.report(0, "rendering the view")
-    outputs = view_files_of(now.splats, now.level.touches, sized, request.name, options)
+    outputs = view_files_of(now.splats, now.state.edited, sized, request.name, options)
     first, file, url, download = next(iter(outputs)), None, None, ""
     if request.to == "folder":
         file = _write_to_folder(context, outputs)
@@ -250,8 +250,8 @@ class CoverageShow(Command):
 @command(CoverageShow)
 def coverage(context: CommandContext, request: CoverageShow) -> Covered:
     studio, camera = context.studio, camera_from_wire(request.camera)
-    now = studio.session.shown
-    splats, kinds = now.splats, covered(now.level.touches, len(now.splats))
+    now = studio.session.snapshot
+    splats, kinds = now.splats, covered(now.state.edited, len(now.splats))
     picture = picking.coverage_picture(splats, kinds, camera)
     view = picking.next_view(splats, kinds, camera, np.array(studio.state.asset.center), up_axis(studio.session))
     return Covered(

@@ -1,4 +1,4 @@
-"""The project file: one SQLite database that every acknowledged change is in. Knows no painter and no rows.
+"""The project file: one SQLite database that every acknowledged change is in. Knows no painter.
 
 WAL with synchronous=FULL while open: a commit is on disk when it returns. On closing the log is folded back into the
 one file. All access goes through one connection and its lock, so several threads may read while one writes.
@@ -12,35 +12,26 @@ import os
 import sqlite3
 import threading
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files
-from splatpainter.session import schema
-from splatpainter.session.database import (
-    ContentError,
-    Database,
-    closed_on_error,
-    is_unwritable,
-    one_line,
-    open_readable,
-    open_writable,
-    try_writing,
-)
-from splatpainter.session.deltas import decode, encode
-from splatpainter.session.layers import Document, Layer, Policy, digest
+from splatpainter.session import database
+from splatpainter.session.compose import LayerResult
+from splatpainter.session.database import ContentError, Database, closed_on_error, is_unwritable, one_line
+from splatpainter.session.delta import decode, encode
+from splatpainter.session.document import Document, Layer, Policy, digest
 from splatpainter.session.lock import ProjectLock
-from splatpainter.session.replay import Painted
-from splatpainter.session.states import pack_state, unpack_state
 
-STEPS = 1000
-"""Steps of the history that are kept."""
-PART = 1 << 20
-"""Bytes of a part of the original."""
+if TYPE_CHECKING:
+    from splatpainter.models.refine import RefineState
+
+MAX_STEPS = 1000
+"""Of the history."""
 ELSEWHERE = "open elsewhere: this copy can be looked at, not changed; save_as makes one of your own"
 UNWRITABLE = "cannot be written ({}): it can be looked at, not changed; save_as makes one that can"
 FACT_KINDS: dict[str, type | tuple[type, ...]] = {
@@ -73,20 +64,12 @@ class Bookmark:
     camera: Camera
 
 
-@dataclass
-class Additions:
-    """What one commit brings besides the document."""
-
-    blobs: dict[str, bytes] = field(default_factory=dict)
-    results: dict[str, Painted] = field(default_factory=dict)
-
-
 class Project:
     """An open project file. `read_only` says why it cannot be written, "" where it can."""
 
-    def __init__(self, database: Database, lock: ProjectLock | None, read_only: str) -> None:
-        self.path, self.read_only = database.path, read_only
-        self._database, self._db, self._hold = database, database.connection, lock
+    def __init__(self, bounded: Database, lock: ProjectLock | None, read_only: str) -> None:
+        self.path, self.read_only = bounded.path, read_only
+        self._database, self._db, self._lock = bounded, bounded.connection, lock
         self._mutex = threading.RLock()
         self._bookmarks: list[Bookmark] | None = None
 
@@ -94,22 +77,22 @@ class Project:
 
     @staticmethod
     def create(path: Path, facts: dict[str, str], original: Iterable[tuple[str, bytes]], overwrite: bool) -> Project:
-        """A new project file with the original's files as (name, bytes) pieces in order. It appears at `path` whole.
-        Raises ValueError: it exists, is open elsewhere, or cannot be written."""
+        """A new project file with the original's files as (name, bytes) pieces in order. It appears at `path` complete
+        or not at all. Raises ValueError: it exists, is open elsewhere, or cannot be written."""
 
         def fill(connection: sqlite3.Connection) -> None:
             connection.execute("PRAGMA auto_vacuum=INCREMENTAL")
             connection.execute("BEGIN")
-            schema.create(connection)
+            database.create_tables(connection)
             connection.executemany("INSERT INTO facts VALUES (?, ?)", [*facts.items(), ("cursor", "1")])
             for part, (name, data) in enumerate(original):
                 connection.execute("INSERT INTO original VALUES (?, ?, ?)", (name, part, data))
             connection.execute("INSERT INTO steps (id, label, policies, next_id) VALUES (1, 'open', '[]', 1)")
             connection.execute("COMMIT")
 
-        lock = _claim(path, overwrite)
+        lock = _lock_target(path, overwrite)
         try:
-            _place(path, fill)
+            _create(path, fill)
             with one_line(path):
                 return Project(_opened(path, readonly=False), lock, "")
         except BaseException:
@@ -120,30 +103,30 @@ class Project:
     def open(path: Path, readonly: bool | None = None) -> Project:
         """Open a project file. readonly None: only where it is open elsewhere or cannot be written; False: then it is
         an error. Raises ValueError: missing, damaged, no project, newer, of an older version and read-only."""
-        version = schema.check_head(path)
+        version = database.check_head(path)
         lock, why = None, "opened for reading only"
         if not readonly:
             lock, why = _lock_or_reason(path)
         try:
             with one_line(path):
-                database = None
+                bounded = None
                 if lock is not None:
                     try:
-                        database = _opened(path, readonly=False)
+                        bounded = _opened(path, readonly=False)
                     except sqlite3.OperationalError as error:
                         if not is_unwritable(error):
                             raise
                         why = UNWRITABLE.format(" ".join(str(error).split()))
                         lock.release()
                         lock = None
-                if database is None:
+                if bounded is None:
                     if readonly is False:
                         raise ValueError(f"{path}: {why}")
-                    if version < schema.VERSION:
-                        said = f"project version {version} must be opened for writing once, to be brought up"
-                        raise ValueError(f"{path}: {said}; {why}")
-                    database = _opened(path, readonly=True)
-                return Project(database, lock, why)
+                    if version < database.VERSION:
+                        reason = f"project version {version} must be opened for writing once, to be brought up"
+                        raise ValueError(f"{path}: {reason}; {why}")
+                    bounded = _opened(path, readonly=True)
+                return Project(bounded, lock, why)
         except BaseException:
             if lock is not None:
                 lock.release()
@@ -152,7 +135,7 @@ class Project:
     def close(self) -> None:
         """Fold the log into the one file. Closing twice does nothing."""
         with self._mutex:
-            if self._hold is not None:
+            if self._lock is not None:
                 # A reader in the way, or a full disk: all is in the log, for the next opener.
                 with contextlib.suppress(sqlite3.Error):
                     self._database.start()
@@ -161,16 +144,16 @@ class Project:
                     self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
                     self._db.execute("PRAGMA journal_mode=DELETE").fetchall()
             self._db.close()
-            if self._hold is not None:
-                self._hold.release()
-                self._hold = None
+            if self._lock is not None:
+                self._lock.release()
+                self._lock = None
 
     def copy(self, path: Path, overwrite: bool = False) -> None:
-        """The same project in another file, compact; it appears whole. Raises ValueError: it exists, is open elsewhere,
-        or cannot be written."""
-        lock = _claim(path, overwrite)
+        """The same project in another file, compact; it appears complete or not at all. Raises ValueError: it exists,
+        is open elsewhere, or cannot be written."""
+        lock = _lock_target(path, overwrite)
         try:
-            _place(path, lambda connection: self._clone(connection))
+            _create(path, lambda connection: self._clone(connection))
         finally:
             lock.release()
 
@@ -194,8 +177,8 @@ class Project:
 
     def fact(self, name: str) -> str | None:
         """A fact by its name. Raises ValueError: it is no text."""
-        found = self.rows("SELECT value FROM facts WHERE name = ?", name, kinds=(str,))
-        return found[0][0] if found else None
+        values = self.rows("SELECT value FROM facts WHERE name = ?", name, kinds=(str,))
+        return values[0][0] if values else None
 
     def original(self) -> Iterator[tuple[str, bytes]]:
         """(name, bytes) pieces of the original's files, in order. Raises ValueError: more than the file has."""
@@ -211,26 +194,27 @@ class Project:
 
     def blob(self, sha256: str) -> bytes:
         """Bytes of a picture. Raises ValueError: unknown or damaged."""
-        found = self.rows("SELECT bytes FROM blobs WHERE sha256 = ?", sha256, kinds=(bytes,))
-        if not found or files.sha256(found[0][0]) != sha256:
+        rows = self.rows("SELECT bytes FROM blobs WHERE sha256 = ?", sha256, kinds=(bytes,))
+        if not rows or files.sha256(rows[0][0]) != sha256:
             raise ValueError(f"{self.path}: damaged project file (picture {sha256[:12]}... is missing or wrong)")
-        return found[0][0]
+        return rows[0][0]
 
-    def result(self, key: str) -> Painted | None:
+    def result(self, key: str) -> LayerResult | None:
         """A stored result; its parts are decoded one at a time. Raises ValueError where it is damaged."""
         optional = (bytes, type(None))
         query = "SELECT facts, confidence, state FROM results WHERE key = ?"
-        found = self.rows(query, key, kinds=(str, optional, optional))
-        if not found:
+        rows = self.rows(query, key, kinds=(str, optional, optional))
+        if not rows:
             return None
-        facts, confidence, state = found[0]
+        facts, confidence, state = rows[0]
         where = f"{self.path}: result {key[:12]}..."
         delta = decode(self._parts(key), where)
         try:
-            certain = None if confidence is None else np.frombuffer(confidence, np.uint8)
-            if certain is not None and len(certain) != delta.count + len(delta.appended):
-                raise ValueError(f"{len(certain)} values of confidence for {delta.count + len(delta.appended)} rows")
-            return Painted(delta, _result_facts(facts), certain, None if state is None else unpack_state(state))
+            values = None if confidence is None else np.frombuffer(confidence, np.uint8)
+            count = delta.count + len(delta.appended)
+            if values is not None and len(values) != count:
+                raise ValueError(f"{len(values)} values of confidence for {count} Gaussians")
+            return LayerResult(delta, _result_facts(facts), values, None if state is None else _unpack_state(state))
         except (ValueError, TypeError, RecursionError) as error:
             raise ValueError(f"{where}: damaged ({error})") from None
 
@@ -249,29 +233,29 @@ class Project:
             return list(self._bookmarks)
 
     def steps(self) -> tuple[list[Step], int]:
-        """(the history, oldest first; place of the step in effect)."""
+        """(the history, oldest first; index of the step in effect)."""
         steps = [Step(*row) for row in self.rows("SELECT id, label FROM steps ORDER BY id", kinds=(int, str))]
         cursor = self.fact("cursor") or ""
-        places = [k for k, step in enumerate(steps) if str(step.id) == cursor]
-        if not places:
+        indices = [k for k, step in enumerate(steps) if str(step.id) == cursor]
+        if not indices:
             raise ValueError(f"{self.path}: damaged project file (step {cursor[:20]!r} of its history is missing)")
-        return steps, places[0]
+        return steps, indices[0]
 
     def document(self, step: int) -> Document:
         """The layers as they were after a step. Raises ValueError: damaged."""
         where = f"{self.path}: layer"
         with one_line(self.path):
-            found = self.rows("SELECT policies FROM steps WHERE id = ?", step, kinds=(str,))
+            policies = self.rows("SELECT policies FROM steps WHERE id = ?", step, kinds=(str,))
             highest = self.rows("SELECT max(next_id) FROM steps", kinds=(int,))  # undone layers' ids stay theirs
             query = "SELECT content FROM step_layers JOIN layers ON layers.id = layer WHERE step = ? ORDER BY place"
             contents = self.rows(query, step, kinds=(str,))
-            if not found:
+            if not policies:
                 raise ContentError(f"step {step} of its history is missing")
         try:
             layers = tuple(Layer.parse(json.loads(text), where) for (text,) in contents)
             if len({layer.id for layer in layers}) < len(layers):
                 raise ValueError("two layers have one id")
-            return Document(layers, _policies(json.loads(found[0][0])), highest[0][0])
+            return Document(layers, _policies(json.loads(policies[0][0])), highest[0][0])
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             raise ValueError(f"{where}: damaged ({str(error).removeprefix(f'{where}: ')})") from None
 
@@ -282,7 +266,7 @@ class Project:
         label: str,
         document: Document,
         results: Iterable[str],
-        more: Additions,
+        new: Transaction,
         gesture: str | None = None,
     ) -> set[str]:
         """A new step after the one in effect; steps that were undone are dropped. gesture: a step of the same gesture
@@ -293,44 +277,44 @@ class Project:
             if gesture is not None:
                 query = "DELETE FROM steps WHERE id = ? AND gesture = ? AND id > (SELECT min(id) FROM steps)"
                 dropped += db.execute(query, (at, gesture)).rowcount
-            dropped += db.execute("DELETE FROM steps WHERE id <= ?", (at - STEPS,)).rowcount
+            dropped += db.execute("DELETE FROM steps WHERE id <= ?", (at - MAX_STEPS,)).rowcount
             step = at + 1
             entry = (step, label, gesture, json.dumps(document.policies), document.next_id)
             db.execute("INSERT INTO steps (id, label, gesture, policies, next_id) VALUES (?, ?, ?, ?, ?)", entry)
-            for name, data in more.blobs.items():
+            for name, data in new.blobs.items():
                 db.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?)", (name, data))
-            for place, layer in enumerate(document.layers):
-                db.execute("INSERT INTO step_layers VALUES (?, ?, ?)", (step, place, _stored(db, layer)))
-            for key, painted in more.results.items():
-                _store_result(db, key, painted)
+            for index, layer in enumerate(document.layers):
+                db.execute("INSERT INTO step_layers VALUES (?, ?, ?)", (step, index, _store_layer(db, layer)))
+            for key, result in new.results.items():
+                _store_result(db, key, result)
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
-            _move(db, step)
-            return _swept(db) if dropped else set()
+            _set_cursor(db, step)
+            return _sweep(db) if dropped else set()
 
-    def move(self, step: int, results: Iterable[str], more: Additions) -> None:
+    def move(self, step: int, results: Iterable[str], new: Transaction) -> None:
         """Another step takes effect (undo, redo). results: of its asset, in case some had to be made anew."""
         with self._writing() as db:
-            for key, painted in more.results.items():
-                _store_result(db, key, painted)
+            for key, result in new.results.items():
+                _store_result(db, key, result)
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
-            _move(db, step)
+            _set_cursor(db, step)
 
     def add_bookmark(self, name: str, camera: Camera) -> str:
         query = "INSERT INTO bookmarks (name, camera) VALUES (?, ?)"
         with self._mutex:
-            known = self.bookmarks()
+            bookmarks = self.bookmarks()
             with self._writing() as db:
                 made = Bookmark(str(db.execute(query, (name, camera.to_json())).lastrowid), name, camera)
-            self._bookmarks = [*known, made]
+            self._bookmarks = [*bookmarks, made]
             return made.id
 
     def delete_bookmark(self, bookmark: str) -> None:
         with self._mutex:
-            known = self.bookmarks()
+            bookmarks = self.bookmarks()
             with self._writing() as db:
                 if not db.execute("DELETE FROM bookmarks WHERE CAST(id AS TEXT) = ?", (bookmark,)).rowcount:
                     raise ValueError(f"bookmark: there is none with id {bookmark!r}")
-            self._bookmarks = [one for one in known if one.id != bookmark]
+            self._bookmarks = [entry for entry in bookmarks if entry.id != bookmark]
 
     def set_fact(self, name: str, value: str) -> None:
         with self._writing() as db:
@@ -352,9 +336,38 @@ class Project:
                 raise
 
 
-def _stored(db: sqlite3.Connection, layer: Layer) -> int:
+class Transaction:
+    """What a command has prepared and not committed yet, in front of what the project file holds: pictures and results
+    by hash."""
+
+    def __init__(self, project: Project) -> None:
+        self.project = project
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget what is new: it was committed, or its command failed."""
+        self.blobs: dict[str, bytes] = {}
+        self.results: dict[str, LayerResult] = {}
+
+    def blob(self, sha256: str) -> bytes:
+        """Bytes of a picture. Raises ValueError: unknown or damaged."""
+        return self.blobs.get(sha256) or self.project.blob(sha256)
+
+    def get(self, key: str) -> LayerResult | None:
+        """A result, None where there is none that can be read: it is computed again, and `verify` reports damage."""
+        try:
+            return self.results.get(key) or self.project.result(key)
+        except ValueError:
+            return None
+
+    def put(self, key: str, result: LayerResult) -> None:
+        if not self.project.read_only:
+            self.results[key] = result
+
+
+def _store_layer(db: sqlite3.Connection, layer: Layer) -> int:
     """Row of a layer in this very form, made if there is none."""
-    text = _text(layer)
+    text = json.dumps(layer.record(), sort_keys=True)
     sha = digest(text)
     db.execute("INSERT OR IGNORE INTO layers (sha256, content) VALUES (?, ?)", (sha, text))
     row = db.execute("SELECT id FROM layers WHERE sha256 = ?", (sha,)).fetchone()[0]
@@ -362,20 +375,58 @@ def _stored(db: sqlite3.Connection, layer: Layer) -> int:
     return row
 
 
-def _store_result(db: sqlite3.Connection, key: str, painted: Painted) -> None:
-    state = None if painted.state is None else pack_state(painted.state)
-    certain = None if painted.confidence is None else painted.confidence.tobytes()
+def _store_result(db: sqlite3.Connection, key: str, result: LayerResult) -> None:
+    state = None if result.painter_state is None else _pack_state(result.painter_state)
+    confidence = None if result.confidence is None else result.confidence.tobytes()
     db.execute("DELETE FROM results WHERE key = ?", (key,))
-    db.execute("INSERT INTO results VALUES (?, ?, ?, ?)", (key, json.dumps(painted.facts), certain, state))
-    for part, data in enumerate(encode(painted.delta)):
+    db.execute("INSERT INTO results VALUES (?, ?, ?, ?)", (key, json.dumps(result.facts), confidence, state))
+    for part, data in enumerate(encode(result.delta)):
         db.execute("INSERT INTO deltas VALUES (?, ?, ?)", (key, part, data))
 
 
-def _move(db: sqlite3.Connection, step: int) -> None:
+def _pack_state(state: RefineState) -> bytes:
+    """What a painter has learnt as safetensors, never pickle: tensors named block.K.w0, .w1, .w2 (fast weights) or
+    block.K (tokens); detail likewise."""
+    from safetensors.torch import save
+
+    named = {}
+    blocks = [(f"block.{k}", block) for k, block in enumerate(state.blocks)]
+    for name, block in [*blocks, ("detail", state.detail)]:
+        if block is None:
+            continue
+        parts = {f"{name}.{k}": v for k, v in block._asdict().items()} if hasattr(block, "_asdict") else {name: block}
+        named |= {key: value.detach().cpu().contiguous().clone() for key, value in parts.items()}
+    return save(named)
+
+
+def _unpack_state(data: bytes) -> RefineState:
+    """The inverse of `_pack_state`, on the CPU. Raises ValueError for other bytes."""
+    from safetensors import SafetensorError
+    from safetensors.torch import load
+
+    from splatpainter.models.refine import RefineState
+    from splatpainter.nn.fast_weights import FastWeights
+
+    try:
+        named = load(data)
+
+        def block(name: str):
+            if name in named:
+                return named[name]
+            return FastWeights(*(named[f"{name}.{part}"] for part in FastWeights._fields))
+
+        count = len({key.split(".")[1] for key in named if key.startswith("block.")})
+        detail = block("detail") if any(key.split(".")[0] == "detail" for key in named) else None
+        return RefineState(tuple(block(f"block.{k}") for k in range(count)), detail)
+    except (SafetensorError, KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f"project: the painter's state is damaged ({error!r})") from None
+
+
+def _set_cursor(db: sqlite3.Connection, step: int) -> None:
     db.execute("UPDATE facts SET value = ? WHERE name = 'cursor'", (str(step),))
 
 
-def _swept(db: sqlite3.Connection) -> set[str]:
+def _sweep(db: sqlite3.Connection) -> set[str]:
     """Delete what no step needs any more; the keys of deleted results."""
     unused = "NOT IN (SELECT result FROM step_results)"
     gone = {key for (key,) in db.execute(f"SELECT key FROM results WHERE key {unused}")}
@@ -383,10 +434,6 @@ def _swept(db: sqlite3.Connection) -> set[str]:
     db.execute("DELETE FROM layers WHERE id NOT IN (SELECT layer FROM step_layers)")
     db.execute("DELETE FROM blobs WHERE sha256 NOT IN (SELECT blob FROM layer_blobs)")
     return gone
-
-
-def _text(layer: Layer) -> str:
-    return json.dumps(layer.record(), sort_keys=True)
 
 
 def _result_facts(text: str) -> dict[str, Any]:
@@ -421,15 +468,15 @@ def _policies(pairs: Any) -> tuple[tuple[str, str, Policy], ...]:
 def _opened(path: Path, readonly: bool) -> Database:
     """The database, checked. readonly False: that it can be written has been tried, and older versions are brought up.
     Raises sqlite3.Error, ValueError."""
-    connection = open_readable(path) if readonly else open_writable(path)
+    connection = database.open_readable(path) if readonly else database.open_writable(path)
     with closed_on_error(connection):
-        database = Database(path, connection)
-        database.start()
-        schema.check_tables(connection)
+        bounded = Database(path, connection)
+        bounded.start()
+        database.check_tables(connection)
         if not readonly:
-            try_writing(connection)
-            schema.migrate(database)
-        return database
+            database.try_writing(connection)
+            database.migrate(bounded)
+        return bounded
 
 
 def _lock_or_reason(path: Path) -> tuple[ProjectLock | None, str]:
@@ -441,9 +488,14 @@ def _lock_or_reason(path: Path) -> tuple[ProjectLock | None, str]:
     return lock, "" if lock else ELSEWHERE
 
 
-def _claim(path: Path, overwrite: bool) -> ProjectLock:
+def check_free(path: Path, overwrite: bool) -> None:
+    """Raises ValueError where a file may not be written: a folder, or a file that is not to be overwritten."""
     if path.is_dir() or (path.exists() and not overwrite):
         raise ValueError(f"{path}: already exists; choose another name or allow overwriting")
+
+
+def _lock_target(path: Path, overwrite: bool) -> ProjectLock:
+    check_free(path, overwrite)
     if not path.parent.is_dir():
         raise ValueError(f"{path}: no such folder: {path.parent}; make it first")
     lock = ProjectLock.take(path)
@@ -452,7 +504,7 @@ def _claim(path: Path, overwrite: bool) -> ProjectLock:
     return lock
 
 
-def _place(path: Path, fill) -> None:
+def _create(path: Path, fill) -> None:
     """A database that appears at `path` filled and on disk, or not at all. The caller holds the lock of `path`."""
     partial = path.with_name(f".{path.name}.part")
     try:

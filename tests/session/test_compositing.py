@@ -9,8 +9,8 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.painter import Painter
-from splatpainter.session.blend import blended, mix, mixed
-from splatpainter.session.deltas import Delta, between
+from splatpainter.session.compositing import blend_delta, blend_sh, mix_sh
+from splatpainter.session.delta import Delta, between
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import bits, db, differing, front, sheet
 from tests.support.session_scenes import RED, asset, dab
@@ -32,8 +32,8 @@ def changed_asset() -> tuple[Splats, Delta]:
 
 def test_full_normal_opacity_is_the_delta_itself():
     below, delta = changed_asset()
-    assert mixed(below, delta, 1.0) is delta
-    same = mixed(below, delta, 1.0, "normal", np.ones(len(below)))
+    assert blend_delta(below, delta, 1.0) is delta
+    same = blend_delta(below, delta, 1.0, "normal", np.ones(len(below)))
     for name in ("means", "quats", "scales", "opacities", "sh"):
         np.testing.assert_array_equal(bits(getattr(same.values, name)), bits(getattr(delta.values, name)))
         np.testing.assert_array_equal(bits(getattr(same.appended, name)), bits(getattr(delta.appended, name)))
@@ -43,20 +43,20 @@ def test_rows_without_strength_are_left_out_and_so_are_their_children():
     below, delta = changed_asset()
     strength = np.ones(len(below))
     strength[:6] = 0
-    left = mixed(below, delta, 0.7, "normal", strength)
-    assert left.rows.tolist() == [6, 7, 8, 9]
-    assert left.parents.tolist() == [-1]
+    left = blend_delta(below, delta, 0.7, "normal", strength)
+    assert left.gaussian_ids.tolist() == [6, 7, 8, 9]
+    assert left.parent_ids.tolist() == [-1]
     after = left.apply(below)
     assert np.flatnonzero(differing(below, after)).tolist() == [6, 7, 8, 9]
 
 
 def test_half_opacity_mixes_colours_and_takes_the_new_geometry():
     below, delta = changed_asset()
-    half = mixed(below, delta, 0.5)
-    old = below.sh[delta.rows].astype(np.float64)
+    half = blend_delta(below, delta, 0.5)
+    old = below.sh[delta.gaussian_ids].astype(np.float64)
     np.testing.assert_allclose(half.values.sh, (old + delta.values.sh) / 2, atol=1e-6)
     np.testing.assert_array_equal(half.values.means, delta.values.means)
-    at = delta.rows.tolist().index
+    at = delta.gaussian_ids.tolist().index
     assert half.values.opacities[at(3)] == np.float32(0.2)  # its geometry is new: the opacity belongs to that
     assert half.values.opacities[at(4)] == pytest.approx((0.9 + 0.2) / 2)
     parent = below.sh[3].astype(np.float64)
@@ -93,7 +93,7 @@ def w3c(below: np.ndarray, above: np.ndarray, mode: str) -> np.ndarray:
 def test_base_colours_follow_the_w3c(mode):
     rng = np.random.default_rng(7)
     old, new = rng.uniform(0, 1, (2, 200, 3))
-    out = blended(((old - 0.5) / Y0)[:, None], ((new - 0.5) / Y0)[:, None], mode)
+    out = blend_sh(((old - 0.5) / Y0)[:, None], ((new - 0.5) / Y0)[:, None], mode)
     expected = np.array([w3c(b, a, mode) for b, a in zip(old, new, strict=True)])
     np.testing.assert_allclose(0.5 + Y0 * out[:, 0], expected, atol=2e-6)
 
@@ -102,10 +102,10 @@ def test_bands_follow_the_linear_part():
     rng = np.random.default_rng(8)
     old, new = rng.normal(0, 0.2, (2, 50, 4, 3)).astype(np.float32)
     luma = np.array([0.3, 0.59, 0.11])
-    hue = blended(old, new, "color")
+    hue = blend_sh(old, new, "color")
     np.testing.assert_allclose(hue[:, 1:] @ luma, old[:, 1:] @ luma, atol=1e-6)
     np.testing.assert_allclose(hue[:, 1:, 0] - hue[:, 1:, 1], new[:, 1:, 0] - new[:, 1:, 1], atol=1e-6)
-    dark = blended(old, new, "darken")
+    dark = blend_sh(old, new, "darken")
     takes = new[:, 0] < old[:, 0]
     np.testing.assert_array_equal(dark, np.where(takes[:, None], new, old))
 
@@ -114,10 +114,10 @@ def test_bands_follow_the_linear_part():
 def test_partial_blends_lie_between(mode):
     rng = np.random.default_rng(9)
     old, new = rng.normal(0, 0.2, (2, 20, 4, 3)).astype(np.float32)
-    full = mix(old, new, np.ones(20, np.float32), mode)
-    quarter = mix(old, new, np.full(20, 0.25, np.float32), mode)
+    full = mix_sh(old, new, np.ones(20, np.float32), mode)
+    quarter = mix_sh(old, new, np.full(20, 0.25, np.float32), mode)
     np.testing.assert_allclose(quarter, 0.75 * old + 0.25 * full, atol=1e-6)
-    np.testing.assert_array_equal(full, blended(old, new, mode))
+    np.testing.assert_array_equal(full, blend_sh(old, new, mode))
 
 
 def test_a_picture_at_half_opacity_is_half_way():
@@ -129,8 +129,8 @@ def test_a_picture_at_half_opacity_is_half_way():
     done = painter.apply(painter.encode(replace(splats, origin=np.arange(len(splats)))), [edit])
     assert done.splats.origin is not None and len(done.splats) > len(splats)
     delta = between(splats, done.splats, done.splats.origin[len(splats) :])
-    assert (delta.parents >= 0).all()
-    pictures = [sp.render(mixed(splats, delta, o).apply(splats), camera).colors[0] for o in (1e-6, 0.5, 1.0)]
+    assert (delta.parent_ids >= 0).all()
+    pictures = [sp.render(blend_delta(splats, delta, o).apply(splats), camera).colors[0] for o in (1e-6, 0.5, 1.0)]
     nothing = sp.render(splats, camera).colors[0]
     np.testing.assert_allclose(pictures[1], (pictures[0] + pictures[2]) / 2, atol=2e-3)
     assert db(pictures[0], nothing) > 28  # split, in the colours of before

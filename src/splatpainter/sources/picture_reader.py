@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatpainter.color import to_display
 from splatpainter.image_files import EXTRA, PixelSamples, can_do_deep, is_deep, is_exr, read_deep
 from splatpainter.image_files import MAX_PICTURE_PIXELS as LIMIT
-from splatpainter.sources.color import to_display
 
 if TYPE_CHECKING:
     from PIL.Image import Image

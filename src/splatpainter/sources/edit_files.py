@@ -8,10 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.color import from_display, to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.painter import Edit, Mode
-from splatpainter.sources.color import from_display, to_display
-from splatpainter.sources.pictures import LIMIT, Picture, declared_size, read_mask, read_picture, resample, straight
+from splatpainter.sources.picture_reader import (
+    LIMIT,
+    Picture,
+    declared_size,
+    read_mask,
+    read_picture,
+    resample,
+    straight,
+)
 from splatpainter.splats import Splats
 
 ASPECT = 0.01

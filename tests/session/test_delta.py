@@ -9,8 +9,16 @@ import pytest
 import zstandard
 
 from splatpainter.receipts import changed_rows
-from splatpainter.session.changes import REMEMBERED, AssetDelta, Changes
-from splatpainter.session.deltas import PART, between, decode, encode, no_delta
+from splatpainter.session.delta import (
+    MAX_VERSIONS,
+    PART_BYTES,
+    AssetDelta,
+    VersionLog,
+    between,
+    decode,
+    encode,
+    no_delta,
+)
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import same_bits
 from tests.support.session_scenes import asset
@@ -36,8 +44,8 @@ def test_round_trip(degree, seed):
     delta = between(before, after, parents)
     again = decode(encode(delta))
     assert same_bits(again.apply(before), after) and same_bits(delta.apply(before), after)
-    np.testing.assert_array_equal(again.parents, parents)
-    np.testing.assert_array_equal(again.rows, delta.rows)
+    np.testing.assert_array_equal(again.parent_ids, parents)
+    np.testing.assert_array_equal(again.gaussian_ids, delta.gaussian_ids)
 
 
 def test_minus_zero_and_nan_payloads_survive():
@@ -74,7 +82,7 @@ def test_large_deltas_travel_in_bounded_parts():
     parts = list(encode(delta))
     assert len(parts) > 4
     unpack = zstandard.ZstdDecompressor()
-    assert max(len(unpack.decompress(part)) for part in parts) <= PART
+    assert max(len(unpack.decompress(part)) for part in parts) <= PART_BYTES
     assert same_bits(decode(iter(parts)).apply(before), replace(before, sh=before.sh + 1))
 
 
@@ -84,7 +92,7 @@ def test_damage_is_one_line():
     flipped = parts[-1][:-3] + bytes([parts[-1][-3] ^ 1]) + parts[-1][-2:]
     head = zstandard.compress(b'{"version": 1, "count": 1000000000000, "rows": 5, "appended": 0, "coefficients": 4}')
     wrong_rows = zstandard.compress(np.array([30, -4, 1, 1, 1], "<i8").tobytes())
-    bomb = zstandard.compress(bytes(64 * PART))
+    bomb = zstandard.compress(bytes(64 * PART_BYTES))
     cases = [
         parts[:-1],
         [bomb],
@@ -105,15 +113,15 @@ def followed(known: Splats, delta: AssetDelta) -> Splats:
     """What a viewer makes of it."""
     arrays = {}
     for name in ("means", "quats", "scales", "opacities", "sh"):
-        kept = getattr(known, name)[: delta.kept].copy()
-        kept[delta.rows] = getattr(delta.values, name)
+        kept = getattr(known, name)[: delta.retained].copy()
+        kept[delta.gaussian_ids] = getattr(delta.values, name)
         arrays[name] = np.concatenate([kept, getattr(delta.appended, name)])
     return Splats(**arrays)
 
 
 def test_viewers_of_any_version_catch_up():
     rng = np.random.default_rng(0)
-    changes, versions = Changes(), [asset(6)]
+    changes, versions = VersionLog(), [asset(6)]
     for version in range(2, 40):
         now = versions[-1]
         after = edited(versions[int(rng.integers(0, len(versions)))], version) if rng.random() < 0.5 else edited(now, 1)
@@ -126,17 +134,17 @@ def test_viewers_of_any_version_catch_up():
 
 
 def test_only_what_changed_travels_and_strangers_get_everything():
-    changes, now = Changes(), asset(6)
-    for version in range(2, REMEMBERED + 10):
+    changes, now = VersionLog(), asset(6)
+    for version in range(2, MAX_VERSIONS + 10):
         after = replace(now, sh=now.sh.copy())
         after.sh[version % 36] += 1
         changes.note(version, now, after)
         now = after
-    last = REMEMBERED + 9
+    last = MAX_VERSIONS + 9
     near = changes.since(last - 3, last, now)
-    assert near.since == last - 3 and len(near.rows) == 3 and len(near.appended) == 0 and near.kept == 36
-    assert len(changes.since(last, last, now).rows) == 0
+    assert near.since == last - 3 and len(near.gaussian_ids) == 3 and len(near.appended) == 0 and near.retained == 36
+    assert len(changes.since(last, last, now).gaussian_ids) == 0
     for unknown in (None, 1, last + 5, -4):
         whole = changes.since(unknown, last, now)
-        assert whole.since is None and whole.kept == 0 and len(whole.appended) == 36
+        assert whole.since is None and whole.retained == 0 and len(whole.appended) == 36
     assert not len(changed_rows(now, now))

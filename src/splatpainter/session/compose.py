@@ -1,0 +1,452 @@
+"""The asset as a pure function of its original and its layers. Knows no file and no history.
+
+Results of layers are cached under what they depend on: the original, everything below, and the layer's content, which
+names the painter that it was made with.
+
+    state = replay.compose(document)        # from the nearest state that is still cached
+
+Where something below a layer changed, and nothing of what the layer read there, its result is renumbered, not painted
+again (read_set.py).
+
+A layer that cannot be applied where it now stands (hidden, reordered or reshaped layers below it took its Gaussians
+away) changes nothing and says why; it is kept, and works again when they return.
+
+Between the layers and the painter stands PainterAdapter: it numbers the Gaussians so that splits can be followed, and
+puts what a model has encoded of the original, once, beside any Gaussians below.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from splatpainter.nn.precision import resolve
+from splatpainter.painter import Asset, Edit, Method, Mode, Painter
+from splatpainter.session.compositing import AdjustmentFunction, adjust_sh, blend_delta, erase_delta, reached_gaussians
+from splatpainter.session.conflicts import EditedIds, policy_strength
+from splatpainter.session.delta import Delta, bare, between, no_delta
+from splatpainter.session.document import Document, Layer, View, digest
+from splatpainter.session.layer_factory import decode_mask, decode_picture
+from splatpainter.session.read_set import ReadSet, read_set_of, renumber
+from splatpainter.splats import ATTRIBUTES, Splats
+
+if TYPE_CHECKING:
+    from splatpainter.models.model import SplatPainterModel
+    from splatpainter.models.refine import RefineState
+    from splatpainter.voxels.grid import VoxelGrid
+
+CACHED_STATE_BYTES = 1 << 28
+"""Bytes of composed assets that are cached to start from, ..."""
+MAX_CACHED_STATES = 64
+"""... and how many at most."""
+WITHIN = "within"
+"""Name of the parameter {"within": true} of layers of mode global: only Gaussians that
+their views' masks reach change."""
+MAX_PLACEMENTS = 4
+"""Arrangements that are cached of each layer, ..."""
+MAX_PLACED_LAYERS = 1024
+"""... of so many layers, ..."""
+MAX_READ_IDS = 1 << 23
+"""... and the Gaussians that they read, in all."""
+RECORDED_NAMES = {
+    "goal_px": "goal",
+    "min_share": "share",
+    "max_halvings": "levels",
+    "max_appended": "budget",
+    "max_error": "detail",
+    "rim_px": "rim",
+}
+"""Fields of LocalOptions -> their names in projects: results of layers are found by them."""
+GRID_ATTRIBUTES = ("means", "quats", "scales", "opacities")
+"""What a voxel grid depends on."""
+MAX_GRIDS = 2
+"""Voxel grids that are cached: of the present Gaussians, and of those before."""
+
+
+@dataclass(frozen=True)
+class LayerResult:
+    """What a layer makes of the Gaussians below it, before opacity and blend."""
+
+    delta: Delta = field(repr=False)
+    facts: dict[str, Any] = field(default_factory=dict)
+    """JSON for people: rows_touched, rows_appended, seconds, method, note, views [{psnr_...}], problem."""
+    confidence: np.ndarray | None = field(default=None, repr=False)
+    """[N + A] uint8, of a global edit."""
+    painter_state: Any = field(default=None, repr=False)
+    """What the painter has learnt so far (fast weights), where it learns."""
+
+    @property
+    def problem(self) -> str:
+        """Why the layer changes nothing; "" where it works."""
+        return self.facts.get("problem", "")
+
+
+class ResultStore(Protocol):
+    """Where pictures and results of layers are stored."""
+
+    def blob(self, sha256: str) -> bytes: ...
+    def get(self, key: str) -> LayerResult | None: ...
+    def put(self, key: str, result: LayerResult) -> None: ...
+
+
+@dataclass(frozen=True)
+class LayerState:
+    """The asset after some layers."""
+
+    key: str
+    """Hash of everything it depends on."""
+    splats: Splats
+    """`origin`: the original's Gaussian that each comes from."""
+    parent_ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    """Of those appended to the original: the Gaussian that each was split from, -1: none."""
+    edited: tuple[EditedIds, ...] = ()
+    facts: tuple[tuple[str, dict[str, Any]], ...] = ()
+    """(layer id, LayerResult.facts) of the visible layers."""
+    results: tuple[str, ...] = ()
+    """Keys of the cached results it was made of."""
+    painter_state: Any = field(default=None, repr=False)
+
+
+Progress = Callable[[int, int, str], None]
+"""(layers done, layers in all, name of the one in work); what it raises ends the work, and nothing has changed."""
+
+
+class PainterAdapter:
+    """A painter for one original."""
+
+    def __init__(self, original: Splats, painter: Painter) -> None:
+        self._original, self._painter = original, painter
+        self._encoded: Asset | None = None
+        self._grids: OrderedDict[tuple[int, ...], tuple[tuple[np.ndarray, ...], VoxelGrid]] = OrderedDict()
+        self._gridding = threading.Lock()
+
+    def apply(
+        self, below: Splats, state: RefineState | None, edits: Sequence[Edit], mode: Mode, method: Method
+    ) -> tuple[Splats, Asset]:
+        """(the Gaussians below as the painter got them, what it made of them). below: [N] with `origin`; in both
+        results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
+        edits below. Raises ValueError as Painter.apply does."""
+        numbered = replace(bare(below), origin=np.arange(len(below)))
+        asset = Asset(numbered)
+        if self._painter.encodes(method, mode):
+            base = self._base()
+            assert base.encoding is not None and below.origin is not None
+            if state is not None:
+                state = _on_device(state, next(base.encoding.model.parameters()).device)
+            parent_ids = np.maximum(below.origin, 0)
+            asset = replace(asset, encoding=replace(base.encoding, parent_ids=parent_ids, state=state))
+        if mode == "local":
+            vars(asset)["grid"] = self.grid(below)  # as its cached property would
+        return numbered, self._painter.apply(asset, edits, mode, method)
+
+    def grid(self, splats: Splats) -> VoxelGrid:
+        """The voxels of an asset, cached for the latest MAX_GRIDS geometries (colours do not matter: no layer makes a
+        Gaussian drawable or the contrary by them). Safe to call from any thread: a second caller waits."""
+        arrays = tuple(getattr(splats, name) for name in GRID_ATTRIBUTES)
+        key = tuple(map(id, arrays))
+        with self._gridding:
+            entry = self._grids.pop(key, None) or (arrays, Asset(bare(splats)).grid)
+            self._grids[key] = entry  # holds the arrays, so that their ids stay theirs
+            while len(self._grids) > MAX_GRIDS:
+                self._grids.popitem(last=False)
+            return entry[1]
+
+    def _base(self) -> Asset:
+        if self._encoded is None:
+            original = bare(self._original)
+            encoded = self._painter.encode(original, "ttt")
+            if encoded.splats.means is not original.means:
+                raise ValueError(
+                    "session: this painter replaces the asset by another one (representation 'copy'); "
+                    "layers need one that keeps the Gaussians, such as preset 'compact'"
+                )
+            self._encoded = encoded
+        return self._encoded
+
+
+class Replay:
+    """Composes documents over one original."""
+
+    def __init__(
+        self,
+        original: Splats,
+        painter: Painter,
+        store: ResultStore,
+        adjustments: Mapping[str, AdjustmentFunction],
+    ) -> None:
+        """original: with `origin`; adjustments: functions by name."""
+        self.original, self.painter, self.adjustments = original, painter, adjustments
+        self._store = store
+        self._adapter = PainterAdapter(original, painter)
+        self._states: OrderedDict[str, LayerState] = OrderedDict()
+        self._placements: OrderedDict[str, dict[str, str]] = OrderedDict()
+        """Key of a layer -> {key of the state below: key of its result}, the latest last."""
+        self._read_sets: OrderedDict[tuple[str, str], ReadSet | None] = OrderedDict()
+        """(key of the state below, key of a layer) -> what it reads there."""
+        self.base_state = LayerState(digest(f"original {original.sha256}"), original)
+
+    def compose(self, document: Document, progress: Progress | None = None, strict: str | None = None) -> LayerState:
+        """The asset of a document. strict: id of the layer whose problem is an error (one that is being added).
+        Raises ValueError for it, and whatever `progress` raises."""
+        count = sum(len(list(layer.leaves())) for layer in document.layers if _is_visible(layer))
+        state = self.base_state
+        for k, layer in enumerate(document.layers):
+            if _is_visible(layer):
+                state = self._over(state, layer, document, strict, progress, (k, count))
+        return state
+
+    def _over(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
+        """The state with one more layer. step: (layers done, layers in all)."""
+        if layer.kind == "merged":
+            return self._over_merged(below, layer, document, strict, progress, step)
+        strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
+        result_key = digest(f"{below.key} {layer.key}")
+        key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}")
+        cached = self._cached(key, below, layer)
+        if cached is not None:
+            return cached
+        if progress is not None:
+            progress(*step, layer.name)
+        stored = layer.kind != "look" or any(view.picture for view in layer.views)
+        result = self._store.get(result_key) if stored else None
+        if result is None or result.delta.count != len(below.splats):  # the latter: of a damaged file
+            result = self._renumbered(below, layer) or self._try(below, layer)
+            if result.problem and layer.id == strict:
+                raise ValueError(result.problem)
+            if stored:
+                self._store.put(result_key, result)
+        self._note_placement(below, layer, result_key)
+        delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength)
+        splats = delta.apply(below.splats)
+        span = (len(below.splats), len(splats))
+        confidence = None if result.confidence is None else _fit(result.confidence, len(splats))
+        state = LayerState(
+            key,
+            splats,
+            np.concatenate([below.parent_ids, delta.parent_ids]),
+            (*below.edited, EditedIds(layer, result_key, result.delta.gaussian_ids, span, confidence)),
+            (*below.facts, (layer.id, result.facts)),
+            (*below.results, result_key) if stored else below.results,
+            below.painter_state if result.painter_state is None else result.painter_state,
+        )
+        self._states[key] = state
+        size = max(sum(getattr(splats, name).nbytes for name in ATTRIBUTES), 1)
+        while len(self._states) > max(min(CACHED_STATE_BYTES // size, MAX_CACHED_STATES), 1):
+            self._states.popitem(last=False)
+        return state
+
+    def _over_merged(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
+        """The layers of a merged one, then its opacity and blend over all they did."""
+        state = below
+        for inner in layer.layers:
+            if _is_visible(inner):
+                state = self._over(state, inner, document, strict, progress, step)
+        inner_facts = state.facts[len(below.facts) :]
+        names = ("rows_touched", "rows_appended", "seconds")
+        total = {name: sum(facts.get(name, 0) for _, facts in inner_facts) for name in names}
+        facts = (*below.facts, (layer.id, total), *inner_facts)
+        if (layer.opacity, layer.blend) == (1, "normal"):
+            return replace(state, facts=facts)
+        delta = between(below.splats, state.splats, _ancestors(state, len(below.splats)))
+        splats = blend_delta(below.splats, delta, layer.opacity, layer.blend).apply(below.splats)
+        key = digest(f"{below.key} merged {state.key} {layer.opacity!r} {layer.blend}")
+        return replace(state, key=key, splats=splats, facts=facts)
+
+    def _note_placement(self, below: LayerState, layer: Layer, result_key: str) -> None:
+        """Remember where a layer's result can be had from."""
+        if not self._has_read_set(layer):
+            return
+        placements = self._placements.setdefault(layer.key, {})
+        self._placements.move_to_end(layer.key)
+        placements.pop(below.key, None)
+        placements[below.key] = result_key
+        if len(placements) > MAX_PLACEMENTS:
+            del placements[next(iter(placements))]
+        if len(self._placements) > MAX_PLACED_LAYERS:
+            self._placements.popitem(last=False)
+
+    def _renumbered(self, below: LayerState, layer: Layer) -> LayerResult | None:
+        """A layer's result of another arrangement, where it read the same there; None: it has to be painted."""
+        for key, result_key in reversed(self._placements.get(layer.key, {}).items()):
+            old = self._read_set(key, layer)
+            new = self._read_set(below.key, layer, below) if old is not None else None
+            if old is None or new is None or old.digest != new.digest:
+                continue
+            result = self._store.get(result_key)
+            if result is None or result.problem:
+                continue
+            delta = renumber(result.delta, old, new, len(below.splats))
+            if delta is not None:
+                return replace(result, delta=delta)
+        return None
+
+    def _read_set(self, key: str, layer: Layer, state: LayerState | None = None) -> ReadSet | None:
+        """What a layer reads of a state; None where that cannot be said (any more)."""
+        pair = (key, layer.key)
+        if pair not in self._read_sets:
+            state = state or (self.base_state if key == self.base_state.key else self._states.get(key))
+            if state is None:
+                return None
+            (view,) = layer.views
+            grid = self._adapter.grid(state.splats)
+            self._read_sets[pair] = read_set_of(state.splats, grid, view.camera, self.mask(view))
+        self._read_sets.move_to_end(pair)
+        read = self._read_sets[pair]
+        while (
+            len(self._read_sets) > 1 and sum(len(r.gaussian_ids) for r in self._read_sets.values() if r) > MAX_READ_IDS
+        ):
+            self._read_sets.popitem(last=False)
+        return read
+
+    def _has_read_set(self, layer: Layer) -> bool:
+        """Whether read_set.py knows what a layer reads: one masked view, lifted locally by the analytic painter."""
+        painted = layer.mode == "local" and layer.method == "lift" and layer.kind in ("paint", "picture", "clone")
+        return painted and type(self.painter) is Painter and len(layer.views) == 1 and layer.views[0].mask is not None
+
+    def _try(self, below: LayerState, layer: Layer) -> LayerResult:
+        start = time.perf_counter()
+        try:
+            result = self._result(below, layer)
+        except ValueError as error:
+            return LayerResult(no_delta(below.splats), {"problem": str(error)})
+        facts: dict[str, Any] = {"rows_touched": len(result.delta.gaussian_ids)}
+        facts["rows_appended"] = len(result.delta.appended)
+        facts["seconds"] = round(time.perf_counter() - start, 4)
+        return replace(result, facts={**facts, **result.facts})
+
+    def _result(self, below: LayerState, layer: Layer) -> LayerResult:
+        """What a layer makes of a state; nothing is cached. Raises ValueError where it cannot be applied."""
+        splats = below.splats
+        if layer.kind == "erase":
+            return LayerResult(erase_delta(splats, self.original, self._reached(splats, layer.views)))
+        if layer.kind == "look" and not any(view.picture for view in layer.views):
+            adjusted = replace(splats, sh=adjust_sh(splats.sh, layer.parameters, self.adjustments))
+            if layer.views:
+                adjusted = _within(self._reached(splats, layer.views), splats, adjusted)
+            return LayerResult(between(splats, adjusted))
+        return self._paint(below, layer)
+
+    def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
+        edits = [self._edit(view, layer) for view in layer.views]
+        numbered, asset = self._adapter.apply(below.splats, below.painter_state, edits, layer.mode, layer.method)
+        parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
+        facts: dict[str, Any] = {}
+        if asset.receipt is not None:
+            record = json.loads(asset.receipt.to_json())
+            names = ("method", "preset", "note", "views", "precision")
+            facts = {name: record[name] for name in names if name in record}
+            facts["stages"] = record["seconds"]
+        if layer.painter != fingerprint(self.painter, layer.method):
+            notes = (facts.get("note"), "computed by another painter than it was made with")
+            facts["note"] = "; ".join(filter(None, notes))
+        confidence = asset.confidence
+        if confidence is not None:
+            confidence = (np.clip(confidence, 0, 1) * 255 + 0.5).astype(np.uint8)
+        splats = asset.splats
+        if layer.mode == "global" and layer.parameters.get(WITHIN):
+            masked = [view for view in layer.views if view.mask is not None]
+            if not masked:
+                raise ValueError(f"layer {layer.name!r}: expected a mask in one of its views to stay within")
+            splats = _within(self._reached(below.splats, masked), below.splats, splats)
+        painter_state = None if asset.encoding is None else asset.encoding.state
+        return LayerResult(between(numbered, splats, parent_ids), facts, confidence, painter_state)
+
+    def _reached(self, splats: Splats, views: Sequence[View]) -> np.ndarray:
+        """[N] bool: Gaussians that the masks of views reach."""
+        return reached_gaussians(splats, [(view.camera, self.mask(view)) for view in views])
+
+    def _edit(self, view: View, layer: Layer) -> Edit:
+        assert view.picture is not None, "a painted layer has pictures"
+        where = f"layer {layer.name!r}"
+        image = decode_picture(self._store.blob(view.picture), view.camera, where, self.original.color_space)
+        return Edit(image, view.camera, None if view.mask is None else self.mask(view), layer.name)
+
+    def mask(self, view: View) -> np.ndarray:
+        """[H, W] bool mask of a view; all of it where it has none."""
+        if view.mask is None:
+            return np.ones((view.camera.height, view.camera.width), bool)
+        return decode_mask(self._store.blob(view.mask), view.camera, "mask")
+
+    def prepare(self, state: LayerState) -> None:
+        """Make what a local edit of a state needs before anything else."""
+        self._adapter.grid(state.splats)
+
+    def forget(self, results: set[str]) -> None:
+        """Drop states that were made of results which are no longer stored."""
+        for key in [key for key, state in self._states.items() if results.intersection(state.results)]:
+            del self._states[key]
+
+    def _cached(self, key: str, below: LayerState, layer: Layer) -> LayerState | None:
+        """A state that is still cached. Its edited ids and facts name layers by id, which its key does not hold."""
+        state = self._states.get(key)
+        if state is None:
+            return None
+        self._states.move_to_end(key)
+        edited = (*below.edited, replace(state.edited[-1], layer=layer))
+        return replace(state, edited=edited, facts=(*below.facts, (layer.id, state.facts[-1][1])))
+
+
+def fingerprint(painter: Painter, method: Method) -> str:
+    """What of a painter decides the results of a method, as text: its settings, the hash of its weights, and bf16 where
+    its networks are rounded to that. method: not "auto"."""
+    settings = f"{painter.local_options!r} {painter.global_options!r}"
+    for name, recorded in RECORDED_NAMES.items():
+        settings = settings.replace(f"{name}=", f"{recorded}=")
+    if method != "ttt" or painter.model is None:
+        return f"{method} {settings}"
+    if painter.model not in _DIGESTS:
+        from splatpainter.models.cache import digest
+
+        _DIGESTS[painter.model] = digest(painter.model)
+    device = next(painter.model.parameters()).device
+    rounded = " bfloat16" if resolve(painter.precision, device) == "bfloat16" else ""
+    return f"ttt {settings} polish={painter.polish} {_DIGESTS[painter.model]}{rounded}"
+
+
+_DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()
+"""Of the models in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""
+
+
+def _on_device(state: RefineState, device: object) -> RefineState:
+    """The same state on a torch device."""
+
+    def moved(block):
+        if block is None:
+            return None
+        return type(block)(*(part.to(device) for part in block)) if isinstance(block, tuple) else block.to(device)
+
+    return replace(state, blocks=tuple(moved(block) for block in state.blocks), detail=moved(state.detail))
+
+
+def _within(mask: np.ndarray, below: Splats, above: Splats) -> Splats:
+    """`above` for some Gaussians ([N] bool), `below` for the rest; attributes in which nothing differs are shared."""
+    mixed = {}
+    for name in ATTRIBUTES:
+        old, new = getattr(below, name), getattr(above, name)
+        mixed[name] = old if old is new else np.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+    return replace(above, **mixed)
+
+
+def _is_visible(layer: Layer) -> bool:
+    return layer.visible and layer.opacity > 0
+
+
+def _ancestors(state: LayerState, count: int) -> np.ndarray:
+    """[A] the Gaussian among the first `count` that each later one was split from, over any number of splits."""
+    first = len(state.splats) - len(state.parent_ids)
+    ancestors = state.parent_ids[count - first :].copy()
+    while (late := ancestors >= count).any():
+        ancestors[late] = state.parent_ids[ancestors[late] - first]
+    return ancestors
+
+
+def _fit(confidence: np.ndarray, count: int) -> np.ndarray:
+    return np.pad(confidence, (0, max(count - len(confidence), 0)), constant_values=255)[:count]

@@ -1,0 +1,218 @@
+"""What layers do to Gaussians without a painter: opacity and blend modes, named adjustments, the eraser. Pure.
+
+*Opacity and blend* are exactly defined, and exact at both ends. A layer gives new values to some Gaussians (a delta).
+With opacity o = 1 and blend "normal" the delta is taken bit for bit; with o = 0 the layer does not exist. Otherwise,
+with b the SH coefficients of a Gaussian below and p the new ones,
+
+    sh = b + o (m - b),   m = what the blend mode makes of b and p
+
+and *geometry is the layer's* for every o > 0: means, quaternions and scales are the new ones. An appended Gaussian
+takes as b the colours of the one that it was split from. So a Gaussian that was split stays covered by its children,
+which start in its colour: scaling their opacity instead would tear holes, because it has shrunk itself. Pictures are
+linear in colours, so the picture at o is the linear mix of the one at 0+ and the one at 1; what is not continuous is
+only the small difference between a Gaussian and its children of the same colour. The opacity of one whose geometry is
+unchanged is mixed like a colour (an eraser fades what it hides); of another it is the layer's.
+
+Modes act on the constant band's display colour 0.5 + Y_0 sh_0, and on bands >= 1 by the same linear formula:
+
+    normal      m = p
+    color       hue and saturation of p, luminosity of b: m = p + (L(b) - L(p))
+    luminosity  the other way round: m = b + (L(p) - L(b))
+    darken      per channel the darker one of both base colours, with its bands
+    lighten     per channel the lighter one
+
+L(c) = 0.3 r + 0.59 g + 0.11 b, and the base colour is pulled into 0..1 as in "Compositing and Blending Level 1" (W3C,
+2015, non-separable blend modes: SetLum, ClipColor).
+
+*Adjustments* (layers of kind "look") are pure functions of each Gaussian's colour, which know no views and no
+neighbours: `f(sh [N, K, 3], parameters) -> sh [N, K, 3]`. A session takes a table of them by name, and the layer's
+parameters say which ({"look": name, ...}). They are cheap, so their results are not stored.
+
+*The eraser*: Gaussians that masks reach go back to what they were in the original; none is removed. A Gaussian of the
+original and those that were split from it are one family. Of one that is reached, the colours return to those of the
+original. Where every Gaussian of a family that is still visible has the original's colours then, its geometry returns
+too: the old one has the original's bytes again and the appended ones get opacity 0. Where only a part of a family is
+reached its Gaussians stay where they are, or the split one would cover its unreached children, or leave a hole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.color import base_color
+from splatpainter.session.delta import Delta, bare
+from splatpainter.session.document import Blend
+from splatpainter.sources.color_grading import GRADE, grade_sh
+from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
+
+AdjustmentFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
+MIN_INSIDE_SHARE = 0.5
+"""Share of a Gaussian's weight in the view that an eraser's mask must hold: those that straddle its edge do not bleed
+outwards."""
+
+
+def blend_delta(
+    below: Splats, delta: Delta, opacity: float, blend: Blend = "normal", strength: np.ndarray | None = None
+) -> Delta:
+    """What is left of a delta at an opacity of 0..1. strength: [N] 0..1, a factor of the opacity per Gaussian
+    (appended ones take their parents'); those without any are left out."""
+    if opacity == 1 and blend == "normal" and strength is None:
+        return delta
+    factor = np.ones(len(below), np.float32) if strength is None else strength.astype(np.float32)
+    parent_factor = np.where(delta.parent_ids >= 0, factor[np.maximum(delta.parent_ids, 0)], 1)
+    share, tail_share = np.float32(opacity) * factor[delta.gaussian_ids], np.float32(opacity) * parent_factor
+    some, some_tail = share > 0, tail_share > 0
+    gaussian_ids, parent_ids = delta.gaussian_ids[some], delta.parent_ids[some_tail]
+    old, new = below.take(gaussian_ids), delta.values.take(some)
+    moved = np.zeros(len(gaussian_ids), bool)
+    for name in ("means", "quats", "scales"):
+        moved |= (getattr(old, name) != getattr(new, name)).any(1)
+    faded = old.opacities + share[some] * (new.opacities - old.opacities)
+    exact = moved | (share[some] == 1)
+    opacities = np.where(exact, new.opacities, faded).astype(np.float32)
+    values = replace(new, opacities=opacities, sh=mix_sh(old.sh, new.sh, share[some], blend))
+    tail = delta.appended.take(some_tail)
+    parent_sh = np.where((parent_ids >= 0)[:, None, None], below.sh[np.maximum(parent_ids, 0)], tail.sh)
+    tail = replace(tail, sh=mix_sh(parent_sh, tail.sh, tail_share[some_tail], blend))
+    return Delta(delta.count, gaussian_ids, values, tail, parent_ids)
+
+
+def mix_sh(old: np.ndarray, new: np.ndarray, share: np.ndarray, blend: Blend) -> np.ndarray:
+    """[M, K, 3] SH between `old` and the blend of both, by `share` [M] of 0..1."""
+    full = blend_sh(old, new, blend)
+    part = share[:, None, None]
+    return np.where(part == 1, full, old + part * (full - old)).astype(np.float32)
+
+
+def blend_sh(old: np.ndarray, new: np.ndarray, blend: Blend) -> np.ndarray:
+    """[M, K, 3] SH of `new` over `old` in full."""
+    if blend == "normal":
+        return new
+    below, above = base_color(old), base_color(new)
+    if blend in ("darken", "lighten"):
+        replaced = above < below if blend == "darken" else above > below
+        return np.where(replaced[:, None], new, old)
+    hue, light = (new, old) if blend == "color" else (old, new)
+    out = hue + _luminosity(light - hue)[..., None]
+    colors, lights = (above, below) if blend == "color" else (below, above)
+    out[:, 0] = (_with_luminosity(np.clip(colors, 0, 1), _luminosity(np.clip(lights, 0, 1))) - 0.5) / SH_C0
+    return out.astype(np.float32)
+
+
+def _luminosity(colors: np.ndarray) -> np.ndarray:
+    """[..., 3] -> [...]. Written out: a matrix product may round differently on another machine."""
+    r, g, b = np.moveaxis(colors, -1, 0)
+    return np.float32(0.3) * r + np.float32(0.59) * g + np.float32(0.11) * b
+
+
+def _with_luminosity(colors: np.ndarray, luminosity: np.ndarray) -> np.ndarray:
+    """SetLum and ClipColor: [M, 3] colours with the luminosity [M], pulled towards grey until they fit 0..1."""
+    out = colors + (luminosity - _luminosity(colors))[:, None]
+    grey = luminosity[:, None]
+    low, high = out.min(1, keepdims=True), out.max(1, keepdims=True)
+    shrink = np.where(low < 0, grey / np.maximum(grey - low, 1e-12), 1)
+    out = grey + (out - grey) * shrink
+    high = np.where(low < 0, out.max(1, keepdims=True), high)
+    shrink = np.where(high > 1, (1 - grey) / np.maximum(high - grey, 1e-12), 1)
+    return grey + (out - grey) * shrink
+
+
+def gain(sh: np.ndarray, parameters: Mapping[str, Any]) -> np.ndarray:
+    """colour -> gain * colour + offset, exact for every direction. parameters: gain and offset, three numbers each
+    (default: ones, zeros)."""
+    factor, offset = (_three(parameters, name, value) for name, value in (("gain", 1.0), ("offset", 0.0)))
+    out = sh * factor
+    out[:, 0] += (0.5 * factor + offset - 0.5) / np.float32(SH_C0)
+    return out.astype(np.float32)
+
+
+ADJUSTMENTS: dict[str, AdjustmentFunction] = {"gain": gain, GRADE: grade_sh}
+"""Those of every session."""
+
+
+def adjust_sh(
+    sh: np.ndarray, parameters: Mapping[str, Any], adjustments: Mapping[str, AdjustmentFunction]
+) -> np.ndarray:
+    """[N, K, 3] float32 after the function that a layer's parameters name. Raises ValueError for one that this session
+    does not have, and where it gives another shape."""
+    name = parameters.get("look")
+    if not isinstance(name, str) or name not in adjustments:
+        raise ValueError(f"look: expected parameters with a look of {', '.join(sorted(adjustments))}, got {name!r}")
+    out = np.asarray(adjustments[name](sh, parameters), np.float32)
+    if out.shape != sh.shape:
+        raise ValueError(f"look: expected SH of shape {list(sh.shape)} back, got {list(out.shape)}")
+    return out
+
+
+def _three(parameters: Mapping[str, Any], name: str, default: float) -> np.ndarray:
+    try:
+        values = np.asarray(parameters.get(name, [default] * 3), np.float32)
+    except (TypeError, ValueError, OverflowError):
+        values = np.zeros(0)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise ValueError(f"look: expected three numbers as {name}, got {parameters.get(name)!r}")
+    return values
+
+
+def reached_gaussians(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]) -> np.ndarray:
+    """[N] bool: Gaussians that some masked view ((camera, [H, W] bool)) shows, mostly inside its mask; with one also
+    those of its family that lie hidden under the mask, or paint would stay behind. Raises ValueError where a mask is
+    empty or reaches no Gaussian."""
+    from splatpainter.lift.local_edit import gaussians_in_mask
+    from splatpainter.rendering.cpu.projected_view import project
+    from splatpainter.voxels.grid import voxelize
+    from splatpainter.voxels.raycast import editable_rows
+
+    grid = voxelize(splats)
+    out = np.zeros(len(splats), bool)
+    for camera, mask in views:
+        if not mask.any():
+            raise ValueError("edit: nothing to do, the mask is empty")
+        visible = gaussians_in_mask(splats, camera, mask, editable_rows(grid, splats, camera, mask))
+        frame = project(splats, camera)
+        black = np.zeros((*mask.shape, 3), np.float32)
+        inside = frame.backproject(black, mask.astype(np.float32))
+        total = frame.backproject(black, np.ones(mask.shape, np.float32))
+        reached = np.zeros(len(splats), bool)
+        reached[frame.gaussian_ids] = visible[frame.gaussian_ids] & (inside.weight >= MIN_INSIDE_SHARE * total.weight)
+        if splats.origin is not None:
+            under = frame.gaussian_ids[(inside.alpha > 0) & (inside.alpha >= MIN_INSIDE_SHARE * total.alpha)]
+            family = splats.origin[under]
+            reached[under] |= np.isin(family, splats.origin[reached]) & (family >= 0)
+        out |= reached
+    return out
+
+
+def erase_delta(below: Splats, original: Splats, reached: np.ndarray) -> Delta:
+    """The delta that takes Gaussians (reached: [N] bool) of an edited asset back. `below.origin` [N]: the original's
+    Gaussian that each comes from (-1: none; such ones are hidden)."""
+    n, first = len(below), len(original)
+    family = np.arange(n) if below.origin is None else below.origin
+    has_family = family >= 0
+    source = np.where(has_family, family, 0)
+    visible = below.opacities > 0
+    visible[:first] = True
+    painted = (below.sh.view(np.uint32) != original.sh[source].view(np.uint32)).reshape(n, -1).any(1)
+    restored_families = np.zeros(first, bool)
+    restored_families[source[has_family & reached]] = True
+    restored_families[source[has_family & visible & painted & ~reached]] = False
+    chosen = np.flatnonzero(reached | (has_family & restored_families[source]))
+    source, has_family = source[chosen], has_family[chosen]
+    restored = has_family & restored_families[source]
+    values = {name: getattr(below, name)[chosen] for name in ATTRIBUTES}
+    values["sh"][has_family] = original.sh[source[has_family]]
+    old = restored & (chosen < first)
+    for name in ATTRIBUTES:
+        values[name][old] = getattr(original, name)[source[old]]
+    values["opacities"][(restored & (chosen >= first)) | ~has_family] = 0
+    differs = np.zeros(len(chosen), bool)
+    for name in ATTRIBUTES:
+        before, after = getattr(below, name)[chosen].view(np.uint32), values[name].view(np.uint32)
+        differs |= (before != after).reshape(len(chosen), -1).any(1)
+    none = bare(below.take(np.zeros(0, np.int64)))
+    return Delta(n, chosen[differs], Splats(**values).take(differs), none, np.zeros(0, np.int64))

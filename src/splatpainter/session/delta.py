@@ -1,0 +1,232 @@
+"""Sparse differences of assets: the Gaussians that changed and those that came, as values and as bytes, and between the
+versions that a viewer has seen.
+
+T changed Gaussians, A appended ones, N Gaussians below, K SH coefficients.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splatpainter.receipts import changed_rows
+from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
+
+PART_BYTES = 1 << 20
+"""Bytes before compression of one part of a stored delta: what reading or writing one holds in memory at a time."""
+MAX_GAUSSIANS = 1 << 27
+"""Of an asset that a delta may speak of."""
+UNPACKED_FREE_BYTES = 512 << 20
+"""Bytes that any delta may unpack to, ..."""
+UNPACKED_RATIO = 100
+"""... or so many for each packed byte that was read. Ids (8 bytes each) pack 1000 times, and the floats
+of real Gaussians 1.1 to 5 times."""
+MAX_VERSIONS = 256
+"""Versions back from which a sparse answer is possible, at most; older ones get everything."""
+MAX_VERSION_GAUSSIANS = 1 << 24
+"""Gaussians that all of them may name together: global edits of a large asset are forgotten sooner."""
+GEOMETRY = ("means", "quats", "scales")
+
+
+@dataclass(frozen=True)
+class Delta:
+    """What has to be done to N Gaussians."""
+
+    count: int
+    """N."""
+    gaussian_ids: np.ndarray = field(repr=False)
+    """[T] int64 ascending: Gaussians whose values change."""
+    values: Splats = field(repr=False)
+    """T Gaussians: their new values."""
+    appended: Splats = field(repr=False)
+    """A Gaussians, which become number N, N + 1, ..."""
+    parent_ids: np.ndarray = field(repr=False)
+    """[A] int64 the Gaussian below that each appended one was made from, -1: none."""
+
+    def apply(self, below: Splats) -> Splats:
+        """The Gaussians after. Arrays in which no bit changes are shared with `below`."""
+        assert len(below) == self.count, f"delta of {self.count} Gaussians on {len(below)}"
+        written = {}
+        for name in ATTRIBUTES:
+            old, new = getattr(below, name), getattr(self.values, name)
+            if np.array_equal(_bits(old[self.gaussian_ids]), _bits(new)):
+                continue
+            written[name] = old.copy()
+            written[name][self.gaussian_ids] = new
+        result = replace(below, **written) if written else below
+        if not len(self.appended):
+            return result
+        tail = replace(self.appended, source=below.source, origin=self.origins(below))
+        return result.append(tail)
+
+    def origins(self, below: Splats) -> np.ndarray | None:
+        """[A] int64 the original's Gaussian that each appended one comes from, by way of its parent."""
+        if below.origin is None:
+            return None
+        return np.where(self.parent_ids >= 0, below.origin[np.maximum(self.parent_ids, 0)], -1)
+
+
+def between(before: Splats, after: Splats, parent_ids: np.ndarray | None = None) -> Delta:
+    """The delta that makes `after` of `before`. parent_ids: [A], default none."""
+    n = len(before)
+    changed = changed_rows(before, after)
+    tail = np.arange(n, len(after))
+    parent_ids = np.full(len(tail), -1, np.int64) if parent_ids is None else parent_ids.astype(np.int64)
+    return Delta(n, changed, bare(after.take(changed)), bare(after.take(tail)), parent_ids)
+
+
+def bare(splats: Splats) -> Splats:
+    """The Gaussians without the file they came from."""
+    return replace(splats, source=None, origin=None)
+
+
+def no_delta(below: Splats) -> Delta:
+    """Changes nothing."""
+    none = np.zeros(0, np.int64)
+    return Delta(len(below), none, bare(below.take(none)), bare(below.take(none)), none)
+
+
+def encode(delta: Delta) -> Iterator[bytes]:
+    """Parts of zstd with checksums, made one at a time: a JSON head, then ids, parents and the attributes of the
+    changed and of the appended Gaussians, little-endian float32, one after the other."""
+    import zstandard
+
+    pack = zstandard.ZstdCompressor(level=3, write_checksum=True).compress
+    head = {"count": delta.count, "rows": len(delta.gaussian_ids), "appended": len(delta.appended)}
+    head["coefficients"] = int(delta.values.sh.shape[1])
+    yield pack(json.dumps({"version": 1, **head}).encode())
+    steps = np.diff(delta.gaussian_ids, prepend=0)  # small numbers, most of them 1
+    for column in (steps, delta.parent_ids, *_columns(delta.values), *_columns(delta.appended)):
+        data = np.ascontiguousarray(column).reshape(-1).view(np.uint8)
+        for start in range(0, max(len(data), 1), PART_BYTES):
+            yield pack(data[start : start + PART_BYTES].tobytes())
+
+
+def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
+    """The inverse of `encode`. Raises ValueError naming `where` for anything that `encode` does not write."""
+    import zstandard
+
+    decompress = zstandard.ZstdDecompressor().decompress
+    source = iter(parts)
+    packed = unpacked = 0
+
+    def unpack(part: bytes) -> bytes:
+        nonlocal packed, unpacked
+        # A frame that says its size is given that much memory, whatever max_output_size is.
+        size = zstandard.frame_content_size(part)
+        if not 0 <= size <= PART_BYTES:
+            raise ValueError("a part is too large")
+        packed, unpacked = packed + len(part), unpacked + size
+        if unpacked > max(UNPACKED_FREE_BYTES, UNPACKED_RATIO * packed):
+            raise ValueError(f"{packed} bytes unpack to more than {unpacked >> 20} MiB")
+        return decompress(part, max_output_size=PART_BYTES)
+
+    def column(count: int, dtype: str) -> np.ndarray:
+        size = count * np.dtype(dtype).itemsize
+        pieces, got = [], 0
+        while got < size or not pieces:
+            piece = unpack(next(source))
+            pieces.append(piece)
+            got += len(piece)
+            if len(piece) < PART_BYTES and got < size:
+                raise ValueError("a part is too short")
+        if got != size:
+            raise ValueError(f"expected {size} bytes, got {got}")
+        return np.frombuffer(b"".join(pieces), dtype)
+
+    try:
+        head = json.loads(unpack(next(source)))
+        if head["version"] != 1 or head["coefficients"] not in SH_COUNTS:
+            raise ValueError(f"unknown layout {head}")
+        n, t, a, k = (int(head[name]) for name in ("count", "rows", "appended", "coefficients"))
+        if not (0 <= t <= n <= MAX_GAUSSIANS and 0 <= a <= MAX_GAUSSIANS):
+            raise ValueError(f"impossible numbers of Gaussians {head}")
+        gaussian_ids = column(t, "<i8").cumsum()
+        parent_ids = column(a, "<i8").copy()
+        if t and not (gaussian_ids[0] >= 0 and gaussian_ids[-1] < n and (np.diff(gaussian_ids) > 0).all()):
+            raise ValueError("ids are not ascending")
+        if a and not (parent_ids.min() >= -1 and parent_ids.max() < n):
+            raise ValueError("parents are out of range")
+        values, appended = _gaussians(column, t, k), _gaussians(column, a, k)
+        if next(source, None) is not None:
+            raise ValueError("more parts than expected")
+        return Delta(n, gaussian_ids, values, appended, parent_ids)
+    except StopIteration:
+        raise ValueError(f"{where}: damaged (parts are missing)") from None
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, zstandard.ZstdError) as error:
+        raise ValueError(f"{where}: damaged ({error})") from None
+
+
+@dataclass(frozen=True)
+class AssetDelta:
+    """The way from one version of the asset to the present one: keep the first `retained` Gaussians (those beyond are
+    gone), overwrite `gaussian_ids` with `values`, add `appended` at the end."""
+
+    since: int | None
+    """The version that it starts from; None: everything is sent, `retained` is 0."""
+    version: int
+    retained: int
+    gaussian_ids: np.ndarray = field(repr=False)
+    """[T] int64 ascending, all below `retained`."""
+    values: Splats = field(repr=False)
+    """T Gaussians."""
+    appended: Splats = field(repr=False)
+    """A Gaussians, which become number retained, retained + 1, ..."""
+    recolored: bool = False
+    """Whether means, scales and rotations of all Gaussians are as they were."""
+
+
+class VersionLog:
+    """The Gaussians that each of the latest versions changed."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._steps: deque[tuple[int, int, np.ndarray, bool]] = deque(maxlen=MAX_VERSIONS)
+
+    def note(self, version: int, before: Splats, after: Splats) -> None:
+        """`after` is what `version` shows, `before` what the one before it showed."""
+        changed = changed_rows(before, after).astype(np.int32)
+        recolored = all(getattr(before, name) is getattr(after, name) for name in GEOMETRY)
+        step = (version, min(len(before), len(after)), changed, recolored)
+        with self._lock:
+            self._steps.append(step)
+            while len(self._steps) > 1 and sum(len(step[2]) for step in self._steps) > MAX_VERSION_GAUSSIANS:
+                self._steps.popleft()
+
+    def since(self, version: int | None, now: int, splats: Splats) -> AssetDelta:
+        """From a version (None or unknown: from nothing) to the present one, `now`, which shows `splats`."""
+        with self._lock:
+            steps = [] if version is None else [step for step in self._steps if version < step[0] <= now]
+        if version is None or version > now or len(steps) != now - version:
+            version, retained, changed = None, 0, np.zeros(0, np.int64)
+        else:
+            retained = min([len(splats), *(step[1] for step in steps)])
+            changed = np.unique(np.concatenate([np.zeros(0, np.int64), *(step[2] for step in steps)])).astype(np.int64)
+            changed = changed[changed < retained]
+        tail = np.arange(retained, len(splats))
+        recolored = version is not None and all(step[3] for step in steps)
+        values, appended = bare(splats.take(changed)), bare(splats.take(tail))
+        return AssetDelta(version, now, retained, changed, values, appended, recolored)
+
+
+def _columns(splats: Splats) -> Iterator[np.ndarray]:
+    for name in ATTRIBUTES:
+        yield np.asarray(getattr(splats, name), "<f4")
+
+
+def _gaussians(column, count: int, k: int) -> Splats:
+    shapes = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh": (k, 3)}
+    arrays = {}
+    for name in ATTRIBUTES:
+        size = int(np.prod(shapes[name], dtype=np.int64))
+        arrays[name] = column(count * size, "<f4").reshape(count, *shapes[name]).copy()
+    return Splats(**arrays)
+
+
+def _bits(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32).view(np.uint32)

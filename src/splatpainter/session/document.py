@@ -1,0 +1,263 @@
+"""Layers, the document that orders them, and what can be done to it: frozen values, JSON, and pure functions from
+document to document for the session to commit and to undo. Knows no Gaussians, no pictures and no file.
+
+Pictures and masks are named by the SHA-256 of their PNG bytes; who has the bytes is the project's business.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+from splatpainter.cameras import Camera
+from splatpainter.painter import MAX_VIEWS, Method, Mode
+
+Kind = Literal["paint", "picture", "look", "clone", "erase", "merged"]
+Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
+Policy = Literal["latest", "first", "blend"]
+MAX_NESTING = 16
+"""Of merged layers inside merged layers."""
+MAX_VIEW_PIXELS = 64_000_000
+"""Pixels of one view."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One edited picture of a layer."""
+
+    camera: Camera
+    picture: str | None = None
+    """Hash of the edited view, a PNG of the camera's size; None where only the mask counts (eraser, adjustments)."""
+    mask: str | None = None
+    """Hash of the mask, a PNG (white: edited); None: all that the asset covers (mode global)."""
+
+    def record(self) -> dict[str, Any]:
+        camera = json.loads(self.camera.to_json())
+        return {"camera": camera, "picture": self.picture, "mask": self.mask}
+
+    @staticmethod
+    def parse(data: dict[str, Any], where: str) -> View:
+        camera = Camera.from_json(json.dumps(data["camera"]), where)
+        if camera.width * camera.height > MAX_VIEW_PIXELS:
+            raise ValueError(f"{where}: expected a view of at most {MAX_VIEW_PIXELS // 10**6} megapixels")
+        return View(camera, _checked_hash(data["picture"], where), _checked_hash(data["mask"], where))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One step of the asset, from the Gaussians below it to those above."""
+
+    id: str
+    """Unique within the project, never used again."""
+    name: str
+    kind: Kind
+    views: tuple[View, ...] = ()
+    parameters: dict[str, Any] = field(default_factory=dict)
+    """JSON; of an adjustment layer (kind "look") the name of its function and its settings (compositing.py). Free for
+    the caller's notes otherwise."""
+    mode: Mode = "local"
+    method: Method = "auto"
+    opacity: float = 1.0
+    """0..1, see compositing.py."""
+    blend: Blend = "normal"
+    visible: bool = True
+    layers: tuple[Layer, ...] = ()
+    """Of kind "merged": the layers that it is made of, lowest first."""
+    thumbnail: str | None = None
+    """Hash of a small PNG of what was edited."""
+    painter: str = ""
+    """What of the painter decides its result (compose.fingerprint), as it was when the layer was made."""
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("kind", self.kind, Kind),
+            ("blend", self.blend, Blend),
+            ("mode", self.mode, Mode),
+            ("method", self.method, Method),
+        ):
+            if value not in get_args(choices):
+                raise ValueError(
+                    f"layer {self.name!r}: expected {name} of {', '.join(get_args(choices))}, got {value!r}"
+                )
+        if not 0 <= self.opacity <= 1:
+            raise ValueError(f"layer {self.name!r}: expected an opacity of 0 to 1, got {self.opacity}")
+        try:  # a copy, which nobody else changes
+            text = json.dumps(self.parameters, allow_nan=False, ensure_ascii=False)
+            f"{self.id} {self.name} {self.painter} {text}".encode()  # halves of surrogate pairs are no text
+            parameters = json.loads(text)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"layer {self.name!r}: expected parameters that JSON can hold ({error})") from None
+        object.__setattr__(self, "parameters", parameters)
+        if (self.kind == "merged") != bool(self.layers):
+            raise ValueError(f"layer {self.name!r}: a merged layer, and no other, holds layers")
+
+    def record(self) -> dict[str, Any]:
+        """JSON object of all fields."""
+        names = ("id", "name", "opacity", "blend", "visible", "thumbnail")
+        return {**{name: getattr(self, name) for name in names}, **self._content()}
+
+    @property
+    def key(self) -> str:
+        """Hash of what decides its result on given Gaussians below (not: name, opacity, blend, visibility)."""
+        return digest(json.dumps(self._content(), sort_keys=True))
+
+    def _content(self) -> dict[str, Any]:
+        views = [view.record() for view in self.views]
+        fields = {name: getattr(self, name) for name in ("kind", "mode", "method", "painter", "parameters")}
+        return {**fields, "views": views, "layers": [layer.record() for layer in self.layers]}
+
+    @staticmethod
+    def parse(data: dict[str, Any], where: str = "layer", depth: int = 0) -> Layer:
+        """The inverse of `record`. Raises ValueError naming `where`."""
+        try:
+            if depth > MAX_NESTING:
+                raise ValueError("merged layers are nested too deeply")
+            if len(data["views"]) > MAX_VIEWS:
+                raise ValueError(f"expected at most {MAX_VIEWS} views, got {len(data['views'])}")
+            if not isinstance(data["parameters"], dict):
+                raise ValueError(f"expected parameters as a JSON object, got {data['parameters']!r:.40}")
+            return Layer(
+                str(data["id"]),
+                str(data["name"]),
+                data["kind"],
+                tuple(View.parse(view, where) for view in data["views"]),
+                data["parameters"],
+                data["mode"],
+                data["method"],
+                float(data["opacity"]),
+                data["blend"],
+                bool(data["visible"]),
+                tuple(Layer.parse(layer, where, depth + 1) for layer in data["layers"]),
+                _checked_hash(data["thumbnail"], where),
+                str(data["painter"]),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+            reason = f"has no {error}" if isinstance(error, KeyError) else str(error).removeprefix(f"{where}: ")
+            raise ValueError(f"{where}: {reason}") from None
+
+    def blobs(self) -> set[str]:
+        """Hashes of all pictures, masks and thumbnails, those of merged layers too."""
+        names = [self.thumbnail, *(name for view in self.views for name in (view.picture, view.mask))]
+        return {name for name in names if name}.union(*(layer.blobs() for layer in self.layers))
+
+    def leaves(self) -> Iterator[Layer]:
+        """Itself, or the layers that a merged one is made of, lowest first."""
+        if not self.layers:
+            yield self
+        for layer in self.layers:
+            yield from layer.leaves()
+
+
+@dataclass(frozen=True)
+class Document:
+    """What the asset is made of, next to the original."""
+
+    layers: tuple[Layer, ...] = ()
+    """Lowest first."""
+    policies: tuple[tuple[str, str, Policy], ...] = ()
+    """(lower layer, upper layer, who wins) where both changed the same Gaussians; pairs not listed: the latest."""
+    next_id: int = 1
+
+    def index(self, layer: str) -> int:
+        """Index of a layer by its id, 0 the lowest. Raises ValueError for an unknown one."""
+        ids = [entry.id for entry in self.layers]
+        if layer not in ids:
+            raise ValueError(f"layer: expected one of {', '.join(ids) or 'none'}, got {layer!r}")
+        return ids.index(layer)
+
+    def leaf_ids(self) -> set[str]:
+        return {leaf.id for layer in self.layers for leaf in layer.leaves()}
+
+
+def add_layer(document: Document, layer: Layer, index: int | None = None) -> tuple[Document, Layer]:
+    """With a new layer at `index` (0 the lowest; None: on top). The layer and those inside it get new ids."""
+    new, next_id = _numbered(layer, document.next_id)
+    layers = list(document.layers)
+    layers.insert(len(layers) if index is None else _checked_index(index, len(layers) + 1), new)
+    return replace(document, layers=tuple(layers), next_id=next_id), new
+
+
+def change_layer(document: Document, layer: str, **fields: Any) -> Document:
+    """With other values of a layer's fields (Layer's names)."""
+    at = document.index(layer)
+    layers = list(document.layers)
+    layers[at] = replace(layers[at], **fields)
+    return replace(document, layers=tuple(layers))
+
+
+def move_layer(document: Document, layer: str, index: int) -> Document:
+    """With a layer at another index, 0 the lowest."""
+    layers = list(document.layers)
+    layers.insert(_checked_index(index, len(layers)), layers.pop(document.index(layer)))
+    return replace(document, layers=tuple(layers))
+
+
+def delete_layer(document: Document, layer: str) -> Document:
+    """Without a layer."""
+    layers = list(document.layers)
+    layers.pop(document.index(layer))
+    remaining = replace(document, layers=tuple(layers))
+    ids = remaining.leaf_ids()
+    return replace(remaining, policies=tuple(p for p in document.policies if p[0] in ids and p[1] in ids))
+
+
+def duplicate_layer(document: Document, layer: str) -> tuple[Document, Layer]:
+    """With a copy of a layer right above it."""
+    index = document.index(layer)
+    source = document.layers[index]
+    return add_layer(document, replace(source, name=f"{source.name} copy"), index + 1)
+
+
+def merge_layers(document: Document, layers: Sequence[str], name: str | None = None) -> tuple[Document, Layer]:
+    """With neighbouring layers as one, which shows what they did. They stay inside it, with their ids, opacities and
+    pictures, so it is still replayed when something below changes. Raises ValueError: fewer than two, gaps between."""
+    indices = sorted({document.index(layer) for layer in layers})
+    if len(indices) < 2 or indices != list(range(indices[0], indices[-1] + 1)):
+        raise ValueError("merge: expected two or more layers that lie next to each other; move them together first")
+    inner = document.layers[indices[0] : indices[-1] + 1]
+    one = Layer(str(document.next_id), name or inner[-1].name, "merged", layers=inner, thumbnail=inner[-1].thumbnail)
+    merged = (*document.layers[: indices[0]], one, *document.layers[indices[-1] + 1 :])
+    return replace(document, layers=merged, next_id=document.next_id + 1), one
+
+
+def resolve_conflict(document: Document, lower: str, upper: str, policy: Policy) -> Document:
+    """With another winner where two layers changed the same Gaussians ("latest" is what happens anyway)."""
+    if policy not in get_args(Policy):
+        raise ValueError(f"conflict: expected latest, first or blend, got {policy!r}")
+    ids = document.leaf_ids()
+    if lower not in ids or upper not in ids or lower == upper:
+        raise ValueError(f"conflict: expected two of the layers {', '.join(sorted(ids))}, got {lower!r}, {upper!r}")
+    rest = [entry for entry in document.policies if entry[:2] != (lower, upper)]
+    new = [] if policy == "latest" else [(lower, upper, policy)]
+    return replace(document, policies=tuple(rest + new))
+
+
+def _numbered(layer: Layer, start: int) -> tuple[Layer, int]:
+    """(the layer with ids from `start` on, the id after the last of them)."""
+    inner, next_id = [], start + 1
+    for child in layer.layers:
+        numbered, next_id = _numbered(child, next_id)
+        inner.append(numbered)
+    return replace(layer, id=str(start), layers=tuple(inner)), next_id
+
+
+def _checked_index(index: int, count: int) -> int:
+    if not 0 <= index < count:
+        raise ValueError(f"layer: expected an index of 0 to {count - 1}, got {index}")
+    return index
+
+
+def digest(text: str) -> str:
+    """Hex SHA-256 of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _checked_hash(value: Any, where: str) -> str | None:
+    if value is None:
+        return None
+    if not (isinstance(value, str) and len(value) == 64 and set(value) <= set("0123456789abcdef")):
+        raise ValueError(f"{where}: expected the SHA-256 of a picture, got {value!r:.80}")
+    return value

@@ -1,0 +1,338 @@
+"""Color grading: what a photographer does to a whole picture, on colours and on the SH of Gaussians. Pure.
+
+`ColorGrade` is a set of photographic settings and `apply_grade` all of them in the order in which raw developers apply
+them: light first (linear), then tone and colour (display). These functions take colours [..., 3], numpy or torch,
+float, and return the like; nothing waits for a device. Colours are display sRGB 0..1 unless a name says linear; values
+a little outside 0..1 come in from renders and are clipped where a formula needs it.
+
+`GradeSettings` are the settings of an adjustment layer, and `grade_sh` applies them to Gaussians: a base colour goes
+through a ColorGrade and through hue bands; the SH bands >= 1 through the same function's Jacobian there (first order),
+so that highlights are graded with the surface they lie on. Zeros change nothing, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from splatpainter import jsonio
+from splatpainter.color import LUMA, base_color, linear_to_srgb, luminance, srgb_to_linear
+from splatpainter.kernels.parallel import each
+from splatpainter.splats import SH_C0, Array, ColorSpace
+
+PIVOT = 0.461
+"""Display value of 18 % grey: contrast turns around it."""
+MIN_CURVE_STEP = 1e-6
+"""Smallest distance of a tone curve's points along its input, 0..1: slopes of nearer ones overflow."""
+GRADE = "grade"
+"""The name of `grade_sh` in the parameters of an adjustment layer ({"look": "grade", ...})."""
+JACOBIAN_STEP = 1 / 64
+"""Of the finite differences, display units."""
+MAX_JACOBIAN_ENTRY = 4.0
+"""Where a curve is a cliff, a highlight must not become a spike."""
+GAUSSIANS_PER_PIECE = 8192
+"""Graded at a time: they fit the processor's cache, and threads share the pieces."""
+
+
+@dataclass(frozen=True)
+class ColorGrade:
+    """Photographic settings; the defaults change nothing."""
+
+    exposure: float = 0.0
+    """Stops (EV), of linear light."""
+    temperature: float = 0.0
+    """-1 (blue) .. 1 (amber)."""
+    tint: float = 0.0
+    """-1 (green) .. 1 (magenta)."""
+    contrast: float = 1.0
+    """Slope in the mid-tones, > 0."""
+    saturation: float = 1.0
+    """0: grey; 1: as it is; 2: strong."""
+    curve: tuple[tuple[float, float], ...] = ()
+    """Points (in, out) 0..1 of a tone curve for all channels; empty: none."""
+    channel_curves: tuple[tuple[tuple[float, float], ...], ...] = ()
+    """Three such curves, red, green, blue; empty: none."""
+    shadows: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Split toning: what is added to the darks, display units."""
+    highlights: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Split toning: what is added to the lights, display units."""
+
+
+def apply_grade(colors: Array, grade: ColorGrade) -> Array:
+    """[..., 3] display colours 0..1 after all settings of a grade, clipped to 0..1."""
+    out = colors.clip(0, 1)
+    if grade.exposure or grade.temperature or grade.tint:
+        light = white_balance(expose(srgb_to_linear(out), grade.exposure), grade.temperature, grade.tint)
+        out = linear_to_srgb(light.clip(0, 1))
+    out = adjust_contrast(out, grade.contrast) if grade.contrast != 1 else out
+    out = tone_curve(out, grade.curve) if grade.curve else out
+    if grade.channel_curves:
+        channels = [tone_curve(out[..., k], points) for k, points in enumerate(grade.channel_curves)]
+        out = _stacked(channels)
+    if any(grade.shadows) or any(grade.highlights):
+        out = split_tone(out, grade.shadows, grade.highlights)
+    out = saturate(out, grade.saturation) if grade.saturation != 1 else out
+    return out.clip(0, 1)
+
+
+def expose(linear: Array, stops: float) -> Array:
+    """Linear light times 2^stops."""
+    return linear * 2.0**stops
+
+
+def white_balance(linear: Array, temperature: float, tint: float) -> Array:
+    """Linear light under von Kries gains in RGB: temperature 1 is half a stop more red and less blue, tint 1 half a
+    stop less green. The gains are scaled so that grey keeps its luminance."""
+    gains = (2 ** (temperature / 2), 2 ** (-tint / 2), 2 ** (-temperature / 2))
+    level = sum(weight * gain for weight, gain in zip(LUMA, gains, strict=True))
+    return _stacked([linear[..., k] * (gain / level) for k, gain in enumerate(gains)])
+
+
+def adjust_contrast(display: Array, slope: float) -> Array:
+    """A power curve on each side of PIVOT: slope there is `slope`, 0, PIVOT and 1 stay, nothing clips.
+    Raises ValueError unless slope > 0."""
+    if slope <= 0:
+        raise ValueError(f"look: expected a contrast above 0, got {slope:g}")
+    value = display.clip(0, 1)
+    dark = PIVOT * (value.clip(None, PIVOT) / PIVOT) ** slope
+    light = (1 - PIVOT) * (1 - ((1 - value.clip(PIVOT, None)) / (1 - PIVOT)) ** slope)
+    return dark + light
+
+
+def saturate(display: Array, amount: float) -> Array:
+    """Colours moved away from (or to) their own grey."""
+    grey = luminance(display)[..., None]
+    return grey + amount * (display - grey)
+
+
+def split_tone(display: Array, shadows: tuple[float, float, float], highlights: tuple[float, float, float]) -> Array:
+    """Colour added to darks and lights, each at most where its weight, (1 - luma)^2 or luma^2, is largest; pure black
+    and white stay."""
+    luma = luminance(display).clip(0, 1)
+    middle = 4 * luma * (1 - luma)
+    dark, light = middle * (1 - luma), middle * luma
+    return _stacked([display[..., k] + dark * shadows[k] + light * highlights[k] for k in range(3)])
+
+
+def tone_curve(values: Array, points: Sequence[tuple[float, float]]) -> Array:
+    """A tone curve through (in, out) points: piecewise cubic Hermite with the slopes of Fritsch and Carlson (1980), so
+    that it is monotone where the points are; constant outside. Values of any shape.
+    Raises ValueError for fewer than two points or points not in order."""
+    x, y = np.array(points, np.float64).reshape(-1, 2).T
+    if len(x) < 2 or (np.diff(x) < MIN_CURVE_STEP).any():
+        line = f"at least two points from left to right, {MIN_CURVE_STEP:g} apart"
+        raise ValueError(f"look: expected a curve of {line}, got {list(points)}")
+    slopes = _monotone_slopes(x, y)
+    out = values * 0 + float(y[0])
+    for k in range(len(x) - 1):  # each piece adds its own rise: outside its interval t is 0 or 1
+        width, rise = float(x[k + 1] - x[k]), float(y[k + 1] - y[k])
+        first, last = float(slopes[k]) * width, float(slopes[k + 1]) * width
+        t = ((values - float(x[k])) / width).clip(0, 1)
+        out = out + t * (first + t * (3 * rise - 2 * first - last + t * (first + last - 2 * rise)))
+    return out
+
+
+@dataclass(frozen=True)
+class HueBand:
+    """A change of one range of hues; greys have no hue and stay."""
+
+    hue: float
+    """Middle of the range, degrees (0 red, 120 green, 240 blue)."""
+    width: float = 60.0
+    """Degrees to either side over which the change fades out (a raised cosine)."""
+    shift: float = 0.0
+    """Degrees, about the grey axis."""
+    saturation: float = 0.0
+    """-1 grey .. 1 twice as colourful."""
+    lightness: float = 0.0
+    """-1 half .. 1 twice as bright."""
+
+
+@dataclass(frozen=True)
+class GradeSettings:
+    """The sliders of an adjustment layer; the defaults change nothing."""
+
+    exposure: float = 0.0
+    """Stops, of linear light."""
+    temperature: float = 0.0
+    """-1 cold .. 1 warm."""
+    tint: float = 0.0
+    """-1 green .. 1 magenta."""
+    contrast: float = 0.0
+    """-1..1: slope 2^c in the mid-tones."""
+    saturation: float = 0.0
+    """-1 grey .. 1 twice as colourful."""
+    curve: tuple[tuple[float, float], ...] = ()
+    """Points (in, out) of display values, left to right; (0, 0) and (1, 1) are added where no point says otherwise."""
+    hues: tuple[HueBand, ...] = ()
+    strength: float = 1.0
+    """0..1: how much of the change is taken."""
+    space: ColorSpace = "srgb"
+    """Of the asset's colours: "srgb" (display) or "linear"; the sliders act on display colours either way."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Parameters of a layer."""
+        return {"look": GRADE, **asdict(self)}
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> GradeSettings:
+        """The inverse of `to_dict`. Raises ValueError: unknown fields, no finite numbers, a curve not in order."""
+        values = {key: value for key, value in data.items() if key != "look"}
+        sliders = jsonio.build(GradeSettings, values, "look", base=GradeSettings())
+        curve = sliders.curve
+        if any(b[0] - a[0] < MIN_CURVE_STEP for a, b in zip(curve, curve[1:], strict=False)):
+            line = f"points from left to right, {MIN_CURVE_STEP:g} apart"
+            raise ValueError(f"look: expected a curve of {line}, got {list(curve)}")
+        return sliders
+
+    @property
+    def neutral(self) -> bool:
+        """Whether it changes nothing."""
+        sliders = (self.exposure, self.temperature, self.tint, self.contrast, self.saturation)
+        bands = any(band.shift or band.saturation or band.lightness for band in self.hues)
+        return self.strength == 0 or not (any(sliders) or bands or self._full_curve())
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        """[..., 3] display colours 0..1 -> the like."""
+        grade = ColorGrade(
+            exposure=self.exposure,
+            temperature=self.temperature,
+            tint=self.tint,
+            contrast=2.0**self.contrast,
+            saturation=1 + self.saturation,
+            curve=self._full_curve(),
+        )
+        out = apply_grade(colors, grade)
+        for band in self.hues:
+            out = shift_hues(out, band)
+        return out if self.strength == 1 else colors + np.float32(self.strength) * (out - colors)
+
+    def _full_curve(self) -> tuple[tuple[float, float], ...]:
+        if all(x == y for x, y in self.curve):
+            return ()
+        first = () if self.curve[0][0] <= 0 else ((0.0, 0.0),)
+        last = () if self.curve[-1][0] >= 1 else ((1.0, 1.0),)
+        return (*first, *self.curve, *last)
+
+
+def grade_sh(sh: np.ndarray, settings: Mapping[str, Any]) -> np.ndarray:
+    """[N, K, 3] float32 SH after the sliders (GradeSettings's fields); Gaussians that do not change keep their bits.
+    Raises ValueError as GradeSettings.from_dict."""
+    sliders = GradeSettings.from_dict(settings)
+    if sliders.neutral:
+        return sh
+
+    def function(colors: np.ndarray) -> np.ndarray:
+        return srgb_to_linear(sliders(linear_to_srgb(colors))) if sliders.space == "linear" else sliders(colors)
+
+    pieces = [sh[start : start + GAUSSIANS_PER_PIECE] for start in range(0, len(sh), GAUSSIANS_PER_PIECE)]
+    return np.concatenate(each(lambda piece: _graded(piece, function), pieces)) if pieces else sh
+
+
+def _graded(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    base = np.clip(np.nan_to_num(base_color(sh)), 0, 1).astype(np.float32)
+    new = function(base)
+    change = (new - base) / np.float32(SH_C0)
+    out = sh.astype(np.float32)
+    out[:, 0] = np.where(change != 0, sh[:, 0] + change, sh[:, 0])
+    if sh.shape[1] > 1:
+        slopes = []
+        for channel in range(3):
+            bright = base[:, channel] > 0.5
+            step = np.where(bright, -JACOBIAN_STEP, JACOBIAN_STEP).astype(np.float32)  # stay inside 0..1
+            moved = base.copy()
+            moved[:, channel] += step
+            slopes.append((function(moved) - new) / step[:, None])
+        matrix = np.clip(np.stack(slopes, 1), -MAX_JACOBIAN_ENTRY, MAX_JACOBIAN_ENTRY)  # [N, in, out]
+        differs = np.abs(matrix - np.eye(3, dtype=np.float32)).max((1, 2)) > 1e-5
+        if differs.all():
+            out[:, 1:] = sh[:, 1:] @ matrix
+        else:
+            out[differs, 1:] = sh[differs, 1:] @ matrix[differs]
+    return out
+
+
+def shift_hues(colors: np.ndarray, band: HueBand) -> np.ndarray:
+    """[..., 3] display colours with one range of hues changed; hue as the hexagon of HSV has it."""
+    red, green, blue = (colors[..., k] for k in range(3))
+    high, low = np.maximum(np.maximum(red, green), blue), np.minimum(np.minimum(red, green), blue)
+    chroma = high - low
+    safe = np.where(chroma > 1e-6, chroma, 1)
+    sextant = np.where(
+        high == red,
+        (green - blue) / safe % 6,
+        np.where(high == green, (blue - red) / safe + 2, (red - green) / safe + 4),
+    )
+    distance = np.abs((60 * sextant - band.hue + 180) % 360 - 180)
+    weight = np.where(distance < band.width, 0.5 + 0.5 * np.cos(np.pi * distance / band.width), 0)
+    weight = weight * np.minimum(chroma / 0.05, 1)  # what is nearly grey has a hue by chance
+    out = colors @ _hue_rotation(band.shift) if band.shift else colors
+    grey = luminance(out)[..., None]
+    out = (grey + (1 + band.saturation) * (out - grey)) * 2.0**band.lightness
+    return (colors + weight[..., None] * (out - colors)).clip(0, 1).astype(colors.dtype)
+
+
+def _hue_rotation(degrees: float) -> np.ndarray:
+    """[3, 3], to be multiplied from the right: rotation about (1, 1, 1) by Rodrigues' formula; red turns to green."""
+    angle = np.radians(degrees)
+    cross = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]) / np.sqrt(3)
+    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return rotation.T.astype(np.float32)
+
+
+def random_grade(rng: np.random.Generator) -> ColorGrade:
+    """A grade as people make them: one to four of the settings, some strong, most mild."""
+    chosen = set(rng.choice(len(_SETTINGS), size=rng.integers(1, 5), replace=False).tolist())
+    settings = {}
+    for k, name in enumerate(_SETTINGS):
+        if k in chosen:
+            settings.update(_random_setting(name, rng))
+    return ColorGrade(**settings)
+
+
+_SETTINGS = ("exposure", "white", "contrast", "saturation", "curve", "channels", "split")
+
+
+def _random_setting(name: str, rng: np.random.Generator) -> dict:
+    if name == "exposure":
+        return {"exposure": float(rng.uniform(-1.5, 1.2))}
+    if name == "white":
+        return {"temperature": float(rng.uniform(-1.2, 1.2)), "tint": float(rng.uniform(-0.6, 0.6))}
+    if name == "contrast":
+        return {"contrast": float(rng.uniform(0.6, 1.8))}
+    if name == "saturation":
+        return {"saturation": float(rng.choice([0.0, rng.uniform(0.2, 0.8), rng.uniform(1.2, 2.0)], p=[0.1, 0.4, 0.5]))}
+    if name == "curve":
+        return {"curve": _random_curve(rng, 0.12)}
+    if name == "channels":
+        return {"channel_curves": tuple(_random_curve(rng, 0.10) for _ in range(3))}
+    hue = rng.uniform(0, 2 * np.pi)
+    angles = hue + np.array([0, 2 * np.pi / 3, 4 * np.pi / 3])
+    strength, balance = rng.uniform(0.08, 0.35), rng.uniform(0.3, 1)
+    tone = strength * np.cos(angles)  # of mean 0: opposite hues in darks and lights
+    return {"shadows": tuple((tone * balance).tolist()), "highlights": tuple((-tone).tolist())}
+
+
+def _random_curve(rng: np.random.Generator, amount: float) -> tuple[tuple[float, float], ...]:
+    y = np.array([0, 0.25, 0.5, 0.75, 1]) + rng.uniform(-amount, amount, 5) * [0.5, 1, 1, 1, 0.5]
+    return tuple(zip((0.0, 0.25, 0.5, 0.75, 1.0), np.sort(y.clip(0, 1)).tolist(), strict=True))
+
+
+def _monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """[K] slopes at the points: three-point means, limited to three times the smaller of the neighbouring secants."""
+    secants = np.diff(y) / np.diff(x)
+    slopes = np.concatenate([secants[:1], (secants[:-1] + secants[1:]) / 2, secants[-1:]])
+    left, right = np.concatenate([secants[:1], secants]), np.concatenate([secants, secants[-1:]])
+    limit = 3 * np.minimum(np.abs(left), np.abs(right))
+    return np.where(left * right <= 0, 0, np.clip(slopes, -limit, limit))
+
+
+def _stacked(channels: list[Array]) -> Array:
+    if isinstance(channels[0], np.ndarray):
+        return np.stack(channels, -1)
+    import torch
+
+    return torch.stack(channels, -1)
