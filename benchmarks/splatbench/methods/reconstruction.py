@@ -86,7 +86,7 @@ def all_views(model: SplatPainterModel, task: EditTask, edited: PosedImages) -> 
         for name, values in (("depth", rendered.depths), ("alpha", rendered.alphas)):
             geometry[name] = torch.as_tensor(values, dtype=torch.float32).to(device)
     center, half = min_corner + extent / 2, extent / 2
-    return AssetViews(cameras, torch.from_numpy(colors).to(device), **geometry, middle=center, half=half)
+    return AssetViews(cameras, torch.from_numpy(colors).to(device), **geometry, center=center, half_extent=half)
 
 
 def dense(model: SplatPainterModel, views: AssetViews) -> Copy:
@@ -105,7 +105,8 @@ def dense(model: SplatPainterModel, views: AssetViews) -> Copy:
     for k, part in enumerate(tokens.chunk(len(views.cameras))):
         one = slice(k, k + 1)
         geometry = {name: x[one] for name in ("depth", "alpha") if (x := getattr(views, name)) is not None}
-        view = AssetViews([views.cameras[k]], views.colors[one], **geometry, middle=views.middle, half=views.half)
+        cube = {"center": views.center, "half_extent": views.half_extent}
+        view = AssetViews([views.cameras[k]], views.colors[one], **geometry, **cube)
         parts.append(model.lrm.decode(part, view))
     splats = replace(parts[0], **{name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES})
     visible = (splats.opacities > model.config.compress.min_opacity) & model.lrm.on_surface(views, splats)
