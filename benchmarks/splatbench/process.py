@@ -413,7 +413,7 @@ def _stop_with_parent() -> None:
     """End this process, and what it has started, when stdin ends."""
     while os.read(0, 4096):
         pass
-    processes.end_own_group()
+    processes.end_this_group()
 
 
 def _reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:

@@ -92,7 +92,7 @@ def watch_command(pid: int) -> list[str]:
     return ["/bin/sh", "-c", 'read line; kill -s KILL -- "-$1"', "sh", str(pid)]
 
 
-def end_own_group() -> None:
+def end_this_group() -> None:
     """End this process and, where it leads its group, what it has started. Does not return."""
     if sys.platform != "win32" and os.getpgrp() == os.getpid():
         os.killpg(os.getpgrp(), signal.SIGKILL)
