@@ -74,11 +74,14 @@ def page_of(folder: Path, out: Path, table: FakeTable | None = None) -> tuple[Pa
 
 
 def test_summary_by_hand():
-    told = [record("ttt", "ant", 20, label="ant-1", edit_seconds=1.0, rows=10, rows_equal=1.0, peak_mib=5)]
-    told += [record("ttt", "ant", 22, label="ant-2", edit_seconds=9.0, rows=20, rows_equal=0.5, peak_mib=9)]
-    told += [record("ttt", "bee", 25, label="bee-1", edit_seconds=2.0, rows=30, rows_equal=0.0, peak_mib=7)]
-    told += [record("ttt", "cat", label="cat-1", error="it broke"), record("3dgs", "cat", label="cat-1", missing="no")]
-    first, other = summarize(told)
+    records = [record("ttt", "ant", 20, label="ant-1", edit_seconds=1.0, rows=10, rows_equal=1.0, peak_mib=5)]
+    records += [record("ttt", "ant", 22, label="ant-2", edit_seconds=9.0, rows=20, rows_equal=0.5, peak_mib=9)]
+    records += [record("ttt", "bee", 25, label="bee-1", edit_seconds=2.0, rows=30, rows_equal=0.0, peak_mib=7)]
+    records += [
+        record("ttt", "cat", label="cat-1", error="it broke"),
+        record("3dgs", "cat", label="cat-1", missing="no"),
+    ]
+    first, other = summarize(records)
     assert (first.method, first.state, first.cases, first.asked, first.objects) == ("ttt", "measured", 3, 4, 2)
     psnr = first.figures["psnr"]
     assert psnr.mean == (21 + 25) / 2  # every object counts the same, not every case
@@ -90,17 +93,19 @@ def test_summary_by_hand():
 
 
 def test_summary_leaves_out_what_is_not_there():
-    told = [record("ttt", "ant", 20), record("ttt", "bee", 30)]
-    told[0].figures.update(lpips=None, ssim=math.nan)
-    told[1].figures.update(lpips=None)
-    figures = summarize(told)[0].figures
+    records = [record("ttt", "ant", 20), record("ttt", "bee", 30)]
+    records[0].figures.update(lpips=None, ssim=math.nan)
+    records[1].figures.update(lpips=None)
+    figures = summarize(records)[0].figures
     assert "lpips" not in figures and figures["ssim"].objects == 1 and figures["ssim"].low is None
 
 
 def test_interval_agrees_with_scipy_and_repeats():
     means = np.random.default_rng(1).normal(20, 3, 12)
-    wanted = stats.bootstrap((means,), np.mean, method="percentile", n_resamples=20_000, rng=0).confidence_interval
-    assert interval(means) == pytest.approx((wanted.low, wanted.high), abs=0.12) and interval(means) == interval(means)
+    expected = stats.bootstrap((means,), np.mean, method="percentile", n_resamples=20_000, rng=0).confidence_interval
+    assert interval(means) == pytest.approx((expected.low, expected.high), abs=0.12) and interval(means) == interval(
+        means
+    )
     assert (interval([math.inf, math.inf, 3.0]) or (0, 0))[1] == math.inf  # and not NaN
     assert interval([1.0]) is None and interval([]) is None
     # Values of one owner are drawn together: twice the same ones are no more evidence.
@@ -108,26 +113,26 @@ def test_interval_agrees_with_scipy_and_repeats():
 
 
 def test_blocks_are_in_order_of_numbers():
-    told = [record("ttt", f"{v}", 1, facts={"views": v}) for v in (10, 2, 1)]
-    assert blocks(told, "views") == ["1", "2", "10"]
-    assert [row.block for row in summarize(told, "views")] == ["1", "2", "10"]
-    assert blocks(told, "") == [""] and blocks([record("ttt", "a", 1)], "views") == [""]
+    records = [record("ttt", f"{v}", 1, facts={"views": v}) for v in (10, 2, 1)]
+    assert blocks(records, "views") == ["1", "2", "10"]
+    assert [row.block for row in summarize(records, "views")] == ["1", "2", "10"]
+    assert blocks(records, "") == [""] and blocks([record("ttt", "a", 1)], "views") == [""]
 
 
 def test_methods_keep_the_order_of_the_tables():
-    told = [record(m, "a", 1) for m in ("new", "3dgs", "nothing")]
-    assert [row.method for row in summarize(told, "", tuple(METHODS))] == ["nothing", "3dgs", "new"]
+    records = [record(m, "a", 1) for m in ("new", "3dgs", "nothing")]
+    assert [row.method for row in summarize(records, "", tuple(METHODS))] == ["nothing", "3dgs", "new"]
     names = MethodNames.of(METHODS, {"new", "3dgs", "oracle"})
     assert names.order == ("3dgs", "oracle", "new") and names.labels["new"] == "new" and "oracle" in names.unranked
 
 
 def test_best_is_among_those_that_answered_everything_and_are_no_bound():
-    told = [record("ttt", "a", 20), record("ttt", "b", 20), record("3dgs", "a", 40), record("3dgs", "b", error="x")]
-    told += [record("oracle", n, 50) for n in "ab"] + [record("srgs", n, 10) for n in "ab"]
-    names = MethodNames.of(METHODS, {r.method for r in told})
-    assert best_methods(summarize(told), COLUMNS[0], names) == {"ttt"}
-    assert best_methods(summarize(told), replace(COLUMNS[0], better="lower"), names) == {"srgs"}
-    assert best_methods(summarize(told[:2]), COLUMNS[0], names) == set()
+    records = [record("ttt", "a", 20), record("ttt", "b", 20), record("3dgs", "a", 40), record("3dgs", "b", error="x")]
+    records += [record("oracle", n, 50) for n in "ab"] + [record("srgs", n, 10) for n in "ab"]
+    names = MethodNames.of(METHODS, {r.method for r in records})
+    assert best_methods(summarize(records), COLUMNS[0], names) == {"ttt"}
+    assert best_methods(summarize(records), replace(COLUMNS[0], better="lower"), names) == {"srgs"}
+    assert best_methods(summarize(records[:2]), COLUMNS[0], names) == set()
 
 
 # ---- the page
@@ -150,8 +155,8 @@ def test_page_needs_no_network(plain):
     policy = next(m["content"] for m in page.all("meta") if m.get("http-equiv") == "Content-Security-Policy")
     assert policy is not None and policy.startswith("default-src 'none';")
     for tag in ("style", "script"):
-        [told] = [text for name, text in page.texts if name == tag]
-        digest = base64.b64encode(hashlib.sha256(told.encode()).digest()).decode()
+        [records] = [text for name, text in page.texts if name == tag]
+        digest = base64.b64encode(hashlib.sha256(records.encode()).digest()).decode()
         assert f"{tag}-src 'sha256-{digest}'" in policy
 
 
@@ -205,13 +210,13 @@ def test_page_is_the_same_again(plain, tmp_path):
 
 def test_hostile_text_stays_text(tmp_path):
     evil = "\"><img src=x onerror=alert(1)><script>alert(2)</script>'&amp;"
-    told = [
+    records = [
         record(evil, evil, 20, label="ant", note=evil, machine=evil, facts={"views": evil}),
         record("../../../etc", "bee", 21, facts={"views": evil}),
         record("ttt", "ant", error=evil, facts={"views": evil}),
     ]
     table = FakeTable(title=evil, columns=(replace(COLUMNS[0], label=evil, group=evil),), split_by="views")
-    folder = write(tmp_path / "refine", told, latent_ids={evil: "evil", "../../../etc": "etc"})
+    folder = write(tmp_path / "refine", records, folders={evil: "evil", "../../../etc": "etc"})
     page, _ = page_of(folder, tmp_path / "out", table)
     assert len(page.all("script")) == 1 and not [name for _, a in page.elements for name in a if name.startswith("on")]
     assert all((image.get("src") or "data:").startswith("data:") for image in page.all("img"))
@@ -239,8 +244,8 @@ def test_page_of_nothing_and_of_strangers_is_an_error(tmp_path):
 
 
 def test_a_run_without_any_figure_still_has_a_page(tmp_path):
-    told = [record("ttt", "ant", error="it broke"), record("voxhammer", "ant", missing="not installed: x")]
-    page, _ = page_of(write(tmp_path / "refine", told), tmp_path / "out")
+    records = [record("ttt", "ant", error="it broke"), record("voxhammer", "ant", missing="not installed: x")]
+    page, _ = page_of(write(tmp_path / "refine", records), tmp_path / "out")
     assert "error: it broke" in page.said() and "PSNR: not measured" in page.said()
 
 
@@ -248,16 +253,18 @@ def test_a_run_without_any_figure_still_has_a_page(tmp_path):
 
 
 def test_cases_are_the_easiest_the_middle_and_the_hardest(tmp_path):
-    told = [
+    records = [
         record(m, n, p + k)
         for k, m in enumerate(("ttt", "3dgs"))
         for n, p in zip("abcde", (3, 9, 1, 7, 5), strict=True)
     ]
-    assert gallery.ranked(told, "psnr", 3) == [("b", "easiest"), ("e", "middle"), ("c", "hardest")]
-    assert gallery.ranked(told, "psnr", 2) == [("b", "easiest"), ("c", "hardest")]
-    assert gallery.ranked(told, "psnr", 1) == [("e", "middle")]
-    assert gallery.ranked(told[:2], "psnr", 3) == [("b", ""), ("a", "")]
-    rows = gallery.picture_rows(write(tmp_path, told), told, MethodNames.of(METHODS, {"ttt", "3dgs"}), FakeTable())
+    assert gallery.ranked(records, "psnr", 3) == [("b", "easiest"), ("e", "middle"), ("c", "hardest")]
+    assert gallery.ranked(records, "psnr", 2) == [("b", "easiest"), ("c", "hardest")]
+    assert gallery.ranked(records, "psnr", 1) == [("e", "middle")]
+    assert gallery.ranked(records[:2], "psnr", 3) == [("b", ""), ("a", "")]
+    rows = gallery.picture_rows(
+        write(tmp_path, records), records, MethodNames.of(METHODS, {"ttt", "3dgs"}), FakeTable()
+    )
     labels = [[tile.label for tile in row.tiles] for row in rows]
     assert labels == [["Input edit", "Asset before", "Ours (TTT)", "3DGS", "Truth"]] * 3
     assert [tile.figure for tile in rows[0].tiles] == [None, None, 9, 10, None]
@@ -275,8 +282,8 @@ def test_errors_only_against_a_truth_of_the_same_size(tmp_path):
 
 
 def test_contact_sheet_wraps_many_methods(tmp_path):
-    told = [record(f"method-{k:02}", "ant", 20 + k) for k in range(12)]
-    path = gallery.write_contact_sheet(write(tmp_path / "refine", told), tmp_path / "s" / "a.png", TABLES, METHODS)
+    records = [record(f"method-{k:02}", "ant", 20 + k) for k in range(12)]
+    path = gallery.write_contact_sheet(write(tmp_path / "refine", records), tmp_path / "s" / "a.png", TABLES, METHODS)
     assert path is not None
     with Image.open(path) as image:
         # 15 pictures in two lines, each with a line of errors

@@ -52,8 +52,8 @@ def record(method: str, name: str, psnr: float | None = None, **more: Any) -> Re
     return Record(**told | {"figures": figures, "machine": "two cores; load 0.5 at the start"} | more)
 
 
-def write(folder: Path, records: Iterable[Record], size: int = 16, places: dict[str, str] | None = None) -> Path:
-    """Records with pictures of noise, cases with input, before and truth. places: method -> folder, where not its
+def write(folder: Path, records: Iterable[Record], size: int = 16, folders: dict[str, str] | None = None) -> Path:
+    """Records with pictures of noise, cases with input, before and truth. folders: method -> folder, where not its
     name."""
     rng = np.random.default_rng(0)
     for r in records:
@@ -62,7 +62,7 @@ def write(folder: Path, records: Iterable[Record], size: int = 16, places: dict[
             case.mkdir(parents=True)
             for stem in ("input", "before", "truth"):
                 write_png(case / f"{stem}.png", rng.random((size, size, 3)).astype(np.float32))
-        home = folder / "records" / (places or {}).get(r.method, r.method)
+        home = folder / "records" / (folders or {}).get(r.method, r.method)
         r.write(home / f"{r.label}.json")
         if r.whole:
             write_png(home / f"{r.label}.png", rng.random((size, size, 3)).astype(np.float32))
