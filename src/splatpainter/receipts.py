@@ -130,10 +130,10 @@ class Receipt:
             raise ValueError(f"{where}: expected a receipt of splatpainter, got {reason[:300]}") from None
 
 
-def _text(value: Any, longest: int = 200) -> str:
+def _text(value: Any, max_length: int = 200) -> str:
     """A value of a receipt that is printed some time: one line. Raises ValueError."""
     text = str(value) if isinstance(value, str | int) else ""
-    if not text.isprintable() or len(text) > longest or not isinstance(value, str | int):
+    if not text.isprintable() or len(text) > max_length or not isinstance(value, str | int):
         raise ValueError(f"expected a line of text, got {repr(value)[:80]}")
     return text
 

@@ -286,9 +286,9 @@ def test_what_is_unpacked_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     data = np.random.default_rng(0).integers(0, 3, 300_000, np.uint8).tobytes()
     zipped, deflated = gzip.compress(data), zlib.compress(data)[2:-4]
     zst = zstandard.ZstdCompressor(write_content_size=False).compress(data)
-    for limit in (bounded.PROOF, 1000):
-        monkeypatch.setattr(bounded, "PROOF", limit)
-        monkeypatch.setattr(bounded, "PIECE", 5000)
+    for limit in (bounded.TWO_PASS_BYTES, 1000):
+        monkeypatch.setattr(bounded, "TWO_PASS_BYTES", limit)
+        monkeypatch.setattr(bounded, "PIECE_BYTES", 5000)
         stream = Gunzip(zipped + b"tail", "f")
         assert stream.take(200, "a") + stream.take(len(data) - 205, "b") == data[:-5]
         assert stream.rest() == (data[-5:], b"tail")

@@ -16,7 +16,7 @@ from splatpainter.commands.terminal import count, stages
 from splatpainter.io import files
 from splatpainter.receipts import Receipt, Verification, verify
 
-LARGEST_RECEIPT = 256 << 20
+MAX_RECEIPT_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def receipt_of(edited: Path) -> Path:
 
 def read_receipt(path: Path) -> Receipt:
     """Raises ValueError: missing, unreadable, not a receipt."""
-    data = files.read_head(path, LARGEST_RECEIPT)
+    data = files.read_head(path, MAX_RECEIPT_BYTES)
     return Receipt.from_json(data.decode(errors="replace"), str(path))
 
 

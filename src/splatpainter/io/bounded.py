@@ -2,11 +2,11 @@
 
 1. Only regular files are opened (files.reading), and of text (headers, JSON) only so much is parsed as a limit allows.
 2. A size that a file declares is compared with the file's real size before anything is allocated for it. Data that are
-   not packed have to be there (files.take). Packed data may unpack to ROOM bytes and RATIO bytes more per byte of the
-   file (`allow`), and rows may take ROW_ROOM bytes of memory and ROW_RATIO bytes more per byte of the file
+   not packed have to be there (files.take). Packed data may unpack to FREE_BYTES and MAX_RATIO bytes more per byte of
+   the file (`allow`), and rows may take FREE_ROW_BYTES of memory and MAX_ROW_RATIO bytes more per byte of the file
    (`allow_rows`), however little they pack to.
 3. Nothing is unpacked beyond what was declared, and what is more or less than declared is refused. What unpacks to more
-   than PROOF bytes is unpacked twice, first without being kept, so that a damaged end costs time but no memory.
+   than TWO_PASS_BYTES is unpacked twice, first without being kept, so that a damaged end costs time but no memory.
 4. Work is linear in the bytes that are really there: no loop in Python over a count that only a header vouches for.
 
 A refusal is a ValueError with one line that names the file. Table of limits and what was measured: docs/formats.md.
@@ -22,37 +22,37 @@ from typing import BinaryIO
 
 from splatpainter.io.files import printable
 
-ROOM = 16 << 20
+FREE_BYTES = 16 << 20
 """Bytes that any file may unpack to, however small it is (a synthetic asset of equal rows packs very well)."""
-RATIO = 32
-"""Beyond ROOM, unpacked bytes per byte of the file. Real splat files pack 1.2 to 5 times; gzip's own limit is 1032."""
-ROW_ROOM = 64 << 20
+MAX_RATIO = 32
+"""Beyond FREE_BYTES, unpacked bytes per byte of the file. Real splat files pack 1.2 to 5 times, gzip 1032 at most."""
+FREE_ROW_BYTES = 64 << 20
 """Bytes that the rows of any packed file may take in memory: 1.2 million of SH degree 0, 0.28 million of degree 3."""
-ROW_RATIO = 96
-"""Beyond ROW_ROOM, bytes of rows in memory per byte of the file. Scans take 10 to 20; rows on a regular grid, all of
-one size and rotation, with colours of their own and empty SH bands up to degree 3, take 58."""
-TAIL = 16 << 20
+MAX_ROW_RATIO = 96
+"""Beyond FREE_ROW_BYTES, bytes of rows in memory per byte of the file. Scans take 10 to 20; rows on a regular grid, all
+of one size and rotation, with colours of their own and empty SH bands up to degree 3, take 58."""
+MAX_TAIL_BYTES = 16 << 20
 """Bytes that may follow the rows (extensions, notes of other programs)."""
 MAX_ENTRIES = 4096
 """Files in a zip, of which SOG needs 8; a directory of them takes ten times its bytes in memory."""
-PROOF = 256 << 20
+TWO_PASS_BYTES = 256 << 20
 """Bytes: what unpacks to more is unpacked once for nothing but its length before memory is taken for it."""
-PIECE = 1 << 20
+PIECE_BYTES = 1 << 20
 """Bytes that are unpacked at a time where they are only counted."""
 
 
 def allow(packed: int, unpacked: int, where: Path | str, what: str) -> None:
     """Raise ValueError where `packed` bytes cannot honestly hold `unpacked` bytes."""
-    if unpacked > ROOM + RATIO * packed:
+    if unpacked > FREE_BYTES + MAX_RATIO * packed:
         raise ValueError(
             f"{where}: {what} claims {unpacked} bytes from {packed} packed ones; the file is damaged or hostile"
         )
 
 
-def allow_rows(packed: int, rows: int, coefficients: int, where: Path | str, ratio: int = ROW_RATIO) -> None:
+def allow_rows(packed: int, rows: int, coefficients: int, where: Path | str, ratio: int = MAX_ROW_RATIO) -> None:
     """Raise ValueError where a file of `packed` bytes cannot honestly hold `rows` rows of so many SH coefficients."""
     needed = rows * 4 * (11 + 3 * coefficients)
-    if needed > ROW_ROOM + ratio * packed:
+    if needed > FREE_ROW_BYTES + ratio * packed:
         raise ValueError(
             f"{where}: {rows} rows would take {needed} bytes of memory, the file has {packed}; it is damaged or hostile"
         )
@@ -68,7 +68,7 @@ class Gunzip:
 
     def take(self, count: int, what: str) -> bytes:
         """The next `count` bytes, which the caller has judged. Raises ValueError: damaged or truncated."""
-        if count > PROOF:
+        if count > TWO_PASS_BYTES:
             self._prove(count, what)
         piece = self._upto(count)
         if len(piece) < count:
@@ -77,9 +77,11 @@ class Gunzip:
 
     def rest(self) -> tuple[bytes, bytes]:
         """What follows inside the gzip member, and what follows the member in the file."""
-        piece = self._upto(TAIL + 1)
-        if len(piece) > TAIL:
-            raise ValueError(f"{self._where}: more than {TAIL} bytes follow the rows; the file is damaged or hostile")
+        piece = self._upto(MAX_TAIL_BYTES + 1)
+        if len(piece) > MAX_TAIL_BYTES:
+            raise ValueError(
+                f"{self._where}: more than {MAX_TAIL_BYTES} bytes follow the rows; the file is damaged or hostile"
+            )
         if not self._stream.eof:
             raise ValueError(f"{self._where}: truncated: the gzip stream does not end")
         return piece, self._stream.unused_data
@@ -92,11 +94,11 @@ class Gunzip:
         try:
             while have < count and not stream.eof:
                 # Little input at a time: zlib copies what it did not consume.
-                piece = stream.decompress(stream.unconsumed_tail or left[:PIECE], PIECE)
+                piece = stream.decompress(stream.unconsumed_tail or left[:PIECE_BYTES], PIECE_BYTES)
                 if not stream.unconsumed_tail:
                     if not left and not piece:
                         break
-                    left = left[PIECE:]
+                    left = left[PIECE_BYTES:]
                 have += len(piece)
         except zlib.error as error:
             raise ValueError(f"{self._where}: damaged gzip stream ({error})") from None
@@ -136,7 +138,7 @@ def inflate(data: bytes | memoryview, size: int, where: Path | str, what: str) -
 def zip_directory(file: BinaryIO, where: Path | str) -> list[zipfile.ZipInfo]:
     """What the directory of a zip lists. Raises ValueError: not a zip, damaged, more than MAX_ENTRIES files."""
     marks = 0
-    while piece := file.read(PIECE):
+    while piece := file.read(PIECE_BYTES):
         marks += piece.count(b"PK\x01\x02")  # ahead of every entry of a directory
         if marks > MAX_ENTRIES:  # before zipfile makes an object of each
             raise ValueError(f"{where}: a zip of more than {MAX_ENTRIES} files; it is damaged or hostile")
@@ -158,7 +160,7 @@ def unzstd(data: bytes | memoryview, size: int, where: Path | str, what: str) ->
             raise ValueError(f"{where}: {what} should unpack to {size} bytes, its zstd frame says {declared}")
         if size == 0:
             return b""
-        if size > PROOF:
+        if size > TWO_PASS_BYTES:
             _prove_zstd(data, size, where, what)
         out = zstandard.ZstdDecompressor().decompress(bytes(data), max_output_size=size, allow_extra_data=False)
     except zstandard.ZstdError as error:
@@ -173,7 +175,7 @@ def _prove_zstd(data: bytes | memoryview, size: int, where: Path | str, what: st
 
     have = 0
     with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-        while have <= size and (piece := stream.read(PIECE)):
+        while have <= size and (piece := stream.read(PIECE_BYTES)):
             have += len(piece)
     if have != size:
         raise ValueError(f"{where}: {what} should unpack to {size} bytes, got {have}")

@@ -9,10 +9,10 @@ import heapq
 
 import numpy as np
 
-SIZE = 256
+CODEBOOK_SIZE = 256
 
 
-def fit(values: np.ndarray, size: int = SIZE) -> np.ndarray:
+def fit(values: np.ndarray, size: int = CODEBOOK_SIZE) -> np.ndarray:
     """[size] sorted values with a small squared error over `values` ([M], finite).
 
     The group with the largest squared error is split in the best place until there are `size` groups (so that a few far
@@ -108,9 +108,9 @@ def adapt(
 
     codebook: [<= 256]; codes: the entries that unchanged values use.
     """
-    codebook = np.concatenate([codebook, np.full(SIZE - len(codebook), codebook[-1])])
-    counts = np.bincount(codes.reshape(-1), minlength=SIZE)
-    unmoved = np.arange(SIZE)
+    codebook = np.concatenate([codebook, np.full(CODEBOOK_SIZE - len(codebook), codebook[-1])])
+    counts = np.bincount(codes.reshape(-1), minlength=CODEBOOK_SIZE)
+    unmoved = np.arange(CODEBOOK_SIZE)
     for tolerance in tolerances:
         extended = extend(codebook, counts > 0, values, tolerance)
         if extended is not None:
@@ -134,9 +134,9 @@ def adapt_palette(
     new, labels = palette(vectors, max(len(free), 1))
     if len(free) < min(len(np.unique(labels)), 1024):
         return None
-    used = np.zeros(SIZE, bool)
+    used = np.zeros(CODEBOOK_SIZE, bool)
     used[np.unique(codes[in_use[: len(codes)]])] = True
-    padded = np.concatenate([codebook, np.zeros(SIZE - len(codebook))])
+    padded = np.concatenate([codebook, np.zeros(CODEBOOK_SIZE - len(codebook))])
     extended = next((book for t in tolerances if (book := extend(padded, used, new, t)) is not None), None)
     if extended is None:
         return None

@@ -20,7 +20,7 @@ from splatpainter.io import gltf, spz
 from splatpainter.io.ply_container import Element, Header, TextRows, element_size
 from splatpainter.splats import Source
 
-BLOCK = 1 << 14
+BLOCK_ROWS = 1 << 14
 """Rows compared at a time, so that a comparison needs no memory of its own."""
 GAUSSIAN = ("x", "y", "z", "opacity", "red", "green", "blue")
 GAUSSIAN_STEMS = ("f_dc_", "f_rest_", "scale_", "rot_")
@@ -72,8 +72,8 @@ def rows_differ(old: Table, new: Table, count: int) -> np.ndarray:
         rows = range(count)
         return np.array([row for row in rows if old.records.line(row) != new.records.line(row)], np.int64)
     differing = [np.zeros(0, np.int64)]
-    for start in range(0, count, BLOCK):
-        part = slice(start, min(start + BLOCK, count))
+    for start in range(0, count, BLOCK_ROWS):
+        part = slice(start, min(start + BLOCK_ROWS, count))
         one, two = _words(old.records[part]), _words(new.records[part])
         differing.append(start + np.flatnonzero((one != two).any(1)))
     return np.concatenate(differing)

@@ -41,8 +41,8 @@ from splatpainter.jsonio import brief
 from splatpainter.splats import ATTRIBUTES, SH_C0, Source, Splats
 
 EXTENSION = "KHR_gaussian_splatting"
-SPACES = {"srgb": "srgb_rec709_display", "linear": "lin_rec709_display"}
-SHARED_RATIO = 16
+COLOR_SPACES = {"srgb": "srgb_rec709_display", "linear": "lin_rec709_display"}
+MAX_SHARED_RATIO = 16
 """Bytes of rows in memory per byte of the file: accessors may share bytes, as of SH bands that are empty."""
 MAX_PRIMITIVES = 512
 """Gaussian primitives of a file: honest ones have a handful, and each may stand at the end of a deep tree of nodes."""
@@ -164,7 +164,7 @@ def read_local(
         if values.shape != (count, width) and not (semantic == "COLOR_0" and values.shape == (count, 3)):
             raise ValueError(f"{path}: expected {semantic} of {count} x {width} numbers, found {values.shape}")
         if bound is not None:  # all primitives together, and as many SH bands for each as any has
-            allow_rows(bound.size, one.first + len(values), bound.bands, path, SHARED_RATIO)
+            allow_rows(bound.size, one.first + len(values), bound.bands, path, MAX_SHARED_RATIO)
         return gltf.decode(values, glb.doc["accessors"][index].get("normalized"))
 
     means, xyzw, scales = read("POSITION", 3), read("ROTATION", 4), read("SCALE", 3)
@@ -190,7 +190,7 @@ def read_local(
         opacities,
         sh,
         antialiased=isinstance(extension.get("extras"), dict) and extension["extras"].get("antialiased") is True,
-        color_space="linear" if extension.get("colorSpace") == SPACES["linear"] else "srgb",
+        color_space="linear" if extension.get("colorSpace") == COLOR_SPACES["linear"] else "srgb",
     )
 
 
@@ -248,7 +248,7 @@ def _check_primitive(primitive: dict[str, Any], path: Path, problems: list[str])
     for key, value in (("kernel", "ellipse"), ("projection", "perspective"), ("sortingMethod", "cameraDistance")):
         if extension.get(key, value) != value:
             problems.append(f"{key} {brief(extension[key])} is shown as {value!r}")
-    if extension.get("colorSpace", SPACES["srgb"]) not in SPACES.values():
+    if extension.get("colorSpace", COLOR_SPACES["srgb"]) not in COLOR_SPACES.values():
         problems.append(f"colour space {brief(extension['colorSpace'])} is treated as sRGB")
 
 
@@ -532,9 +532,9 @@ def _set_flags(primitive: dict[str, Any], splats: Splats) -> None:
     if not isinstance(extension, dict):
         extension = extensions[EXTENSION] = {}
     extension.setdefault("kernel", "ellipse")
-    linear = extension.get("colorSpace") == SPACES["linear"]  # anything else is read as sRGB, and may stay
+    linear = extension.get("colorSpace") == COLOR_SPACES["linear"]  # anything else is read as sRGB, and may stay
     if linear != (splats.color_space == "linear") or "colorSpace" not in extension:
-        extension["colorSpace"] = SPACES[splats.color_space]
+        extension["colorSpace"] = COLOR_SPACES[splats.color_space]
     extras = extension.get("extras")
     stated = isinstance(extras, dict) and extras.get("antialiased") is True
     source = splats.source if splats.source is not None and splats.source.format == "glb" else None

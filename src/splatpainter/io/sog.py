@@ -78,7 +78,7 @@ COLOR_TOLERANCES = tuple(steps / 255 / SH_C0 for steps in (1, 2, 4))
 entries suffice, the last one when entries have to be merged."""
 SCALE_TOLERANCES = tuple(math.log(ratio) for ratio in (1.03, 1.06, 1.12, 1.25))
 SH_TOLERANCES = (0.01, 0.02, 0.04)
-BORDER = 2.0
+MAX_BORDER_SHIFT = 2.0
 """Standard deviations (its largest) by which a changed row may be moved to stay within the file's position range: a
 child of a row on the border, moved this far, still lies within its parent."""
 META = "meta.json"
@@ -368,7 +368,7 @@ def _encode_means(rows: Splats, same: Unchanged | None, old: SogFile | None, met
         first, last = mean_range(meta)
         moved = np.sign(logs) * np.expm1(np.abs(np.clip(logs, np.minimum(first, last), np.maximum(first, last))))
         beyond = np.abs(np.where(same.means[:, None], 0, moved - means)).max(1)
-        if (beyond <= BORDER * rows.scales.max(1)).all():
+        if (beyond <= MAX_BORDER_SHIFT * rows.scales.max(1)).all():
             low, high = first, last
             keep["means_l"] = keep["means_u"] = same.means
     # Written only when new: equal mins and maxs in the source must stay what they are.

@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.io import activations, axes, files
-from splatpainter.io.bounded import TAIL, Gunzip, allow_rows, unzstd
+from splatpainter.io.bounded import MAX_TAIL_BYTES, Gunzip, allow_rows, unzstd
 from splatpainter.io.reuse import Unchanged, drawable_rows, row_problems, unchanged
 from splatpainter.splats import Frame, Source, Splats
 
@@ -177,7 +177,7 @@ def _parse_plain(data: bytes, path: Path) -> SpzFile:
     listed = needed if stored == len(needed) else list(STREAMS)
     if stored != len(listed):
         raise ValueError(f"{path}: expected {len(needed)} streams for SH degree {degree}, found {stored}")
-    if not 32 <= table <= 32 + TAIL:
+    if not 32 <= table <= 32 + MAX_TAIL_BYTES:
         raise ValueError(f"{path}: expected the table of streams at byte 32 or after the extensions, found {table}")
     entries = struct.unpack(f"<{2 * stored}Q", files.take(data, table, 16 * stored, path, "the table of streams"))
     at = table + 16 * stored
