@@ -166,7 +166,7 @@ def _listed_files(meta: dict[str, Any], part: str, count: int, path: Path) -> li
     listed = object_at(meta, part, path).get("files")
     if not isinstance(listed, list) or len(listed) < count:
         raise ValueError(f"{path}: expected {count} files for {part} in meta.json, found {brief(listed)}")
-    return listed[:count]  # every one a name that is there: sog_files has checked
+    return listed[:count]  # every one a name that is there: _named_files has checked
 
 
 def _plane_size(container: Container, key: str, name: str, count: int, path: Path) -> tuple[int, int]:
