@@ -24,7 +24,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from splatpainter import processes
-from splatpainter.kernels.parallel import VARIABLE
+from splatpainter.kernels.parallel import THREADS_VARIABLE
 
 PIPE, DEVNULL = subprocess.PIPE, subprocess.DEVNULL
 MAX_ERROR_CHARS = 400
@@ -367,7 +367,7 @@ class Workers:
         text = json.dumps({**job.values, "items": items}) + "\n"
         variables = dict(os.environ)
         if job.threads is not None:
-            variables |= {VARIABLE: str(job.threads), "OMP_NUM_THREADS": str(job.threads)}
+            variables |= {THREADS_VARIABLE: str(job.threads), "OMP_NUM_THREADS": str(job.threads)}
         with self._lock:
             if self._closed:
                 return None

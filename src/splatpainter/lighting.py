@@ -14,7 +14,7 @@ from numba import njit
 
 from splatpainter.transforms import fibonacci_sphere, sh_basis
 
-BANDS = np.array([np.pi, *[2 * np.pi / 3] * 3, *[np.pi / 4] * 5])
+COSINE_BANDS = np.array([np.pi, *[2 * np.pi / 3] * 3, *[np.pi / 4] * 5])
 """[9] what the clamped cosine does to each SH coefficient (Ramamoorthi and Hanrahan 2001)."""
 
 
@@ -32,39 +32,39 @@ class Visibility:
     """[N, 9]."""
 
 
-def open_transfer(normals: np.ndarray) -> np.ndarray:
+def unoccluded_transfer(normals: np.ndarray) -> np.ndarray:
     """[N, 9] float32 transfer of points that see their whole hemisphere."""
-    return (sh_basis(normals, 2) * BANDS).astype(np.float32)
+    return (sh_basis(normals, 2) * COSINE_BANDS).astype(np.float32)
 
 
-SAMPLE = 256
+SPACING_SAMPLES = 256
 """Points of which the distance to their neighbours is measured."""
-NEIGHBOUR = 5
+SPACING_NEIGHBOR = 5
 """The neighbour whose distance counts."""
 
 
-def row_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """[N, 10] float32 of Gaussians that stand for a surface: transfer over pi, so that an open row under uniform light
+def prt_transfer(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """[N, 10] float32 of Gaussians that stand for a surface: transfer over pi, so that an open one under uniform light
     has 1 / C0 in the first column and 0 in the others, and the open share 0..1 of its hemisphere. points: [N, 3]
-    centres; normals: [N, 3] unit, outwards; rows with a zero normal (not drawable) count for nothing and get zeros."""
-    known = np.abs(normals).max(1, initial=0) > 0
+    centres; normals: [N, 3] unit, outwards; those with a zero normal (not drawable) count for nothing and get zeros."""
+    has_normal = np.abs(normals).max(1, initial=0) > 0
     out = np.zeros((len(points), 10), np.float32)
-    if not known.any():
+    if not has_normal.any():
         return out
-    own = np.ascontiguousarray(points[known], np.float32)
-    facing = np.ascontiguousarray(normals[known], np.float32)
-    sees = visibility(own, facing, _spacing(own))
-    out[known, :9] = (open_transfer(facing) - sees.blocked_front) / np.pi
-    out[known, 9] = sees.front
+    points = np.ascontiguousarray(points[has_normal], np.float32)
+    normals = np.ascontiguousarray(normals[has_normal], np.float32)
+    visible = visibility(points, normals, _spacing(points))
+    out[has_normal, :9] = (unoccluded_transfer(normals) - visible.blocked_front) / np.pi
+    out[has_normal, 9] = visible.front
     return out
 
 
 def _spacing(points: np.ndarray) -> float:
-    """A little less than the usual distance of a point to its NEIGHBOUR-th neighbour: closed for the shadow maps."""
-    chosen = points[np.linspace(0, len(points) - 1, min(SAMPLE, len(points))).astype(np.int64)].astype(np.float64)
-    squares = (points.astype(np.float64) ** 2).sum(1)
-    near = min(NEIGHBOUR, len(points) - 1)
-    apart = [np.partition(squares - 2 * points @ one + one @ one, near)[near] for one in chosen]
+    """A little less than the distance of a point to its SPACING_NEIGHBOR-th neighbour: closed for the shadow maps."""
+    picks = np.linspace(0, len(points) - 1, min(SPACING_SAMPLES, len(points))).astype(np.int64)
+    samples, squares = points[picks].astype(np.float64), (points.astype(np.float64) ** 2).sum(1)
+    near = min(SPACING_NEIGHBOR, len(points) - 1)
+    apart = [np.partition(squares - 2 * points @ one + one @ one, near)[near] for one in samples]
     span = float(np.linalg.norm(np.ptp(points, axis=0)))
     return max(0.8 * float(np.sqrt(max(np.median(apart), 0.0))), 1e-6 * span, 1e-12)
 
@@ -97,7 +97,7 @@ def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directio
 def warm() -> None:
     """Compile (or load) the kernel of this module."""
     points = np.eye(3, dtype=np.float32)
-    row_transfer(points, points)
+    prt_transfer(points, points)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

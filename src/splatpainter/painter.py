@@ -101,10 +101,10 @@ class Asset:
 
     @cached_property
     def transfer(self) -> np.ndarray:
-        """[N, 10] float32 the light that reaches the rows (`visibility.row_transfer`), made on first use."""
-        from splatpainter.lighting import row_transfer
+        """[N, 10] float32 the light that reaches the rows (`lighting.prt_transfer`), made on first use."""
+        from splatpainter.lighting import prt_transfer
 
-        return row_transfer(self.splats.means, self.normals)
+        return prt_transfer(self.splats.means, self.normals)
 
     def child(self, splats: Splats, parents: np.ndarray) -> Asset:
         """This asset with other Gaussians. parents: [len(splats)] int64 the Gaussian of this one that each is or was

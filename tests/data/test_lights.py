@@ -24,7 +24,7 @@ from splatpainter.data.lights import (
     uniform_light,
 )
 from splatpainter.data.surfels import Surfels
-from splatpainter.lighting import open_transfer
+from splatpainter.lighting import unoccluded_transfer
 from splatpainter.splats import SH_C0
 from splatpainter.transforms import sh_basis
 
@@ -49,7 +49,7 @@ def surfels(normals: torch.Tensor, **values: float) -> Surfels:
         metallic=torch.full((n,), look["metallic"]),
         roughness=torch.full((n,), look["roughness"]),
         occlusion=torch.full((n,), look["occlusion"]),
-        transfer=torch.from_numpy(open_transfer(normals.numpy())),
+        transfer=torch.from_numpy(unoccluded_transfer(normals.numpy())),
     )
 
 

@@ -17,7 +17,7 @@ from splatpainter.data.samples import SampleRecipe, SampleStream
 from splatpainter.data.scenes import ProceduralSource
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.lift.global_edit import lift_global
-from splatpainter.lighting import open_transfer
+from splatpainter.lighting import unoccluded_transfer
 from splatpainter.models import checkpoint
 from splatpainter.models.config import PredictConfig
 from splatpainter.models.model import SplatPainterModel
@@ -94,7 +94,7 @@ def test_what_they_hold() -> None:
         assert 1e-3 < error < 0.12
         # Turned worlds are turned as a whole: what little is in the way, transfer follows the normals.
         free = edit.transfer[:, 9] > 0.97
-        expected = open_transfer(edit.normals[free]) / np.pi
+        expected = unoccluded_transfer(edit.normals[free]) / np.pi
         assert free.sum() > 20 and np.abs(edit.transfer[free, :9] - expected).mean() < 0.02
     assert views == {1, 2, 4} and kinds == {"relight", "regrade"}
 

@@ -151,7 +151,7 @@ def cubes(rng: np.random.Generator, dtype: type) -> None:
     raycast.seen_voxels(grid, origin, rays)
     raycast.inside(grid, grid.occupancy, camera.position)
     mask = rng.random((camera.height, camera.width)) < 0.3
-    raycast.editable_rows(grid, splats, camera, mask, reach=int(rng.integers(0, 3)))
+    raycast.editable_gaussians(grid, splats, camera, mask, reach=int(rng.integers(0, 3)))
 
 
 def shadows(rng: np.random.Generator, dtype: type) -> None:

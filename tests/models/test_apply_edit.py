@@ -20,7 +20,7 @@ from splatpainter.painter import Edit
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import voxelize
-from splatpainter.voxels.raycast import editable_rows
+from splatpainter.voxels.raycast import editable_gaussians
 from tests.support.lift_scenes import base_colors, bits, dense_weights, differing, disk, front, same_bits
 from tests.support.painter_scenes import (
     BLUE,
@@ -83,7 +83,9 @@ def test_own_rows_are_those_that_make_the_edited_pixels() -> None:
 def test_a_lifted_edit_is_the_lift_with_everything_that_it_changed() -> None:
     (view,) = views_here()
     edit = lift_local_views(SPLATS, GRID, [view], "lift")
-    lifted = lift_local(SPLATS, CAMERA, view.edited, view.mask, allowed=editable_rows(GRID, SPLATS, CAMERA, view.mask))
+    lifted = lift_local(
+        SPLATS, CAMERA, view.edited, view.mask, allowed=editable_gaussians(GRID, SPLATS, CAMERA, view.mask)
+    )
     assert same_bits(edit.splats, lifted.splats) and not edit.detail
     appended = np.arange(len(SPLATS), len(lifted.splats))
     assert len(appended) > 5

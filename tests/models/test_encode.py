@@ -58,7 +58,7 @@ def test_views_are_the_render_and_contributions_its_weights() -> None:
     grid = voxelize(some)
     cameras = canonical_cameras(some, LrmConfig(views=2, image_size=24))
     views, contributions = asset_views(some, cameras, grid)
-    assert views.half_extent == grid.size / 2 and contributions.shape == (2, len(some))
+    assert views.half_extent == grid.extent / 2 and contributions.shape == (2, len(some))
     assert views.depth is not None and views.alpha is not None
     for view, camera in enumerate(cameras):
         weights, left = dense_weights(some, camera)
@@ -147,5 +147,5 @@ def test_gradients_are_there_where_torch_has_them() -> None:
 
 def test_nothing_to_draw_is_one_line() -> None:
     nothing = thing().take(np.arange(DRAWABLE, DRAWABLE + 2))
-    with pytest.raises(ValueError, match="at least one row that can be drawn"):
+    with pytest.raises(ValueError, match="at least one Gaussian that can be drawn"):
         encode_asset(built(), nothing)

@@ -10,7 +10,7 @@ import torch
 
 from splatpainter.lift.global_edit import lift_global, regressed, seen_change
 from splatpainter.lift.normals import outward_normals
-from splatpainter.lighting import row_transfer
+from splatpainter.lighting import prt_transfer
 from splatpainter.models import predictor as module
 from splatpainter.models.config import PRESETS, ModelConfig, PredictConfig
 from splatpainter.models.model import SplatPainterModel
@@ -34,7 +34,7 @@ def awake(config: PredictConfig = CONFIG, seed: int = 0) -> Predictor:
 
 def facts_of(splats: Splats) -> np.ndarray:
     normals = outward_normals(splats)
-    return row_facts(splats, normals, row_transfer(splats.means, normals))
+    return row_facts(splats, normals, prt_transfer(splats.means, normals))
 
 
 def edit(count: int, seed: int = 3) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -120,7 +120,7 @@ def test_an_untrained_predictor_leaves_the_lift_alone() -> None:
     assert model.predictor is not None and model.predictor.is_untrained
     assert predicting(model, splats, normals, never) is None
     torch.nn.init.normal_(model.predictor.expected.weight, std=0.1)
-    predict = predicting(model, splats, normals, lambda: row_transfer(splats.means, normals))
+    predict = predicting(model, splats, normals, lambda: prt_transfer(splats.means, normals))
     assert predict is not None
     told = predict(np.full((300, 3), 0.1, np.float32), np.ones(300, np.float32))
     assert told.shape == (300, 3) and told.dtype == np.float32

@@ -109,7 +109,7 @@ def test_wrong_arguments(monkeypatch):
         sp.render(splats, view, background=[0, 0, 0, 1])
     with pytest.raises(ValueError, match="expected a backend of auto, cpu, cuda, reference, got 'gpu'"):
         sp.render(splats, view, backend="gpu")  # pyright: ignore[reportArgumentType]
-    monkeypatch.setenv(parallel.VARIABLE, "two")
+    monkeypatch.setenv(parallel.THREADS_VARIABLE, "two")
     with pytest.raises(ValueError, match="SPLATPAINTER_THREADS: expected a positive integer, got 'two'"):
         sp.render(splats, view)
 

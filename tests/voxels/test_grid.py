@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatpainter.splats import Splats
-from splatpainter.voxels.footprints import SIGMAS, UNIT, extent, touching
-from splatpainter.voxels.grid import OCCUPIED, bounding_cube, voxelize
+from splatpainter.voxels.footprints import FIXED_POINT_UNIT, SIGMAS, index_bounds, touching
+from splatpainter.voxels.grid import MIN_OCCUPIED_DENSITY, bounding_cube, voxelize
 from tests.support.voxel_scenes import IDENTITY, make
 
 
@@ -42,7 +42,7 @@ def test_rows_are_grouped_as_plain_sorting_groups_them(seed: int, n: int, resolu
         if row not in drawable:
             assert grid.index[row] == -1
             continue
-        place = (splats.means[row].astype(float) - grid.lo) * resolution / grid.size
+        place = (splats.means[row].astype(float) - grid.min_corner) * resolution / grid.extent
         cell = np.array([grid.index[row] // resolution**2, grid.index[row] // resolution % resolution, 0])
         cell[2] = grid.index[row] - (cell[0] * resolution + cell[1]) * resolution
         beyond = ((place < cell - 1e-6) & (cell > 0)) | ((place > cell + 1 + 1e-6) & (cell < resolution - 1))
@@ -60,7 +60,7 @@ def test_permuting_rows_permutes_the_grouping_and_changes_no_bit_of_the_volumes(
     splats = random_splats(seed, n, nan_rows=False)
     shuffle = np.random.default_rng(seed + 1).permutation(n)
     one, other = voxelize(splats, 32), voxelize(splats.take(shuffle), 32)
-    assert (one.lo == other.lo).all() and one.size == other.size
+    assert (one.min_corner == other.min_corner).all() and one.extent == other.extent
     assert (one.index[shuffle] == other.index).all() and (one.outside[shuffle] == other.outside).all()
     assert (one.keys == other.keys).all() and (one.starts == other.starts).all()
     for a, b in zip(one.starts[:-1], one.starts[1:], strict=True):
@@ -75,8 +75,10 @@ def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -
     for threads in ("1", "2", "7"):
         monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
         grids.append(voxelize(splats, 64))
-        touched = touching(splats, grids[0].order, grids[0].lo, grids[0].voxel, grids[0].density > 1)
-        assert (touched == touching(splats, grids[0].order, grids[0].lo, grids[0].voxel, grids[-1].density > 1)).all()
+        touched = touching(splats, grids[0].order, grids[0].min_corner, grids[0].voxel, grids[0].density > 1)
+        assert (
+            touched == touching(splats, grids[0].order, grids[0].min_corner, grids[0].voxel, grids[-1].density > 1)
+        ).all()
     assert (grids[0].density == grids[1].density).all() and (grids[0].density == grids[2].density).all()
 
 
@@ -107,9 +109,9 @@ def test_a_ray_across_a_flat_row_picks_up_its_opacity(axis: int) -> None:
 
 def test_a_row_within_a_voxel_covers_its_share_of_the_face() -> None:
     grid = voxelize(framed([[0.3, 0.2, 0.1]], (1e-3, 2e-3, 1e-4), 0.5), 32)
-    cell = tuple(((np.array([0.3, 0.2, 0.1]) - grid.lo) / grid.voxel).astype(int))
+    cell = tuple(((np.array([0.3, 0.2, 0.1]) - grid.min_corner) / grid.voxel).astype(int))
     expected = 0.5 * 2 * math.pi * 1e-3 * 2e-3 / grid.voxel**2
-    assert grid.density[cell] == pytest.approx(expected, abs=2 / UNIT)
+    assert grid.density[cell] == pytest.approx(expected, abs=2 / FIXED_POINT_UNIT)
 
 
 def test_a_ball_spreads_its_opacity_along_the_ray() -> None:
@@ -126,7 +128,7 @@ def test_a_needle_fills_the_voxels_along_its_rotated_length_and_no_others() -> N
     quat = (3 * math.cos(math.pi / 8), 0, 0, 3 * math.sin(math.pi / 8))
     grid = voxelize(framed([[0.0, 0.0, 0.0]], (0.2, 1e-3, 1e-3), 0.9, quat), 64)
     cells = np.argwhere(grid.density > 0.001)
-    points = grid.lo + (cells + 0.5) * grid.voxel
+    points = grid.min_corner + (cells + 0.5) * grid.voxel
     away = np.abs(points[:, 0] - points[:, 1]) / math.sqrt(2)
     assert away.max() < grid.voxel and np.abs(points[:, 2]).max() < grid.voxel
     along = (points[:, 0] + points[:, 1]) / math.sqrt(2)
@@ -148,14 +150,14 @@ def test_one_faint_row_stops_no_ray_but_many_do() -> None:
     many = voxelize(framed([[0, 0, 0]] * 12, (0.3, 0.3, 1e-3), 0.05), 32)
     assert one.density[16, 16].max() > 0 and not one.occupancy.any()
     assert many.occupancy[16, 16].any()
-    assert ((many.density > OCCUPIED) == many.occupancy).all()
+    assert ((many.density > MIN_OCCUPIED_DENSITY) == many.occupancy).all()
 
 
 def test_sparse_opaque_dots_are_occupied_though_they_cover_little() -> None:
     rng = np.random.default_rng(0)
     dots = make(rng.uniform(-1, 1, (300, 3)), 2e-4, 0.95)
     grid = voxelize(dots)
-    assert grid.density.max() < OCCUPIED
+    assert grid.density.max() < MIN_OCCUPIED_DENSITY
     assert grid.occupancy.ravel()[grid.index].all()
 
 
@@ -164,7 +166,7 @@ def test_floaters_keep_a_voxel_and_cost_no_resolution() -> None:
     body = rng.uniform(-1, 1, (5000, 3))
     far = rng.choice([-1, 1], (60, 3)) * rng.uniform(50, 1e6, (60, 3))
     clean, dirty = voxelize(make(body)), voxelize(make(np.concatenate([body, far])))
-    assert dirty.size == pytest.approx(clean.size, rel=0.02)
+    assert dirty.extent == pytest.approx(clean.extent, rel=0.02)
     assert not clean.outside.any()
     assert dirty.outside.nonzero()[0].tolist() == list(range(5000, 5060))
     assert (dirty.index >= 0).all() and (dirty.index < 128**3).all()
@@ -178,7 +180,7 @@ def test_faint_rows_do_not_stretch_the_cube_and_a_sparse_end_stays_inside() -> N
     splats = make(np.concatenate([head, haze]), 0.01, np.repeat([0.9, 0.01], [4040, 4000]))
     grid = voxelize(splats)
     assert not grid.outside[:4040].any()
-    assert grid.size < 3.2
+    assert grid.extent < 3.2
 
 
 @pytest.mark.parametrize(
@@ -188,7 +190,7 @@ def test_faint_rows_do_not_stretch_the_cube_and_a_sparse_end_stays_inside() -> N
 def test_degenerate_assets_fit_their_cube(means) -> None:
     splats = make(means, 1e-3)
     grid = voxelize(splats)
-    assert np.isfinite(grid.lo).all() and grid.size > 0
+    assert np.isfinite(grid.min_corner).all() and grid.extent > 0
     assert not grid.outside.any() and (grid.index >= 0).all()
     centres = grid.centers(grid.index)
     assert (np.abs(centres - splats.means) <= grid.voxel * 0.51 + 1e-12).all()
@@ -204,16 +206,16 @@ def test_the_cube_holds_every_centre_of_a_clean_asset() -> None:
 def test_an_asset_without_drawable_rows_is_refused_in_one_line() -> None:
     splats = make([[np.nan, 0, 0], [0, np.inf, 0]])
     with pytest.raises(
-        ValueError, match=r"^voxels: expected at least one row that can be drawn, got none among 2 rows$"
+        ValueError, match=r"^voxels: expected at least one Gaussian that can be drawn, got none among 2$"
     ):
         voxelize(splats)
 
 
 def test_extent_is_the_box_of_what_is_set() -> None:
     volume = np.zeros((5, 6, 7), np.uint8)
-    assert extent(volume).tolist() == [[0, 0]] * 3
+    assert index_bounds(volume).tolist() == [[0, 0]] * 3
     volume[1, 2, 3] = volume[3, 2, 6] = 1
-    assert extent(volume).tolist() == [[1, 4], [2, 3], [3, 7]]
+    assert index_bounds(volume).tolist() == [[1, 4], [2, 3], [3, 7]]
 
 
 @pytest.mark.shared
@@ -224,7 +226,7 @@ def test_real_captures_fill_the_cube_and_lose_no_row(shared, name: str) -> None:
     splats = read(shared / "data" / "splats" / name)
     grid = voxelize(splats)
     assert not grid.outside.any() and len(grid.order) == len(splats)
-    assert np.ptp(splats.means, axis=0).max() > 0.9 * grid.size
+    assert np.ptp(splats.means, axis=0).max() > 0.9 * grid.extent
     # Opaque rows lie in occupied voxels, nearly all of them.
     opaque = splats.opacities > 0.9
     assert grid.occupancy.ravel()[grid.index[opaque]].mean() > 0.9

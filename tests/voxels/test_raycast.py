@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from splatpainter.cameras import look_at, orbit
 from splatpainter.voxels.grid import VoxelGrid, voxelize
-from splatpainter.voxels.raycast import SPENT, editable_rows, first_hits, inside, seen_voxels
+from splatpainter.voxels.raycast import MAX_RAY_THICKNESS, editable_gaussians, first_hits, inside, seen_voxels
 from tests.support.voxel_scenes import make
 
 
@@ -20,8 +20,8 @@ def box_grid(volume: np.ndarray, lo=(0.0, 0.0, 0.0), size: float = 1.0) -> Voxel
     none = np.empty(0, np.int64)
     return VoxelGrid(
         resolution=len(volume),
-        lo=np.array(lo, float),
-        size=size,
+        min_corner=np.array(lo, float),
+        extent=size,
         index=none.astype(np.int32),
         outside=none.astype(bool),
         order=none,
@@ -34,7 +34,7 @@ def box_grid(volume: np.ndarray, lo=(0.0, 0.0, 0.0), size: float = 1.0) -> Voxel
 
 def slabs(grid: VoxelGrid, cells: np.ndarray, origin: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(enter [P], leave [P]) of one ray through the boxes of the given voxels [P, 3], by the slab test."""
-    low = grid.lo + cells * grid.voxel
+    low = grid.min_corner + cells * grid.voxel
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low - origin) / ray, (low + grid.voxel - origin) / ray
     still = np.broadcast_to(ray == 0, a.shape)
@@ -57,15 +57,15 @@ def test_the_first_hit_is_the_nearest_box_of_all(seed: int, resolution: int, fil
     rng = np.random.default_rng(seed)
     volume = rng.random((resolution,) * 3) < filled
     grid = box_grid(volume, lo=rng.normal(size=3), size=float(rng.uniform(0.5, 3)))
-    origin = grid.lo + grid.size * (0.5 + away * rng.normal(size=3))
+    origin = grid.min_corner + grid.extent * (0.5 + away * rng.normal(size=3))
     rays = random_rays(rng, 30)
-    aim = grid.lo + grid.size * rng.random((15, 3)) - origin
+    aim = grid.min_corner + grid.extent * rng.random((15, 3)) - origin
     rays[:15] = np.where(rays[:15] == 0, 0, aim)
     rays[(rays == 0).all(1)] = (1, 0, 0)
     keys, distances = first_hits(grid.occupancy, grid, origin, rays)
     cells = np.argwhere(volume)
     # Rounding moves walls: a box that is only grazed may be hit or not.
-    slack = 1e-5 * (grid.size + np.linalg.norm(origin - grid.lo)) / np.linalg.norm(rays, axis=1)
+    slack = 1e-5 * (grid.extent + np.linalg.norm(origin - grid.min_corner)) / np.linalg.norm(rays, axis=1)
     for ray, key, distance, loose in zip(rays.astype(float), keys, distances, slack, strict=True):
         near, far = slabs(grid, cells, origin, ray)
         sure = far - near > loose
@@ -136,13 +136,13 @@ def test_seen_voxels_are_those_before_the_thickness_is_spent(seed: int, dense: f
         at = np.flatnonzero((path == cell).all(1))
         if volume[tuple(cell)] == 0:
             assert not seen[tuple(cell)]
-        elif len(at) > 5 and before[at[0]] < SPENT - 0.1:
+        elif len(at) > 5 and before[at[0]] < MAX_RAY_THICKNESS - 0.1:
             assert seen[tuple(cell)]
-        elif before[at[0]] > SPENT + 0.1:
+        elif before[at[0]] > MAX_RAY_THICKNESS + 0.1:
             assert not seen[tuple(cell)]
     assert seen.sum() <= len(np.unique(path, axis=0)) + 3  # no voxel off the path, but for grazed corners
-    if abs(before[-1] - SPENT) > 0.1:
-        assert through[0] == (before[-1] < SPENT)
+    if abs(before[-1] - MAX_RAY_THICKNESS) > 0.1:
+        assert through[0] == (before[-1] < MAX_RAY_THICKNESS)
 
 
 def plate(z: float, half: float = 1.0, count: int = 60) -> np.ndarray:
@@ -167,7 +167,7 @@ def projected(means: np.ndarray) -> np.ndarray:
 def test_rows_under_the_brush_may_change_and_those_behind_or_beside_may_not() -> None:
     means = np.concatenate([plate(-0.5), plate(0.5)])
     splats = make(means, FLAT, 0.95)
-    rows = editable_rows(voxelize(splats, 64), splats, CAMERA, disk(32, 32, 8))
+    rows = editable_gaussians(voxelize(splats, 64), splats, CAMERA, disk(32, 32, 8))
     front = np.arange(len(means)) < 3600
     away = np.linalg.norm(projected(means) - 32, axis=1)
     assert rows[front & (away < 8)].all()
@@ -180,7 +180,7 @@ def test_through_a_hole_the_rows_behind_may_change() -> None:
     near = near[np.abs(near[:, :2]).max(1) > 0.35]
     means = np.concatenate([near, plate(0.5)])
     splats = make(means, FLAT, 0.95)
-    rows = editable_rows(voxelize(splats, 64), splats, CAMERA, disk(32, 32, 3))
+    rows = editable_gaussians(voxelize(splats, 64), splats, CAMERA, disk(32, 32, 3))
     behind = np.arange(len(means)) >= len(near)
     assert rows[behind & (np.linalg.norm(projected(means) - 32, axis=1) < 3)].all()
     assert not rows[~behind].any()
@@ -192,14 +192,14 @@ def test_a_long_row_may_change_where_it_is_touched_far_from_its_centre() -> None
     splats.scales[-1] = (0.45, 0.01, 0.01)
     grid = voxelize(splats, 64)
     tip = projected(np.array([[-0.9 + 0.7, 0.0, -0.6]]))[0]
-    assert editable_rows(grid, splats, CAMERA, disk(tip[0], tip[1], 2))[-1]
-    assert not editable_rows(grid, splats, CAMERA, disk(tip[0], tip[1] + 12, 2))[-1]
+    assert editable_gaussians(grid, splats, CAMERA, disk(tip[0], tip[1], 2))[-1]
+    assert not editable_gaussians(grid, splats, CAMERA, disk(tip[0], tip[1] + 12, 2))[-1]
 
 
 def test_a_veil_does_not_hide_the_surface() -> None:
     splats = make(np.concatenate([plate(-0.6, count=30), plate(0.2)]), FLAT, 0.95)
     splats.opacities[:900] = 0.06
-    rows = editable_rows(voxelize(splats, 64), splats, CAMERA, disk(32, 32, 8))
+    rows = editable_gaussians(voxelize(splats, 64), splats, CAMERA, disk(32, 32, 8))
     near = np.linalg.norm(projected(splats.means) - 32, axis=1) < 8
     assert rows[900:][near[900:]].all()
     assert rows[:900][near[:900]].all(), "a veil is seen too"
@@ -212,10 +212,10 @@ def test_outliers_may_change_only_where_they_show() -> None:
     grid = voxelize(splats, 64)
     assert grid.outside.nonzero()[0].tolist() == [3600, 3601, 3602, 3603]
     whole = np.ones((64, 64), bool)
-    hidden, beside, before, back = editable_rows(grid, splats, CAMERA, whole)[-4:]
+    hidden, beside, before, back = editable_gaussians(grid, splats, CAMERA, whole)[-4:]
     assert (hidden, beside, before, back) == (False, False, True, False)
     hole = make(np.concatenate([body[np.abs(body[:, :2]).max(1) > 0.4], strays]), FLAT, 0.95)
-    rows = editable_rows(voxelize(hole, 64), hole, CAMERA, disk(32, 32, 2))
+    rows = editable_gaussians(voxelize(hole, 64), hole, CAMERA, disk(32, 32, 2))
     assert rows[-4:].tolist() == [True, False, False, False]
 
 
@@ -223,15 +223,15 @@ def test_no_pixels_no_rows_and_undrawable_rows_never() -> None:
     splats = make(plate(0.0), FLAT, 0.95)
     splats.means[17, 0] = np.nan
     grid = voxelize(splats, 64)
-    assert not editable_rows(grid, splats, CAMERA, np.zeros((64, 64), bool)).any()
-    rows = editable_rows(grid, splats, CAMERA, np.ones((64, 64), bool))
+    assert not editable_gaussians(grid, splats, CAMERA, np.zeros((64, 64), bool)).any()
+    rows = editable_gaussians(grid, splats, CAMERA, np.ones((64, 64), bool))
     assert not rows[17] and rows.sum() == 3599
 
 
 def test_a_mask_of_another_size_is_refused_in_one_line() -> None:
     splats = make(plate(0.0), FLAT)
     with pytest.raises(ValueError, match=r"^mask: expected the size of its view, 64x64, got 32x64$"):
-        editable_rows(voxelize(splats, 16), splats, CAMERA, np.ones((64, 32), bool))
+        editable_gaussians(voxelize(splats, 16), splats, CAMERA, np.ones((64, 32), bool))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 251, 1024])
@@ -244,7 +244,7 @@ def test_rows_that_contribute_to_masked_pixels_are_editable(seed: int) -> None:
     splats = make(points, scales, rng.uniform(0.1, 0.99, 1500), rng.normal(size=(1500, 4)))
     mask = disk(rng.uniform(20, 44), rng.uniform(20, 44), rng.uniform(2, 8))
     weights = composited_weights(splats, mask)
-    rows = editable_rows(voxelize(splats, 128), splats, CAMERA, mask)
+    rows = editable_gaussians(voxelize(splats, 128), splats, CAMERA, mask)
     assert weights[rows].sum() > 0.97 * weights.sum()
     assert rows[weights > 0.02 * mask.sum()].all(), "2 % of the colour under the brush"
     assert rows.sum() < 450, "most of the shell is behind or beside"
@@ -303,7 +303,7 @@ def test_on_a_real_capture_the_near_side_is_editable_and_the_far_side_is_not(sha
     picture = local[:, :2] / local[:, 2:] * camera.fx + 64
     under = (np.linalg.norm(picture - 64, axis=1) < 7) & (splats.opacities > 0.3)
     near, far = under & (local[:, 2] < surface + 0.05), under & (local[:, 2] > surface + 0.35)
-    rows = editable_rows(grid, splats, camera, mask)
+    rows = editable_gaussians(grid, splats, camera, mask)
     assert near.sum() > 10 and rows[near].mean() > 0.95
     assert far.sum() > 30 and rows[far].mean() < 0.05
 
@@ -311,4 +311,4 @@ def test_on_a_real_capture_the_near_side_is_editable_and_the_far_side_is_not(sha
 def test_a_camera_of_absurd_focal_length_gives_no_warning() -> None:
     splats = make(np.concatenate([plate(0.0), [[30.0, 1.0, 60.0], [9.0, 0, -3.0]]]), FLAT, 0.95)
     camera = replace(CAMERA, fx=1e308, fy=1e308)
-    assert not editable_rows(voxelize(splats, 64), splats, camera, np.ones((64, 64), bool))[-2:].any()
+    assert not editable_gaussians(voxelize(splats, 64), splats, camera, np.ones((64, 64), bool))[-2:].any()

@@ -208,7 +208,7 @@ def occupied(splats: Splats, cube: Cube) -> np.ndarray:
     from splatpainter.voxels.grid import voxelize
 
     grid = voxelize(splats, TRELLIS_VOXELS)
-    assert np.array_equal(grid.lo, cube.min_corner) and grid.size == cube.extent
+    assert np.array_equal(grid.min_corner, cube.min_corner) and grid.extent == cube.extent
     return grid.occupancy.astype(bool)
 
 
@@ -217,12 +217,12 @@ def edit_region(splats: Splats, cube: Cube, edited: PosedImages, masks: np.ndarr
     (voxels/raycast.py), by their centres and footprints. Raises ValueError where there is none."""
     from splatpainter.voxels import footprints
     from splatpainter.voxels.grid import voxelize
-    from splatpainter.voxels.raycast import editable_rows
+    from splatpainter.voxels.raycast import editable_gaussians
 
     grid = voxelize(splats)
     editable = np.zeros(len(splats), bool)
     for camera, mask in zip(edited.cameras, masks, strict=True):
-        editable |= editable_rows(grid, splats, camera, mask)
+        editable |= editable_gaussians(grid, splats, camera, mask)
     chosen = np.flatnonzero(editable & (grid.index >= 0))
     voxel = cube.extent / TRELLIS_VOXELS
     cells = np.floor((splats.means[chosen].astype(np.float64) - cube.min_corner) / voxel).astype(np.int64)

@@ -19,7 +19,7 @@ from splatbench.methods.gs3d import APPEARANCE, fit_views
 from splatpainter.lift.local_edit import gaussians_in_mask
 from splatpainter.splats import ATTRIBUTES
 from splatpainter.voxels.grid import voxelize
-from splatpainter.voxels.raycast import editable_rows
+from splatpainter.voxels.raycast import editable_gaussians
 
 if TYPE_CHECKING:
     from splatpainter.fit.optimize import View
@@ -77,7 +77,7 @@ def reached(task: EditTask) -> np.ndarray:
     grid = voxelize(task.asset)
     out = np.zeros(len(task.asset), bool)
     for camera, mask in zip(task.step.edited.cameras, task.step.masks, strict=True):
-        out |= gaussians_in_mask(task.asset, camera, mask, editable_rows(grid, task.asset, camera, mask))
+        out |= gaussians_in_mask(task.asset, camera, mask, editable_gaussians(grid, task.asset, camera, mask))
     return np.flatnonzero(out)
 
 

@@ -14,8 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from splatpainter.kernels.parallel import VARIABLE as THREADS_VARIABLE
-from splatpainter.kernels.parallel import threads
+from splatpainter.kernels.parallel import THREADS_VARIABLE, threads
 
 Variant = Literal["cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"]
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"

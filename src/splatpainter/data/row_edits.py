@@ -30,7 +30,7 @@ from splatpainter.data.viewpoints import Optics, ring
 from splatpainter.lift.global_edit import seen_change
 from splatpainter.lift.joint_colors import MIN_SEEN_PX
 from splatpainter.lift.normals import outward_normals
-from splatpainter.lighting import row_transfer
+from splatpainter.lighting import prt_transfer
 from splatpainter.sources.color_grading import random_grade
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import sh_rotations
@@ -67,7 +67,7 @@ class RowEdit:
     normals: np.ndarray = field(repr=False)
     """[N, 3] unit, outwards, as the painter finds them."""
     transfer: np.ndarray = field(repr=False)
-    """[N, 10] of `visibility.row_transfer`."""
+    """[N, 10] of `lighting.prt_transfer`."""
     told: np.ndarray = field(repr=False)
     """[N, 3] change of base colour as the pictures tell it; zeros for rows that none shows."""
     weight: np.ndarray = field(repr=False)
@@ -199,7 +199,7 @@ class RowStream:
             shown.append([seen_change(asset, [view])[1] for view in views])
             errors.append([np.where((weight > MIN_SEEN_PX)[:, None], change - true, 0) for change, weight in told])
         assert normals is not None
-        transfer = row_transfer(rows.means.numpy(), normals)
+        transfer = prt_transfer(rows.means.numpy(), normals)
         arrays = (np.asarray(shown, np.float32), np.asarray(errors, np.float32))
         return _Known(subject.name, rows, normals, transfer, *arrays)
 

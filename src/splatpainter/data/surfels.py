@@ -13,7 +13,7 @@ import numpy as np
 from splatpainter.data import poisson_disk
 from splatpainter.data.materials import SRGB_BYTES, sample_texture
 from splatpainter.data.meshes import Mesh
-from splatpainter.lighting import open_transfer, visibility
+from splatpainter.lighting import unoccluded_transfer, visibility
 from splatpainter.splats import Splats
 
 
@@ -84,7 +84,7 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
     width = SIZE * np.clip(gap, 0.5 * found.spacing, 1.5 * found.spacing)
     look = _materials(mesh, part.face, part.weights, part.points, part.normals, width)
     normals = _upright(look.pop("normals"), part.normals)
-    transfer = open_transfer(normals) - part.blocked
+    transfer = unoccluded_transfer(normals) - part.blocked
     rows = {
         "means": part.points,
         "normals": normals,

@@ -26,7 +26,7 @@ from splatpainter.user_folders import cache_folder
 WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
     "splatpainter.rendering.cpu.warm:warm_projection": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
-    "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py"),
+    "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
     "splatpainter.lift.surface:warm": ("lift/surface.py",),
     "splatpainter.lighting:warm": ("lighting.py",),
 }
@@ -42,8 +42,8 @@ COMMAND = "from splatpainter.kernels.compile import run_group; run_group({}, {})
 def ensure_compiled(progress: bool = True) -> None:
     """Compile and cache every float32 kernel, unless that was done before on this machine with these sources.
     progress: write one line to stderr while it takes. Raises RuntimeError with the compiler's last line on failure."""
-    wanted = {**_sources(), "machine": _machine()}
-    if _read_stamp().get("compiled") == wanted:
+    current = {**_sources(), "machine": _machine()}
+    if _read_stamp().get("compiled") == current:
         return
     drop_stale()
     start = time.monotonic()
@@ -53,14 +53,14 @@ def ensure_compiled(progress: bool = True) -> None:
     _compile(min(2, cpus(), len(WARMUPS)))
     if progress:
         print(f" {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
-    _write_stamp({"sources": _sources(), "compiled": wanted})
+    _write_stamp({"sources": _sources(), "compiled": current})
 
 
 def drop_stale() -> None:
     """Delete cached kernels whose sources were edited since they were compiled.
 
     numba looks only at the file that a kernel is in, and not at those of the functions it calls: without this, an edit
-    of geometry.py would go on running the old code of project.py. Installed copies do not change file by file, so
+    of geometry.py would go on running the old code of projection.py. Installed copies do not change file by file, so
     only caches beside the sources are looked at.
     """
     now, before = _sources(), _read_stamp().get("sources", {})
@@ -86,7 +86,7 @@ def run_group(index: int, count: int) -> None:
 
 
 def _compile(processes: int) -> None:
-    import subprocess  # costs 10 ms, wanted once
+    import subprocess  # costs 10 ms, needed once
 
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), *filter(None, sys.path)])}
     pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": environment}
@@ -107,8 +107,8 @@ def _sources() -> dict[str, str]:
     """Registered path -> hash of its files' names, sizes and times (what numba itself goes by)."""
     states = {}
     for path in sorted({path for paths in WARMUPS.values() for path in paths}):
-        place = PACKAGE / path
-        files = sorted(place.glob("*.py")) if place.is_dir() else [place]
+        source = PACKAGE / path
+        files = sorted(source.glob("*.py")) if source.is_dir() else [source]
         listed = [f"{f.name} {f.stat().st_size} {f.stat().st_mtime_ns}" for f in files if f.exists()]
         states[path] = hashlib.sha256("\n".join(listed).encode()).hexdigest()[:16]
     return states
@@ -127,16 +127,16 @@ def _machine() -> str:
     return hashlib.sha256("\n".join([processor, sys.version, stamp, settings]).encode()).hexdigest()[:16]
 
 
-def _places() -> list[Path]:
+def _stamp_paths() -> list[Path]:
     """Where the stamp may lie: beside the cached kernels, so that both vanish together, else in the user's folder."""
-    own = hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:16]
-    return [PACKAGE / "rendering" / "cpu" / "__pycache__" / STAMP, cache_folder() / own / STAMP]
+    installation = hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:16]
+    return [PACKAGE / "rendering" / "cpu" / "__pycache__" / STAMP, cache_folder() / installation / STAMP]
 
 
 def _read_stamp() -> dict:
-    for place in _places():
+    for path in _stamp_paths():
         try:
-            stamp = json.loads(place.read_text(encoding="utf-8"))
+            stamp = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             continue
         if isinstance(stamp, dict):
@@ -146,9 +146,9 @@ def _read_stamp() -> dict:
 
 def _write_stamp(stamp: dict) -> None:
     """A stamp that cannot be written only means that the kernels are looked up again next time."""
-    for place in _places():
+    for path in _stamp_paths():
         with contextlib.suppress(OSError, ValueError):
-            place.parent.mkdir(parents=True, exist_ok=True)
-            with writing(place) as file:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with writing(path) as file:
                 file.write(json.dumps(stamp).encode())
             return

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
-VARIABLE = "SPLATPAINTER_THREADS"
+THREADS_VARIABLE = "SPLATPAINTER_THREADS"
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _pool: ThreadPoolExecutor | None = None
@@ -31,11 +31,11 @@ def threads() -> int:
     Raises ValueError when the variable is not a positive integer."""
     if getattr(_local, "inside_each", False):
         return 1
-    text = os.environ.get(VARIABLE)
+    text = os.environ.get(THREADS_VARIABLE)
     if not text:
         return cpus()
     if not text.isdecimal() or int(text) < 1:
-        raise ValueError(f"{VARIABLE}: expected a positive integer, got {text!r}")
+        raise ValueError(f"{THREADS_VARIABLE}: expected a positive integer, got {text!r}")
     return int(text)
 
 

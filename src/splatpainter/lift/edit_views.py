@@ -57,12 +57,12 @@ def edit_views(
 def gaussians_in_views(splats: Splats, grid: VoxelGrid, views: Sequence[EditView]) -> np.ndarray:
     """[N] bool Gaussians in voxels that edited pixels show, and that visibly contribute to these pixels, of any view.
     Raises ValueError, naming the view, for one without such Gaussians."""
-    from splatpainter.voxels.raycast import editable_rows
+    from splatpainter.voxels.raycast import editable_gaussians
 
     reached = np.zeros(len(splats), bool)
     for view in views:
         with errors_name(view.name):
-            allowed = editable_rows(grid, splats, view.camera, view.mask)
+            allowed = editable_gaussians(grid, splats, view.camera, view.mask)
             reached |= gaussians_in_mask(splats, view.camera, view.mask, allowed)
     return reached
 

@@ -108,14 +108,14 @@ def _one_after_the_other(
     """Each view on the result of those before: (N + A Gaussians, [J] those that were changed or appended, [J] the ones
     of `splats` that they come from). A view gets no detail layer where a later one shows the same part: from another
     side its Gaussians stand in the way (SAME_PART)."""
-    from splatpainter.voxels.raycast import editable_rows
+    from splatpainter.voxels.raycast import editable_gaussians
 
     parents, changed = np.arange(len(splats)), np.zeros(len(splats), bool)
     again = _shown_again(splats, grid, views)
     for k, view in enumerate(views):
         with errors_name(view.name):
             grid = grid if k == 0 else voxelize(splats, grid.resolution)
-            allowed = editable_rows(grid, splats, view.camera, view.mask)
+            allowed = editable_gaussians(grid, splats, view.camera, view.mask)
             settings = replace(options, max_error=1.0) if again[k] else options
             lifted = lift_local(splats, view.camera, view.edited, view.mask, settings, allowed)
         changed[lifted.touched] = True

@@ -84,7 +84,12 @@ def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> t
     colors, depths, alphas = (torch.as_tensor(x).float() for x in (drawn.colors, drawn.depths, drawn.alphas))
     seen = drawn.contributions if isinstance(drawn.contributions, np.ndarray) else drawn.contributions.cpu().numpy()
     views = AssetViews(
-        cameras, colors.clamp(0, 1), depths, alphas, center=grid.lo + grid.size / 2, half_extent=grid.size / 2
+        cameras,
+        colors.clamp(0, 1),
+        depths,
+        alphas,
+        center=grid.min_corner + grid.extent / 2,
+        half_extent=grid.extent / 2,
     )
     return views, seen.astype(np.float32, copy=False)
 

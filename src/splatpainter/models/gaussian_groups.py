@@ -55,8 +55,8 @@ class GaussianGroups:
             starts=np.append(0, np.cumsum(counts)).astype(np.int64),
             centers=np.repeat(grid.centers(grid.keys), pieces, axis=0)[rank],
             voxel=grid.voxel,
-            center=grid.lo + grid.size / 2,
-            half_extent=grid.size / 2,
+            center=grid.min_corner + grid.extent / 2,
+            half_extent=grid.extent / 2,
         )
 
     def __len__(self) -> int:

@@ -47,7 +47,7 @@ OPPONENT = ((3**-0.5, 3**-0.5, 3**-0.5), (2**-0.5, -(2**-0.5), 0.0), (6**-0.5, 6
 def row_facts(splats: Splats, normals: np.ndarray, transfer: np.ndarray) -> np.ndarray:
     """[N, 21] float32: base colour - 0..1 as -1..1 -, normal, place in the asset's ball, opacity, log of the mean scale
     over the ball's radius, transfer and open share. splats: numpy; normals: [N, 3] of `outward_normals`; transfer:
-    [N, 10] of `row_transfer`. Rows that cannot be drawn get zeros. At least one row must be drawable."""
+    [N, 10] of `prt_transfer`. Rows that cannot be drawn get zeros. At least one row must be drawable."""
     drawn = splats.drawable
     means = splats.means[drawn]
     middle = np.median(means, 0)
@@ -133,7 +133,7 @@ def predicting(
     model: SplatPainterModel, splats: Splats, normals: np.ndarray, transfer: Callable[[], np.ndarray]
 ) -> Predict | None:
     """The model's prediction for edits of this asset, on the model's device; None where it has no trained predictor,
-    and then `transfer`, which says [N, 10] of `row_transfer`, is not asked."""
+    and then `transfer`, which says [N, 10] of `prt_transfer`, is not asked."""
     predictor = model.predictor
     if predictor is None or predictor.is_untrained:
         return None

@@ -1,4 +1,4 @@
-"""`render(splats, cameras) -> Render`: colours, alpha, expected depth and per-row contributions of one or more views.
+"""`render(splats, cameras) -> Render`: colours, alpha, expected depth and contributions of one or more views.
 
 One contract, three backends: numba CPU kernels (cpu/), gsplat on CUDA (cuda.py), plain torch (reference.py, which is
 the specification). numpy in, numpy out, without importing torch; torch in, torch out, differentiable.
@@ -26,7 +26,7 @@ MAX_PIXELS = 4 * MAX_SIDE_PX**2
 
 @dataclass(frozen=True)
 class Render:
-    """C views of N rows, of the kind (numpy or torch), dtype and device of the splats."""
+    """C views of N Gaussians, of the kind (numpy or torch), dtype and device of the splats."""
 
     colors: Array
     """[C, H, W, 3] composited over the background, in the splats' colour space; not clamped above."""
@@ -51,15 +51,15 @@ def render(
 
     cameras: one, or several of one size, of at most MAX_SIDE_PX a side and MAX_PIXELS in all. background: [3] or [C, 3]
     colours behind the splats, by default each camera's own. backend: "auto" is "cuda" for CUDA tensors, else "cpu".
-    contributions: also return each row's weight per view. profile: whose formula for alpha is used, see profiles.py;
-    "playcanvas" shows an asset as that family of tools does.
+    contributions: also return each Gaussian's weight per view. profile: whose formula for alpha is used, see
+    profiles.py; "playcanvas" shows an asset as that family of tools does.
 
-    Rows with values out of their range (`Splats.drawable`: NaN, opacities beyond 0..1, ...) are not drawn, nor is
-    anything by a camera beyond MAX_MAGNITUDE. In one view, rows are left out whose centre is projected farther than 1e9
-    pixels away or whose footprint's squared area exceeds the dtype.
+    Gaussians with values out of their range (`Splats.drawable`: NaN, opacities beyond 0..1, ...) are not drawn, nor is
+    anything by a camera beyond MAX_MAGNITUDE. In one view, those are left out whose centre is projected farther than
+    1e9 pixels away or whose footprint's squared area exceeds the dtype.
 
     With torch tensors the result is differentiable in means, quats, scales, opacities, sh, and background if that is a
-    tensor; rows that are not drawn get zero gradients. Equal inputs give equal bits, whatever the number of threads
+    tensor; those that are not drawn get zero gradients. Equal inputs give equal bits, whatever the number of threads
     (CPU). Profiles other than "inria" are differentiable in the backend "reference" only; CUDA has none of them.
 
     Raises ValueError for shapes, kinds or sizes that do not fit, and for a backend or profile that is not there.
@@ -89,10 +89,10 @@ def _render_numpy(
     from splatpainter.rendering.cpu.views import render_views
 
     if background is not None:
-        behind = _background_shape(np.asarray(background, np.float64), len(views))
-        views = [replace(view, background=tuple(color)) for view, color in zip(views, behind.tolist(), strict=True)]
-    drawn = render_views(splats, views, contributions, keep_views=False, profile=profile)
-    return Render(drawn.colors, drawn.alphas, drawn.depths, drawn.contributions)
+        colors = _background_shape(np.asarray(background, np.float64), len(views))
+        views = [replace(view, background=tuple(color)) for view, color in zip(views, colors.tolist(), strict=True)]
+    rendered = render_views(splats, views, contributions, keep_views=False, profile=profile)
+    return Render(rendered.colors, rendered.alphas, rendered.depths, rendered.contributions)
 
 
 def _render_torch(
@@ -101,25 +101,25 @@ def _render_torch(
     import torch
 
     if backend == "reference":
-        from splatpainter.rendering import reference as chosen
+        from splatpainter.rendering import reference as renderer
     elif backend == "cuda":
-        from splatpainter.rendering import cuda as chosen
+        from splatpainter.rendering import cuda as renderer
     else:
-        from splatpainter.rendering import autograd as chosen
+        from splatpainter.rendering import autograd as renderer
 
-    home = "cpu" if isinstance(splats.means, np.ndarray) else splats.means.device
-    device = {"cpu": "cpu", "cuda": "cuda", "reference": home}[backend]
+    origin = "cpu" if isinstance(splats.means, np.ndarray) else splats.means.device
+    device = {"cpu": "cpu", "cuda": "cuda", "reference": origin}[backend]
     if device == "cuda":
         from splatpainter.rendering.cuda import require
 
         require()
     moved = {name: torch.as_tensor(getattr(splats, name)).to(device) for name in ATTRIBUTES}
-    own = replace(splats, **moved, source=None, origin=None)
-    behind = [view.background for view in views] if background is None else background
-    behind = _background_shape(torch.as_tensor(behind, dtype=own.means.dtype, device=device), len(views))
+    splats = replace(splats, **moved, source=None, origin=None)
+    colors = [view.background for view in views] if background is None else background
+    background = _background_shape(torch.as_tensor(colors, dtype=splats.means.dtype, device=device), len(views))
     with torch.autocast(torch.device(device).type, enabled=False):  # a caller's bf16 would round positions to 8 bits
-        outputs = chosen.draw(own, views, behind, contributions, profile)
-    return Render(*(None if output is None else output.to(home) for output in outputs))
+        outputs = renderer.draw(splats, views, background, contributions, profile)
+    return Render(*(None if output is None else output.to(origin) for output in outputs))
 
 
 def _background_shape(background: Array, count: int) -> Array:
@@ -148,8 +148,8 @@ def _check_splats(splats: Splats) -> None:
     k = int(splats.sh.shape[1]) if len(splats.sh.shape) == 3 else -1
     if k not in SH_COUNTS:
         raise ValueError(f"render: expected sh [N, 1, 4, 9, 16 or 25, 3], got {list(splats.sh.shape)}")
-    wanted = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,), "sh": (n, k, 3)}
-    for name, shape in wanted.items():
+    expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,), "sh": (n, k, 3)}
+    for name, shape in expected.items():
         values = getattr(splats, name)
         if tuple(values.shape) != shape:
             raise ValueError(f"render: expected {name} {list(shape)}, got {list(values.shape)}")

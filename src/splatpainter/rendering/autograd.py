@@ -15,7 +15,7 @@ from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, Splats
 
 
-class DrawViews(torch.autograd.Function):
+class RenderViews(torch.autograd.Function):
     """(means, quats, scales, opacities, sh, background [C, 3]) -> (colors, alphas, depths, contributions or empty)."""
 
     @staticmethod
@@ -23,14 +23,14 @@ class DrawViews(torch.autograd.Function):
         *tensors, background, antialiased, cameras, contributions, differentiable, profile = inputs
         arrays = {name: t.detach().contiguous().numpy() for name, t in zip(ATTRIBUTES, tensors, strict=True)}
         splats = Splats(**arrays, antialiased=antialiased)
-        behind = background.detach().tolist()
-        cameras = [replace(camera, background=tuple(b)) for camera, b in zip(cameras, behind, strict=True)]
-        drawn = render_views(splats, cameras, contributions, keep_views=differentiable, profile=profile)
-        outputs = [torch.from_numpy(a) for a in (drawn.colors, drawn.alphas, drawn.depths)]
-        weights = torch.empty(0) if drawn.contributions is None else torch.from_numpy(drawn.contributions)
+        colors = background.detach().tolist()
+        cameras = [replace(camera, background=tuple(b)) for camera, b in zip(cameras, colors, strict=True)]
+        rendered = render_views(splats, cameras, contributions, keep_views=differentiable, profile=profile)
+        outputs = [torch.from_numpy(a) for a in (rendered.colors, rendered.alphas, rendered.depths)]
+        weights = torch.empty(0) if rendered.contributions is None else torch.from_numpy(rendered.contributions)
         ctx.mark_non_differentiable(weights)
         if differentiable:
-            ctx.splats, ctx.drawn = splats, drawn
+            ctx.splats, ctx.rendered = splats, rendered
             # These share memory with the arrays above: saved so that torch complains if one is changed before backward.
             ctx.save_for_backward(*tensors, *outputs)
         return *outputs, weights
@@ -43,10 +43,10 @@ class DrawViews(torch.autograd.Function):
         grads: list[Any] = [None] * 11
         if any(ctx.needs_input_grad[:5]):
             grads[:5] = map(
-                torch.from_numpy, render_views_backward(ctx.splats, ctx.drawn, v_colors, v_alphas, v_depths)
+                torch.from_numpy, render_views_backward(ctx.splats, ctx.rendered, v_colors, v_alphas, v_depths)
             )
-        if ctx.needs_input_grad[5]:  # colour = drawn + (1 - alpha) background
-            grads[5] = torch.from_numpy((v_colors * (1 - ctx.drawn.alphas)).sum((1, 2)))
+        if ctx.needs_input_grad[5]:  # colour = composited + (1 - alpha) background
+            grads[5] = torch.from_numpy((v_colors * (1 - ctx.rendered.alphas)).sum((1, 2)))
         return tuple(grads)
 
 
@@ -59,5 +59,5 @@ def draw(
     if differentiable and profile != "inria":
         raise ValueError(f"render: expected profile 'inria' or backend 'reference' for gradients, got {profile!r}")
     settings = (splats.antialiased, list(cameras), contributions, differentiable, profile)
-    colors, alphas, depths, weights = DrawViews.apply(*tensors, *settings)
+    colors, alphas, depths, weights = RenderViews.apply(*tensors, *settings)
     return colors, alphas, depths, weights if contributions else None

@@ -44,10 +44,10 @@ def draw(
         raise ValueError(f"render: expected profile 'inria' for backend 'cuda', got {profile!r}")
     rasterization = require()
     dtype, device = splats.means.dtype, splats.means.device
-    rows = torch.nonzero(reference.drawable(splats))[:, 0]  # [V]: gsplat does not skip NaN rows
-    if len(rows) == 0:  # nor does it draw nothing
+    ids = torch.nonzero(reference.drawable(splats))[:, 0]  # [V]: gsplat does not skip NaN
+    if len(ids) == 0:  # nor does it draw nothing
         return reference.draw(splats, cameras, background, contributions)
-    kept = {name: getattr(splats, name)[rows].float() for name in ATTRIBUTES}
+    drawn = {name: getattr(splats, name)[ids].float() for name in ATTRIBUTES}
     view = {
         "viewmats": stacked([camera.world_to_camera for camera in cameras], device),  # [C, 4, 4]
         "Ks": stacked([camera.intrinsics for camera in cameras], device),  # [C, 3, 3]
@@ -58,20 +58,20 @@ def draw(
         "rasterize_mode": "antialiased" if splats.antialiased else "classic",
         "packed": False,
     }
-    geometry = [kept[name] for name in ("means", "quats", "scales", "opacities")]
+    geometry = [drawn[name] for name in ("means", "quats", "scales", "opacities")]
     picture, alphas, _ = rasterization(
-        *geometry, kept["sh"], sh_degree=splats.sh_degree, render_mode="RGB+ED", **view
+        *geometry, drawn["sh"], sh_degree=splats.sh_degree, render_mode="RGB+ED", **view
     )  # [C, H, W, 4], [C, H, W, 1]
     colors = picture[..., :3] + (1 - alphas) * background.float()[:, None, None, :]  # [C, H, W, 3]
     depths = torch.where(alphas > 0, picture[..., 3:], 0)  # [C, H, W, 1]
     weights = None
-    if contributions:  # sum_p w_ip is the gradient of the picture's sum with respect to the row's colour
+    if contributions:  # sum_p w_ip is the gradient of the picture's sum with respect to its colour
         weights = torch.zeros(len(cameras), len(splats), device=device)  # [C, N]
         with torch.enable_grad():
             fixed = [values.detach() for values in geometry]
-            flat = torch.ones(len(cameras), len(rows), 3, device=device, requires_grad=True)  # [C, V, 3]
+            flat = torch.ones(len(cameras), len(ids), 3, device=device, requires_grad=True)  # [C, V, 3]
             total = rasterization(*fixed, flat, sh_degree=None, render_mode="RGB", **view)[0][..., 0].sum()
-            weights[:, rows] = torch.autograd.grad(total, flat)[0][..., 0]
+            weights[:, ids] = torch.autograd.grad(total, flat)[0][..., 0]
     return colors.to(dtype), alphas.to(dtype), depths.to(dtype), None if weights is None else weights.to(dtype)
 
 

@@ -1,7 +1,7 @@
-"""The renderer's specification: plain torch, every row against every pixel, differentiable by autograd in any dtype.
+"""The renderer's specification: plain torch, every Gaussian at every pixel, differentiable by autograd in any dtype.
 
-Slow and large (it holds [rows, pixels] arrays): for small scenes, tests, and reading. N rows, V those that can be
-drawn, P pixels.
+Slow and large (it holds [Gaussians, pixels] arrays): for small scenes, tests, and reading. N Gaussians, V those that
+can be drawn, P pixels.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from splatpainter.rendering.profiles import (
     Profile,
 )
 from splatpainter.splats import MAX_MAGNITUDE, MIN_QUAT, Splats
+from splatpainter.transforms import quat_to_matrix
 
 
 def draw(
@@ -40,37 +41,37 @@ def draw_view(
     splats: Splats, camera: Camera, background: Tensor, profile: Profile = "inria"
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """(colour [H, W, 3], alpha [H, W, 1], depth [H, W, 1], contributions [N])."""
-    alpha, depth, color, rows = project(splats, camera, profile)  # [V, P], [V], [V, 3], [V]
-    weight, left = composite(alpha, profile)  # [V, P], [P]
-    seen = (1 - left)[:, None]  # [P, 1]
-    picture = weight.T @ color + left[:, None] * background  # [P, 3]
+    alpha, depth, color, ids = project(splats, camera, profile)  # [V, P], [V], [V, 3], [V]
+    weight, T = composite(alpha, profile)  # [V, P], [P]
+    opaque = (1 - T)[:, None]  # [P, 1]
+    picture = weight.T @ color + T[:, None] * background  # [P, 3]
     distance = weight.T @ depth[:, None]  # [P, 1]
-    distance = torch.where(seen > 0, distance / torch.where(seen > 0, seen, 1), 0)  # [P, 1]
-    total = torch.zeros_like(splats.opacities).index_add(0, rows, weight.sum(1))  # [N]
+    distance = torch.where(opaque > 0, distance / torch.where(opaque > 0, opaque, 1), 0)  # [P, 1]
+    total = torch.zeros_like(splats.opacities).index_add(0, ids, weight.sum(1))  # [N]
     shape = (camera.height, camera.width, -1)
-    return picture.reshape(shape), seen.reshape(shape), distance.reshape(shape), total
+    return picture.reshape(shape), opaque.reshape(shape), distance.reshape(shape), total
 
 
 def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Rows that can be drawn, front to back: alpha at each pixel before occlusion [V, P] (0 where not drawn), z [V],
-    colour [V, 3], and which rows they are [V]."""
+    """Gaussians that can be drawn, front to back: alpha at each pixel before occlusion [V, P] (0 where not drawn), z
+    [V], colour [V, 3], and which Gaussians they are [V]."""
     like = {"dtype": splats.means.dtype, "device": splats.means.device}
     world_to_camera = torch.as_tensor(camera.world_to_camera, **like)  # [4, 4]
-    turn, shift = world_to_camera[:3, :3], world_to_camera[:3, 3]  # [3, 3], [3]
+    R, t = world_to_camera[:3, :3], world_to_camera[:3, 3]  # [3, 3], [3]
 
     with torch.no_grad():
         ok = drawable(splats) & bool(abs(camera.position).max() <= MAX_MAGNITUDE)  # [N]
-        z = splats.means @ turn[2] + shift[2]  # [N]
-        x, y = splats.means @ turn[0] + shift[0], splats.means @ turn[1] + shift[1]  # [N] each
+        z = splats.means @ R[2] + t[2]  # [N]
+        x, y = splats.means @ R[0] + t[0], splats.means @ R[1] + t[1]  # [N] each
         near = (
             torch.stack([camera.fx * (x / z) + camera.cx, camera.fy * (y / z) + camera.cy], 1).abs() <= MAX_DISTANCE_PX
         )
-        rows = torch.nonzero(ok & (z >= NEAR_PLANE) & near.all(1))[:, 0]  # [V]
-        rows = rows[torch.argsort(z[rows], stable=True)]  # equal depths: by row
-    means, scales, sh = splats.means[rows], splats.scales[rows], splats.sh[rows]  # [V, 3], [V, 3], [V, K, 3]
-    quats, opacity = splats.quats[rows], splats.opacities[rows]  # [V, 4], [V]
+        ids = torch.nonzero(ok & (z >= NEAR_PLANE) & near.all(1))[:, 0]  # [V]
+        ids = ids[torch.argsort(z[ids], stable=True)]  # equal depths: by id
+    means, scales, sh = splats.means[ids], splats.scales[ids], splats.sh[ids]  # [V, 3], [V, 3], [V, K, 3]
+    quats, opacity = splats.quats[ids], splats.opacities[ids]  # [V, 4], [V]
 
-    x, y, z = (means @ turn.T + shift).unbind(1)  # [V] each
+    x, y, z = (means @ R.T + t).unbind(1)  # [V] each
     u, v = x / z, y / z  # [V]
     center = torch.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], 1)  # [V, 2] pixels
 
@@ -85,10 +86,10 @@ def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple
         ],
         1,
     )  # [V, 2, 3] of the pixel with respect to the camera-space point
-    axes = jacobian @ turn @ rotation(quats) * scales[:, None, :]  # [V, 2, 3]
+    axes = jacobian @ R @ quat_to_matrix(quats) * scales[:, None, :]  # [V, 2, 3]
     sharp = axes @ axes.transpose(1, 2)  # [V, 2, 2]
     covariance = sharp + EPS2D * torch.eye(2, **like)  # [V, 2, 2]
-    if splats.antialiased:  # the blur widens the row: keep its total (Mip-Splatting, arXiv 2311.16493)
+    if splats.antialiased:  # the blur widens the Gaussian: keep its total (Mip-Splatting, arXiv 2311.16493)
         opacity = opacity * (torch.linalg.det(sharp) / torch.linalg.det(covariance)).clamp_min(0).sqrt()  # [V]
 
     pixels = pixel_centers(camera, **like)  # [P, 2]
@@ -101,11 +102,11 @@ def project(splats: Splats, camera: Camera, profile: Profile = "inria") -> tuple
     position = torch.as_tensor(camera.position, **like)  # [3]
     direction = torch.nn.functional.normalize(means - position, dim=1)  # [V, 3]
     color = (0.5 + torch.einsum("vk,vkc->vc", harmonics(direction, sh.shape[1]), sh)).clamp_min(0)  # [V, 3]
-    return alpha, z, color, rows
+    return alpha, z, color, ids
 
 
 def drawable(splats: Splats) -> Tensor:
-    """[N] bool: every attribute finite and in its range, see `Splats`. Other rows are not drawn."""
+    """[N] bool: every attribute finite and in its range, see `Splats`. Others are not drawn."""
     ok = (splats.opacities >= 0) & (splats.opacities <= 1) & (splats.scales > 0).all(1)  # [N]
     ok = ok & (splats.quats.abs() >= MIN_QUAT).any(1)
     for values in (splats.means, splats.quats, splats.scales):
@@ -114,27 +115,16 @@ def drawable(splats: Splats) -> Tensor:
 
 
 def composite(alpha: Tensor, profile: Profile = "inria") -> tuple[Tensor, Tensor]:
-    """Front to back: weights w_i = alpha_i prod_{j < i} (1 - alpha_j) of rows that are taken [V, P], and the
-    transmittance that is left [P]. A pixel takes rows until one would bring its transmittance to MIN_TRANSMITTANCE or
-    below; playcanvas: until its transmittance is below it."""
+    """Front to back: weights w_i = alpha_i prod_{j < i} (1 - alpha_j) of those that are accepted [V, P], and the
+    transmittance that is left [P]. A pixel accepts Gaussians until one would bring its transmittance to
+    MIN_TRANSMITTANCE or below; playcanvas: until its transmittance is below it."""
     after = torch.cumprod(1 - alpha, 0)  # [V, P]
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])[: len(alpha)]  # [V, P]
     accepted = after > MIN_TRANSMITTANCE if profile == "inria" else before >= MIN_TRANSMITTANCE
     # [V, P]: once false, false for all behind
     weight = torch.where(accepted, alpha * before, 0)  # [V, P]
-    left = torch.where(accepted, 1 - alpha, 1).prod(0)  # [P]
-    return weight, left
-
-
-def rotation(quats: Tensor) -> Tensor:
-    """[V, 4] w, x, y, z of any non-zero norm -> [V, 3, 3]."""
-    w, x, y, z = (quats / quats.norm(dim=1, keepdim=True)).unbind(1)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.stack([torch.stack(row, 1) for row in rows], 1)
+    T = torch.where(accepted, 1 - alpha, 1).prod(0)  # [P]
+    return weight, T
 
 
 def pixel_centers(camera: Camera, **like) -> Tensor:

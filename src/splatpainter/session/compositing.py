@@ -166,14 +166,14 @@ def reached_gaussians(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]
     from splatpainter.lift.local_edit import gaussians_in_mask
     from splatpainter.rendering.cpu.projected_view import project
     from splatpainter.voxels.grid import voxelize
-    from splatpainter.voxels.raycast import editable_rows
+    from splatpainter.voxels.raycast import editable_gaussians
 
     grid = voxelize(splats)
     out = np.zeros(len(splats), bool)
     for camera, mask in views:
         if not mask.any():
             raise ValueError("edit: nothing to do, the mask is empty")
-        visible = gaussians_in_mask(splats, camera, mask, editable_rows(grid, splats, camera, mask))
+        visible = gaussians_in_mask(splats, camera, mask, editable_gaussians(grid, splats, camera, mask))
         frame = project(splats, camera)
         black = np.zeros((*mask.shape, 3), np.float32)
         inside = frame.backproject(black, mask.astype(np.float32))

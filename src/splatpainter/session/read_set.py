@@ -36,12 +36,12 @@ def read_set_of(splats: Splats, grid: VoxelGrid, camera: Camera, mask: np.ndarra
     could not be applied."""
     from splatpainter.lift.local_edit import gaussians_in_mask
     from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
-    from splatpainter.voxels.raycast import editable_rows, inside
+    from splatpainter.voxels.raycast import editable_gaussians, inside
 
     if inside(grid, grid.occupancy, camera.position):
         return None
     under = tiles_of_mask(mask)
-    allowed = editable_rows(grid, splats, camera, mask)
+    allowed = editable_gaussians(grid, splats, camera, mask)
     try:
         reached = gaussians_in_mask(splats, camera, mask, allowed, project(splats, camera, tiles=under))
     except ValueError:

@@ -1,7 +1,7 @@
-"""Rays through the voxel cube: the first voxel that each one hits, and the rows that an edit of some pixels may touch.
+"""Rays through the voxel cube: the first voxel that each one hits, and the Gaussians that an edit of pixels may touch.
 
 The walk is Amanatides & Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing" (Eurographics 1987). Knows no
-renderer and no network: what a pixel really owes to a row is the lift's business, this keeps its candidates few.
+renderer and no network: what a pixel really owes to a Gaussian is the lift's business, this keeps its candidates few.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from splatpainter.splats import Splats
 from splatpainter.voxels import footprints
 from splatpainter.voxels.grid import VoxelGrid
 
-SPENT = 3.0
-"""Optical thickness after which a ray sees nothing more (exp(-3) = 5 % would get through)."""
-BLOCK = 256
+MAX_RAY_THICKNESS = 3.0
+"""Optical thickness after which a ray is spent and sees nothing more (exp(-3) = 5 % would get through)."""
+RAY_BLOCK = 256
 """Rays that a thread takes at a time."""
 
 
@@ -36,43 +36,43 @@ def first_hits(
     assert volume.shape == (grid.resolution,) * 3, f"first_hits: occupancy has shape {volume.shape}"
     rays = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
     keys, distances = np.empty(len(rays), np.int64), np.empty(len(rays), np.float32)
-    args = (volume.ravel(), grid.resolution, footprints.extent(volume), _in_voxels(grid, origin))
+    args = (volume.ravel(), grid.resolution, footprints.index_bounds(volume), _in_voxels(grid, origin))
     parallel.run(_first, *args, float(grid.voxel), rays, keys, distances)
     shape = np.shape(directions)[:-1]
     return keys.reshape(shape), distances.reshape(shape)
 
 
 def seen_voxels(grid: VoxelGrid, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """([R, R, R] bool voxels of any density that rays cross before they are SPENT, [...] bool rays that leave the cube
+    """([R, R, R] bool voxels of any density that rays cross before they are spent, [...] bool rays that leave the cube
     unspent, so that something behind it shows). origin: [3]; directions: [..., 3], any non-zero length."""
     rays = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
     seen, through = np.zeros(grid.density.size, np.uint8), np.zeros(len(rays), np.uint8)
-    args = (grid.density.ravel(), grid.resolution, footprints.extent(grid.density), _in_voxels(grid, origin))
-    parallel.run(_see, *args, rays, SPENT, seen, through)
+    args = (grid.density.ravel(), grid.resolution, footprints.index_bounds(grid.density), _in_voxels(grid, origin))
+    parallel.run(_see, *args, rays, MAX_RAY_THICKNESS, seen, through)
     return seen.astype(bool).reshape(grid.density.shape), through.astype(bool).reshape(np.shape(directions)[:-1])
 
 
-def editable_rows(grid: VoxelGrid, splats: Splats, camera: Camera, mask: np.ndarray, reach: int = 1) -> np.ndarray:
-    """[N] bool: rows that an edit of the masked pixels may touch.
+def editable_gaussians(grid: VoxelGrid, splats: Splats, camera: Camera, mask: np.ndarray, reach: int = 1) -> np.ndarray:
+    """[N] bool: Gaussians that an edit of the masked pixels may touch.
 
-    mask: [H, W] bool of the camera's picture. A row may be touched if its footprint meets a voxel that a masked pixel's
+    mask: [H, W] bool of the camera's picture. One may be touched if its footprint meets a voxel that a masked pixel's
     ray crosses before it is spent (`seen_voxels`), or one of the `reach` voxels around it. Outliers beyond the cube may
     be touched under any masked pixel if nearer than the cube's middle, else where a ray gets through the cube. Raises
     ValueError for a mask of another size.
 
     Why not the first occupied voxel and its neighbours: a capture's surface is a fog some voxels thick. Measured on the
-    captures of voxels.py, 76 brush dabs, 512 px: the share of the masked pixels' weights that editable rows hold (mean,
-    worst dab), and the share of editable rows that nothing in the view shows (harmless: they get no weight):
+    captures of grid.py, 76 brush dabs, 512 px: the share of the masked pixels' weights that editable Gaussians hold
+    (mean, worst dab), and the share of these that nothing in the view shows (harmless: they get no weight):
 
                                                      statue               robot on grass
-        first voxel, rows by their centre, reach 1   0.85, 0.41;  5 %     0.65, 0.31; 0.4 %
-        first voxel, rows by footprint, reach 2      0.99, 0.96; 10 %     0.97, 0.85;  3 %
-        until spent, rows by footprint, reach 1      1.00, 0.96;  8 %     1.00, 0.91;  3 %
+        first voxel, by their centres, reach 1       0.85, 0.41;  5 %     0.65, 0.31; 0.4 %
+        first voxel, by footprint, reach 2           0.99, 0.96; 10 %     0.97, 0.85;  3 %
+        until spent, by footprint, reach 1           1.00, 0.96;  8 %     1.00, 0.91;  3 %
     """
     if mask.shape != (camera.height, camera.width):
-        want, got = f"{camera.width}x{camera.height}", "x".join(map(str, mask.shape[::-1]))
-        raise ValueError(f"mask: expected the size of its view, {want}, got {got}")
-    assert len(splats) == len(grid.index), "editable_rows: the grid is of another asset"
+        expected, got = f"{camera.width}x{camera.height}", "x".join(map(str, mask.shape[::-1]))
+        raise ValueError(f"mask: expected the size of its view, {expected}, got {got}")
+    assert len(splats) == len(grid.index), "editable_gaussians: the grid is of another asset"
     out = np.zeros(len(splats), bool)
     ys, xs = np.nonzero(mask)
     if not len(ys):
@@ -83,17 +83,17 @@ def editable_rows(grid: VoxelGrid, splats: Splats, camera: Camera, mask: np.ndar
     origin, rays = view.rays()
     seen, through = seen_voxels(grid, origin, rays[window])
     marked = _dilated(seen, reach)
-    rows = np.flatnonzero(grid.index >= 0)
-    # The voxel of the centre counts too: rows too faint to be drawn have no footprint, but a place.
-    out[rows] = marked.ravel()[grid.index[rows]] & ~grid.outside[rows]
-    rest = rows[~out[rows]]
-    out[rest] = footprints.touching(splats, rest, grid.lo, grid.voxel, marked)
+    ids = np.flatnonzero(grid.index >= 0)
+    # The voxel of the centre counts too: those too faint to be drawn have no footprint, but a centre.
+    out[ids] = marked.ravel()[grid.index[ids]] & ~grid.outside[ids]
+    rest = ids[~out[ids]]
+    out[rest] = footprints.touching(splats, rest, grid.min_corner, grid.voxel, marked)
 
     strays = np.flatnonzero(grid.outside & ~out)
     if len(strays):
         beyond = np.zeros(window.shape, bool)
         beyond[window] = through
-        out[strays] = _strays_seen(grid, splats, view, strays, window, beyond)
+        out[strays] = _visible_strays(grid, splats, view, strays, window, beyond)
     return out
 
 
@@ -120,13 +120,13 @@ def warm() -> None:
 
 def _in_voxels(grid: VoxelGrid, point: np.ndarray) -> np.ndarray:
     """[3] float64 a world point in voxels from the cube's corner."""
-    return (np.asarray(point, np.float64) - grid.lo) / grid.voxel
+    return (np.asarray(point, np.float64) - grid.min_corner) / grid.voxel
 
 
 def _dilated(volume: np.ndarray, reach: int) -> np.ndarray:
     """[R, R, R] bool: voxels within `reach` of a set one along every axis (a cube of 2 reach + 1)."""
     out = volume.copy()
-    box = footprints.extent(volume)
+    box = footprints.index_bounds(volume)
     # Only around what is set: a brush dab marks a thousandth of the cube.
     part = tuple(slice(max(int(low) - reach, 0), int(high) + reach) for low, high in box)
     for axis in range(3):
@@ -138,25 +138,25 @@ def _dilated(volume: np.ndarray, reach: int) -> np.ndarray:
     return out
 
 
-def _strays_seen(
-    grid: VoxelGrid, splats: Splats, view: Camera, rows: np.ndarray, window: np.ndarray, beyond: np.ndarray
+def _visible_strays(
+    grid: VoxelGrid, splats: Splats, view: Camera, ids: np.ndarray, window: np.ndarray, beyond: np.ndarray
 ) -> np.ndarray:
     """[M] bool: outliers whose box in the picture holds a masked pixel (nearer than the cube's middle) or one
     whose ray gets through the cube (farther)."""
-    own = splats.numpy()
+    arrays = splats.numpy()
     matrix = view.world_to_camera
-    local = own.means[rows].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    local = arrays.means[ids].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     z = local[:, 2]
-    radius = footprints.SIGMAS * own.scales[rows].max(1)
+    radius = footprints.SIGMAS * arrays.scales[ids].max(1)
     # From the near side of its ball: a box that is too large only makes a candidate.
     near = np.maximum(z - radius, 1e-3 * np.abs(z) + 1e-12)
-    middle = (grid.lo + grid.size / 2) @ matrix[2, :3] + matrix[2, 3]
-    front = z < middle
+    center_z = (grid.min_corner + grid.extent / 2) @ matrix[2, :3] + matrix[2, 3]
+    front = z < center_z
 
-    def edges(offset: np.ndarray, focal: float, centre: float, pixels: int) -> tuple[np.ndarray, np.ndarray]:
+    def edges(offset: np.ndarray, focal: float, center: float, pixels: int) -> tuple[np.ndarray, np.ndarray]:
         ends = np.stack([(offset + sign * radius) / depth for sign in (-1, 1) for depth in (near, np.maximum(z, near))])
         with np.errstate(over="ignore"):  # beyond the range of float64 is beyond the picture
-            ends = np.clip(ends * focal + centre, 0, pixels)
+            ends = np.clip(ends * focal + center, 0, pixels)
         return np.floor(ends.min(0)).astype(int), np.ceil(ends.max(0)).astype(int)
 
     left, right = edges(local[:, 0], view.fx, view.cx, view.width)
@@ -190,9 +190,9 @@ def _enter(origin, ray, box):
 def _axis(origin, d, near, first, end):
     """Along one axis: (first cell, step, cells left before the ray is out, distance of the next wall, of one cell)."""
     # Clamped as a float: casts of what an integer cannot hold are undefined.
-    place = math.floor(origin + near * d)
-    place = place if place > first else float(first)
-    cell = int(place if place < end - 1 else float(end - 1))
+    position = math.floor(origin + near * d)
+    position = position if position > first else float(first)
+    cell = int(position if position < end - 1 else float(end - 1))
     if d > 0.0:
         return cell, 1, end - cell, (cell + 1 - origin) / d, 1.0 / d
     if d < 0.0:
@@ -202,8 +202,8 @@ def _axis(origin, d, near, first, end):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _first(volume, resolution, box, origin, voxel, rays, keys, distances, thread, threads):
-    for start in range(thread * BLOCK, rays.shape[0], threads * BLOCK):
-        for m in range(start, min(start + BLOCK, rays.shape[0])):
+    for start in range(thread * RAY_BLOCK, rays.shape[0], threads * RAY_BLOCK):
+        for m in range(start, min(start + RAY_BLOCK, rays.shape[0])):
             keys[m] = -1
             distances[m] = -1.0
             t, far = _enter(origin, rays[m], box)
@@ -244,8 +244,8 @@ def _first(volume, resolution, box, origin, voxel, rays, keys, distances, thread
 @njit(nogil=True, cache=True, error_model="numpy")
 def _see(density, resolution, box, origin, rays, spent, seen, through, thread, threads):
     # Threads may mark the same voxel: all of them write 1.
-    for start in range(thread * BLOCK, rays.shape[0], threads * BLOCK):
-        for m in range(start, min(start + BLOCK, rays.shape[0])):
+    for start in range(thread * RAY_BLOCK, rays.shape[0], threads * RAY_BLOCK):
+        for m in range(start, min(start + RAY_BLOCK, rays.shape[0])):
             through[m] = 1
             t, far = _enter(origin, rays[m], box)
             if not t < far:

@@ -89,7 +89,7 @@ def input_views(model: SplatPainterModel, sample: Sample, device: torch.device) 
             f"train: expected {config.views} base views per sample, got {len(cameras)}; raise data.base_views"
         )
     colors = tensor(sample.base.colors, device)[: config.views]
-    return AssetViews(cameras, colors, center=grid.lo + grid.size / 2, half_extent=grid.size / 2)
+    return AssetViews(cameras, colors, center=grid.min_corner + grid.extent / 2, half_extent=grid.extent / 2)
 
 
 def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], PictureTarget]:

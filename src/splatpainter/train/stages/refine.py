@@ -20,7 +20,7 @@ from splatpainter.lift.edits import LiftedEdit, lift_global_views, lift_local_vi
 from splatpainter.lift.global_edit import Predict
 from splatpainter.lift.normals import outward_normals
 from splatpainter.lift.options import ResidualBase
-from splatpainter.lighting import row_transfer
+from splatpainter.lighting import prt_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit
 from splatpainter.models.encode import Encoded, asset_views, canonical_cameras, encode_asset
@@ -191,7 +191,7 @@ class RefineTask(Task[SplatPainterModel]):
 
     def _aside(self, splats: Splats) -> tuple[np.ndarray, Predict | None]:
         normals = outward_normals(splats)
-        return normals, predicting(self.model, splats, normals, lambda: row_transfer(splats.means, normals))
+        return normals, predicting(self.model, splats, normals, lambda: prt_transfer(splats.means, normals))
 
     def _encoded(self, known: Known, parents: np.ndarray) -> Encoded:
         """The asset's latents, those of the given rows at least."""
