@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 import splatpainter as sp
-from splatpainter.session import Session, database, delta
+from splatpainter.session import database, delta
 from splatpainter.session.asset_files import is_local_path, is_plain_name
 from splatpainter.session.project_file import Project
 from splatpainter.session.scratch import OWNER, ScratchFolder, sweep_folder, sweep_scratch
-from tests.support.session_scenes import BLUE, RED, FlatPainter, asset, dab, flat, print_of
+from tests.support.session_scenes import BLUE, RED, asset, dab, flat, load, print_of, two_layers
 from tests.support.systems import posix_only
 
 DEEP = "[" * 100_000
@@ -26,17 +26,6 @@ LAYER = "UPDATE layers SET content = json_set(content, {}) WHERE id = 1"
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "work.splatproj"
-
-
-def load(path: Path, **how) -> Session:
-    return Session.load(path, painter=FlatPainter(), **how)  # type: ignore[arg-type]
-
-
-def filled(path: Path) -> str:
-    with flat(project=path) as session:
-        session.add("paint", [dab(RED)], name="red")
-        session.add("paint", [dab(BLUE, 19)], name="blue", opacity=0.5)
-        return print_of(session)
 
 
 def changed(path: Path, *statements: str, values: tuple = ()) -> None:
@@ -127,7 +116,7 @@ def test_wrong_rows_are_one_line_and_leave_nothing(tmp_path: Path, path: Path, k
     ],
 )
 def test_wrong_results_are_computed_again(path: Path, statement: str) -> None:
-    shown = filled(path)
+    shown = two_layers(path)
     changed(path, statement)
     with load(path) as session:
         assert print_of(session) == shown and len(session.painter.calls) == 2  # type: ignore[attr-defined]
@@ -135,7 +124,7 @@ def test_wrong_results_are_computed_again(path: Path, statement: str) -> None:
 
 
 def test_a_control_character_in_an_error_of_sqlite_is_not_printed(path: Path) -> None:
-    filled(path)
+    two_layers(path)
     schema = "UPDATE sqlite_master SET sql = 'CREATE TABLE ' || char(7) || '(' WHERE name = 'bookmarks'"
     changed(path, "PRAGMA writable_schema = ON", schema)
     with pytest.raises(ValueError, match="malformed database schema") as caught:
@@ -178,7 +167,7 @@ def _packed(text: str) -> bytes:
 
 
 def test_a_query_ends_where_the_file_gives_no_reason_to_go_on(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    filled(path)
+    two_layers(path)
     monkeypatch.setattr(database, "FREE_OPS", 200_000)
     project = Project.open(path)
     try:
@@ -325,7 +314,7 @@ def readonly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("disk", "said"), [(full, "disk is full"), (readonly, "its folder allows no new files")])
 def test_what_cannot_be_written_can_be_looked_at(path: Path, monkeypatch: pytest.MonkeyPatch, disk, said: str) -> None:
-    shown = filled(path)
+    shown = two_layers(path)
     data = path.read_bytes()
     with monkeypatch.context() as patch:
         disk(patch)
@@ -351,7 +340,7 @@ def test_what_cannot_be_written_can_be_looked_at(path: Path, monkeypatch: pytest
 
 
 def test_a_file_that_sqlite_opens_for_reading_only_is_read_only(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    filled(path)
+    two_layers(path)
     real = sqlite3.connect
     monkeypatch.setattr(
         sqlite3, "connect", lambda name, *w, **h: real(str(name).replace("mode=rw", "mode=ro"), *w, **h)
@@ -397,7 +386,7 @@ def test_a_damaged_original_is_said_without_the_place_it_was_unpacked_to(tmp_pat
 
 
 def test_left_overs_are_swept_and_nothing_else(tmp_path: Path, path: Path) -> None:
-    filled(path)
+    two_layers(path)
     old = time.time() - 1e6
     ours = [".out.ply.0123abcd.part", ".work.splatproj.part", ".new.splatproj.part-journal", "gone.splatproj-lock"]
     theirs = [
@@ -442,7 +431,7 @@ def test_scratch_folders_go_with_their_process(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_users_file_with_the_name_of_a_lock_is_left_alone(path: Path) -> None:
-    filled(path)
+    two_layers(path)
     mine = path.with_name("work.splatproj-lock")
     mine.write_bytes(b"my notes")
     with load(path) as session:

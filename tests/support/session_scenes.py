@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,6 +115,22 @@ def flat(source: Any = None, project: Any = None, **how: Any) -> Session:
     """A session with the painter above."""
     painter: Any = how.pop("painter", None) or FlatPainter()
     return Session(asset() if source is None else source, project, painter=painter, **how)
+
+
+def load(path: Path, **how: Any) -> Session:
+    """A project with the painter above."""
+    painter: Any = FlatPainter()
+    return Session.load(path, painter=painter, **how)
+
+
+def two_layers(path: Path) -> str:
+    """A project with two layers and one undone step; the hash of what it shows."""
+    with flat(project=path) as session:
+        session.add("paint", [dab(RED)], name="red")
+        session.add("paint", [dab(BLUE, 19)], name="blue", opacity=0.5)
+        session.add("paint", [dab(GREEN)], name="green")
+        session.undo()
+        return print_of(session)
 
 
 def print_of(session: Session) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, to_uint8
 from splatpainter.lift.masks import change_mask
-from splatpainter.sources.edit_files import ASPECT
+from splatpainter.sources.edit_files import MAX_ASPECT_ERROR
 from splatpainter.sources.picture_reader import resample
 
 THUMBNAIL_PX = 48
@@ -55,7 +55,7 @@ MAX_RIVAL_RATIO = 0.5
 
 def same_shape(size: tuple[int, int], target: tuple[int, int]) -> bool:
     """Whether a picture of `size` (width, height) is one of `target`, resized."""
-    return abs((size[0] / size[1]) / (target[0] / target[1]) - 1) <= ASPECT or (
+    return abs((size[0] / size[1]) / (target[0] / target[1]) - 1) <= MAX_ASPECT_ERROR or (
         abs(size[0] - size[1] * target[0] / target[1]) <= 1
     )
 

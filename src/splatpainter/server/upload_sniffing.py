@@ -11,7 +11,7 @@ from typing import Literal
 from splatpainter.io import detect
 from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
-from splatpainter.sources.picture_reader import KINDS, LIMIT
+from splatpainter.sources.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT
 
 Kind = Literal["picture", "asset", "project", "layer"]
 SQLITE, ZIP = b"SQLite format 3\0", b"PK\x03\x04"
@@ -84,16 +84,16 @@ def _picture(path: Path, name: str) -> UploadInfo | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own size warning: judged here
         try:
-            with Image.open(path, formats=KINDS) as image:
+            with Image.open(path, formats=PICTURE_KINDS) as image:
                 width, height, kind = image.width, image.height, str(image.format)
         except UnidentifiedImageError:
             return None
         except Image.DecompressionBombError:
-            raise ValueError(f"{name or 'picture'}: expected at most {LIMIT // 10**6} megapixels") from None
+            raise ValueError(f"{name or 'picture'}: expected {SIZE_LIMIT}") from None
         except Exception as error:  # decoders of damaged files raise anything
             raise ValueError(f"{name or 'picture'}: cannot be read as a picture ({str(error)[:120]})") from None
-    if width * height > LIMIT:
-        raise ValueError(f"{name or 'picture'}: expected at most {LIMIT // 10**6} megapixels, got {width}x{height}")
+    if width * height > MAX_PICTURE_PIXELS:
+        raise ValueError(f"{name or 'picture'}: expected {SIZE_LIMIT}, got {width}x{height}")
     return UploadInfo("picture", ENDINGS[kind], MEDIA[kind], width, height)
 
 

@@ -12,7 +12,8 @@ from splatpainter.color import from_display, to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.painter import Edit, Mode
 from splatpainter.sources.picture_reader import (
-    LIMIT,
+    MAX_PICTURE_PIXELS,
+    SIZE_LIMIT,
     Picture,
     declared_size,
     read_mask,
@@ -22,9 +23,9 @@ from splatpainter.sources.picture_reader import (
 )
 from splatpainter.splats import Splats
 
-ASPECT = 0.01
+MAX_ASPECT_ERROR = 0.01
 """A picture's aspect ratio may differ from its camera's by this part (one pixel of rounding, and some)."""
-CLEAR = 0.02
+MAX_CLEAR_ALPHA = 0.02
 """Alpha up to here is transparent (resampling leaves ripples around an edge)."""
 
 
@@ -58,7 +59,7 @@ class FileEdit:
             if blurred and mask is None and mode == "local":
                 mask = self._changed(colors, render, splats)
             if alpha is not None and (mask is not None or mode == "global"):
-                mask = (alpha > CLEAR) & (True if mask is None else mask)
+                mask = (alpha > MAX_CLEAR_ALPHA) & (True if mask is None else mask)
         return Edit(np.ascontiguousarray(colors, np.float32), self.camera, mask, str(self.path))
 
     def _changed(self, colors: np.ndarray, render: np.ndarray, splats: Splats) -> np.ndarray:
@@ -66,9 +67,9 @@ class FileEdit:
         moves every edge by more than an edit's tolerance."""
         from splatpainter.lift.masks import change_mask
 
-        shown = np.clip(to_display(render, splats.color_space), 0, 1)
-        there = resample(shown, *self.original_size)
-        back = from_display(resample(there, self.camera.width, self.camera.height), splats.color_space)
+        displayed = np.clip(to_display(render, splats.color_space), 0, 1)
+        resized = resample(displayed, *self.original_size)
+        back = from_display(resample(resized, self.camera.width, self.camera.height), splats.color_space)
         return change_mask(colors, back)
 
 
@@ -80,7 +81,7 @@ def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None
     ratio more than 1 % off, an empty mask."""
     declared = declared_size(picture)
     view = camera_from(camera) if camera is not None else find_camera(picture)
-    _bearable(view, camera or picture)
+    _check_size(view, camera or picture)
     target_size = (view.width, view.height)
     _check_declared(picture, "the picture", declared, target_size)
     decoded = read_picture(picture)
@@ -117,15 +118,13 @@ def camera_from(path: Path) -> Camera:
         camera = find_camera(path)
     else:
         camera = find_camera(path, path)
-    _bearable(camera, path)
+    _check_size(camera, path)
     return camera
 
 
-def _bearable(camera: Camera, where: Path) -> None:
-    if camera.width * camera.height > LIMIT:
-        raise ValueError(
-            f"{where}: expected a camera of at most {LIMIT // 10**6} megapixels, got {camera.width}x{camera.height}"
-        )
+def _check_size(camera: Camera, where: Path) -> None:
+    if camera.width * camera.height > MAX_PICTURE_PIXELS:
+        raise ValueError(f"{where}: expected a camera of {SIZE_LIMIT}, got {camera.width}x{camera.height}")
 
 
 def _check_declared(path: Path, what: str, size: tuple[int, int] | None, target: tuple[int, int]) -> None:
@@ -135,11 +134,11 @@ def _check_declared(path: Path, what: str, size: tuple[int, int] | None, target:
 
 
 def _fits(size: tuple[int, int], target: tuple[int, int]) -> bool:
-    """Equal sizes fit; others must have the target's aspect ratio within ASPECT, or be a pixel's rounding off."""
+    """Equal sizes fit; others must have the target's aspect ratio within MAX_ASPECT_ERROR, or be a pixel off."""
     (width, height), (w, h) = size, target
     scale = (width * height / (w * h)) ** 0.5
     rounding = abs(width - w * scale) <= 1 and abs(height - h * scale) <= 1
-    return rounding or abs((width / height) / (w / h) - 1) <= ASPECT
+    return rounding or abs((width / height) / (w / h) - 1) <= MAX_ASPECT_ERROR
 
 
 def _check_aspect(path: Path, what: str, size: tuple[int, int], target: tuple[int, int]) -> None:

@@ -1,6 +1,6 @@
 """Picture files in: any depth, palette, alpha, orientation and colour profile become plain sRGB. Knows no asset.
 
-Nothing is decoded before its size is known to be bearable. 16-bit PNG and TIFF keep their bits, OpenEXR its floats;
+Nothing is decoded before its size is judged. 16-bit PNG and TIFF keep their bits, OpenEXR its floats;
 where OpenImageIO is not installed 16-bit colour is read with its upper 8 bits, and a note says so.
 """
 
@@ -17,19 +17,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.color import to_display
-from splatpainter.image_files import EXTRA, PixelSamples, can_do_deep, is_deep, is_exr, read_deep
-from splatpainter.image_files import MAX_PICTURE_PIXELS as LIMIT
+from splatpainter.image_files import EXTRA, MAX_PICTURE_PIXELS, PixelSamples, can_do_deep, is_deep, is_exr, read_deep
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
-LOSSY = ("JPEG", "WEBP")
-MASK_NOISE = 16
+SIZE_LIMIT = f"at most {MAX_PICTURE_PIXELS // 10**6} megapixels"
+PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
+LOSSY_KINDS = ("JPEG", "WEBP")
+MAX_LOSSY_NOISE = 16
 """8-bit levels that lossy compression leaves on black."""
-FLIPS = {2: (-1, 1), 3: (-1, -1), 4: (1, -1), 6: (-1, 1), 7: (-1, -1), 8: (1, -1)}
+EXIF_STEPS = {2: (-1, 1), 3: (-1, -1), 4: (1, -1), 6: (-1, 1), 7: (-1, -1), 8: (1, -1)}
 """EXIF orientation -> steps (across, down) through the pixels, once rows and columns changed places from 5 on."""
-SAME_PROFILE = 2
+MAX_PROFILE_DIFFERENCE = 2
 """8-bit levels by which an embedded profile may differ from sRGB and still be taken for it (there are a dozen)."""
 
 
@@ -63,9 +63,9 @@ class Picture:
 def read_picture(path: Path) -> Picture:
     """Decode a PNG, JPEG, WebP or TIFF file as its owner sees it: turned as EXIF says, converted from its embedded
     profile to sRGB; or an OpenEXR file of linear light (sRGB primaries). Raises ValueError: missing, unreadable,
-    damaged, another kind of file, more than LIMIT pixels, OpenEXR without OpenImageIO."""
+    damaged, another kind of file, more than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
     if is_exr(path):
-        return _light(read_deep(path, LIMIT))
+        return _light(read_deep(path, MAX_PICTURE_PIXELS))
     with _opened(path) as image:
         from PIL import ImageOps
 
@@ -79,7 +79,7 @@ def read_picture(path: Path) -> Picture:
         notes += [note] if note else []
         if is_deep(path, image) and not note:
             if can_do_deep():
-                return _deep(read_deep(path, LIMIT))
+                return _deep(read_deep(path, MAX_PICTURE_PIXELS))
             notes.append(f"read with 8 of its 16 bits; pip install 'splatpainter[{EXTRA}]' to read all")
         pixels = np.asarray(colors, np.float32)
         pixels = np.divide(pixels, 255, out=pixels if pixels.flags.writeable else None)
@@ -101,11 +101,11 @@ def read_mask(path: Path) -> np.ndarray:
     lossy = False
     if not is_exr(path):
         with _opened(path) as image:
-            lossy = image.format in LOSSY
+            lossy = image.format in LOSSY_KINDS
     picture = read_picture(path)
     if picture.alpha is not None:
         return picture.alpha > 0
-    return picture.colors.max(-1) > (MASK_NOISE / 255 if lossy else 0)
+    return picture.colors.max(-1) > (MAX_LOSSY_NOISE / 255 if lossy else 0)
 
 
 def resample(values: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -136,17 +136,17 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own size warning and remarks about EXIF: judged here or harmless
         try:
-            image = Image.open(path, formats=KINDS)
+            image = Image.open(path, formats=PICTURE_KINDS)
         except UnidentifiedImageError:
             raise ValueError(f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got another kind of file") from None
         except Image.DecompressionBombError:
-            raise ValueError(f"{path}: expected at most {LIMIT // 10**6} megapixels; scale it down") from None
+            raise ValueError(f"{path}: expected {SIZE_LIMIT}; scale it down") from None
         except Exception as error:
             raise ValueError(f"{path}: cannot be read as a picture ({_short(error)})") from None
         with image:
-            if image.width * image.height > LIMIT:
+            if image.width * image.height > MAX_PICTURE_PIXELS:
                 got = f"{image.width}x{image.height}"
-                raise ValueError(f"{path}: expected at most {LIMIT // 10**6} megapixels, got {got}; scale it down")
+                raise ValueError(f"{path}: expected {SIZE_LIMIT}, got {got}; scale it down")
             try:
                 if decode:
                     image.load()
@@ -161,8 +161,8 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
 
 
 def _short(error: Exception) -> str:
-    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return " ".join(said.split())[:120]
+    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(reason.split())[:120]
 
 
 def _deep_grey(image: Image) -> tuple[np.ndarray, None]:
@@ -177,7 +177,7 @@ def _deep(samples: PixelSamples) -> Picture:
     values = samples.values
     if samples.orientation >= 5:
         values = values.swapaxes(0, 1)
-    across, down = FLIPS.get(samples.orientation, (1, 1))
+    across, down = EXIF_STEPS.get(samples.orientation, (1, 1))
     values = values[::down, ::across]
     alpha = values[..., -1] if samples.channels in (2, 4) else None
     colors = values[..., :3] if samples.channels >= 3 else np.repeat(values[..., :1], 3, -1)
@@ -244,4 +244,4 @@ def _same(turn: object) -> bool:
     steps = np.linspace(0, 255, 9).astype(np.uint8)
     ramp = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(27, 27, 3)
     out = ImageCms.applyTransform(Image.fromarray(ramp), turn)  # type: ignore[arg-type]
-    return bool(np.abs(np.asarray(out).astype(int) - ramp).max() <= SAME_PROFILE)
+    return bool(np.abs(np.asarray(out).astype(int) - ramp).max() <= MAX_PROFILE_DIFFERENCE)
