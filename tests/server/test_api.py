@@ -24,8 +24,8 @@ from tests.support.studio_scenes import Live, ball, dab, live, live_with_folder,
 
 @pytest.fixture
 def studio(tmp_path: Path) -> Iterator[Live]:
-    with live_with_folder(tmp_path) as own:
-        yield own
+    with live_with_folder(tmp_path) as served:
+        yield served
 
 
 def edited(studio: Live, color=(0.9, 0.1, 0.1), camera=None) -> tuple[np.ndarray, np.ndarray]:
@@ -62,13 +62,13 @@ def test_a_picture_becomes_a_layer_as_in_python(studio: Live) -> None:
     picture = {"camera": wire(camera), "picture": studio.send(png_bytes(image)), "mask": studio.send(png_bytes(mask))}
     made = studio.post("edit", views=[picture], name="square")
     session = studio.studio.session
-    own = Session(ball())
+    script_session = Session(ball())
     from splatpainter.painter import Edit
 
     stored = np.asarray(Image.open(io.BytesIO(png_bytes(image)))).astype(np.float32) / 255
-    own.add("picture", [Edit(stored, camera, mask)])
-    assert rows_sha256(own.splats) == rows_sha256(session.splats)
-    own.close()
+    script_session.add("picture", [Edit(stored, camera, mask)])
+    assert rows_sha256(script_session.splats) == rows_sha256(session.splats)
+    script_session.close()
     layer = made["layer"]
     assert layer["gaussians_edited"] > 0 and layer["views"][0]["mask"] and made["version"] == 2
     for blob in (layer["thumbnail"], layer["views"][0]["picture"], layer["views"][0]["mask"]):
@@ -106,11 +106,11 @@ def test_every_operation_on_layers(studio: Live) -> None:
         image, _ = edited(studio, camera=view(96, angle))
         picture = {"camera": wire(view(96, angle)), "picture": studio.send(png_bytes(image))}
         ids.append(studio.post("edit", views=[picture], name=f"from {angle}")["layer"]["id"])
-    whole = rows_sha256(session.splats)
+    before_sha256 = rows_sha256(session.splats)
     studio.post("layer.set", layer=ids[0], visible=False)
-    assert rows_sha256(session.splats) != whole
+    assert rows_sha256(session.splats) != before_sha256
     studio.post("layer.set", layer=ids[0], visible=True)
-    assert rows_sha256(session.splats) == whole
+    assert rows_sha256(session.splats) == before_sha256
     studio.post("layer.set", layer=ids[1], name="renamed", blend="color", opacity=0.25)
     studio.post("layer.move", layer=ids[1], to=0)
     assert [layer.name for layer in session.layers] == ["renamed", "from 0"]
@@ -135,9 +135,9 @@ def test_conflicts_are_reported_and_settled(studio: Live) -> None:
     for angle, color in ((0, (0.9, 0.1, 0.1)), (25, (0.1, 0.1, 0.9))):
         image, _ = edited(studio, color, view(96, angle))
         studio.post("edit", views=[{"camera": wire(view(96, angle)), "picture": studio.send(png_bytes(image))}])
-    found = studio.post("conflicts")["conflicts"]
-    assert len(found) == 1 and found[0]["gaussians"] > 0 and found[0]["policy"] == "latest"
-    studio.post("conflict.set", lower=found[0]["lower"], upper=found[0]["upper"], policy="first")
+    result = studio.post("conflicts")["conflicts"]
+    assert len(result) == 1 and result[0]["gaussians"] > 0 and result[0]["policy"] == "latest"
+    studio.post("conflict.set", lower=result[0]["lower"], upper=result[0]["upper"], policy="first")
     assert studio.post("conflicts")["conflicts"][0]["policy"] == "first"
 
 
@@ -148,18 +148,18 @@ def test_exports_prove_themselves(studio: Live, tmp_path: Path) -> None:
     (tmp_path / "painted.ply").write_bytes(studio.http.get(out["url"]).content)
     receipt = Receipt.from_json(studio.http.get(out["receipt_url"]).text)
     write(tmp_path / "ball.ply", studio.studio.original)
-    found = verify(tmp_path / "ball.ply", tmp_path / "painted.ply")
-    assert found.ok and found.changed == len(receipt.touched) and found.appended == receipt.appended_rows > 0
-    told = studio.post("receipt")
+    result = verify(tmp_path / "ball.ply", tmp_path / "painted.ply")
+    assert result.ok and result.changed == len(receipt.touched) and result.appended == receipt.appended_rows > 0
+    summary = studio.post("receipt")
     state = studio.http.get("/api/state").json()["asset"]
-    same = f"{found.same:,} of {found.rows:,} Gaussians byte-identical"
+    same = f"{result.same:,} of {result.rows:,} Gaussians byte-identical"
     assert (
-        told["text"].startswith(same)
-        and state["gaussians_unchanged"] == found.same
+        summary["text"].startswith(same)
+        and state["gaussians_unchanged"] == result.same
         and state["gaussians"] == receipt.output_rows
     )
     proof = studio.post("verify")
-    assert proof["proved"] and proof["same"] == found.same and not proof["problems"]
+    assert proof["proved"] and proof["same"] == result.same and not proof["problems"]
     wrong = studio.http.post("/api/do/export", json={"file": "painted.obj"})
     assert wrong.status_code == 400 and ".ply" in wrong.json()["error"]["message"]
     assert studio.http.get("/api/files/nokey/painted.ply").status_code == 404
@@ -202,11 +202,11 @@ def test_views_and_picking(studio: Live) -> None:
 def test_coverage_shows_what_was_seen_and_what_was_predicted(studio: Live) -> None:
     image = np.clip(render(studio.studio.session.splats, view()).colors[0], 0, 1) ** 1.5
     studio.post("edit", mode="global", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])
-    found = studio.post("coverage", camera=wire(view()))
-    assert found["seen"] > 50 and found["predicted"] > 50
-    front = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{found['picture']}").content))).astype(int)
+    result = studio.post("coverage", camera=wire(view()))
+    assert result["seen"] > 50 and result["predicted"] > 50
+    front = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{result['picture']}").content))).astype(int)
     assert front.shape == (96, 96, 4) and front[48, 48, 1] > front[48, 48, 0] and front[2, 2, 3] == 0
-    back = np.array(found["next_view"]["world_to_camera"])
+    back = np.array(result["next_view"]["world_to_camera"])
     position = -back[:3, :3].T @ back[:3, 3]
     assert position[2] > 0.5  # the far side
 
@@ -232,8 +232,8 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     again = studio.http.post("/api/do/project.save_as", json={"file": "mine"})
     assert again.status_code == 400 and "already exists" in again.json()["error"]["message"]
     assert studio.http.get("/api/state").json()["asset"]["gaussians"] == 100
-    kept = studio.post("project.recent")["recent"]
-    assert [own["name"] for own in kept] == ["other"]
+    recent = studio.post("project.recent")["recent"]
+    assert [entry["name"] for entry in recent] == ["other"]
     studio.post("project.open", file="mine.splatproj")
     state = studio.http.get("/api/state").json()
     assert rows_sha256(studio.studio.session.splats) == rows
@@ -245,7 +245,7 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     studio.post("asset.open", file="other.ply")
     studio.post("project.open", blob=studio.send(data, "back.splatproj"))
     assert rows_sha256(studio.studio.session.splats) == rows
-    assert [own["name"] for own in studio.post("project.recent")["recent"]] == ["back"]
+    assert [entry["name"] for entry in studio.post("project.recent")["recent"]] == ["back"]
 
 
 def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
@@ -262,8 +262,8 @@ def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
     assert down[1] < -0.9 and eye > 0
     assert studio.http.post("/api/do/asset.up", json={"up": "up"}).status_code == 400
     studio.post("asset.open", demo=True)
-    (mine,) = (own for own in studio.post("project.recent")["recent"] if own["name"] == "other")
-    studio.post("project.open", recent=mine["id"])
+    (entry,) = (entry for entry in studio.post("project.recent")["recent"] if entry["name"] == "other")
+    studio.post("project.open", recent=entry["id"])
     assert studio.http.get("/api/state").json()["asset"]["up"] == [0, 1, 0]
     assert rows != rows_sha256(studio.studio.session.splats)
 

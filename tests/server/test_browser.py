@@ -58,7 +58,7 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def place(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
+def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
     """A studio with the ball, and its page."""
     with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
         page = Page(browser, live.url)
@@ -97,9 +97,9 @@ def test_the_browser_draws_what_the_renderer_draws(browser: Any, tmp_path: Path)
 
 
 def test_a_stroke_is_where_it_was_painted_and_undo_brings_every_pixel_back(
-    place: tuple[studio_scenes.Live, Page],
+    opened: tuple[studio_scenes.Live, Page],
 ) -> None:
-    live, page = place
+    live, page = opened
     before = page.pixels()
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", lambda: page.names() == ["Brush"])
@@ -127,8 +127,8 @@ def test_a_stroke_is_where_it_was_painted_and_undo_brings_every_pixel_back(
     page.wait("the pixels", lambda: np.array_equal(page.pixels(), after))
 
 
-def test_every_painting_tool_makes_a_layer(place: tuple[studio_scenes.Live, Page]) -> None:
-    _, page = place
+def test_every_painting_tool_makes_a_layer(opened: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = opened
     keys = page.tab.keyboard
 
     def made(name: str) -> None:
@@ -166,8 +166,8 @@ def test_every_painting_tool_makes_a_layer(place: tuple[studio_scenes.Live, Page
     assert len(page.names()) == 6
 
 
-def test_a_selection_limits_the_stroke(place: tuple[studio_scenes.Live, Page]) -> None:
-    live, page = place
+def test_a_selection_limits_the_stroke(opened: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = opened
     page.tab.keyboard.press("0")
     page.drag((0.3, 0.2), (0.5, 0.8))
     page.wait("the selection", lambda: page.tab.get_by_role("button", name="Deselect").count())
@@ -182,8 +182,8 @@ def test_a_selection_limits_the_stroke(place: tuple[studio_scenes.Live, Page]) -
     assert mask[:, int(0.51 * width) :].max() == 0
 
 
-def test_a_pen_presses_and_fingers_turn_and_pinch(place: tuple[studio_scenes.Live, Page]) -> None:
-    live, page = place
+def test_a_pen_presses_and_fingers_turn_and_pinch(opened: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = opened
     page.pointer("down", 5, "pen", 0.4, 0.5, 0.05)
     for k in range(1, 11):
         page.pointer("move", 5, "pen", 0.4 + 0.02 * k, 0.5, 0.1 * k)
@@ -209,9 +209,9 @@ def test_a_pen_presses_and_fingers_turn_and_pinch(place: tuple[studio_scenes.Liv
 
 
 def test_a_dropped_picture_a_look_and_the_order_of_layers_outlive_a_reload(
-    place: tuple[studio_scenes.Live, Page],
+    opened: tuple[studio_scenes.Live, Page],
 ) -> None:
-    live, page = place
+    live, page = opened
     camera = Camera.from_json(json.dumps(page.camera()))
     camera = replace(camera, asset_sha256=live.studio.session.original.sha256)
     edited = drawn(live.studio.session.splats, page.camera())
@@ -240,15 +240,15 @@ def test_a_dropped_picture_a_look_and_the_order_of_layers_outlive_a_reload(
     page.wait("the order", lambda: page.names() == ["Adjustment", "patch"])
     page.tab.get_by_role("button", name="Hide patch").click()
     page.wait("hidden", lambda: not page.state()["layers"][1]["visible"])
-    known = page.state()
-    kept = page.pixels()
+    saved_state = page.state()
+    pixels = page.pixels()
     page.open()
-    assert page.state() | {"clients": 0} == known | {"clients": 0}
-    assert np.array_equal(page.pixels(), kept)
+    assert page.state() | {"clients": 0} == saved_state | {"clients": 0}
+    assert np.array_equal(page.pixels(), pixels)
 
 
-def test_export_and_verify(place: tuple[studio_scenes.Live, Page]) -> None:
-    live, page = place
+def test_export_and_verify(opened: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = opened
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", lambda: page.names() == ["Brush"])
     page.settled()
@@ -262,9 +262,9 @@ def test_export_and_verify(place: tuple[studio_scenes.Live, Page]) -> None:
     assert Path(download.value.path()).read_bytes()[:3] == b"ply"
 
 
-def test_a_conflict_is_shown_and_settled(place: tuple[studio_scenes.Live, Page]) -> None:
+def test_a_conflict_is_shown_and_settled(opened: tuple[studio_scenes.Live, Page]) -> None:
     """Red from the front, blue over it from the side: the panel says so, and each policy shows what it promises."""
-    _, page = place
+    _, page = opened
 
     def blueness() -> float:
         middle = page.pixels()[:, :, [0, 2]]
@@ -294,8 +294,8 @@ def test_a_conflict_is_shown_and_settled(place: tuple[studio_scenes.Live, Page])
     page.wait("the upper layer", lambda: abs(blueness() - latest) < 0.02)
 
 
-def test_a_layer_goes_out_and_comes_back_as_a_file(place: tuple[studio_scenes.Live, Page]) -> None:
-    _, page = place
+def test_a_layer_goes_out_and_comes_back_as_a_file(opened: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = opened
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", lambda: page.names() == ["Brush"])
     page.settled()
@@ -311,9 +311,9 @@ def test_a_layer_goes_out_and_comes_back_as_a_file(place: tuple[studio_scenes.Li
     page.wait("its pixels", lambda: np.array_equal(page.pixels(), painted))
 
 
-def test_a_selection_waits_in_its_view(place: tuple[studio_scenes.Live, Page]) -> None:
+def test_a_selection_waits_in_its_view(opened: tuple[studio_scenes.Live, Page]) -> None:
     """Turned away it limits no stroke but still a look; back in its view it is there again."""
-    _, page = place
+    _, page = opened
     page.tab.keyboard.press("0")
     page.drag((0.3, 0.2), (0.5, 0.8))
     deselect = page.tab.get_by_role("button", name="Invert")
@@ -338,9 +338,9 @@ def test_a_selection_waits_in_its_view(place: tuple[studio_scenes.Live, Page]) -
 
 
 def test_two_windows_agree_and_a_lost_connection_comes_back(
-    browser: Any, place: tuple[studio_scenes.Live, Page]
+    browser: Any, opened: tuple[studio_scenes.Live, Page]
 ) -> None:
-    live, page = place
+    live, page = opened
     other = Page(browser, live.url)
     try:
         other.ask("window.studio.link.lose()")
@@ -353,19 +353,19 @@ def test_two_windows_agree_and_a_lost_connection_comes_back(
         other.tab.close()
 
 
-def test_nothing_serious_for_those_who_cannot_see_or_point(place: tuple[studio_scenes.Live, Page]) -> None:
+def test_nothing_serious_for_those_who_cannot_see_or_point(opened: tuple[studio_scenes.Live, Page]) -> None:
     axe = WEB / "node_modules/axe-core/axe.min.js"
     if not axe.is_file():
         pytest.skip(f"axe is not installed: run `npm ci` in {WEB.name}/")
-    _, page = place
+    _, page = opened
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", lambda: page.names() == ["Brush"])
     page.ask(axe.read_text(encoding="utf-8"))
     for name in ("History", "Adjust", "Pictures", "Views", "Receipt"):
         page.tab.get_by_role("tab", name=name).click()
-        found = page.ask("axe.run().then((result) => result.violations)")
+        violations = page.ask("axe.run().then((result) => result.violations)")
         serious = [
-            f"{one['id']}: {one['nodes'][0]['html']}" for one in found if one["impact"] in ("serious", "critical")
+            f"{one['id']}: {one['nodes'][0]['html']}" for one in violations if one["impact"] in ("serious", "critical")
         ]
         assert serious == [], name
 
@@ -381,9 +381,9 @@ def png(pixels: np.ndarray, camera: Camera) -> bytes:
     return file.getvalue()
 
 
-def test_one_click_turns_the_asset_over(place: tuple[studio_scenes.Live, Page]) -> None:
+def test_one_click_turns_the_asset_over(opened: tuple[studio_scenes.Live, Page]) -> None:
     """What was up is down, in the picture and in the project; no row changes; a second click undoes it."""
-    live, page = place
+    live, page = opened
 
     def down() -> float:
         """How much of the world's y the picture's downward axis is."""

@@ -78,8 +78,8 @@ def test_exr_and_the_look_of_another_viewer(studio: Live, tmp_path: Path) -> Non
     theirs = render(ball(), view(), profile="playcanvas").colors[0]
     light = np.where(theirs <= 0.04045, theirs / 12.92, ((theirs + 0.055) / 1.055) ** 2.4)
     assert np.abs(read_deep(path, 10**6).values - light).max() < 1e-5
-    shown = studio.post("view.render", camera=wire(view()), profile="playcanvas")
-    pixels = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{shown['picture']}").content))) / 255
+    preview = studio.post("view.render", camera=wire(view()), profile="playcanvas")
+    pixels = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{preview['picture']}").content))) / 255
     assert np.abs(pixels - np.clip(theirs, 0, 1)).max() <= 0.51 / 255
     assert np.abs(pixels - np.clip(render(ball(), view()).colors[0], 0, 1)).max() > 1 / 255
 
@@ -106,34 +106,34 @@ def test_an_export_into_the_folder_comes_back_unchanged(studio: Live, transparen
         levels = np.asarray(image).copy()
     bare = io.BytesIO()
     Image.fromarray(levels).save(bare, "PNG")  # text chunks are gone, the sidecar is there
-    found = studio.post("picture.check", picture=studio.send(bare.getvalue()), name="out.png")
-    assert found["camera_source"] == "sidecar" and found["share"] < 0.001, "an untouched edge is no edit"
+    checked = studio.post("picture.check", picture=studio.send(bare.getvalue()), name="out.png")
+    assert checked["camera_source"] == "sidecar" and checked["share"] < 0.001, "an untouched edge is no edit"
     levels[80:110, 80:110, :3] = (230, 20, 20)
     edited = io.BytesIO()
     Image.fromarray(levels).save(edited, "PNG")
-    found = studio.post("picture.check", picture=studio.send(edited.getvalue()), name="out.png")
-    assert 0.015 < found["share"] < 0.04
+    checked = studio.post("picture.check", picture=studio.send(edited.getvalue()), name="out.png")
+    assert 0.015 < checked["share"] < 0.04
 
 
 def test_a_view_larger_than_what_is_painted_comes_back_smaller(studio: Live) -> None:
     made = studio.post("view.export", camera=wire(view()), size=2100, name="huge")
     data = studio.http.get(made["url"]).content
-    found = studio.post("picture.check", picture=studio.send(data))
-    camera = found["camera"]
+    checked = studio.post("picture.check", picture=studio.send(data))
+    camera = checked["camera"]
     assert camera["width"] * camera["height"] <= 4_000_000 and camera["width"] > 1990
-    assert found["share"] < 0.001 and any("resampled from 2100x2100" in note for note in found["notes"])
+    assert checked["share"] < 0.001 and any("resampled from 2100x2100" in note for note in checked["notes"])
 
 
 def test_what_is_refused(studio: Live) -> None:
     tall = wire(view()) | {"width": 90}
-    for fields, said in (
+    for fields, reason in (
         ({"size": 8000}, "at most 16.8 megapixels"),
         ({"bits": 32}, "8 or 16 bits of PNG"),
         ({"format": "exr", "transparent": "straight"}, "multiplied by alpha"),
         ({"to": "folder", "name": "..", "aovs": ["depth", "depth"]}, "every AOV once"),
     ):
         answer = studio.http.post("/api/do/view.export", json={"camera": tall, **fields})
-        assert answer.status_code == 400 and said in answer.json()["error"]["message"], answer.text
+        assert answer.status_code == 400 and reason in answer.json()["error"]["message"], answer.text
     for fields in ({"size": 9000}, {"bits": 12}, {"aovs": ["beauty"]}, {"profile": "unreal"}):
         assert studio.http.post("/api/do/view.export", json={"camera": tall, **fields}).status_code in (400, 422)
 

@@ -32,9 +32,9 @@ def test_a_delta_is_these_bytes() -> None:
 
 
 def test_a_snapshot_has_no_indices_and_a_preview_no_geometry() -> None:
-    whole = frames.snapshot(two_rows(), 4)
-    assert struct.unpack_from("<8I", whole) == (0x53504C44, 1, 1, 4, 4, 2, 2, 1)
-    assert len(whole) == 32 + 2 * 4 * (3 + 3 + 4 + 1 + 3)
+    every = frames.snapshot(two_rows(), 4)
+    assert struct.unpack_from("<8I", every) == (0x53504C44, 1, 1, 4, 4, 2, 2, 1)
+    assert len(every) == 32 + 2 * 4 * (3 + 3 + 4 + 1 + 3)
     look = frames.preview(two_rows(), np.array([5, 8]), 20, 4)
     assert struct.unpack_from("<8I", look) == (0x53504C44, 1, 2 | 4, 4, 4, 20, 2, 1)
     assert len(look) == 32 + 2 * 4 * (1 + 1 + 3)
@@ -61,8 +61,8 @@ def test_tints_are_what_a_screen_holds() -> None:
     colors = struct.pack("<3Hxx3I", 0x38AD, 0x312B, 0x3800, 0x7A1A4DBF, 0, 0x5121A352)
     head = struct.pack("<8I", 0x53504C44, 1, 2 | 8, 6, 6, 9, 1, 4)
     assert frames.preview_colors(sh, np.array([7]), 9, 6) == head + struct.pack("<I", 7) + colors
-    whole = frames.preview_colors(sh, np.array([0]), 1, 6)
-    assert whole[32:] == colors  # all rows: none is named
+    every = frames.preview_colors(sh, np.array([0]), 1, 6)
+    assert every[32:] == colors  # all rows: none is named
     assert frames.preview_colors(sh[:, :1], np.array([0]), 1, 6)[32:] == colors[:8]
     assert frames.preview_colors(np.full((1, 1, 3), np.nan, np.float32), np.array([0]), 1, 6)[32:] == bytes(8)
 

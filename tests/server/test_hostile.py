@@ -47,14 +47,14 @@ def serving(folder: Path, limits: ConnectionLimits = SHORT, **how) -> Iterator[L
 
     (folder / "shared").mkdir(exist_ok=True)
     bound = listen("127.0.0.1", 0)
-    own = make_studio(folder, shared=folder / "shared", **how)
-    server = make_server(own, Access(), limits)
+    hosted = make_studio(folder, shared=folder / "shared", **how)
+    server = make_server(hosted, Access(), limits)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
     thread.start()
     url = f"http://127.0.0.1:{bound.getsockname()[1]}"
     try:
         with httpx.Client(base_url=url, timeout=60) as client:
-            yield Live(own, url, client)
+            yield Live(hosted, url, client)
     finally:
         server.should_exit = True
         thread.join(60)
@@ -63,8 +63,8 @@ def serving(folder: Path, limits: ConnectionLimits = SHORT, **how) -> Iterator[L
 
 @pytest.fixture
 def studio(tmp_path: Path) -> Iterator[Live]:
-    with serving(tmp_path, ConnectionLimits()) as own:
-        yield own
+    with serving(tmp_path, ConnectionLimits()) as served:
+        yield served
 
 
 def raw(studio: Live, data: bytes = b"") -> socket.socket:
@@ -183,13 +183,13 @@ def project_of(tmp_path: Path, where: str) -> bytes:
 
 def test_an_uploaded_project_opens_no_file_of_the_machine(studio: Live, tmp_path: Path) -> None:
     before = studio.studio.session
-    told = set()
+    reply = set()
     for where in (tmp_path / "source.ply", tmp_path / "missing.ply", "/dev/zero"):
         blob = studio.send(project_of(tmp_path, str(where)), "theirs.splatproj")
         answer = studio.http.post("/api/do/project.open", json={"blob": blob})
         assert answer.status_code == 400
-        told.add(json.dumps(answer.json()))
-    assert len(told) == 1 and "theirs.splatproj: names a file" in told.pop()
+        reply.add(json.dumps(answer.json()))
+    assert len(reply) == 1 and "theirs.splatproj: names a file" in reply.pop()
     assert studio.studio.session is before and not list(studio.studio.projects.root.iterdir())
     (tmp_path / "shared" / "named.splatproj").write_bytes(project_of(tmp_path, str(tmp_path / "source.ply")))
     answer = studio.http.post("/api/do/project.open", json={"file": "named.splatproj"})
@@ -271,10 +271,10 @@ def test_sockets_take_no_large_commands_either(studio: Live) -> None:
             json.dumps({"id": True, "do": "undo"}),
         ):
             browser.socket.send(text)
-            told = json.loads(browser.socket.recv(PATIENCE))
-            while told.get("ok") is not False:
-                told = json.loads(browser.socket.recv(PATIENCE))
-            assert told["error"]["kind"] == "input" and "expected" in told["error"]["message"]
+            reply = json.loads(browser.socket.recv(PATIENCE))
+            while reply.get("ok") is not False:
+                reply = json.loads(browser.socket.recv(PATIENCE))
+            assert reply["error"]["kind"] == "input" and "expected" in reply["error"]["message"]
         assert browser.do("undo")["ok"]
 
 
@@ -319,8 +319,8 @@ def test_downloads_that_nobody_reads_are_ended(tmp_path: Path) -> None:
         connection = raw(studio)
         connection.sendall(b"GET /api/splats HTTP/1.1\r\nhost: localhost\r\n\r\n" * 4)
         time.sleep(2.5)
-        whole = len(studio.http.get("/api/splats").content)
-        assert len(ended(connection)) < 4 * whole
+        full = len(studio.http.get("/api/splats").content)
+        assert len(ended(connection)) < 4 * full
 
 
 def test_a_socket_that_nobody_reads_is_closed(tmp_path: Path) -> None:
@@ -367,10 +367,10 @@ def test_there_are_never_more_than_so_many_connections(tmp_path: Path) -> None:
 
 
 def test_a_client_for_whom_too_much_waits_is_let_go(tmp_path: Path) -> None:
-    own = make_studio(tmp_path)
+    hosted = make_studio(tmp_path)
 
     async def run() -> None:
-        client = Client(Hub(own), None)  # type: ignore[arg-type]
+        client = Client(Hub(hosted), None)  # type: ignore[arg-type]
         for number in range(MAX_UNSENT_MESSAGES):
             client.send(Answer(re=number))
         assert not client.overrun.is_set()
@@ -378,16 +378,16 @@ def test_a_client_for_whom_too_much_waits_is_let_go(tmp_path: Path) -> None:
         assert client.overrun.is_set() and not client._unsent
 
     asyncio.run(run())
-    own.close()
+    hosted.close()
 
 
 # The folder
 
 
 def test_odd_files_are_toasts_and_the_watch_goes_on(tmp_path: Path) -> None:
-    own = make_studio(tmp_path, shared=_made(tmp_path / "shared"))
-    hub, said = Hub(own), []
-    hub.publish = said.append  # type: ignore[method-assign]
+    hosted = make_studio(tmp_path, shared=_made(tmp_path / "shared"))
+    hub, toasts = Hub(hosted), []
+    hub.publish = toasts.append  # type: ignore[method-assign]
     shared = tmp_path / "shared"
     (shared / "folder.png").mkdir()
     (shared / "half.png").write_bytes(b"\x89PNG\r\n\x1a\n")
@@ -404,18 +404,18 @@ def test_odd_files_are_toasts_and_the_watch_goes_on(tmp_path: Path) -> None:
         expected["round.png"] = "cannot be read"
     for name in names:
         asyncio.run(watched_folder.offer(hub, name))
-    assert [toast.event for toast in said] == ["toast"] * len(expected)
-    for toast, (name, why) in zip(said, expected.items(), strict=True):
+    assert [toast.event for toast in toasts] == ["toast"] * len(expected)
+    for toast, (name, why) in zip(toasts, expected.items(), strict=True):
         assert toast.message.startswith(f"{name}: ") and why in toast.message and str(tmp_path) not in toast.message
 
     def broken(studio, name):
         raise RuntimeError("anything")
 
-    said.clear()
+    toasts.clear()
     (shared / "odd\udcff.png" if os.name == "posix" else shared / "odd.png").write_bytes(b"x")
     name = next(entry for entry in os.listdir(shared) if entry.startswith("odd"))
     asyncio.run(watched_folder.offer(hub, name, broken))
-    assert len(said) == 1 and said[0].model_dump_json()
+    assert len(toasts) == 1 and toasts[0].model_dump_json()
     hub.close()
 
 
@@ -432,10 +432,10 @@ def test_a_watch_that_fails_is_begun_again_and_shutdown_ends(tmp_path: Path, mon
         raise RuntimeError("no more watches")
 
     monkeypatch.setattr("watchfiles.awatch", failing)
-    own = make_studio(tmp_path, shared=_made(tmp_path / "shared"))
+    hosted = make_studio(tmp_path, shared=_made(tmp_path / "shared"))
 
     async def run() -> None:
-        task = asyncio.create_task(watched_folder.watch(Hub(own), 0.01))
+        task = asyncio.create_task(watched_folder.watch(Hub(hosted), 0.01))
         while len(begun) < 3:
             await asyncio.sleep(0.01)
         assert not task.done()
@@ -443,7 +443,7 @@ def test_a_watch_that_fails_is_begun_again_and_shutdown_ends(tmp_path: Path, mon
         await asyncio.wait([task])
 
     asyncio.run(asyncio.wait_for(run(), PATIENCE))
-    own.close()
+    hosted.close()
 
 
 def test_shutdown_ends_whatever_the_watch_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,27 +33,27 @@ def resident() -> int:
 
 def work(browser: Browser, k: int, edits: int) -> None:
     """Edits of one client: a look layer of its own is made, hidden, faded, previewed over, and deleted."""
-    own, versions = "", []
+    layer, versions = "", []
     for n in range(edits):
         settings = {"exposure": 0.01 * (k + 1), "tint": 0.001 * n}
         if n % 5 == 0:
             answer = browser.do("look.commit", look=settings, name=f"look {k}")
-            own = answer["layer"]["id"]
+            layer = answer["layer"]["id"]
         elif n % 5 == 1:
-            answer = browser.do("layer.set", layer=own, visible=False)  # else every edit below is replayed through it
+            answer = browser.do("layer.set", layer=layer, visible=False)  # else every edit below is replayed through it
         elif n % 5 == 2:
-            answer = browser.do("layer.set", layer=own, opacity=0.5)
+            answer = browser.do("layer.set", layer=layer, opacity=0.5)
         elif n % 5 == 3:
             browser.do("look.preview", look=settings)
             browser.do("look.preview", look=None)
             answer = browser.do("bookmark.add", name=f"{k}", camera=wire(view(48)))
         else:
-            answer, own = browser.do("layer.delete", layer=own), ""
+            answer, layer = browser.do("layer.delete", layer=layer), ""
         versions.append(answer["version"])
         assert browser.mirror.version >= answer["version"]  # rows come before the answer that speaks of them
     assert versions == sorted(versions)
-    if own:
-        browser.do("layer.delete", layer=own)
+    if layer:
+        browser.do("layer.delete", layer=layer)
 
 
 def run(served: list[Live], edits: int) -> list[Mirror]:
@@ -89,12 +89,12 @@ def test_many_clients_end_up_with_the_same_rows(tmp_path: Path, sessions: int, e
         mirrors = run(served, edits)
         assert resident() - before < MOST
         for k, mirror in enumerate(mirrors):
-            own = served[k % sessions].studio
+            studio = served[k % sessions].studio
             with served[k % sessions].greeted(mirror):  # what came while it was away
-                assert mirror.agrees(own.session.splats)
-        for k, own in enumerate(served):
-            session = own.studio.session
-            assert len(session.layers) == (k == 0) and own.studio.blobs.size == 0
+                assert mirror.agrees(studio.session.splats)
+        for k, live_studio in enumerate(served):
+            session = live_studio.studio.session
+            assert len(session.layers) == (k == 0) and live_studio.studio.blobs.size == 0
             for layer in session.layers:  # the start of so long a history is not kept
                 session.delete(layer.id)
             assert rows_sha256(session.splats) == rows_sha256(session.original)

@@ -21,8 +21,8 @@ from tests.support.studio_scenes import Live, ball, live_with_folder, view, wire
 
 @pytest.fixture
 def studio(tmp_path: Path) -> Iterator[Live]:
-    with live_with_folder(tmp_path) as own:
-        yield own
+    with live_with_folder(tmp_path) as served:
+        yield served
 
 
 def fetch(studio: Live, blob: str) -> np.ndarray:
@@ -43,12 +43,12 @@ def painted(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_a_painted_export_comes_back_with_its_camera_and_mask(studio: Live) -> None:
     given = studio.post("view.export", camera=wire(view()))
     image, mask = painted(fetch(studio, given["picture"]) / 255)
-    found = studio.post("picture.check", picture=studio.send(png_bytes(image, view())))
-    assert found["camera_source"] == "chunk" and found["warnings"] == [] and found["shift"] == [0, 0]
-    assert np.allclose(found["camera"]["world_to_camera"], view().world_to_camera)
-    seen = fetch(studio, found["mask"]) > 127
+    checked = studio.post("picture.check", picture=studio.send(png_bytes(image, view())))
+    assert checked["camera_source"] == "chunk" and checked["warnings"] == [] and checked["shift"] == [0, 0]
+    assert np.allclose(checked["camera"]["world_to_camera"], view().world_to_camera)
+    seen = fetch(studio, checked["mask"]) > 127
     assert (seen & mask).sum() > 0.95 * mask.sum() and (seen & ~mask).sum() < 0.2 * mask.sum()
-    assert found["share"] == pytest.approx(seen.mean())
+    assert checked["share"] == pytest.approx(seen.mean())
 
 
 def test_cameras_are_found_in_the_sidecar_the_exports_and_by_resemblance(studio: Live, tmp_path: Path) -> None:
@@ -56,17 +56,17 @@ def test_cameras_are_found_in_the_sidecar_the_exports_and_by_resemblance(studio:
         studio.post("view.export", camera=wire(view(96, angle)), name=f"from {angle}", to="folder")
     assert sorted(p.name for p in (tmp_path / "shared").iterdir())[:2] == ["from 0.json", "from 0.png"]
     image, _ = painted(shot(96, 90))
-    found = studio.post("picture.check", picture=studio.send(png_bytes(image), "anything.png"))
-    assert found["camera_source"] == "export" and np.allclose(
-        found["camera"]["world_to_camera"], view(96, 90).world_to_camera
+    checked = studio.post("picture.check", picture=studio.send(png_bytes(image), "anything.png"))
+    assert checked["camera_source"] == "export" and np.allclose(
+        checked["camera"]["world_to_camera"], view(96, 90).world_to_camera
     )
-    found = studio.post("picture.check", picture=studio.send(png_bytes(image)), name="from 180.jpg")
-    assert found["camera_source"] == "sidecar"
-    assert np.allclose(found["camera"]["world_to_camera"], view(96, 180).world_to_camera)
+    checked = studio.post("picture.check", picture=studio.send(png_bytes(image)), name="from 180.jpg")
+    assert checked["camera_source"] == "sidecar"
+    assert np.allclose(checked["camera"]["world_to_camera"], view(96, 180).world_to_camera)
     (tmp_path / "shared" / "from 0.json").unlink()
-    found = studio.post("picture.check", picture=studio.send(png_bytes(image)), name="from 0.png")
-    assert found["camera_source"] == "export" and np.allclose(
-        found["camera"]["world_to_camera"], view().world_to_camera
+    checked = studio.post("picture.check", picture=studio.send(png_bytes(image)), name="from 0.png")
+    assert checked["camera_source"] == "export" and np.allclose(
+        checked["camera"]["world_to_camera"], view().world_to_camera
     )
     noise = np.random.default_rng(0).uniform(size=(96, 96, 3))
     lost = studio.http.post("/api/do/picture.check", json={"picture": studio.send(png_bytes(noise))})
@@ -80,13 +80,13 @@ def test_resized_and_moved_pictures_are_put_straight(studio: Live) -> None:
     big = Image.fromarray((image * 255).astype(np.uint8)).resize((240, 240), Image.Resampling.BICUBIC)
     file = io.BytesIO()
     big.save(file, "PNG")
-    found = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
-    assert found["notes"] == ["resampled from 240x240 to its camera's 96x96"]
-    assert fetch(studio, found["picture"]).shape == (96, 96, 3)
+    checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
+    assert checked["notes"] == ["resampled from 240x240 to its camera's 96x96"]
+    assert fetch(studio, checked["picture"]).shape == (96, 96, 3)
     rolled = np.roll(image, (2, -3), (0, 1))
-    found = studio.post("picture.check", picture=studio.send(png_bytes(rolled)), camera=wire(view()))
-    assert found["shift"] == [-3, 2]
-    seen = fetch(studio, found["mask"]) > 127
+    checked = studio.post("picture.check", picture=studio.send(png_bytes(rolled)), camera=wire(view()))
+    assert checked["shift"] == [-3, 2]
+    seen = fetch(studio, checked["mask"]) > 127
     assert (seen & mask).sum() > 0.9 * mask.sum() and (seen & ~mask).mean() < 0.03
     wide = studio.http.post(
         "/api/do/picture.check",
@@ -102,59 +102,61 @@ def test_a_part_of_a_view_is_put_where_it_was_cut_out(studio: Live, scale: int) 
     file = io.BytesIO()
     cut = Image.fromarray((part * 255).astype(np.uint8))
     cut.resize((scale * cut.width, scale * cut.height), Image.Resampling.BICUBIC).save(file, "PNG")
-    found = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view(192)))
-    assert found["notes"][-1] == "a part of its view: 151x109 at 20, 31; the rest is unchanged"
-    back = fetch(studio, found["picture"]) / 255
+    checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view(192)))
+    assert checked["notes"][-1] == "a part of its view: 151x109 at 20, 31; the rest is unchanged"
+    back = fetch(studio, checked["picture"]) / 255
     assert back.shape == (192, 192, 3) and np.abs(back - image).mean() < 0.01
-    seen = fetch(studio, found["mask"]) > 127
+    seen = fetch(studio, checked["mask"]) > 127
     assert (seen & mask).sum() > 0.95 * mask.sum() and not seen[:25].any() and not seen[:, 177:].any()
     lost = studio.http.post("/api/do/picture.check", json={"picture": studio.send(file.getvalue())})
     assert "like no exported view" in lost.json()["error"]["message"]
     for angle in (90, 0):
         studio.post("view.export", camera=wire(view(192, angle)), name=f"from {angle}")
-    known = studio.post("picture.check", picture=studio.send(file.getvalue()))
-    assert known["camera_source"] == "export" and known["notes"] == found["notes"]
-    assert np.allclose(known["camera"]["world_to_camera"], view(192).world_to_camera)
+    recognised = studio.post("picture.check", picture=studio.send(file.getvalue()))
+    assert recognised["camera_source"] == "export" and recognised["notes"] == checked["notes"]
+    assert np.allclose(recognised["camera"]["world_to_camera"], view(192).world_to_camera)
 
 
 def test_parts_are_found_where_much_was_painted_over_and_not_where_nothing_agrees() -> None:
     rng = np.random.default_rng(5)
-    whole = shot(400)
-    cut = whole[87:287, 61:361].copy()
+    full = shot(400)
+    cut = full[87:287, 61:361].copy()
     cut[50:120, 90:160] = rng.uniform(size=(70, 70, 3))  # what was painted, busier than all the rest
     cut[120:, 90:180] = 0.5
-    crop = image_registration.find_crop(cut, whole)
+    crop = image_registration.find_crop(cut, full)
     assert crop is not None and (crop.x, crop.y, crop.width, crop.height) == (61, 87, 300, 200)
-    assert np.array_equal(whole[crop.window].shape, cut.shape)
-    noisy = np.clip(whole[13:213, 61:361] + rng.normal(0, 0.01, (200, 300, 3)), 0, 1)
-    crop = image_registration.find_crop(noisy, whole)
+    assert np.array_equal(full[crop.window].shape, cut.shape)
+    noisy = np.clip(full[13:213, 61:361] + rng.normal(0, 0.01, (200, 300, 3)), 0, 1)
+    crop = image_registration.find_crop(noisy, full)
     assert crop is not None and (crop.x, crop.y) == (61, 13) and 0 < crop.error < 0.02
-    assert image_registration.find_crop(rng.uniform(size=(200, 300, 3)), whole) is None
-    assert image_registration.find_crop(whole[:30, :30], whole) is None  # bare background
-    assert image_registration.find_crop(shot(400, 180)[87:287, 61:361], whole) is None
-    assert image_registration.find_crop(np.zeros((500, 300, 3)), whole) is None  # larger than the view
-    assert image_registration.error_at(whole, whole) == 0
+    assert image_registration.find_crop(rng.uniform(size=(200, 300, 3)), full) is None
+    assert image_registration.find_crop(full[:30, :30], full) is None  # bare background
+    assert image_registration.find_crop(shot(400, 180)[87:287, 61:361], full) is None
+    assert image_registration.find_crop(np.zeros((500, 300, 3)), full) is None  # larger than the view
+    assert image_registration.error_at(full, full) == 0
 
 
 def test_a_part_of_the_views_own_shape_is_no_smaller_copy(studio: Live) -> None:
     image = shot(192)
-    found = studio.post("picture.check", picture=studio.send(png_bytes(image[40:136, 60:156])), camera=wire(view(192)))
-    assert found["notes"] == ["a part of its view: 96x96 at 60, 40; the rest is unchanged"]
-    assert found["share"] < 0.01
+    checked = studio.post(
+        "picture.check", picture=studio.send(png_bytes(image[40:136, 60:156])), camera=wire(view(192))
+    )
+    assert checked["notes"] == ["a part of its view: 96x96 at 60, 40; the rest is unchanged"]
+    assert checked["share"] < 0.01
     small = Image.fromarray((image * 255).astype(np.uint8)).resize((96, 96), Image.Resampling.LANCZOS)
     file = io.BytesIO()
     small.save(file, "PNG")
-    found = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view(192)))
-    assert found["notes"] == ["resampled from 96x96 to its camera's 192x192"]
+    checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view(192)))
+    assert checked["notes"] == ["resampled from 96x96 to its camera's 192x192"]
 
 
 def test_side_effects_outside_the_edit_are_shown(studio: Live) -> None:
     image, mask = painted(shot())
     drifted = image.copy()
     drifted[:, :48] = np.where(mask[:, :48, None], image[:, :48], image[:, :48] + 3 / 255)
-    found = studio.post("picture.check", picture=studio.send(png_bytes(drifted)), camera=wire(view()))
-    assert "outside the edit" in found["warnings"][0]["message"]
-    red = fetch(studio, found["warnings"][0]["picture"])
+    checked = studio.post("picture.check", picture=studio.send(png_bytes(drifted)), camera=wire(view()))
+    assert "outside the edit" in checked["warnings"][0]["message"]
+    red = fetch(studio, checked["warnings"][0]["picture"])
     assert red.shape == (96, 96, 4) and red[10, 10, 3] > 0 and red[10, 90, 3] == 0
 
 
@@ -173,8 +175,8 @@ def test_a_picture_of_another_asset_is_warned_of(studio: Live) -> None:
 
     image, _ = painted(shot())
     other = replace(view(), asset_sha256="0" * 64)
-    found = studio.post("picture.check", picture=studio.send(png_bytes(image, other)))
-    assert "another asset" in found["warnings"][0]["message"]
+    checked = studio.post("picture.check", picture=studio.send(png_bytes(image, other)))
+    assert "another asset" in checked["warnings"][0]["message"]
 
 
 @pytest.mark.parametrize(("right", "down"), [(0, 0), (1, 0), (-2, 3), (3, -3)])
@@ -191,25 +193,25 @@ def test_a_regraded_or_foreign_picture_is_not_taken_for_a_moved_one() -> None:
 
 
 def test_saved_pictures_are_offered_once_and_whole(studio: Live, tmp_path: Path) -> None:
-    shared, own = tmp_path / "shared", studio.studio
+    shared, served = tmp_path / "shared", studio.studio
     studio.post("view.export", camera=wire(view()), name="export", to="folder")
-    assert saved_picture(own, "export.png") is None  # the studio's own writing
+    assert saved_picture(served, "export.png") is None  # the studio's own writing
     data = png_bytes(painted(shot())[0], view())
     (shared / "export.png").write_bytes(data[: len(data) // 2])
     with pytest.raises(ValueError, match="export.png: damaged picture"):
-        saved_picture(own, "export.png")  # half a file
+        saved_picture(served, "export.png")  # half a file
     (shared / "export.png").write_bytes(data)
-    blob = saved_picture(own, "export.png")
+    blob = saved_picture(served, "export.png")
     assert blob is not None and blob.path.read_bytes() == data
-    assert saved_picture(own, "export.png") is None  # offered before
+    assert saved_picture(served, "export.png") is None  # offered before
     (shared / "page.png").write_bytes(b"<html>")
     (shared / "rows.splat").write_bytes(b"\1" * 32)
     for name in ("rows.splat", "../own.splatproj"):
-        assert saved_picture(own, name) is None
+        assert saved_picture(served, name) is None
     with pytest.raises(ValueError, match="page.png: expected a picture"):
-        saved_picture(own, "page.png")
+        saved_picture(served, "page.png")
     with pytest.raises(FileNotFoundError):
-        saved_picture(own, "missing.png")
+        saved_picture(served, "missing.png")
 
 
 def test_the_folder_is_watched(studio: Live, tmp_path: Path) -> None:
@@ -224,5 +226,5 @@ def test_the_folder_is_watched(studio: Live, tmp_path: Path) -> None:
             if event:
                 break
         assert event is not None and event["name"].startswith("saved")
-        found = browser.do("picture.check", picture=event["picture"], name=event["name"])
-        assert found["camera_source"] == "chunk" and json.dumps(found["camera"])
+        checked = browser.do("picture.check", picture=event["picture"], name=event["name"])
+        assert checked["camera_source"] == "chunk" and json.dumps(checked["camera"])

@@ -146,20 +146,20 @@ def test_other_machines_need_the_token() -> None:
     assert entered.status_code == 303 and entered.headers["location"] == "/page?x=1"
     cookie = entered.headers["set-cookie"]
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
-    known = {**here, "cookie": cookie.split(";")[0]}
-    assert ask(access, headers=known).text == "in"
+    with_cookie = {**here, "cookie": cookie.split(";")[0]}
+    assert ask(access, headers=with_cookie).text == "in"
     assert ask(access, headers={**here, "authorization": f"Bearer {TOKEN}"}).text == "in"
-    assert shake(access, here) == "websocket.close" and shake(access, known) == "websocket.accept"
-    assert shake(access, {**known, "origin": "http://evil.example"}) == "websocket.close"
-    assert ask(access, headers={**known, "host": "evil.example"}).status_code == 400
+    assert shake(access, here) == "websocket.close" and shake(access, with_cookie) == "websocket.accept"
+    assert shake(access, {**with_cookie, "origin": "http://evil.example"}) == "websocket.close"
+    assert ask(access, headers={**with_cookie, "host": "evil.example"}).status_code == 400
 
 
 def test_the_token_address_leads_nowhere_else() -> None:
     access = Access.of("0.0.0.0", TOKEN)
     for path in ("//evil.example/x", "/%0d%0aset-cookie:x=1", "/\\evil.example"):
         answer = ask(access, f"{path}?token={TOKEN}", headers={"host": "10.0.0.1"})
-        place = answer.headers["location"]
-        assert place.startswith("/") and not place.startswith(("//", "/\\")) and "\n" not in place
+        location = answer.headers["location"]
+        assert location.startswith("/") and not location.startswith(("//", "/\\")) and "\n" not in location
 
 
 def test_a_token_is_made_for_every_address_but_loopback() -> None:
@@ -177,8 +177,8 @@ def studio(tmp_path: Path) -> Iterator[Live]:
     (tmp_path / "shared").mkdir()
     (tmp_path / "secret.ply").write_bytes(b"ply\n")
     limits = UploadLimits(upload=200_000, picture=100_000, total=400_000, gaussians=1000)
-    with live(make_studio(tmp_path, shared=tmp_path / "shared", limits=limits)) as own:
-        yield own
+    with live(make_studio(tmp_path, shared=tmp_path / "shared", limits=limits)) as served:
+        yield served
 
 
 def test_the_real_server_refuses_foreign_pages(studio: Live) -> None:
@@ -244,7 +244,7 @@ def sog_of(rows: int) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("name", "data", "said"),
+    ("name", "data", "reason"),
     [
         ("page.html", b"<html><script>alert(1)</script></html>", "expected a picture"),
         ("page.svg", b'<svg xmlns="http://www.w3.org/2000/svg"/>', "expected a picture"),
@@ -264,24 +264,26 @@ def sog_of(rows: int) -> bytes:
         ("large.png", bomb(10) + b"\0" * 150_000, "MiB"),
     ],
 )
-def test_uploads_are_judged_before_they_are_decoded(studio: Live, name: str, data: bytes, said: str) -> None:
+def test_uploads_are_judged_before_they_are_decoded(studio: Live, name: str, data: bytes, reason: str) -> None:
     answer = studio.http.post(f"/api/blobs?name={name}", content=data)
-    assert answer.status_code == (413 if said == "MiB" else 400) and said in str(answer.json()["error"]), answer.text
+    assert answer.status_code == (413 if reason == "MiB" else 400) and reason in str(answer.json()["error"]), (
+        answer.text
+    )
     assert studio.studio.blobs.size == 0
 
 
 def test_what_is_kept_is_bounded(tmp_path: Path) -> None:
     store = Blobs(UploadLimits(upload=4000, total=10_000))
     try:
-        kept = [store.put(bytes([k]) * 3200, f"{k}.splat") for k in range(6)]
-        assert store.size <= 10_000 and store.get(kept[-1].sha256).size == 3200
-        assert sum(blob.path.exists() for blob in kept) == 3
+        stored = [store.put(bytes([k]) * 3200, f"{k}.splat") for k in range(6)]
+        assert store.size <= 10_000 and store.get(stored[-1].sha256).size == 3200
+        assert sum(blob.path.exists() for blob in stored) == 3
         with pytest.raises(ValueError, match="send it again"):
-            store.get(kept[0].sha256)
+            store.get(stored[0].sha256)
         with pytest.raises(ValueError, match="expected a picture, got a asset"):
-            store.get(kept[-1].sha256, "picture")
+            store.get(stored[-1].sha256, "picture")
     finally:
-        folder = kept[-1].path.parent
+        folder = stored[-1].path.parent
         store.close()
     assert not folder.exists()
 

@@ -31,8 +31,8 @@ RED, BLUE = (230, 20, 20, 255), (20, 20, 230, 255)
 
 @pytest.fixture
 def studio(tmp_path: Path) -> Iterator[Live]:
-    with live(make_studio(tmp_path)) as own:
-        yield own
+    with live(make_studio(tmp_path)) as served:
+        yield served
 
 
 def test_a_stroke_is_previewed_committed_and_undone_bit_for_bit(studio: Live) -> None:
@@ -41,8 +41,8 @@ def test_a_stroke_is_previewed_committed_and_undone_bit_for_bit(studio: Live) ->
     with studio.greeted() as browser:
         assert browser.mirror.agrees(session.splats)
         started = browser.do("paint.begin", camera=wire(view()))
-        place = {"x": 36, "y": 36, "width": 24, "height": 24}
-        seen = browser.do("paint.dab", stroke=started["stroke"], rgba=dab(24, RED), **place)
+        box = {"x": 36, "y": 36, "width": 24, "height": 24}
+        seen = browser.do("paint.dab", stroke=started["stroke"], rgba=dab(24, RED), **box)
         assert seen["gaussians"] > 0 and browser.order == ["frame", "answer"] and browser.mirror.previews == 1
         assert rows_sha256(session.splats) == before and not browser.mirror.agrees(session.splats)
         made = browser.do("paint.end", stroke=started["stroke"], name="red square")
@@ -87,7 +87,7 @@ def test_two_windows_see_the_same(studio: Live) -> None:
 def test_of_the_long_lists_only_what_is_new_is_told(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(project, "STEPS", 6)  # so that old steps go
 
-    def told(browser: Browser) -> dict[str, Any]:
+    def state_of(browser: Browser) -> dict[str, Any]:
         browser.do("receipt")
         state = studio.http.get("/api/state").json()
         assert browser.state == state
@@ -95,18 +95,18 @@ def test_of_the_long_lists_only_what_is_new_is_told(studio: Live, monkeypatch: p
 
     with studio.greeted() as one, studio.greeted() as two:
         marks = [one.do("bookmark.add", name=f"{k}", camera=wire(view(48)))["bookmark"] for k in range(3)]
-        assert [mark["name"] for mark in told(two)["bookmarks"]] == ["0", "1", "2"]
+        assert [mark["name"] for mark in state_of(two)["bookmarks"]] == ["0", "1", "2"]
         for k in range(8):
             one.do("look.commit", look={"exposure": 0.1 * (k + 1)}, name=f"look {k}")
-            assert told(two)["history"][-1]["label"] == f"add look {k}"
-        assert len(told(two)["history"]) == 7  # the start of the history and six steps to undo
+            assert state_of(two)["history"][-1]["label"] == f"add look {k}"
+        assert len(state_of(two)["history"]) == 7  # the start of the history and six steps to undo
         two.do("undo")
         two.do("undo")
-        told(one)
+        state_of(one)
         two.do("look.commit", look={"exposure": 0.3}, name="another")  # in place of what was undone
-        assert [step["label"] for step in told(one)["history"][-2:]] == ["add look 5", "add another"]
+        assert [step["label"] for step in state_of(one)["history"][-2:]] == ["add look 5", "add another"]
         one.do("bookmark.delete", bookmark=marks[1]["id"])
-        assert [mark["name"] for mark in told(two)["bookmarks"]] == ["0", "2"]
+        assert [mark["name"] for mark in state_of(two)["bookmarks"]] == ["0", "2"]
         news: list[dict[str, Any]] = []
         monkeypatch.setattr(studio_client, "after", lambda state, event: news.append(event) or after(state, event))
         one.do("layer.set", layer=one.state["layers"][0]["id"], opacity=0.5)
@@ -121,10 +121,10 @@ def test_after_a_break_only_what_is_missing_comes(studio: Live) -> None:
         browser.stroke(view(), (30, 30), 16, RED)
     with studio.greeted() as other:
         other.stroke(view(96, 120), (40, 40), 16, BLUE)
-    known = mirror.version
+    version = mirror.version
     with studio.browser(mirror) as back:
         back.hello()
-        assert back.order == ["frame", "answer"] and mirror.version == known + 1
+        assert back.order == ["frame", "answer"] and mirror.version == version + 1
         assert mirror.agrees(studio.studio.session.splats)
         mirror.version, mirror.columns = -1, {}
         back.do("sync", since=None)
@@ -277,7 +277,7 @@ def test_the_first_message_is_hello_of_the_same_schema(studio: Live) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reason"),
     [
         ("no json", "expected JSON"),
         ("[" * 100_000, "expected JSON"),
@@ -291,13 +291,13 @@ def test_the_first_message_is_hello_of_the_same_schema(studio: Live) -> None:
         ('{"id": 7, "do": "layer.delete", "layer": "9"}', "layer: expected one of none, got '9'"),
     ],
 )
-def test_wrong_messages_are_told_why(studio: Live, text: str, said: str) -> None:
+def test_wrong_messages_are_told_why(studio: Live, text: str, reason: str) -> None:
     with studio.greeted() as browser:
         browser.socket.send(text)
         while (data := browser.receive()) is None or "re" not in data or "progress" in data:
             pass
         error = data["error"]
-        assert error["kind"] == "input" and said in error["message"] + error["hint"]
+        assert error["kind"] == "input" and reason in error["message"] + error["hint"]
         assert browser.do("undo")["ok"]  # and the connection goes on
 
 
@@ -401,9 +401,9 @@ def test_looks_are_previewed_on_every_row_and_taken_back(studio: Live) -> None:
         browser.do("look.preview", look={"exposure": 0.0})
         assert browser.mirror.agrees(session.splats)
         browser.do("look.preview", look={"saturation": -1})
-        shown, previewed = browser.mirror.columns["sh"], browser.received
+        sh, previewed = browser.mirror.columns["sh"], browser.received
         browser.do("look.commit", look={"saturation": -1})
-        assert browser.mirror.agrees(session.splats) and np.abs(shown - session.splats.sh).max() < 4e-3
+        assert browser.mirror.agrees(session.splats) and np.abs(sh - session.splats.sh).max() < 4e-3
         assert 2.5 * previewed < browser.received < 60 * len(session.splats)  # tints; colours alone as floats
         layer = session.layers[0]
         browser.do("layer.set", layer=layer.id, parameters={"saturation": -1, "strength": 0})

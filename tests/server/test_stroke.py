@@ -60,18 +60,18 @@ def test_nothing_shows_through_a_solid_surface() -> None:
 def test_dabs_go_on_where_the_last_one_stopped() -> None:
     splats = ball(2000)
     stroke = Stroke(view(SIZE))
-    shown = splats
+    current = splats
     errors = []
     for _ in range(4):
         preview = stroke.preview(splats, splats, 1, stroke.patch(*BOX, square()))
-        shown = with_preview(shown, preview)
-        errors.append(np.abs(shot(shown) - np.array([200, 40, 40]) / 255)[stroke.mask].mean())
+        current = with_preview(current, preview)
+        errors.append(np.abs(shot(current) - np.array([200, 40, 40]) / 255)[stroke.mask].mean())
     assert errors == sorted(errors, reverse=True) and errors[-1] < errors[0]
     cleared = stroke.preview(splats, splats, 1, stroke.patch(*BOX, square((0, 0, 0, 0))))
     for _ in range(8):
-        shown = with_preview(shown, cleared)
+        current = with_preview(current, cleared)
         cleared = stroke.preview(splats, splats, 1, stroke.patch(*BOX, square((0, 0, 0, 0))))
-    assert np.abs(shot(shown) - shot(splats)).mean() < 0.01
+    assert np.abs(shot(current) - shot(splats)).mean() < 0.01
 
 
 def test_a_changed_asset_is_projected_anew_and_the_whole_stroke_shown_on_it() -> None:

@@ -31,8 +31,8 @@ PATIENCE = 90.0
 
 def chromium() -> str:
     """The browser's program; skips, or fails where it must be there."""
-    found = os.environ.get("SPLATPAINTER_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
-    missing = "no Chromium (apt install chromium, or set SPLATPAINTER_CHROMIUM)" if found is None else ""
+    program = os.environ.get("SPLATPAINTER_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    missing = "no Chromium (apt install chromium, or set SPLATPAINTER_CHROMIUM)" if program is None else ""
     try:
         import playwright.sync_api as _  # noqa: F401
     except ImportError:
@@ -41,8 +41,8 @@ def chromium() -> str:
         pytest.fail(f"browser tests must run here, but there is {missing}")
     if missing:
         pytest.skip(f"browser tests: {missing}")
-    assert found is not None
-    return found
+    assert program is not None
+    return program
 
 
 @contextlib.contextmanager
@@ -93,7 +93,9 @@ class Page:
         """What the page's console complained of."""
         self.requests: list[str] = []
         self.tab = browser.new_page(viewport={"width": width, "height": height})
-        self.tab.on("console", lambda said: said.type in ("error", "warning") and self.problems.append(said.text))
+        self.tab.on(
+            "console", lambda message: message.type in ("error", "warning") and self.problems.append(message.text)
+        )
         self.tab.on("pageerror", lambda error: self.problems.append(str(error)))
         self.tab.on("request", lambda request: self.requests.append(request.url))
         self.url = url
@@ -139,11 +141,11 @@ class Page:
     def drag(self, *points: tuple[float, float], button: str = "left") -> None:
         """With the mouse over the view; points are shares of its width and height."""
         box = self.tab.locator("#stage").bounding_box()
-        places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in points]
-        self.tab.mouse.move(*places[0])
+        positions = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in points]
+        self.tab.mouse.move(*positions[0])
         self.tab.mouse.down(button=button)
-        for place in places[1:]:
-            self.tab.mouse.move(*place, steps=5)
+        for position in positions[1:]:
+            self.tab.mouse.move(*position, steps=5)
         self.tab.mouse.up(button=button)
 
     def pointer(self, event: str, number: int, kind: str, x: float, y: float, pressure: float = 0.5) -> None:

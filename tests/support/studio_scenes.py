@@ -105,8 +105,8 @@ def live(studio: Studio, access: Access | None = None) -> Iterator[Live]:
 def live_with_folder(folder: Path) -> Iterator[Live]:
     """A served studio whose clients may name files of `folder`/shared."""
     (folder / "shared").mkdir()
-    with live(make_studio(folder, shared=folder / "shared")) as own:
-        yield own
+    with live(make_studio(folder, shared=folder / "shared")) as served:
+        yield served
 
 
 def dab(size: int, color: tuple[int, int, int, int]) -> str:
@@ -119,9 +119,9 @@ def dab(size: int, color: tuple[int, int, int, int]) -> str:
 class Browser(studio_client.Browser):
     """A client that can paint a square."""
 
-    def stroke(self, camera: Camera, place: tuple[int, int], size: int, color: tuple[int, int, int, int], **how: Any):
+    def stroke(self, camera: Camera, corner: tuple[int, int], size: int, color: tuple[int, int, int, int], **how: Any):
         """Paint a square and commit it; returns the answer."""
         started = self.do("paint.begin", camera=wire(camera), kind=how.pop("kind", "paint"))
-        rectangle = {"x": place[0], "y": place[1], "width": size, "height": size}
+        rectangle = {"x": corner[0], "y": corner[1], "width": size, "height": size}
         self.do("paint.dab", stroke=started["stroke"], rgba=dab(size, color), **rectangle)
         return self.do("paint.end", stroke=started["stroke"], **how)

@@ -163,7 +163,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             return _failed(Problem(kind="input", message="view: expected a camera as JSON"))
         context = CommandContext(studio, PageState("http"), Ticket())
         try:
-            made = await hub.queue.read(lambda _: render_view(context, command), context.ticket)
+            made = await hub.queue.run("read", lambda: render_view(context, command), context.ticket)
             data, media = await asyncio.to_thread(studio.picture_bytes, made.picture)
         except Exception as error:
             return _failed(problem_of(error))

@@ -24,19 +24,6 @@ HOME_VIEW = {"elevation": 15.0, "fov": 40.0}
 BACKGROUND = (0.16, 0.17, 0.18)
 
 
-def camera_to_wire(camera: cameras.Camera) -> protocol.CameraInfo:
-    """The same camera."""
-    return protocol.CameraInfo.model_validate_json(camera.to_json())
-
-
-def camera_from_wire(camera: protocol.CameraInfo) -> cameras.Camera:
-    """The same camera. Raises ValueError: not rigid, not finite, or more than MAX_VIEW_PIXELS."""
-    if camera.width * camera.height > protocol.MAX_VIEW_PIXELS:
-        limit, size = protocol.MAX_VIEW_PIXELS / 1e6, f"{camera.width}x{camera.height}"
-        raise ValueError(f"camera: expected at most {limit:g} megapixels, got {size}; zoom out")
-    return cameras.Camera.from_json(camera.model_dump_json(), "camera")
-
-
 def up_axis(session: Session) -> tuple[int, int, int]:
     """World axis that is up on the screen."""
     return UPS[session.up]
@@ -73,7 +60,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
         center=center.tolist(),
         radius=radius,
         up=list(up),
-        home=camera_to_wire(view),
+        home=protocol.CameraInfo.of(view),
         frame="" if source is None else frame_line(source),
         frame_stated=source is None or source.frame_from != "format" or source.format != "spz",
         problems=[] if source is None else list(source.problems),
@@ -92,7 +79,7 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
     scores: list[dict[str, Any]] = [*facts.get("views", ()), *({} for _ in layer.views)]
     views = [
         protocol.LayerViewInfo(
-            camera=camera_to_wire(view.camera),
+            camera=protocol.CameraInfo.of(view.camera),
             picture=view.picture,
             mask=view.mask,
             **{k: score.get(k) for k in ("psnr_before", "psnr_after", "psnr_outside")},
@@ -151,7 +138,7 @@ class Lists:
 
 
 def _bookmark_info(bookmark: Bookmark) -> protocol.BookmarkInfo:
-    return protocol.BookmarkInfo(id=bookmark.id, name=bookmark.name, camera=camera_to_wire(bookmark.camera))
+    return protocol.BookmarkInfo(id=bookmark.id, name=bookmark.name, camera=protocol.CameraInfo.of(bookmark.camera))
 
 
 def changes(before: protocol.State, now: protocol.State, clients: int) -> protocol.StateEvent:

@@ -86,7 +86,7 @@ class Hub:
         context = CommandContext(self.studio, page, ticket)
         seconds, opened = 0.0, False
 
-        def job(_: Ticket) -> Answer:
+        def job() -> Answer:
             nonlocal seconds, opened
             start, before = time.perf_counter(), self.studio.session_id
             try:
@@ -98,9 +98,8 @@ class Hub:
             finally:
                 seconds = time.perf_counter() - start
 
-        lane = self.queue.write if handler.writes else self.queue.background if handler.background else self.queue.read
         try:
-            answer = await lane(job, ticket)
+            answer = await self.queue.run(handler.lane, job, ticket)
         except Exception as error:
             raise CommandError(self.studio.public_problem(problem_of(error))) from error
         if client is not None:  # the page may have another connection by now

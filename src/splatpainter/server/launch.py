@@ -83,7 +83,7 @@ def warm() -> threading.Thread:
     return thread
 
 
-def make_server(studio: Studio, access: Access, limits: ConnectionLimits | None = None):
+def make_server(studio: Studio, access: Access, limits: ConnectionLimits | None = None) -> uvicorn.Server:
     """A uvicorn server of the studio; run it with `server.run(sockets=[bound])`."""
     http, socket_class = bounded(limits or ConnectionLimits())
     config = uvicorn.Config(
@@ -109,12 +109,12 @@ class Running:
     """Open this."""
     session: Session
     """The session that was opened; clients may open another."""
-    _server: object
+    _server: uvicorn.Server
     _threads: tuple[threading.Thread, ...]
 
     def stop(self) -> None:
         """Close it; the project file stays. Returns when all is on disk."""
-        self._server.should_exit = True  # type: ignore[attr-defined]
+        self._server.should_exit = True
         for thread in self._threads:
             thread.join()
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from splatpainter.cameras import Camera
 from splatpainter.io.files import printable
 
 MAX_VIEW_PIXELS = 4_000_000
@@ -64,6 +65,17 @@ class CameraInfo(Message):
     background: Rgb
     """Behind the asset, 0..1, in the asset's colour space."""
     asset_sha256: str | None = None
+
+    @staticmethod
+    def of(camera: Camera) -> CameraInfo:
+        return CameraInfo.model_validate_json(camera.to_json())
+
+    def to_camera(self) -> Camera:
+        """Raises ValueError: not rigid, not finite, or more than MAX_VIEW_PIXELS."""
+        if self.width * self.height > MAX_VIEW_PIXELS:
+            limit, size = MAX_VIEW_PIXELS / 1e6, f"{self.width}x{self.height}"
+            raise ValueError(f"camera: expected at most {limit:g} megapixels, got {size}; zoom out")
+        return Camera.from_json(self.model_dump_json(), "camera")
 
 
 class AssetInfo(Message):

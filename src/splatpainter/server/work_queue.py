@@ -1,6 +1,6 @@
 """The order of work: one thread changes the asset, job after job; others look at it. The event loop never waits.
 
-Knows no session. A job is a function of its Ticket, by which it reports progress and learns that it was cancelled.
+Knows no session. A job has a Ticket, by which it reports progress and learns that it was cancelled.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ import asyncio
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 Result = TypeVar("Result")
-READER_THREADS, BACKGROUND_THREADS = 2, 1
+Lane = Literal["write", "read", "background"]
+THREADS: dict[Lane, int] = {"write": 1, "read": 2, "background": 1}
 MAX_JOBS = 512
 """Jobs that may wait; beyond that a client is told to come back later."""
 
@@ -53,38 +54,25 @@ class WorkQueue:
     snapshots; `background` for long work that changes nothing, so that it holds up neither."""
 
     def __init__(self, max_jobs: int = MAX_JOBS) -> None:
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="studio-writer")
-        self._readers = ThreadPoolExecutor(READER_THREADS, thread_name_prefix="studio-reader")
-        self._background = ThreadPoolExecutor(BACKGROUND_THREADS, thread_name_prefix="studio-background")
+        self._lanes = {lane: ThreadPoolExecutor(threads, f"studio-{lane}") for lane, threads in THREADS.items()}
         self._max_jobs, self._waiting = max_jobs, 0
 
-    async def write(self, job: Callable[[Ticket], Result], ticket: Ticket) -> Result:
-        """The result of a job that may change the asset. Raises what it raises, Cancelled and Busy."""
-        return await self._run(self._writer, job, ticket)
-
-    async def read(self, job: Callable[[Ticket], Result], ticket: Ticket) -> Result:
-        """The result of a job that only looks at snapshots."""
-        return await self._run(self._readers, job, ticket)
-
-    async def background(self, job: Callable[[Ticket], Result], ticket: Ticket) -> Result:
-        """The result of a long job that only looks at snapshots."""
-        return await self._run(self._background, job, ticket)
-
-    async def _run(self, lane: ThreadPoolExecutor, job: Callable[[Ticket], Result], ticket: Ticket) -> Result:
+    async def run(self, lane: Lane, job: Callable[[], Result], ticket: Ticket) -> Result:
+        """The result of a job. Raises what it raises, Cancelled and Busy."""
         if self._waiting >= self._max_jobs:
             raise Busy
 
         def checked() -> Result:
             ticket.check()
-            return job(ticket)
+            return job()
 
         self._waiting += 1
         try:
-            return await asyncio.get_running_loop().run_in_executor(lane, checked)
+            return await asyncio.get_running_loop().run_in_executor(self._lanes[lane], checked)
         finally:
             self._waiting -= 1
 
     def close(self) -> None:
         """Wait for the jobs in work; those that have not begun are dropped."""
-        for lane in (self._writer, self._readers, self._background):
-            lane.shutdown(wait=True, cancel_futures=True)
+        for executor in self._lanes.values():
+            executor.shutdown(wait=True, cancel_futures=True)

@@ -20,7 +20,6 @@ from splatpainter.server.commands.context import (
     progress,
     python_line,
 )
-from splatpainter.server.describe import camera_from_wire
 from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
 from splatpainter.session.compositing import reached_gaussians
 from splatpainter.sources.color_grading import GradeSettings, grade_sh
@@ -127,4 +126,4 @@ def _settings(context: CommandContext, sliders: GradeSliders) -> dict:
 def _mask_camera(request: GradePreview | GradeCommit) -> Camera:
     if request.camera is None:
         raise ValueError("look: a mask needs the camera that it was drawn in")
-    return camera_from_wire(request.camera)
+    return request.camera.to_camera()

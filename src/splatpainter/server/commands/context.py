@@ -23,7 +23,7 @@ from splatpainter.server.image_registration import same_shape
 from splatpainter.server.page_state import PageState
 from splatpainter.server.protocol import Answer, Command, LayerMade
 from splatpainter.server.studio import Studio
-from splatpainter.server.work_queue import Ticket
+from splatpainter.server.work_queue import Lane, Ticket
 from splatpainter.sources.picture_reader import read_mask, resample
 from splatpainter.splats import Splats
 
@@ -51,10 +51,14 @@ class Handler:
     """How a command is executed."""
 
     run: Run
-    writes: bool
+    writes: bool = False
     """Whether it may change the session."""
-    background: bool
+    background: bool = False
     """Whether the client's next commands need not wait for it (long work that changes nothing)."""
+
+    @property
+    def lane(self) -> Lane:
+        return "write" if self.writes else "background" if self.background else "read"
 
 
 HANDLERS: dict[type[Command], Handler] = {}

@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 from splatpainter.io import FORMATS, files, read
 from splatpainter.server.commands.context import CommandContext, command, naming_errors, python_line
-from splatpainter.server.describe import camera_from_wire, camera_to_wire
 from splatpainter.server.protocol import (
     Answer,
     Blob,
@@ -41,9 +40,9 @@ class BookmarkAdd(Command):
 
 @command(BookmarkAdd, writes=True)
 def add_bookmark(context: CommandContext, request: BookmarkAdd) -> BookmarkMade:
-    camera = camera_from_wire(request.camera)
+    camera = request.camera.to_camera()
     id = context.studio.session.add_bookmark(request.name, camera)
-    info = BookmarkInfo(id=id, name=request.name, camera=camera_to_wire(camera))
+    info = BookmarkInfo(id=id, name=request.name, camera=CameraInfo.of(camera))
     line = python_line("session.add_bookmark", request.name)[:-1] + ", camera)"
     return BookmarkMade(bookmark=info, python=line)
 

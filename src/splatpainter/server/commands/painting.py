@@ -27,7 +27,6 @@ from splatpainter.server.commands.context import (
     progress,
     python_line,
 )
-from splatpainter.server.describe import camera_from_wire
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
     Answer,
@@ -67,7 +66,7 @@ class PaintBegin(Command):
 @command(PaintBegin)
 def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     studio = context.studio
-    stroke = Stroke(camera_from_wire(request.camera), request.kind == "erase")
+    stroke = Stroke(request.camera.to_camera(), request.kind == "erase")
     now = studio.session.snapshot
     stroke.prepare(now.splats, studio.original, now.version)
     threading.Thread(target=studio.session.prepare, daemon=True).start()  # ready when the pen goes up
@@ -211,7 +210,7 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
 
 def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> Edit:
     """An uploaded picture as an edit of the asset as it now is; transparent pixels change nothing."""
-    camera = camera_from_wire(view.camera)
+    camera = view.camera.to_camera()
     blob = context.studio.blobs.get(view.picture, "picture")
     name = Path(blob.name or "picture")
     with naming_errors(blob.path, str(name)):
@@ -226,7 +225,7 @@ def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> E
 
 def _eraser_from_upload(context: CommandContext, view: EditedView) -> Edit:
     """Of an eraser only the mask counts: the mask given, else the picture as one."""
-    camera = camera_from_wire(view.camera)
+    camera = view.camera.to_camera()
     mask = mask_from_upload(context, view.mask or view.picture, camera)
     return Edit(np.zeros((camera.height, camera.width, 3), np.float32), camera, mask, "erase")
 

@@ -14,7 +14,6 @@ from splatpainter.color import to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.server import image_registration as registration
 from splatpainter.server.commands.context import CommandContext, command, render_alpha, render_display
-from splatpainter.server.describe import camera_from_wire, camera_to_wire
 from splatpainter.server.image_registration import Crop, find_crop
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
 from splatpainter.server.storage import StoredBlob
@@ -116,7 +115,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     if not mask.any():
         warnings.append(PictureWarning(message="The picture does not differ from the asset as it is now."))
     return PictureChecked(
-        camera=camera_to_wire(camera),
+        camera=CameraInfo.of(camera),
         camera_source=source,
         picture=studio.blobs.put(registration.png_bytes(colors), name).sha256,
         mask=studio.blobs.put(registration.png_bytes(mask), "mask.png").sha256,
@@ -164,7 +163,7 @@ def _find_camera(
 ) -> tuple[Camera, CameraSource]:
     studio = context.studio
     if request.camera is not None:
-        return camera_from_wire(request.camera), "given"
+        return request.camera.to_camera(), "given"
     with contextlib.suppress(ValueError):
         return find_camera(blob.path), "chunk"
     stem = Path(Path(name).name).stem
@@ -176,7 +175,7 @@ def _find_camera(
     for export in reversed(candidates):
         if Path(export.name).stem == stem and stem != "view":
             return export.camera, "export"
-    colors = picture.colors if picture.alpha is None else picture.colors * picture.alpha[..., None]
+    colors = _flat(picture, 0.0, picture.size)
     best = registration.most_alike(colors, [export.thumbnail for export in candidates])
     if best is None:
         camera = _cropped_from(context, colors)
@@ -193,9 +192,9 @@ def _crop(picture: Picture, render: np.ndarray) -> Crop | None:
     height, width = render.shape[:2]
     if picture.size == (width, height):
         return None
-    crop = find_crop(_opaque(picture), render)
+    crop = find_crop(_flat(picture, 0.0, picture.size), render)
     if crop is not None and registration.same_shape(picture.size, (width, height)):
-        uncropped_error = registration.error_at(_opaque(picture, (width, height)), render)
+        uncropped_error = registration.error_at(_flat(picture, 0.0, (width, height)), render)
         return crop if crop.error < MAX_CROP_ERROR_RATIO * uncropped_error else None
     return crop
 
@@ -213,16 +212,10 @@ def _render(context: CommandContext, camera: Camera) -> np.ndarray:
     return np.clip(render_display(context.studio.session.splats, camera), 0, 1)
 
 
-def _opaque(picture: Picture, size: tuple[int, int] | None = None) -> np.ndarray:
-    """[H, W, 3] its colours over black."""
-    resized = picture.resized(*(size or picture.size))
-    return resized.colors if resized.alpha is None else resized.colors * resized.alpha[..., None]
-
-
-def _flat(picture: Picture, render: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """[H, W, 3] the picture at a size over the render, where it is transparent."""
+def _flat(picture: Picture, background: np.ndarray | float, size: tuple[int, int]) -> np.ndarray:
+    """[H, W, 3] the picture at a size, over the background where it is transparent."""
     resized = picture.resized(*size)
     if resized.alpha is None:
         return resized.colors
     alpha = resized.alpha[..., None]
-    return alpha * resized.colors + (1 - alpha) * render
+    return alpha * resized.colors + (1 - alpha) * background

@@ -18,7 +18,7 @@ from splatpainter.io.files import sha256, writing
 from splatpainter.rendering.profiles import Profile
 from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line, render_display
-from splatpainter.server.describe import camera_from_wire, camera_to_wire, up_axis
+from splatpainter.server.describe import up_axis
 from splatpainter.server.image_registration import png_bytes, thumbnail
 from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, FileName, Point, Rgb
 from splatpainter.server.studio import ExportedView
@@ -57,7 +57,7 @@ class ViewRender(Command):
 
 @command(ViewRender)
 def render_view(context: CommandContext, request: ViewRender) -> PictureMade:
-    studio, camera = context.studio, camera_from_wire(request.camera)
+    studio, camera = context.studio, request.camera.to_camera()
     splats = studio.session.splats if request.which == "now" else studio.original
     blob = studio.blobs.put(png_bytes(render_display(splats, camera, request.profile), camera), "render.png")
     keyword = "" if request.profile == "inria" else f", profile={request.profile!r}"
@@ -96,7 +96,7 @@ class ViewExport(Command):
 
 @command(ViewExport, background=True)
 def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
-    studio, camera = context.studio, camera_from_wire(request.camera)
+    studio, camera = context.studio, request.camera.to_camera()
     now = studio.session.snapshot
     bits, aovs = request.bits, tuple(request.aovs)
     options = PictureOptions(request.format, bits, request.transparent, aovs, request.profile, PNG_LEVEL)
@@ -163,7 +163,7 @@ class Turntable(Command):
 def turntable(context: CommandContext, request: Turntable) -> PictureMade:
     from PIL import Image
 
-    studio, camera = context.studio, camera_from_wire(request.camera)
+    studio, camera = context.studio, request.camera.to_camera()
     if request.frames * camera.width * camera.height > MAX_TURNTABLE_PIXELS:
         side = int((MAX_TURNTABLE_PIXELS / request.frames) ** 0.5)
         raise ValueError(
@@ -220,7 +220,7 @@ class Pick(Command):
 
 @command(Pick)
 def pick(context: CommandContext, request: Pick) -> Picked:
-    splats, camera = context.studio.session.splats, camera_from_wire(request.camera)
+    splats, camera = context.studio.session.splats, request.camera.to_camera()
     color, hit = picking.pick(splats, camera, request.x, request.y)
     rgb = np.clip(to_display(color, splats.color_space), 0, 1).tolist()
     if hit is None:
@@ -249,7 +249,7 @@ class CoverageShow(Command):
 
 @command(CoverageShow)
 def coverage(context: CommandContext, request: CoverageShow) -> Covered:
-    studio, camera = context.studio, camera_from_wire(request.camera)
+    studio, camera = context.studio, request.camera.to_camera()
     now = studio.session.snapshot
     splats, kinds = now.splats, covered(now.state.edited, len(now.splats))
     picture = picking.coverage_picture(splats, kinds, camera)
@@ -258,6 +258,6 @@ def coverage(context: CommandContext, request: CoverageShow) -> Covered:
         seen=int((kinds == SEEN).sum()),
         predicted=int((kinds == PREDICTED).sum()),
         picture=studio.blobs.put(png_bytes(picture), "coverage.png").sha256,
-        next_view=None if view is None else camera_to_wire(view),
+        next_view=None if view is None else CameraInfo.of(view),
         python="session.coverage()",
     )
