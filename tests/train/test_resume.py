@@ -57,7 +57,7 @@ def test_the_saved_model_is_the_average_and_loads(tmp_path: Path) -> None:
         assert torch.equal(stored, value.half().float()), name
     frozen = made.task.model.lrm.patches.weight
     assert torch.equal(model.lrm.patches.weight, frozen.half().float())
-    assert max(f.stat().st_size for f in tmp_path.rglob("*.safetensors")) <= checkpoint.SHARD
+    assert max(f.stat().st_size for f in tmp_path.rglob("*.safetensors")) <= checkpoint.MAX_SHARD_BYTES
 
 
 def test_rows_beyond_the_state_are_dropped(tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def run(config: Config) -> Outcome:
             laps["write"] = time.perf_counter() - clock
             bar.enter("verifying")
             clock = time.perf_counter()
-            receipt, found = prove(splats, partial, edited.receipt, config.out_frame)
+            receipt, verification = prove(splats, partial, edited.receipt, config.out_frame)
             laps["verify"] = time.perf_counter() - clock
             spent = {"read": laps.pop("read"), **receipt.seconds, **laps}
             receipt = replace(receipt, seconds=spent)
@@ -105,7 +105,8 @@ def run(config: Config) -> Outcome:
             os.fsync(file.fileno())
     rounded = len(receipt.touched) - len(edited.receipt.touched)
     return Outcome(
-        _record(config, receipt_path, receipt, found, sources), _lines(config, receipt, found, sources, rounded)
+        _record(config, receipt_path, receipt, verification, sources),
+        _lines(config, receipt, verification, sources, rounded),
     )
 
 
@@ -155,9 +156,10 @@ def _pictures(config: Config) -> list[FileEdit]:
 
 def _warn_of_other_assets(sources: list[FileEdit], splats: Splats) -> None:
     for source in sources:
-        told = source.camera.asset_sha256
-        if told is not None and told != splats.sha256:
-            warn(f"{source.path}: was rendered from another asset (sha256 {told[:12]}...); differences count as paint")
+        made_for = source.camera.asset_sha256
+        if made_for is not None and made_for != splats.sha256:
+            other = f"another asset (sha256 {made_for[:12]}...)"
+            warn(f"{source.path}: was rendered from {other}; differences count as paint")
 
 
 def _compile() -> None:
@@ -166,25 +168,27 @@ def _compile() -> None:
     ensure_compiled()
 
 
-def _record(config: Config, path: Path, receipt: Receipt, found: Verification, sources: list[FileEdit]) -> dict:
+def _record(config: Config, path: Path, receipt: Receipt, verification: Verification, sources: list[FileEdit]) -> dict:
     import json
 
     return {
         "out": config.out,
         "receipt_file": path,
-        "verified": found.ok,
-        "same_rows": found.same,
-        "compared": found.exact,
-        "frame": found.frame,
+        "verified": verification.ok,
+        "same_rows": verification.same,
+        "compared": verification.exact,
+        "frame": verification.frame,
         "notes": [f"{source.path}: {note}" for source in sources for note in source.notes],
         "receipt": json.loads(receipt.to_json()),
     }
 
 
-def _lines(config: Config, receipt: Receipt, found: Verification, sources: list[FileEdit], rounded: int) -> list[str]:
+def _lines(
+    config: Config, receipt: Receipt, verification: Verification, sources: list[FileEdit], rounded: int
+) -> list[str]:
     lines = [f"{config.asset} -> {config.out}"]
     lines += [f"{source.path}: {note}" for source in sources for note in source.notes]
-    lines += [f"frame: {found.frame}"] if found.frame_is_news else []
+    lines += [f"frame: {verification.frame}"] if verification.frame_is_news else []
     weights = f" with preset {receipt.preset}" if receipt.method == "ttt" else ""
     rounding = f", in {receipt.precision}" if receipt.precision else ""
     lines.append(f"method {receipt.method}{weights}, mode {receipt.mode}{rounding}")
@@ -194,6 +198,6 @@ def _lines(config: Config, receipt: Receipt, found: Verification, sources: list[
         lines.append(f"{source.path}: {inside}; elsewhere {decibels(view.psnr_outside)} against before")
     again = f", {rounded:,} more rounded anew by the format" if rounded else ""
     lines.append(f"{count(len(receipt.touched) - rounded, 'row')} changed{again}, {receipt.appended_rows:,} appended")
-    lines.append(f"{found.same:,} of {count(found.rows, 'row')} {same_words(found)}, verified")
+    lines.append(f"{verification.same:,} of {count(verification.rows, 'row')} {same_words(verification)}, verified")
     lines.append(seconds(receipt.seconds))
     return lines

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 VARIABLE = "SPLATPAINTER_CACHE"
 """Environment variable: the folder, in place of the user's cache folder."""
-LIMIT = 2 << 30
+MAX_CACHE_BYTES = 2 << 30
 """Bytes of all files together, at most."""
 VERSION = "1"
 """Of everything between an asset and its latents: to be raised when code changes what an encoding is."""
@@ -45,11 +45,11 @@ def cache_folder() -> Path:
 
 def digest(model: SplatPainterModel) -> str:
     """Hex SHA-256 of a model's config and weights."""
-    found = hashlib.sha256(model.config.to_json().encode())
+    sha = hashlib.sha256(model.config.to_json().encode())
     for name, tensor in sorted(model.state_dict().items()):
-        found.update(f"{name} {list(tensor.shape)} {tensor.dtype}".encode())
-        found.update(_bytes(tensor))
-    return found.hexdigest()
+        sha.update(f"{name} {list(tensor.shape)} {tensor.dtype}".encode())
+        sha.update(_bytes(tensor))
+    return sha.hexdigest()
 
 
 def encode_cached(
@@ -58,21 +58,21 @@ def encode_cached(
     grid: VoxelGrid | None = None,
     *,
     weights: str | None = None,
-    limit: int = LIMIT,
+    limit: int = MAX_CACHE_BYTES,
 ) -> Encoded:
     """`encode_asset` with latents in float16, from the cache where it has them; a hit is bitwise what was stored.
 
     weights: `digest` of the model, if at hand; limit: bytes that the folder may hold. Raises ValueError when no row can
     be drawn."""
-    own = splats.numpy()
+    splats = splats.numpy()
     if grid is None or grid.resolution != model.config.compress.resolution:
-        grid = voxelize(own, model.config.compress.resolution)
-    path = cache_folder() / (_key(model, own, weights or digest(model)) + SUFFIX)
+        grid = voxelize(splats, model.config.compress.resolution)
+    path = cache_folder() / (_key(model, splats, weights or digest(model)) + SUFFIX)
     held = _read(path)
-    encoded = None if held is None else _unpacked(model, own, grid, held)
+    encoded = None if held is None else _unpacked(model, splats, grid, held)
     if encoded is None:
         _forget(path)
-        encoded = encode_half(model, own, grid)
+        encoded = encode_half(model, splats, grid)
         _write(path, _packed(model, encoded), limit)
     else:
         with contextlib.suppress(OSError):
@@ -143,11 +143,11 @@ def _read(path: Path) -> dict[str, Tensor] | None:
 
     try:
         with safe_open(path, "pt") as file:
-            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             header = file.metadata() or {}
     except (OSError, SafetensorError, ValueError):
         return None
-    return found if header == {"version": VERSION, "sha256": _checksum(found)} else None
+    return tensors if header == {"version": VERSION, "sha256": _checksum(tensors)} else None
 
 
 def _write(path: Path, tensors: dict[str, Tensor], limit: int) -> None:
@@ -158,18 +158,18 @@ def _write(path: Path, tensors: dict[str, Tensor], limit: int) -> None:
         return
     with contextlib.suppress(OSError, ValueError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        _make_room(path.parent, limit - size)
+        _evict(path.parent, limit - size)
         with writing(path) as file:
             file.write(save(tensors, {"version": VERSION, "sha256": _checksum(tensors)}))
 
 
-def _make_room(folder: Path, room: int) -> None:
-    """Delete the least recently used files until the others need at most `room` bytes."""
-    found = [*folder.glob("*" + SUFFIX), *folder.glob(f".*{SUFFIX}.*.part")]  # also what a killed process left
-    files = sorted(((p.stat().st_mtime, p.stat().st_size, p) for p in found), reverse=True)
+def _evict(folder: Path, max_bytes: int) -> None:
+    """Delete the least recently used files until the rest needs at most `max_bytes`."""
+    paths = [*folder.glob("*" + SUFFIX), *folder.glob(f".*{SUFFIX}.*.part")]  # also what a killed process left
+    files = sorted(((p.stat().st_mtime, p.stat().st_size, p) for p in paths), reverse=True)
     for _, size, path in files:
-        room -= size
-        if room < 0:
+        max_bytes -= size
+        if max_bytes < 0:
             _forget(path)
 
 
@@ -179,11 +179,11 @@ def _forget(path: Path) -> None:
 
 
 def _checksum(tensors: dict[str, Tensor]) -> str:
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     for name, tensor in sorted(tensors.items()):
-        found.update(f"{name} {list(tensor.shape)} {tensor.dtype}".encode())
-        found.update(_bytes(tensor))
-    return found.hexdigest()
+        sha.update(f"{name} {list(tensor.shape)} {tensor.dtype}".encode())
+        sha.update(_bytes(tensor))
+    return sha.hexdigest()
 
 
 def _bytes(tensor: Tensor) -> memoryview:

@@ -4,7 +4,7 @@
                                      "shards": [{"file", "sha256"}]}
     weights-<sha256[:16]>.safetensors
 
-Shards are named for their content and written first, `model.json` last: at any moment the folder is one whole
+Shards are named for their content and written first, `model.json` last: at any moment the folder is one complete
 checkpoint. A tensor larger than a shard is stored in parts along its first axis, named "name@0", "name@1", ...
 "format" says which config it is: the one whose class has that `format`. No pickle anywhere. Knows no architecture:
 names and shapes are compared with the module that is to be filled.
@@ -28,13 +28,13 @@ from splatpainter.models.config import MAX_CONFIG_BYTES, ModelConfig
 if TYPE_CHECKING:
     import torch
 
-OWN = "splatpainter "
+FORMAT_PREFIX = "splatpainter "
 """What every format begins with."""
 VERSION = 1
 INDEX = "model.json"
-SHARD = 15 << 20
+MAX_SHARD_BYTES = 15 << 20
 """Bytes of a shard, at most."""
-PIECE = SHARD - 4096
+MAX_PART_BYTES = MAX_SHARD_BYTES - 4096
 """Bytes of a part of a tensor, at most: a shard has a header too."""
 SHARD_NAME = re.compile(r"weights-[0-9a-f]{16}\.safetensors")
 
@@ -144,13 +144,13 @@ def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = Mod
     shards, table, notes = index.get("shards"), index.get("tensors"), index.get("notes")
     if not (isinstance(shards, list) and isinstance(table, dict) and isinstance(notes, dict)):
         raise ValueError(f"{where}: expected lists of shards and tensors, and notes; the file is damaged")
-    found: dict[str, torch.Tensor] = {}
+    stored: dict[str, torch.Tensor] = {}
     for shard in shards:
         for name, tensor in _shard(target, shard, where).items():
-            if name in found:
+            if name in stored:
                 raise ValueError(f"{where}: tensor '{name}' is in two shards")
-            found[name] = tensor
-    return Checkpoint(config, _joined(found, table, where), notes)
+            stored[name] = tensor
+    return Checkpoint(config, _joined(stored, table, where), notes)
 
 
 def config(folder: Path | str) -> ModelConfig:
@@ -181,24 +181,24 @@ def fill(module: torch.nn.Module, tensors: Mapping[str, torch.Tensor], where: st
     """
     import torch
 
-    wanted = module.state_dict()
-    unknown = sorted(tensors.keys() - wanted.keys())
-    missing = sorted(wanted.keys() - tensors.keys())
+    expected = module.state_dict()
+    unknown = sorted(tensors.keys() - expected.keys())
+    missing = sorted(expected.keys() - tensors.keys())
     wrong = [
-        f"{name} {list(tensors[name].shape)} instead of {list(wanted[name].shape)}"
-        for name in sorted(wanted.keys() & tensors.keys())
-        if tensors[name].shape != wanted[name].shape
+        f"{name} {list(tensors[name].shape)} instead of {list(expected[name].shape)}"
+        for name in sorted(expected.keys() & tensors.keys())
+        if tensors[name].shape != expected[name].shape
     ]
     for problem, names in (("unknown", unknown), ("missing", missing), ("mis-shaped", wrong)):
         if names:
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
             raise ValueError(f"{where}: {problem} weights: {', '.join(names[:3])}{more}; they are of another model")
     cast = {name: t.to(torch.float32) if t.is_floating_point() else t for name, t in tensors.items()}
-    module.load_state_dict(cast, strict=True, assign=any(tensor.is_meta for tensor in wanted.values()))
+    module.load_state_dict(cast, strict=True, assign=any(tensor.is_meta for tensor in expected.values()))
 
 
-def _index(folder: Path, wanted: str = "") -> dict[str, Any]:
-    """model.json, checked as far as format (wanted, or any of this package's) and version."""
+def _index(folder: Path, expected: str = "") -> dict[str, Any]:
+    """model.json, checked as far as format (expected, or any of this package's) and version."""
     path = folder / INDEX
     if not path.is_file():
         raise ValueError(f"{folder}: no weights there; expected a folder with {INDEX} and its shards")
@@ -208,10 +208,10 @@ def _index(folder: Path, wanted: str = "") -> dict[str, Any]:
         data = json.loads(read_all(path))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: expected JSON ({error})") from None
-    told = str(data.get("format")) if isinstance(data, dict) else ""
-    if not (told == wanted if wanted else told.startswith(OWN)):
-        other = f"'{told}'" if told.startswith(OWN) else "something else"
-        raise ValueError(f"{path}: expected format '{wanted or OWN + '...'}'; this is {other}")
+    name_of_format = str(data.get("format")) if isinstance(data, dict) else ""
+    if not (name_of_format == expected if expected else name_of_format.startswith(FORMAT_PREFIX)):
+        other = f"'{name_of_format}'" if name_of_format.startswith(FORMAT_PREFIX) else "something else"
+        raise ValueError(f"{path}: expected format '{expected or FORMAT_PREFIX + '...'}'; this is {other}")
     version = data.get("version")
     if not isinstance(version, int) or version < 1:
         raise ValueError(f"{path}: expected a version number, got {version!r}")
@@ -232,8 +232,8 @@ def _shard(folder: Path, shard: Any, where: str) -> dict[str, torch.Tensor]:
     path = folder / file
     if not path.is_file():
         raise ValueError(f"{path}: missing; copy the whole folder")
-    if path.stat().st_size > SHARD:
-        raise ValueError(f"{path}: expected at most {SHARD} bytes, got {path.stat().st_size}")
+    if path.stat().st_size > MAX_SHARD_BYTES:
+        raise ValueError(f"{path}: expected at most {MAX_SHARD_BYTES} bytes, got {path.stat().st_size}")
     data = read_all(path)
     if hashlib.sha256(data).hexdigest() != digest:
         raise ValueError(f"{path}: damaged (its SHA-256 is not the one in {INDEX}); copy it again")
@@ -243,34 +243,34 @@ def _shard(folder: Path, shard: Any, where: str) -> dict[str, torch.Tensor]:
         raise ValueError(f"{path}: not a safetensors file ({error})") from None
 
 
-def _joined(found: dict[str, torch.Tensor], table: dict[str, Any], where: str) -> dict[str, torch.Tensor]:
+def _joined(stored: dict[str, torch.Tensor], table: dict[str, Any], where: str) -> dict[str, torch.Tensor]:
     """Whole tensors from their parts, of the shapes that `table` says."""
     import torch
 
-    tensors, most = {}, len(found)
+    tensors, max_parts = {}, len(stored)
     for name, entry in table.items():
         parts, shape = (entry.get("parts"), entry.get("shape")) if isinstance(entry, dict) else (None, None)
-        if not isinstance(parts, int) or not 1 <= parts <= most:
-            raise ValueError(f"{where}: tensor '{name}': expected 1..{most} parts, got {parts!r}")
-        pieces = [found.pop(name if parts == 1 else f"{name}@{i}", None) for i in range(parts)]
-        whole = [piece for piece in pieces if piece is not None]
-        if len(whole) < parts:
+        if not isinstance(parts, int) or not 1 <= parts <= max_parts:
+            raise ValueError(f"{where}: tensor '{name}': expected 1..{max_parts} parts, got {parts!r}")
+        pieces = [stored.pop(name if parts == 1 else f"{name}@{i}", None) for i in range(parts)]
+        present = [piece for piece in pieces if piece is not None]
+        if len(present) < parts:
             raise ValueError(f"{where}: tensor '{name}' is in no shard")
         try:
-            tensors[name] = whole[0] if parts == 1 else torch.cat(whole)
+            tensors[name] = present[0] if parts == 1 else torch.cat(present)
         except (RuntimeError, TypeError):
             raise ValueError(f"{where}: the parts of tensor '{name}' do not fit together") from None
         if list(tensors[name].shape) != shape:
             raise ValueError(f"{where}: tensor '{name}': expected shape {shape}, got {list(tensors[name].shape)}")
-    if found:
-        raise ValueError(f"{where}: the shards hold a tensor that it does not name: {sorted(found)[0]}")
+    if stored:
+        raise ValueError(f"{where}: the shards hold a tensor that it does not name: {sorted(stored)[0]}")
     return tensors
 
 
 def _pieces(tensor: torch.Tensor) -> list[torch.Tensor]:
     """The tensor, or runs of its first axis that fit in a shard."""
     size = tensor.numel() * tensor.element_size()
-    count = math.ceil(size / PIECE)
+    count = math.ceil(size / MAX_PART_BYTES)
     if count <= 1 or tensor.ndim == 0:
         return [tensor]
     assert count <= tensor.shape[0], "a row larger than a shard"
@@ -278,14 +278,14 @@ def _pieces(tensor: torch.Tensor) -> list[torch.Tensor]:
 
 
 def _batches(parts: list[tuple[str, torch.Tensor]]) -> list[list[tuple[str, torch.Tensor]]]:
-    """Runs of parts, in order, of at most SHARD bytes with their header."""
+    """Runs of parts, in order, of at most MAX_SHARD_BYTES bytes with their header."""
     batches: list[list[tuple[str, torch.Tensor]]] = []
-    room = 0
+    bytes_left = 0
     for name, tensor in parts:
         need = tensor.numel() * tensor.element_size() + len(name) + 100  # its line in the header
-        if need > room or not batches:
+        if need > bytes_left or not batches:
             batches.append([])
-            room = SHARD
+            bytes_left = MAX_SHARD_BYTES
         batches[-1].append((name, tensor))
-        room -= need
+        bytes_left -= need
     return batches

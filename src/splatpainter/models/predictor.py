@@ -21,7 +21,7 @@ from torch.nn import functional
 from splatpainter.lift.global_edit import Predict
 from splatpainter.lift.joint_colors import MIN_SEEN_PX
 from splatpainter.models.config import PredictConfig
-from splatpainter.nn.closed_form import solve
+from splatpainter.nn.fast_weights import solve_ridge
 from splatpainter.nn.precision import exact
 from splatpainter.splats import SH_C0, Splats
 
@@ -112,7 +112,7 @@ class Predictor(nn.Module):
             light, hue, mean = self._described(inputs, around)
             counted = share[:, 0] * self.trust.exp()
             rest = shown - mean
-            solved = solve(light, rest[:, :1], counted), solve(hue, rest[:, 1:], counted)
+            solved = solve_ridge(light, rest[:, :1], counted), solve_ridge(hue, rest[:, 1:], counted)
             size = len(facts) if torch.is_grad_enabled() else CHUNK
             parts = []
             for some in facts.split(size):

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from splatpainter.nn.layers import gated
+from splatpainter.nn.precision import exact
 
 InnerLoss = Literal["dot", "l2"]
 MUON = (3.4445, -4.7750, 2.0315)
@@ -151,3 +152,19 @@ def advance(
             moved.append(w * (norm / w.norm(dim=-2, keepdim=True).clamp_min(1e-5)))
         weights = FastWeights(*moved)
     return weights
+
+
+def solve_ridge(features: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
+    """[F, C] a linear map that one edit solves for exactly: the W that minimises
+    sum_n weights_n |features_n W - targets_n|^2 + |W|^2; worked out in float64, differentiable in everything.
+
+    features: [N, F]; targets: [N, C]; weights: [N] >= 0 (0: left out). Without any weight W is 0. The penalty is fixed:
+    features that learn their size learn how much each is trusted. Where a TTT layer takes a step towards lower error,
+    this goes to the minimum (a "Mesa" layer, arXiv 2309.05858; on learned features "ALPaCA", arXiv 1807.08912).
+    """
+    with exact(features.device):
+        phi = features.double()
+        scaled = phi * weights.to(phi)[:, None]
+        gram = phi.mT @ scaled + torch.eye(phi.shape[1], dtype=phi.dtype, device=phi.device)
+        factor = torch.linalg.cholesky(gram)
+        return torch.cholesky_solve(scaled.mT @ targets.to(phi), factor).to(targets.dtype)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from splatpainter.nn.closed_form import solve
+from splatpainter.nn.fast_weights import solve_ridge
 
 RNG = np.random.default_rng(0)
 FEATURES, WANTED = RNG.normal(size=(40, 6)), RNG.normal(size=(40, 3))
@@ -13,7 +13,7 @@ WEIGHTS = RNG.uniform(0, 3, 40)
 
 
 def solved(features: np.ndarray, wanted: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    return solve(*(torch.from_numpy(x) for x in (features, wanted, weights))).numpy()
+    return solve_ridge(*(torch.from_numpy(x) for x in (features, wanted, weights))).numpy()
 
 
 def test_it_is_least_squares_with_the_penalty_as_further_rows() -> None:
@@ -41,4 +41,4 @@ def test_much_evidence_is_believed() -> None:
 
 def test_gradients() -> None:
     inputs = [torch.from_numpy(x[:9].copy()).requires_grad_() for x in (FEATURES, WANTED, WEIGHTS + 0.1)]
-    assert torch.autograd.gradcheck(solve, inputs)
+    assert torch.autograd.gradcheck(solve_ridge, inputs)
