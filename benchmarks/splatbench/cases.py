@@ -339,8 +339,7 @@ class Record:
     machine: str = ""
 
     @property
-    def whole(self) -> bool:
-        """Whether it has figures."""
+    def has_figures(self) -> bool:
         return not self.error and not self.missing
 
     def write(self, path: Path) -> None:
@@ -495,7 +494,7 @@ class CaseStore:
             record = Record.read(path)
         except ValueError:
             return False
-        usable = record.whole or (redo == "nothing" and not record.missing)
+        usable = record.has_figures or (redo == "nothing" and not record.missing)
         return usable and record.fingerprint == blank.fingerprint
 
     def _failure(self, label: str) -> Path:

@@ -290,16 +290,16 @@ def table_folders(given: Sequence[Path], program: str) -> list[Path]:
     """OUT/PROTOCOL of every folder given, in the order of the tables. Raises ValueError for one that holds none."""
     from splatbench.tables import NAMES
 
-    found: list[Path] = []
+    tables: list[Path] = []
     for folder in given:
         if not folder.is_dir():
             raise ValueError(f"{program}: {folder}: no such folder; expected one that benches wrote")
         inside = [folder / name for name in NAMES if (folder / name / "records").is_dir()]
-        own = [folder] if folder.name in NAMES and (folder / "records").is_dir() else []
-        if not inside and not own:
+        itself = [folder] if folder.name in NAMES and (folder / "records").is_dir() else []
+        if not inside and not itself:
             raise ValueError(f"{program}: {folder}: holds no table that a bench wrote ({', '.join(NAMES)})")
-        found += own or inside
-    return sorted(found, key=lambda folder: NAMES.index(folder.name))
+        tables += itself or inside
+    return sorted(tables, key=lambda folder: NAMES.index(folder.name))
 
 
 def preset(options: TableOptions, words: Sequence[str], name: str) -> TableOptions:
@@ -330,17 +330,17 @@ def check(options: TableOptions, program: str) -> None:
 
 def named_folders(words: Sequence[str], program: str) -> dict[str, str]:
     """NAME=FOLDER words. Raises ValueError: another form, a name given twice, no such folder."""
-    found: dict[str, str] = {}
+    folders: dict[str, str] = {}
     for word in words:
         name, sign, folder = word.partition("=")
         if not name or not sign or not folder:
             raise ValueError(f"{program}: expected --weights NAME=FOLDER, got {word!r}")
-        if name in found:
+        if name in folders:
             raise ValueError(f"{program}: --weights: {name} was given twice")
         if not Path(folder).is_dir():
             raise ValueError(f"{program}: --weights: {name}: {folder}: no such folder")
-        found[name] = str(Path(folder).absolute())
-    return found
+        folders[name] = str(Path(folder).absolute())
+    return folders
 
 
 def shard(text: str, program: str) -> tuple[int, int]:
@@ -355,9 +355,9 @@ def _perceptual(folder: Path | None) -> Path | None:
     """Folder of LPIPS weights, asked for or of the environment. Raises ValueError where one asked for holds none."""
     from splatpainter.metrics.lpips import VARIABLE
 
-    place = folder or Path(os.environ.get(VARIABLE) or "/")
-    if (place / "lpips_alex.safetensors").is_file():
-        return place
+    weights = folder or Path(os.environ.get(VARIABLE) or "/")
+    if (weights / "lpips_alex.safetensors").is_file():
+        return weights
     if folder is not None:
         raise ValueError(f"--perceptual-weights: {folder}: holds no lpips_alex.safetensors")
     return None

@@ -141,12 +141,14 @@ def _lpips_gaps(state: RunState) -> list[str]:
     if state.config.perceptual is None:
         return []
     keys = [c.key for c in state.table.columns if "lpips" in c.key]
-    bare = Counter(r.method for r in state.records if keys and r.whole and all(r.figures.get(k) is None for k in keys))
+    bare = Counter(
+        r.method for r in state.records if keys and r.has_figures and all(r.figures.get(k) is None for k in keys)
+    )
     return [f"{_label(state, method)}: n/a in {number} cases" for method, number in bare.items()]
 
 
 def _machines(state: RunState) -> list[str]:
-    machines = [r.machine for r in state.records if r.whole]
+    machines = [r.machine for r in state.records if r.has_figures]
     lines = []
     if any(SIDE_BY_SIDE.search(machine) for machine in machines):
         lines.append("seconds were measured with several methods side by side: they compare less well")
@@ -159,7 +161,7 @@ def _machines(state: RunState) -> list[str]:
 def _remarks(state: RunState) -> Iterable[str]:
     """Of the methods, about their answers."""
     for method in dict.fromkeys(r.method for r in state.records):
-        remarks = list(dict.fromkeys(r.note for r in state.records if r.method == method and r.whole and r.note))
+        remarks = list(dict.fromkeys(r.note for r in state.records if r.method == method and r.has_figures and r.note))
         if remarks:
             more = len(remarks) - MAX_REMARKS
             ending = f"; and {more} other remarks" if more > 0 else ""

@@ -108,27 +108,27 @@ def is_splat_folder(folder: Path | None) -> bool:
 def _of_folder(setup: Setup, folder: Path) -> Objects:
     from splatpainter.data.scenes import MeshFolder, split
 
-    whole = MeshFolder(folder)
-    files = {whole.name(i): whole.files[i] for i in range(len(whole))}
+    meshes = MeshFolder(folder)
+    files = {meshes.name(i): meshes.files[i] for i in range(len(meshes))}
     # Stages and judges of training split these names alike, with these defaults.
-    kept = split(list(files))[1] if setup.held_out else list(files)
+    available = split(list(files))[1] if setup.held_out else list(files)
     what = "held-out meshes" if setup.held_out else "meshes"
-    if not kept:
+    if not available:
         raise ValueError(
             f"{folder}: none of its {len(files)} meshes is held out of training (their names decide); add meshes, "
             f"or take any"
         )
-    broken = {name: reason for name in kept if (reason := _broken(files[name]))}
+    broken = {name: reason for name in available if (reason := _broken(files[name]))}
     notes = [f"{name}: left out, {reason}" for name, reason in broken.items()]
-    kept = [name for name in kept if name not in broken]
-    if not kept:
+    available = [name for name in available if name not in broken]
+    if not available:
         raise ValueError(f"{folder}: none of its {what} can be read; the first: {notes[0]}")
-    pool, told = _rich(kept, _details(folder), setup.objects)
+    pool, how = _rich(available, _details(folder), setup.objects)
     order = np.random.default_rng([setup.seed, *b"objects"]).permutation(len(pool))
     chosen = [pool[int(k)] for k in sorted(order[: setup.objects])]
     if len(chosen) < setup.objects:
         notes.append(f"{setup.objects} objects were asked for; there are {len(chosen)} {what}")
-    notes.append(f"{len(chosen)} of {len(kept)} {what}{told}")
+    notes.append(f"{len(chosen)} of {len(available)} {what}{how}")
     return Objects(tuple(chosen), partial(_loaded, files=files), tuple(notes))
 
 
@@ -145,21 +145,21 @@ def _rich(names: Sequence[str], details: dict[str, float], count: int) -> tuple[
 
 def _details(folder: Path) -> dict[str, float]:
     """Name -> texture detail, of a MANIFEST.csv in the folder or beside it (columns path and notes)."""
-    for place in (folder, folder.resolve().parent):
-        manifest = place / "MANIFEST.csv"
+    for parent in (folder, folder.resolve().parent):
+        manifest = parent / "MANIFEST.csv"
         if not manifest.is_file():
             continue
-        found = {}
+        details = {}
         try:
             with open(manifest, newline="", encoding="utf-8-sig") as file:
                 for row in csv.DictReader(file):
-                    known = DETAIL.search(row.get("notes") or "")
-                    path = (place / (row.get("path") or "")).resolve()
-                    if known and path.is_relative_to(folder.resolve()):
-                        found[path.relative_to(folder.resolve()).with_suffix("").as_posix()] = float(known[1])
+                    match = DETAIL.search(row.get("notes") or "")
+                    path = (parent / (row.get("path") or "")).resolve()
+                    if match and path.is_relative_to(folder.resolve()):
+                        details[path.relative_to(folder.resolve()).with_suffix("").as_posix()] = float(match[1])
         except (OSError, ValueError, csv.Error):
             return {}  # somebody else's file of that name
-        return found
+        return details
     return {}
 
 

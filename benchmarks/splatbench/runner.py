@@ -128,7 +128,7 @@ def write_table(
         shard_labels=frozenset(key.label for key in shard_keys),
         failed=store.failures([key.label for key in keys if key.label not in digests]),
         records=tuple(current),
-        outdated=tuple(r for r in current if r.whole and is_outdated(r)),
+        outdated=tuple(r for r in current if r.has_figures and is_outdated(r)),
         table=table,
         labels={name: method.label for name, method in methods.items()},
     )
@@ -342,7 +342,9 @@ def edited(case: Case, method: Method, budget: Budget) -> tuple[list[EditResult]
     asset, state = case.asset, None
     for step in case.steps:
         before = rows_sha256(asset)
-        task = EditTask(case.protocol, asset, case.base, step, case.true_views if method.oracle else None, state)
+        task = EditTask(
+            case.protocol, asset, case.base, step, case.true_views if method.is_upper_bound else None, state
+        )
         result = method.edit(task, budget)
         if rows_sha256(asset) != before:
             raise ValueError(f"{method.name}: wrote into the asset that it was given; its answer cannot be compared")

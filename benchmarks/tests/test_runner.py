@@ -169,12 +169,12 @@ def test_a_killed_worker_costs_the_case_in_hand(config: RunConfig) -> None:
     done = run(config)
     own = found(config, "grow")
     assert own["toy-0-1"].error == "its process ended by SIGKILL; out of memory?"
-    assert [r.whole for r in own.values()] == [False, True, True, True]
+    assert [r.has_figures for r in own.values()] == [False, True, True, True]
     assert "| Grow (1 of 2) |" in table(config) and not done.complete
     run(config)
     assert found(config, "grow") == own, "errors stay ..."
     run(replace(config, redo="errors"))
-    assert all(r.whole for r in found(config, "grow").values()), "... until asked for anew"
+    assert all(r.has_figures for r in found(config, "grow").values()), "... until asked for anew"
     assert counted("grow") == 6 + 1 + 0
 
 

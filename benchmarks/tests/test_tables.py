@@ -59,7 +59,7 @@ def edit(work: EditTask, budget: Budget) -> EditResult:
 
 
 LABELS = {"lift": "Lift", "ttt": "Ours & theirs", "3dgs": "3DGS", "bound": "Bound", "voxhammer": "VoxHammer"}
-METHODS = {name: Method(name, label, edit, (), oracle=name == "bound") for name, label in LABELS.items()}
+METHODS = {name: Method(name, label, edit, (), is_upper_bound=name == "bound") for name, label in LABELS.items()}
 
 
 @pytest.fixture()

@@ -83,8 +83,8 @@ class Method:
     """Raises ValueError where it cannot do this task; any other exception is a crash. Both become a row's error."""
     protocols: tuple[str, ...]
     """Tables that it has a row in by default."""
-    oracle: bool = False
-    """An upper bound that sees true edited views."""
+    is_upper_bound: bool = False
+    """It sees true edited views."""
     missing: Callable[[Budget], str] = lambda _: ""
     """Why it cannot run here ("not installed: ...", "needs a CUDA GPU", "no weights: ..."), or "". Cheap."""
     version: Callable[[Budget], str] = lambda _: "1"

@@ -126,22 +126,22 @@ def local_views(task: EditTask, earlier: Sequence[EditStep], asset_views: PosedI
     """Base views, views of the asset and of earlier edits without what contradicts them, and the edited views, which
     are repeated until they are EDITED_SHARE of all."""
     reached_now = reached(task.asset, [task.step])
-    others: list[View] = []
+    unedited: list[View] = []
     if task.step.kind == "zoom" and not earlier:
-        others += fit_views(task.base)
+        unedited += fit_views(task.base)
     else:
         reached_before = reached(task.asset, [step for step in earlier if step.kind != "zoom"])
-        others += _without(task.asset, task.base, reached_now | reached_before)
+        unedited += _without(task.asset, task.base, reached_now | reached_before)
     for images in ([asset_views] if asset_views else []) + [step.edited for step in earlier]:
-        others += _without(task.asset, images, reached_now)
-    return mixed(fit_views(task.step.edited), others, EDITED_SHARE)
+        unedited += _without(task.asset, images, reached_now)
+    return mixed(fit_views(task.step.edited), unedited, EDITED_SHARE)
 
 
-def mixed(edited: Sequence[View], others: Sequence[View], share: float) -> list[View]:
+def mixed(edited: Sequence[View], unedited: Sequence[View], share: float) -> list[View]:
     """All views, the edited ones repeated until they are about `share` (0..1) of them: each round of training takes
     every entry once."""
-    times = max(round(share * len(others) / ((1 - share) * len(edited))), 1)
-    return [*others, *(view for _ in range(times) for view in edited)]
+    times = max(round(share * len(unedited) / ((1 - share) * len(edited))), 1)
+    return [*unedited, *(view for _ in range(times) for view in edited)]
 
 
 def reached(asset: Splats, steps: Sequence[EditStep]) -> np.ndarray:

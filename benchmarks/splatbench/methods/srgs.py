@@ -87,13 +87,13 @@ def edit(
         if budget.scratch is not None:
             budget.scratch.mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix="super-resolution-", dir=budget.scratch))
-        others = low_views(task, program(budget.adapters, factor, folder), budget, factor, asset_views)
+        unedited = low_views(task, program(budget.adapters, factor, folder), budget, factor, asset_views)
         shutil.rmtree(folder, ignore_errors=True)  # after a failure it stays: its log is named in the error
     else:
-        others = low_views(task, partial(lanczos, factor=factor), budget, factor, asset_views)
+        unedited = low_views(task, partial(lanczos, factor=factor), budget, factor, asset_views)
     setup = time.perf_counter() - begin
     curve = Curve(budget.curve)
-    views = mixed(fit_views(task.step.edited), others, EDITED_SHARE)
+    views = mixed(fit_views(task.step.edited), unedited, EDITED_SHARE)
     options = FitOptions(steps=budget.steps, ssim=SSIM_SHARE, seed=budget.seed, device=budget.device)
     fitted = optimize(task.asset, views, options, loss=partial(srgs_loss, texture, factor), watch=curve.watch)
     prior = "the adapters file's program" if external else "Lanczos and back-projection, no network"
@@ -102,7 +102,7 @@ def edit(
         setup,
         curve.seconds,
         keeps_rows=False,
-        numbers={"steps": float(fitted.steps), "patches": float(len(others)), "rows": float(len(fitted.splats))},
+        numbers={"steps": float(fitted.steps), "patches": float(len(unedited)), "rows": float(len(fitted.splats))},
         note=f"{fitted.steps} steps, each of a window of a large picture ({min(PATCH_EDGE / factor, 1):.0%} of its "
         f"edge) or ({EDITED_SHARE:.0%}) an edited view; {len(task.base)} base views and {asset_views} of the asset, "
         f"x{factor} by {prior}; {texture:g} L_tex + {1 - texture:g} L_sub; densification",
@@ -147,7 +147,7 @@ def lanczos(picture: np.ndarray, factor: int) -> np.ndarray:
 
     x = U y, with Lanczos' enlargement U and pooling P, satisfies P x = picture for y = (P U)^-1 picture: where the
     rounds x += U (picture - P x) of back-projection end. Both are separable, so two small matrices are inverted. What
-    clipping takes from a block of sub-pixels is given to its others."""
+    clipping takes from a block of sub-pixels is given to its other ones."""
     picture = np.clip(picture, 0, 1).astype(np.float32)
     down, across = (_unpooled(size, factor) for size in picture.shape[:2])
     inner = np.einsum("yv,vuc,xu->yxc", down, picture, across, optimize=True)

@@ -87,7 +87,7 @@ def _method(name: str, label: str, all_attributes: bool) -> Method:
         label=label,
         edit=partial(edit, all_attributes),
         protocols=("refine", "relight", "creative"),
-        oracle=True,
+        is_upper_bound=True,
         version=lambda _: f"2-{SSIM_SHARE:g}",
     )
 

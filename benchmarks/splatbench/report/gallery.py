@@ -73,7 +73,7 @@ def picture_rows(folder: Path, records: Sequence[Record], names: MethodNames, ta
         measured = (c for c in table.columns if any(r.figures.get(c.key) is not None for r in within))
         column = next(measured, table.columns[0])
         for case, rank in ranked(within, column.key, {1: 3, 2: 2, 3: 2}.get(len(parts), 1)):
-            answers = {r.method: r for r in within if r.label == case and r.whole}
+            answers = {r.method: r for r in within if r.label == case and r.has_figures}
             name = next((r.name for r in answers.values()), case)
             title = [name, f"{table.split_by} {block}" if table.split_by and block else "", rank and f"{rank} case"]
             tiles = _tiles(folder, case, answers, names, column)

@@ -174,7 +174,7 @@ def notes(rows: Sequence[SummaryRow], table: TableLayout, names: MethodNames) ->
 
 def machines(sections: Sequence[Section]) -> list[str]:
     """Every machine that rows were measured on, without how busy it was."""
-    lines = (r.machine for section in sections for r in section.run.records if r.whole and r.machine)
+    lines = (r.machine for section in sections for r in section.run.records if r.has_figures and r.machine)
     return list(dict.fromkeys(SIDE_BY_SIDE.sub("", LOAD.sub("", line)) for line in lines))
 
 

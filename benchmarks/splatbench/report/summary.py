@@ -32,7 +32,7 @@ class MethodLabel(Protocol):
     @property
     def label(self) -> str: ...
     @property
-    def oracle(self) -> bool: ...
+    def is_upper_bound(self) -> bool: ...
 
 
 class TableLayout(Protocol):
@@ -63,8 +63,8 @@ class MethodNames:
         names = set(names)
         order = (*(name for name in methods if name in names), *sorted(names - set(methods)))
         labels = {name: methods[name].label if name in methods else name for name in order}
-        oracles = {name for name in order if name in methods and methods[name].oracle}
-        return MethodNames(order, labels, frozenset(oracles | {"nothing"}))
+        bounds = {name for name in order if name in methods and methods[name].is_upper_bound}
+        return MethodNames(order, labels, frozenset(bounds | {"nothing"}))
 
     def style(self, name: str) -> int:
         """Number of the method's colour and shape (plots.MARKS)."""
@@ -250,8 +250,8 @@ def estimate(values: Mapping[str, Sequence[float | None]], seed: int = 0) -> Est
 
 
 def _summary_row(method: str, block: str, cases: int, records: Sequence[Record]) -> SummaryRow:
-    measured = [r for r in records if r.whole]
-    reasons = Counter(r.missing or f"error: {r.error}" for r in records if not r.whole)
+    measured = [r for r in records if r.has_figures]
+    reasons = Counter(r.missing or f"error: {r.error}" for r in records if not r.has_figures)
     figures = {}
     for key in dict.fromkeys(key for r in measured for key in r.figures):
         by_object: dict[str, list[float | None]] = {}
@@ -310,7 +310,7 @@ class CurvePoint:
 def curve_points(records: Sequence[Record], method: str, key: str) -> list[CurvePoint]:
     """The figure `key` on the way (Record.curve) at the step counts that all cases of the method with a curve have, in
     order; steps at which a case lacks the figure are left out."""
-    curves = [{p["steps"]: p for p in r.curve} for r in records if r.method == method and r.whole and r.curve]
+    curves = [{p["steps"]: p for p in r.curve} for r in records if r.method == method and r.has_figures and r.curve]
     if not curves:
         return []
     points = []

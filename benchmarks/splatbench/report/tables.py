@@ -108,7 +108,7 @@ def case_figures(records: Iterable[Record]) -> list[CaseFigure]:
     lines = []
     for r in records:
         values: dict[str, float | str | None]
-        if r.whole:
+        if r.has_figures:
             values = {**r.figures, **{name: getattr(r, name) for name in COSTS}}
             values |= {f"numbers.{name}": value for name, value in r.numbers.items()}
         else:

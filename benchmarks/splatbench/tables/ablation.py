@@ -155,11 +155,11 @@ def _of_kind(stream: SampleStream, kind: str) -> SampleStream:
     """Samples of one kind, with the numbers, objects and choices of `train.judge.trials`."""
     from splatpainter.train.judge import MANY_VIEWS
 
-    own = copy(stream)
-    own.kinds = {kind: 1.0}
+    of_kind = copy(stream)
+    of_kind.kinds = {kind: 1.0}
     if kind == MANY_VIEWS:
-        own.recipe = replace(stream.recipe, views=(0.0,) * (RELIT_VIEWS - 1) + (1.0,))
-    return own
+        of_kind.recipe = replace(stream.recipe, views=(0.0,) * (RELIT_VIEWS - 1) + (1.0,))
+    return of_kind
 
 
 def _pictures(views: Views) -> PosedImages:

@@ -94,10 +94,10 @@ class CreativeEditing:
         cameras = [*step.edited.cameras, *case.after.cameras]
         before = rendered(case.asset, cameras)
         outside = object_masks(PosedImages(tuple(cameras), before)) & ~np.concatenate([step.masks, novel])
-        kept = compared(rendered(last.splats, cameras), before, outside, perceptual) if outside.any() else {}
+        outside_figures = compared(rendered(last.splats, cameras), before, outside, perceptual) if outside.any() else {}
         near = scored(last.splats, case.after.take(case.near), novel[case.near], perceptual)
         for name in ("psnr", "ssim", "lpips"):
-            figures |= {f"{name}_outside": kept.get(name), f"{name}_novel": near[name]}
+            figures |= {f"{name}_outside": outside_figures.get(name), f"{name}_novel": near[name]}
         return figures | changed_gaussians(case.asset, last)
 
     def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:

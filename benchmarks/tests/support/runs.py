@@ -30,7 +30,7 @@ class FakeTable:
 @dataclass(frozen=True)
 class FakeMethod:
     label: str
-    oracle: bool = False
+    is_upper_bound: bool = False
 
 
 METHODS = {
@@ -38,7 +38,7 @@ METHODS = {
     "lift": FakeMethod("Ours (lift)"),
     "ttt": FakeMethod("Ours (TTT)"),
     "3dgs": FakeMethod("3DGS"),
-    "oracle": FakeMethod("Oracle", oracle=True),
+    "oracle": FakeMethod("Oracle", is_upper_bound=True),
     "voxhammer": FakeMethod("VoxHammer"),
 }
 
@@ -64,7 +64,7 @@ def write(folder: Path, records: Iterable[Record], size: int = 16, folders: dict
                 write_png(case / f"{stem}.png", rng.random((size, size, 3)).astype(np.float32))
         home = folder / "records" / (folders or {}).get(r.method, r.method)
         r.write(home / f"{r.label}.json")
-        if r.whole:
+        if r.has_figures:
             write_png(home / f"{r.label}.png", rng.random((size, size, 3)).astype(np.float32))
     return folder
 

@@ -148,7 +148,7 @@ METHODS = (
     Method("cheating", "Cheating", cheating, ()),
     Method("dying", "Dying", dying, ()),
     Method("absent", "Absent", grow, ("toy",), missing=lambda _: "not installed: put it there"),
-    Method("bound", "Bound", bound, ("toy",), oracle=True),
+    Method("bound", "Bound", bound, ("toy",), is_upper_bound=True),
 )
 
 

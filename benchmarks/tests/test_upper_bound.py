@@ -52,7 +52,7 @@ def test_without_true_views_there_is_no_bound() -> None:
     asset = two_sheets()
     work = replace(given("local", asset, asset), true_views=None)
     for method in BY_NAME.values():
-        assert method.oracle and method.missing(Budget()) == ""
+        assert method.is_upper_bound and method.missing(Budget()) == ""
         with pytest.raises(ValueError, match="no true edited views"):
             method.edit(work, Budget(steps=1))
 
