@@ -180,7 +180,7 @@ def test_views_of_one_focal_length_are_the_models_own_copy() -> None:
         own, ours = model.copy_rows(views), reconstruction.dense(model, views)
     assert np.array_equal(own.links.patches, ours.links.patches)
     for name in ATTRIBUTES:
-        torch.testing.assert_close(getattr(ours.rows, name), getattr(own.rows, name))
+        torch.testing.assert_close(getattr(ours.gaussians, name), getattr(own.gaussians, name))
 
 
 def test_gaussians_of_a_close_up_are_as_small_as_its_pixels() -> None:
@@ -190,7 +190,7 @@ def test_gaussians_of_a_close_up_are_as_small_as_its_pixels() -> None:
     with torch.no_grad():
         own, ours = model.lrm(views).splats, reconstruction.dense(model, views)
     places = torch.from_numpy(ours.links.patches[:, 0]) >= 3 * 16  # patches of the fourth view, with twice the focal
-    close = ours.rows.scales[places]
+    close = ours.gaussians.scales[places]
     assert views.alpha is not None
     alike = own.scales[(model.lrm.config.patch**2) * 3 * 16 :]
     alike = alike[patchify(views.alpha[3:], 8).reshape(-1) > 0.1]
@@ -239,7 +239,7 @@ def test_stage_one_keeps_a_quarter_of_every_voxel_and_later_steps_see_earlier_vi
     done = method.edit(asked, budget)
     views = reconstruction.all_views(model, asked, asked.step.edited)
     with torch.no_grad(), autocast("cpu", precision):
-        rows = reconstruction.dense(model, views).rows.numpy()
+        rows = reconstruction.dense(model, views).gaussians.numpy()
     lo, size = bounding_cube(rows)
     cells = np.clip(np.floor((rows.means - lo) / size * config.compress.resolution), 0, config.compress.resolution - 1)
     _, counts = np.unique(cells.astype(int), axis=0, return_counts=True)
