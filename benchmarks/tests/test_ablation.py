@@ -21,7 +21,7 @@ from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn import fast_weights
 from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.train.judge import refine_task, trials
-from splatpainter.train.training_data import Stock, Supply
+from splatpainter.train.training_data import ResourceFolders, Supply
 from tests.support.model_scenes import grid_of, pictures, shell, with_refine
 from tests.support.painter_scenes import LIFT, OWN, built
 from tests.support.train_scenes import LIFT as TRAINED
@@ -45,8 +45,8 @@ def made(place: int) -> Case:
 @cache
 def judged_samples() -> list[Any]:
     """The first two that `train judge` would look at, with this data, seed, mixture and sizes."""
-    recipe = ablate._supply(SETUP, Stock()).recipe
-    supply = Supply(ablate.PROCEDURAL, recipe, SETUP.seed, 0.1, Stock())
+    recipe = ablate._supply(SETUP, ResourceFolders()).recipe
+    supply = Supply(ablate.PROCEDURAL, recipe, SETUP.seed, 0.1, ResourceFolders())
     return [trial.sample for trial in trials(supply, ablate.SHARES, 2, ablate.RELIT_VIEWS)]
 
 

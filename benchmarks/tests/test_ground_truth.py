@@ -36,12 +36,12 @@ def fake_meshes(folder: Path, count: int, start: int = 0) -> Path:
 def test_held_out_objects_are_those_that_training_holds_out(tmp_path: Path) -> None:
     from splatpainter.data.samples import SampleRecipe
     from splatpainter.train.recipes import Recipe
-    from splatpainter.train.training_data import Stock, Supply
+    from splatpainter.train.training_data import ResourceFolders, Supply
 
     folder = fake_meshes(tmp_path / "meshes", 60)
     chosen = objects(Setup(data=folder, objects=60)).names
-    supply = Supply(str(folder), SampleRecipe({"plain": 1.0}), 5, Recipe.validation_share, Stock())
-    held, seen = supply.stream(held=True).source, supply.stream().source
+    supply = Supply(str(folder), SampleRecipe({"plain": 1.0}), 5, Recipe.validation_share, ResourceFolders())
+    held, seen = supply.stream(validation=True).source, supply.stream().source
     assert 0 < len(chosen) < 30
     assert list(chosen) == [held.name(i) for i in range(len(held))]
     assert not set(chosen) & {seen.name(i) for i in range(len(seen))}

@@ -199,15 +199,15 @@ def test_a_coarse_asset_looks_like_the_dense_truth_and_less_so_when_rough(dense:
 
     truth = pictures(dense)
     errors = []
-    for fuzz in (0.0, 1.0):
-        coarse = coarse_asset(dense, 4000, seed=2, fuzz=fuzz)
+    for roughness in (0.0, 1.0):
+        coarse = coarse_asset(dense, 4000, seed=2, roughness=roughness)
         assert len(coarse) == 4000 and all(torch.isfinite(v).all() for v in vars(coarse).values())
         assert coarse.scales[:, 0].median() > 1.5 * dense.scales[:, 0].median()
         errors.append(float((pictures(coarse) - truth).square().mean()))
     assert -10 * np.log10(errors[0]) > 24 and errors[1] > errors[0]
     assert coarse.opacities.min() < 0.6
     torch.testing.assert_close(coarse.albedo.mean(0), dense.albedo.mean(0), atol=0.05, rtol=0)
-    again = coarse_asset(dense, 4000, seed=2, fuzz=1.0)
+    again = coarse_asset(dense, 4000, seed=2, roughness=1.0)
     assert torch.equal(again.means, coarse.means) and torch.equal(again.opacities, coarse.opacities)
 
 
@@ -215,7 +215,7 @@ def test_the_dark_side_of_a_thin_wall_gets_no_coarse_rows() -> None:
     ball_shape = shapes.primitive("ellipsoid", np.random.default_rng(0))
     cup = shapes.cut(ball_shape, lambda p: 0.7 - p[:, 1], 0.02)  # a bowl with a narrow opening above
     own = sample_surfels(mesh_of(cup), 6000)
-    coarse = coarse_asset(own, 600, fuzz=0.0)
+    coarse = coarse_asset(own, 600, roughness=0.0)
     inward = [float(((s.normals * s.means).sum(1) < -0.5).float().mean()) for s in (own, coarse)]
     assert inward[0] > 0.3 and inward[1] < 0.1
 
@@ -232,5 +232,5 @@ def test_bad_arguments_are_refused(dense: Surfels) -> None:
         sample_surfels(ball(), 0)
     with pytest.raises(ValueError, match="rows"):
         coarse_asset(dense, len(dense) + 1)
-    with pytest.raises(ValueError, match="fuzz"):
-        coarse_asset(dense, 10, fuzz=2)
+    with pytest.raises(ValueError, match="roughness"):
+        coarse_asset(dense, 10, roughness=2)

@@ -25,13 +25,13 @@ from splatpainter.painter import Painter
 from splatpainter.train import judge, state
 from splatpainter.train.judge import apportioned, first_views, trials
 from splatpainter.train.recipes import Recipe
-from splatpainter.train.training_data import Stock, Supply
+from splatpainter.train.training_data import ResourceFolders, Supply
 from tests.support.train_scenes import LIFT, RECIPE, SAMPLES, SMALL, model
 
 KINDS = {"stroke": 1.0, "relight": 2.0}
 JUDGED = replace(RECIPE, samples=replace(SAMPLES, surfels=800, kinds=KINDS))
 PLAIN = replace(SAMPLES, surfels=800, kinds={"plain": 1.0})
-SUPPLY = Supply("procedural:3", JUDGED.samples, 0, 0.1, Stock())
+SUPPLY = Supply("procedural:3", JUDGED.samples, 0, 0.1, ResourceFolders())
 COPY = replace(SMALL, representation="copy", preset="tiny-copy")
 
 
@@ -99,7 +99,7 @@ def test_shards_serve_as_well_with_the_views_that_they_have(tmp_path: Path) -> N
     supply: Any = replace(SUPPLY, data=str(tmp_path), share=0.6)  # one of the two objects
     found: list[Any] = list(trials(supply, {**KINDS, "zoom": 1.0}, 3, 4))  # no zooms there
     assert [t.kind for t in found] == ["relight", "stroke", "relight"] == [t.sample.kind for t in found]
-    held = {supply.stream(held=True)[i].name for i in range(6)}
+    held = {supply.stream(validation=True)[i].name for i in range(6)}
     assert held >= {t.sample.name for t in found} and not held & {supply.stream()[i].name for i in range(6)}
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from splatbench.methods import EditResult
     from splatpainter.data.samples import SampleStream, Views
     from splatpainter.train.loss import PictureTarget
-    from splatpainter.train.training_data import Stock, Supply
+    from splatpainter.train.training_data import ResourceFolders, Supply
 
 SHARES = {
     "relight": 3.0,
@@ -116,7 +116,7 @@ def protocol() -> Ablation:
     return Ablation()
 
 
-def _supply(setup: Setup, stock: Stock) -> Supply:
+def _supply(setup: Setup, resources: ResourceFolders) -> Supply:
     """The training data's own samples at the setup's sizes. Raises ValueError for a folder of shards."""
     from splatpainter.train.training_data import Supply, is_shards
 
@@ -132,18 +132,20 @@ def _supply(setup: Setup, stock: Stock) -> Supply:
         novel_views=setup.novel_views,
         steps_per_object=1,
     )
-    return Supply(data, recipe, setup.seed, HELD_OUT_SHARE, stock, memory=256 << 20)
+    return Supply(data, recipe, setup.seed, HELD_OUT_SHARE, resources, memory=256 << 20)
 
 
 @lru_cache(maxsize=2)
 def _stream(setup: Setup, files: bool = True) -> SampleStream:
     """Samples of objects that training never sees, unless the setup takes any. files: with lights, stickers, fonts and
     photos, which take time to read. Raises ValueError where no object is held out."""
-    from splatpainter.train.training_data import Stock
+    from splatpainter.train.training_data import ResourceFolders
 
-    stock = Stock(setup.environments, setup.decals, setup.fonts, setup.textures) if files else Stock()
-    supply = _supply(setup, stock)
-    stream = supply.stream(held=setup.held_out)
+    resources = (
+        ResourceFolders(setup.environments, setup.decals, setup.fonts, setup.textures) if files else ResourceFolders()
+    )
+    supply = _supply(setup, resources)
+    stream = supply.stream(validation=setup.held_out)
     if stream is None:
         raise ValueError(
             f"{supply.data}: none of its objects is held out of training (a share of {HELD_OUT_SHARE:g}); add some"

@@ -25,7 +25,7 @@ SUMMARIES = {
     "check": "compare shards with their index; exit 1 if one is damaged or scenes are missing",
     "list": "the objects of a source, what is wrong with bad ones, and the split",
 }
-SHOWN = 12
+MAX_LINES = 12
 """Lines of skipped objects and of problems that people see; --json has all."""
 SourceArgument = Annotated[Positional[str], arg(metavar="SOURCE")]
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
@@ -349,8 +349,8 @@ def _line(entry: dict[str, Any], width: int) -> str:
 
 
 def _some(what: str, lines: list[str]) -> list[str]:
-    rest = [f"... and {len(lines) - SHOWN:,} more; --json shows all"] if len(lines) > SHOWN else []
-    return [f"{what:<8} {line}" for line in lines[:SHOWN]] + rest
+    rest = [f"... and {len(lines) - MAX_LINES:,} more; --json shows all"] if len(lines) > MAX_LINES else []
+    return [f"{what:<8} {line}" for line in lines[:MAX_LINES]] + rest
 
 
 def _help() -> str:

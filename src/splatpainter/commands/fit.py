@@ -18,7 +18,7 @@ from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import PATIENCE, count, decibels, seconds, size, warn, watched
 
 if TYPE_CHECKING:
-    from splatpainter.commands.fit_sources import Material
+    from splatpainter.commands.fit_sources import FitPictures
     from splatpainter.splats import Splats
 
 LIMITS: dict[str, tuple[int, int]] = {
@@ -120,17 +120,17 @@ def run(config: Config) -> Outcome:
         "psnr": {"training": training, "held_out": held},
         "seconds": laps,
     }
-    shown = f"training views {decibels(training)}" + ("" if held is None else f", held-out views {decibels(held)}")
+    summary = f"training views {decibels(training)}" + ("" if held is None else f", held-out views {decibels(held)}")
     lines = [
         f"{config.source} -> {config.out}",
         f"{count(len(fitted), 'row')} from {len(start):,}; {size(record['output']['bytes'])}",
-        f"{shown} ({len(made.cameras)} and {len(made.held)} views)",
+        f"{summary} ({len(made.cameras)} and {len(made.held)} views)",
         seconds(laps),
     ]
     return Outcome(record, lines)
 
 
-def _material(config: Config) -> Material:
+def _material(config: Config) -> FitPictures:
     from splatpainter.commands.fit_sources import Wish, material
 
     wish = Wish(
@@ -148,7 +148,7 @@ def _material(config: Config) -> Material:
     return material(config.source, wish)
 
 
-def _fitted(config: Config, made: Material) -> Splats:
+def _fitted(config: Config, made: FitPictures) -> Splats:
     from splatpainter.fit.optimize import FitOptions, View, optimize
     from splatpainter.kernels.compile import ensure_compiled
 

@@ -51,7 +51,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class Material:
+class FitPictures:
     """Pictures to fit and to judge by, and first rows."""
 
     kind: Literal["mesh", "asset", "pictures"]
@@ -63,7 +63,7 @@ class Material:
     notes: list[str] = field(default_factory=list)
 
 
-def material(source: Path, wish: Wish) -> Material:
+def material(source: Path, wish: Wish) -> FitPictures:
     """Everything that a fit needs. Raises ValueError, in one line: nothing there, or nothing that can be used."""
     if not source.exists():
         raise ValueError(f"{source}: no such file or folder; expected a mesh, a splat file or a folder of pictures")
@@ -81,7 +81,7 @@ def is_mesh(path: Path) -> bool:
 # Rendered
 
 
-def _from_asset(source: Path, wish: Wish) -> Material:
+def _from_asset(source: Path, wish: Wish) -> FitPictures:
     from splatpainter.cameras import AUTO_UP, UPS, bounding_sphere
     from splatpainter.io import read
     from splatpainter.kernels.compile import ensure_compiled
@@ -93,15 +93,15 @@ def _from_asset(source: Path, wish: Wish) -> Material:
     ensure_compiled()
     center, radius = bounding_sphere(splats)
 
-    def shoot(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+    def render_views(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
         drawn = render(splats, list(cameras))
         return np.clip(drawn.colors, 0, 1), drawn.depths[..., 0], drawn.alphas[..., 0]
 
-    made = _rendered("asset", shoot, center, radius, np.array(UPS[AUTO_UP]), wish, np.eye(4))
+    made = _rendered("asset", render_views, center, radius, np.array(UPS[AUTO_UP]), wish, np.eye(4))
     return replace(made, start=replace(made.start, color_space=splats.color_space))
 
 
-def _from_mesh(source: Path, wish: Wish) -> Material:
+def _from_mesh(source: Path, wish: Wish) -> FitPictures:
     try:
         from splatpainter.data.environments import load_environment
         from splatpainter.data.lights import make_light, uniform_light
@@ -111,9 +111,9 @@ def _from_mesh(source: Path, wish: Wish) -> Material:
     except ImportError as error:
         raise ValueError(f"{source}: meshes need {error.name}; pip install 'splatpainter[data]'") from None
     light = make_light(load_environment(wish.environment)) if wish.environment is not None else uniform_light()
-    shoot = _traced(mesh, light, wish) if wish.truth == "traced" else _surfels(mesh, light, wish)
+    render_views = _traced(mesh, light, wish) if wish.truth == "traced" else _surfels(mesh, light, wish)
     radius = float(np.linalg.norm(mesh.vertices, axis=1).max())
-    return _rendered("mesh", shoot, np.zeros(3), radius, np.array([0.0, 1.0, 0.0]), wish, MESH_FRAME)
+    return _rendered("mesh", render_views, np.zeros(3), radius, np.array([0.0, 1.0, 0.0]), wish, MESH_FRAME)
 
 
 def _surfels(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
@@ -126,35 +126,35 @@ def _surfels(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]],
     dense = sample_surfels(mesh, wish.surfels, wish.seed)
     truth = to_splats(dense, shade(dense, light, min(wish.sh_degree, 2))).numpy()
 
-    def shoot(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+    def render_views(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
         drawn = render(truth, list(cameras))
         return np.clip(drawn.colors, 0, 1), drawn.depths[..., 0], drawn.alphas[..., 0]
 
-    return shoot
+    return render_views
 
 
 def _traced(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
     from splatpainter.data.pathtrace import PathOptions, display, path_trace
 
-    def shoot(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+    def render_views(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
         from splatpainter.kernels.compile import ensure_compiled
 
         ensure_compiled()
         traced = path_trace(mesh, light.environment.numpy(), cameras, PathOptions(wish.samples, seed=wish.seed))
         return display(traced, float(light.exposure), cameras), traced.depths, traced.alphas
 
-    return shoot
+    return render_views
 
 
 def _rendered(
     kind: Literal["mesh", "asset"],
-    shoot: Callable[[Sequence[Camera]], tuple[np.ndarray, ...]],
+    render_views: Callable[[Sequence[Camera]], tuple[np.ndarray, ...]],
     center: np.ndarray,
     radius: float,
     up: np.ndarray,
     wish: Wish,
     frame: np.ndarray,
-) -> Material:
+) -> FitPictures:
     """shoot: cameras -> colours [V, H, W, 3], depths and alphas [V, H, W]. frame: [4, 4] from the asset's world to the
     one that is shot (a half turn is its own inverse)."""
     from splatpainter.cameras import spherical_cameras
@@ -164,17 +164,17 @@ def _rendered(
     kinds: dict[str, Any] = {"size": wish.size or 256, "fov": FOV, "up": up}
     cameras = spherical_cameras(center, distance, wish.views, backgrounds=BACKGROUNDS, **kinds)
     held = spherical_cameras(center, distance, wish.held, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
-    colors, depths, alphas = shoot(cameras)
-    unseen = shoot(held)[0] if held else []
+    colors, depths, alphas = render_views(cameras)
+    unseen = render_views(held)[0] if held else []
     cameras, held = ([replace(c, world_to_camera=c.world_to_camera @ frame) for c in some] for some in (cameras, held))
     start = from_depths(cameras, colors, depths, alphas, wish.rows, wish.seed, wish.sh_degree, opacity=0.5)
-    return Material(kind, cameras, list(colors), list(zip(held, unseen, strict=True)), start)
+    return FitPictures(kind, cameras, list(colors), list(zip(held, unseen, strict=True)), start)
 
 
 # Pictures
 
 
-def _from_pictures(folder: Path, wish: Wish) -> Material:
+def _from_pictures(folder: Path, wish: Wish) -> FitPictures:
     table = next((folder / name for name in TRANSFORMS if (folder / name).is_file()), None)
     shown = _by_table(table, wish) if table is not None else _by_camera(folder, wish)
     if len(shown) < 2:
@@ -187,60 +187,62 @@ def _from_pictures(folder: Path, wish: Wish) -> Material:
     rest = [view for k, view in enumerate(shown) if k not in set(apart.tolist())]
     start = _carved([view[0] for view in rest], [view[1] for view in rest], [view[2] for view in rest], wish)
     notes = ["no depth is known: the first rows are random points that no picture shows empty"]
-    return Material("pictures", [view[0] for view in rest], [view[1] for view in rest], held, start, notes)
+    return FitPictures("pictures", [view[0] for view in rest], [view[1] for view in rest], held, start, notes)
 
 
-Shown = tuple[Camera, np.ndarray, np.ndarray]
+PosedPicture = tuple[Camera, np.ndarray, np.ndarray]
 """(camera, colours [H, W, 3], [H, W] bool where something may be)."""
 
 
-def _by_camera(folder: Path, wish: Wish) -> list[Shown]:
+def _by_camera(folder: Path, wish: Wish) -> list[PosedPicture]:
     """Pictures that carry their camera, or have it beside them."""
     from splatpainter.image_files import find_camera
 
     paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
     if not paths:
         raise ValueError(f"{folder}: expected pictures with cameras, or one of {', '.join(TRANSFORMS)}; found neither")
-    return [_shown(path, find_camera(path), wish, k) for k, path in enumerate(paths)]
+    return [_posed_picture(path, find_camera(path), wish, k) for k, path in enumerate(paths)]
 
 
-def _by_table(table: Path, wish: Wish) -> list[Shown]:
+def _by_table(table: Path, wish: Wish) -> list[PosedPicture]:
     """As NeRF's synthetic scenes and nerfstudio have it: OpenGL camera-to-world matrices, one field of view or focal
     lengths for all or for each frame."""
     try:
-        told = json.loads(files.read_all(table))
-        frames = list(told["frames"])
-        return [_frame(table, {**told, **frame}, wish, k) for k, frame in enumerate(frames)]
+        record = json.loads(files.read_all(table))
+        frames = list(record["frames"])
+        return [_frame(table, {**record, **frame}, wish, k) for k, frame in enumerate(frames)]
     except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as error:
         said = f"no {error}" if isinstance(error, KeyError) else reason(error)
         raise ValueError(f"{table}: expected a NeRF-style table of frames ({said})") from None
 
 
-def _frame(table: Path, told: dict[str, Any], wish: Wish, k: int) -> Shown:
+def _frame(table: Path, record: dict[str, Any], wish: Wish, k: int) -> PosedPicture:
     from splatpainter.sources.picture_reader import read_picture
 
-    name = table.parent / str(told["file_path"])
+    name = table.parent / str(record["file_path"])
     path = next((p for p in (name, name.with_name(name.name + ".png")) if p.is_file()), name)
     width, height = read_picture(path).size
-    if any(told.get(name) for name in ("k1", "k2", "k3", "k4", "p1", "p2")):
+    if any(record.get(name) for name in ("k1", "k2", "k3", "k4", "p1", "p2")):
         raise ValueError(f"{table}: its lens is distorted (k1, k2, p1, p2); expected undistorted pictures")
-    if "fl_x" in told:
-        fx, fy = float(told["fl_x"]), float(told.get("fl_y", told["fl_x"]))
-        sx, sy = width / float(told.get("w", width)), height / float(told.get("h", height))
-        cx, cy = float(told.get("cx", width / sx / 2)) * sx, float(told.get("cy", height / sy / 2)) * sy
+    if "fl_x" in record:
+        fx, fy = float(record["fl_x"]), float(record.get("fl_y", record["fl_x"]))
+        sx, sy = width / float(record.get("w", width)), height / float(record.get("h", height))
+        cx, cy = float(record.get("cx", width / sx / 2)) * sx, float(record.get("cy", height / sy / 2)) * sy
         fx, fy = fx * sx, fy * sy
     else:
-        fx = fy = width / 2 / math.tan(float(told["camera_angle_x"]) / 2)
+        fx = fy = width / 2 / math.tan(float(record["camera_angle_x"]) / 2)
         cx, cy = width / 2, height / 2
-    pose = np.array(told["transform_matrix"], np.float64)
+    pose = np.array(record["transform_matrix"], np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or abs(np.linalg.det(pose[:3, :3])) < 1e-9:
-        raise ValueError(f"{table}: {told['file_path']}: expected a 4x4 transform_matrix, got shape {list(pose.shape)}")
+        raise ValueError(
+            f"{table}: {record['file_path']}: expected a 4x4 transform_matrix, got shape {list(pose.shape)}"
+        )
     pose = pose @ np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL looks along -z with y up
     pose[:3, :3] /= np.cbrt(np.linalg.det(pose[:3, :3]))
-    return _shown(path, Camera(width, height, fx, fy, cx, cy, np.linalg.inv(pose)), wish, k)
+    return _posed_picture(path, Camera(width, height, fx, fy, cx, cy, np.linalg.inv(pose)), wish, k)
 
 
-def _shown(path: Path, camera: Camera, wish: Wish, k: int) -> Shown:
+def _posed_picture(path: Path, camera: Camera, wish: Wish, k: int) -> PosedPicture:
     """Picture k. Transparent pixels show one of BACKGROUNDS; in pictures without any, those of exactly the camera's
     background count as empty."""
     from splatpainter.sources.picture_reader import read_picture
@@ -256,11 +258,11 @@ def _shown(path: Path, camera: Camera, wish: Wish, k: int) -> Shown:
     picture = picture.resized(camera.width, camera.height)
     if picture.alpha is not None:
         camera = replace(camera, background=BACKGROUNDS[k % len(BACKGROUNDS)])
-    behind = np.array(camera.background, np.float32)
+    background = np.array(camera.background, np.float32)
     if picture.alpha is not None:
         alpha = picture.alpha[..., None]
-        return camera, picture.colors * alpha + behind * (1 - alpha), picture.alpha > 0.02
-    return camera, picture.colors, np.abs(picture.colors - behind).max(-1) > 3 / 255
+        return camera, picture.colors * alpha + background * (1 - alpha), picture.alpha > 0.02
+    return camera, picture.colors, np.abs(picture.colors - background).max(-1) > 3 / 255
 
 
 def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndarray], wish: Wish) -> Splats:
@@ -269,8 +271,8 @@ def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndar
     from splatpainter.fit.start import from_points
 
     rng = np.random.default_rng(wish.seed)
-    center, reach = _middle(cameras)
-    found: list[np.ndarray] = []
+    center, reach = _common_center(cameras)
+    candidates: list[np.ndarray] = []
     for _ in range(TRIES):
         points = center + reach * rng.uniform(-1, 1, (wish.rows, 3))
         count, good = np.zeros(len(points)), np.ones(len(points), bool)
@@ -283,10 +285,10 @@ def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndar
             total[seen] += color[y[seen], x[seen]]
             count[seen] += 1
         good &= count >= min(2, len(cameras))
-        found.append(np.concatenate([points[good], total[good] / count[good, None]], 1))
-        if sum(map(len, found)) >= wish.rows:
+        candidates.append(np.concatenate([points[good], total[good] / count[good, None]], 1))
+        if sum(map(len, candidates)) >= wish.rows:
             break
-    both = np.concatenate(found)[: wish.rows]
+    both = np.concatenate(candidates)[: wish.rows]
     if len(both) < 16:
         raise ValueError(
             "pictures: no place in space is seen by two of them and empty in none; are their cameras those they say?"
@@ -294,13 +296,13 @@ def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndar
     return from_points(both[:, :3], both[:, 3:], wish.sh_degree)
 
 
-def _middle(cameras: list[Camera]) -> tuple[np.ndarray, float]:
+def _common_center(cameras: list[Camera]) -> tuple[np.ndarray, float]:
     """([3] the point nearest to all lines of sight, half the edge of a cube around it that the pictures show)."""
     lines = np.array([camera.forward for camera in cameras])
     eyes = np.array([camera.position for camera in cameras])
     across = np.eye(3) - lines[:, :, None] * lines[:, None, :]
-    whole = across.sum(0) + 1e-6 * np.eye(3)
-    center = np.linalg.solve(whole, np.einsum("vij,vj->i", across, eyes) + 1e-6 * eyes.mean(0))
+    system = across.sum(0) + 1e-6 * np.eye(3)
+    center = np.linalg.solve(system, np.einsum("vij,vj->i", across, eyes) + 1e-6 * eyes.mean(0))
     away = np.linalg.norm(eyes - center, axis=1)
     half = [max(c.width / c.fx, c.height / c.fy) / 2 for c in cameras]
     return center, float(np.median(away * np.array(half)))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.train.distributed import Group
     from splatpainter.train.stages.task import Task
-    from splatpainter.train.training_data import Material
+    from splatpainter.train.training_data import TrainingData
 
 SUMMARIES = {
     "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
@@ -94,8 +94,8 @@ def dispatch(words: Sequence[str]) -> Outcome:
         outcome = train_judge.judge(judging)
         return outcome.as_json() if judging.json else outcome
     if stage not in SUMMARIES:
-        known = ", ".join([*SUMMARIES, *AFTERWARDS])
-        raise ValueError(f"splatpainter train: expected one of {known}, got {stage!r}")
+        names = ", ".join([*SUMMARIES, *AFTERWARDS])
+        raise ValueError(f"splatpainter train: expected one of {names}, got {stage!r}")
     rest = ["--weights" + word.removeprefix("--from") if word.split("=")[0] == "--from" else word for word in words[1:]]
     recipe = recipes.load(_named(rest), stage)  # type: ignore[arg-type]
     config = parse(_with_defaults(recipe), f"splatpainter train {stage}", rest)
@@ -112,37 +112,37 @@ def run(config: Config) -> Outcome:
     from splatpainter.train.distributed import join
     from splatpainter.train.loop import Limits, Loop
     from splatpainter.train.state import exists
-    from splatpainter.train.training_data import Stock, Supply, open_material, row_material
+    from splatpainter.train.training_data import ResourceFolders, Supply, open_global_edits, open_training_data
 
     recipe = Recipe(**{f.name: getattr(config, f.name) for f in dataclasses.fields(Recipe)})
     if not config.data:
         raise ValueError(f"splatpainter train {config.stage}: --data is missing: procedural:N, or a folder")
-    held = exists(config.out)
-    if held and not config.resume:
+    started = exists(config.out)
+    if started and not config.resume:
         raise ValueError(f"{config.out}: holds a run already; go on with --resume, or choose another --out")
-    if config.stage == "refine" and config.model.representation == "copy" and not (held or config.weights):
+    if config.stage == "refine" and config.model.representation == "copy" and not (started or config.weights):
         raise ValueError("splatpainter train refine: 'copy' models start from their Stage I; give --from CHECKPOINT")
     _writable(config.out)
     group = join(config.device)
     try:
         say = _say if group.first else lambda line: None
-        stock = Stock(config.environments, config.decals, config.fonts, config.textures)
-        supply = Supply(config.data, recipe.samples, recipe.seed, recipe.validation_share, stock, str(group.device))
+        resources = ResourceFolders(config.environments, config.decals, config.fonts, config.textures)
+        supply = Supply(config.data, recipe.samples, recipe.seed, recipe.validation_share, resources, str(group.device))
         count = recipe.validation_samples if recipe.validate_every else 0
         if recipe.stage == "predict":
-            material = row_material(supply, count)
+            data = open_global_edits(supply, count)
         else:
-            material = open_material(supply, batch=recipe.batch, count=count, workers=recipe.workers)
+            data = open_training_data(supply, batch=recipe.batch, count=count, workers=recipe.workers)
         task = _task(config, recipe, group, say)
-        say(_first_line(recipe, task, material, group))
+        say(_first_line(recipe, task, data, group))
         loop = Loop(
             task,
             recipe,
-            material.training,
-            material.validation,
+            data.training,
+            data.validation,
             config.out,
             group,
-            resume=held,
+            resume=started,
             compact=config.compact_state,
             say=say,
         )
@@ -150,7 +150,7 @@ def run(config: Config) -> Outcome:
             (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8", newline="\n")
         result = loop(Limits(config.minutes, config.session_steps))
         if recipe.workers and recipe.stage != "predict":
-            material.training.close()
+            data.training.close()
     finally:
         group.close()
     lines = [
@@ -204,12 +204,12 @@ def _writable(folder: Path) -> None:
         raise ValueError(f"{folder}: cannot be written; choose another --out")
 
 
-def _first_line(recipe: Recipe, task: Task, material: Material, group: Group) -> str:
+def _first_line(recipe: Recipe, task: Task, data: TrainingData, group: Group) -> str:
     trained = sum(p.numel() for p in task.parameters() if p.requires_grad)
     every = sum(p.numel() for p in task.parameters())
     return (
-        f"{recipe.stage}: {trained / 1e6:.1f} of {every / 1e6:.1f} million weights, {material.objects[0]} objects, "
-        f"{len(material.validation)} validation samples of {material.objects[1]} others, "
+        f"{recipe.stage}: {trained / 1e6:.1f} of {every / 1e6:.1f} million weights, {data.objects[0]} objects, "
+        f"{len(data.validation)} validation samples of {data.objects[1]} others, "
         f"batch {recipe.batch} on {group.world} x {group.device}"
     )
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Checkpoint = Annotated[Positional[Path], arg(metavar="CHECKPOINT")]
-SHOWN = 5
+MAX_PROBLEM_LINES = 5
 """Lines about samples that could not be used that people see; --json has all."""
 
 
@@ -112,15 +112,17 @@ def judge(config: JudgeConfig) -> Outcome:
     device = join(config.device).device
     model.to(device)
     supply = _supply(config, recipe, str(device))
-    wanted = _kinds(config, recipe)
-    held = progress(trials(supply, wanted, config.samples, max(config.views)), config.samples, "judge")
-    told = ""
+    kinds = _kinds(config, recipe)
+    samples = progress(trials(supply, kinds, config.samples, max(config.views)), config.samples, "judge")
+    remark = ""
     if recipe.stage == "refine":
-        found = judge_edits(refine_task(recipe, model, config.perceptual_weights).to(device), held, config.views)
+        findings_or_lines = judge_edits(
+            refine_task(recipe, model, config.perceptual_weights).to(device), samples, config.views
+        )
     else:
-        tasks, told = looking_tasks(recipe, model, config.checkpoint)
-        found = judge_copies(tasks, held)
-    findings, problems = _sorted(found)
+        tasks, remark = looking_tasks(recipe, model, config.checkpoint)
+        findings_or_lines = judge_copies(tasks, samples)
+    findings, problems = _sorted(findings_or_lines)
     if not findings:
         raise ValueError(f"{config.data}: none of {config.samples} samples could be judged; the first: {problems[0]}")
     edited = edit_rows(findings, config.seed) if recipe.stage == "refine" else []
@@ -142,17 +144,17 @@ def judge(config: JudgeConfig) -> Outcome:
         f"stage {recipe.stage}, step {model.notes.get('step', '?')}: {judged['samples']} samples of "
         f"{len(held_names)} held-out objects of {judged['data']}, {recipe.samples.size} px, seed {config.seed}"
     )
-    remarks = [*goals(rows), *([told] if told else []), *problems]
+    remarks = [*goals(rows), *([remark] if remark else []), *problems]
     paths = write_table(config.out, rows, findings, heading, ["\n".join(f"- {r}" for r in remarks)])
     if config.write_notes:
         checkpoint.add_notes(config.checkpoint, {**gain, "judged": judged})
-    hidden = len(problems) - SHOWN
+    hidden = len(problems) - MAX_PROBLEM_LINES
     lines = [
         heading,
         table(rows),
         *goals(rows),
-        *([told] if told else []),
-        *problems[:SHOWN],
+        *([remark] if remark else []),
+        *problems[:MAX_PROBLEM_LINES],
         *([f"... and {count(hidden, 'more sample')} that could not be used"] if hidden > 0 else []),
         f"-> {', '.join(map(str, paths))}" + (f", notes of {config.checkpoint}" if config.write_notes else ""),
     ]
@@ -168,41 +170,41 @@ def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:
     as_edits = "refine" if stage == "predict" else stage
     if config.recipe is not None:
         return dataclasses.replace(recipes.load(config.recipe, as_edits), model=model.config)
-    own = model.notes.get("recipe")
-    if not isinstance(own, dict):
+    stored = model.notes.get("recipe")
+    if not isinstance(stored, dict):
         raise ValueError(f"{config.checkpoint}: its notes hold no recipe; name the one it was trained by with --recipe")
-    found = recipes.parse(json.dumps(own), stage, f"{config.checkpoint}: recipe")
-    return dataclasses.replace(found, stage=as_edits, model=model.config)
+    findings_or_lines = recipes.parse(json.dumps(stored), stage, f"{config.checkpoint}: recipe")
+    return dataclasses.replace(findings_or_lines, stage=as_edits, model=model.config)
 
 
 def _supply(config: JudgeConfig, recipe: Recipe, device: str) -> Supply:
-    from splatpainter.train.training_data import Stock, Supply
+    from splatpainter.train.training_data import ResourceFolders, Supply
 
-    stock = Stock(config.environments, config.decals, config.fonts, config.textures)
+    resources = ResourceFolders(config.environments, config.decals, config.fonts, config.textures)
     share, memory = recipe.validation_share, 64 << 20
-    return Supply(config.data, recipe.samples, config.seed, share, stock, device, memory)
+    return Supply(config.data, recipe.samples, config.seed, share, resources, device, memory)
 
 
 def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:
     """Kind -> weight, as asked for; the recipe's otherwise."""
     from splatpainter.data.recipes import GLOBAL, KINDS
 
-    known = [kind for kind in KINDS if (kind == "plain") != (recipe.stage == "refine")]
+    possible = [kind for kind in KINDS if (kind == "plain") != (recipe.stage == "refine")]
     for kind in config.kinds:
-        if kind not in known:
-            raise ValueError(f"--kinds: expected some of {', '.join(known)} for stage {recipe.stage}, got {kind!r}")
-    own = {kind: weight for kind, weight in recipe.samples.kinds.items() if weight > 0 and kind in known}
-    if recipe.model.predictor_only and not set(own) & set(GLOBAL):  # Stage II does not train on them
-        own |= {kind: sum(own.values()) * share for kind, share in (("relight", 0.75), ("regrade", 0.25))}
-    return dict.fromkeys(config.kinds, 1.0) or own or dict.fromkeys(known, 1.0)
+        if kind not in possible:
+            raise ValueError(f"--kinds: expected some of {', '.join(possible)} for stage {recipe.stage}, got {kind!r}")
+    stored = {kind: weight for kind, weight in recipe.samples.kinds.items() if weight > 0 and kind in possible}
+    if recipe.model.predictor_only and not set(stored) & set(GLOBAL):  # Stage II does not train on them
+        stored |= {kind: sum(stored.values()) * share for kind, share in (("relight", 0.75), ("regrade", 0.25))}
+    return dict.fromkeys(config.kinds, 1.0) or stored or dict.fromkeys(possible, 1.0)
 
 
-def _sorted(found: Iterable[Finding | str]) -> tuple[list[Finding], list[str]]:
+def _sorted(findings_or_lines: Iterable[Finding | str]) -> tuple[list[Finding], list[str]]:
     """(findings, lines about the others). Only the first strip of a table row stays in memory."""
     findings: list[Finding] = []
     problems: list[str] = []
     strips: set[tuple[str, int | None]] = set()
-    for item in found:
+    for item in findings_or_lines:
         if isinstance(item, str):
             problems.append(item)
             continue

@@ -88,8 +88,8 @@ def _pool(workers: int) -> ProcessPoolExecutor:
 
     share = max(1, cpus() // workers)
     # spawn: a forked child of a process with threads (torch, numba, Mitsuba) can hang.
-    most = 61 if sys.platform == "win32" else workers  # what Windows can wait for at once
-    return ProcessPoolExecutor(min(workers, most), get_context("spawn"), initializer=limit_threads, initargs=(share,))
+    limit = 61 if sys.platform == "win32" else workers  # what Windows can wait for at once
+    return ProcessPoolExecutor(min(workers, limit), get_context("spawn"), initializer=limit_threads, initargs=(share,))
 
 
 def limit_threads(count: int) -> None:
@@ -145,17 +145,17 @@ def _ray_results(
     ray: Any, work: Callable[[int], Result], numbers: Iterable[int], workers: int | None, retries: int, cpus: int
 ) -> Results[Result]:
     @ray.remote(num_cpus=cpus, max_retries=retries, retry_exceptions=False)
-    def task(kept: Callable[[int], Result], number: int) -> Result:
+    def task(function: Callable[[int], Result], number: int) -> Result:
         limit_threads(cpus)
-        return kept(number)
+        return function(number)
 
-    held = ray.put(work)
-    wanted = workers or max(1, int(ray.cluster_resources().get("CPU", 1)) // cpus)
+    shared_work = ray.put(work)
+    count = workers or max(1, int(ray.cluster_resources().get("CPU", 1)) // cpus)
     remaining, running = list(numbers)[::-1], {}
     while remaining or running:
-        while remaining and len(running) < AHEAD * wanted:
+        while remaining and len(running) < AHEAD * count:
             number = remaining.pop()
-            running[task.remote(held, number)] = number
+            running[task.remote(shared_work, number)] = number
         for reference in ray.wait(list(running), num_returns=1)[0]:
             number = running.pop(reference)
             try:

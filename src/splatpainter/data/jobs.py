@@ -60,46 +60,46 @@ class RenderJob:
 
     def spec(self) -> dict[str, Any]:
         """JSON values that decide what the samples are. Folders count by their files' names, not by where they are."""
-        own = asdict(self)
+        spec = asdict(self)
         for name in ("source", "environments", "decals", "fonts", "textures"):
-            own.pop(name)
+            spec.pop(name)
         if self.truth == "surfels":
-            own.pop("path")
+            spec.pop("path")
         source = open_source(self)
         objects = [source.name(i) for i in range(len(source))]
-        own["objects"] = {"count": len(objects), "names_sha256": _digest(objects)}
-        own["environments"] = [Path(path).name for path in self.environments]
-        own |= {name: _digest(_listing(getattr(self, name))) for name in ("decals", "fonts", "textures")}
-        return own
+        spec["objects"] = {"count": len(objects), "names_sha256": _digest(objects)}
+        spec["environments"] = [Path(path).name for path in self.environments]
+        spec |= {name: _digest(_listing(getattr(self, name))) for name in ("decals", "fonts", "textures")}
+        return spec
 
 
 def open_source(job: RenderJob) -> Source:
     """The objects of a job. Raises ValueError: no such folder, nothing usable in it, a count that is none, an empty
     part."""
-    whole: Source
+    source: Source
     if job.source.startswith(PROCEDURAL):
         count = job.source.removeprefix(PROCEDURAL)
         if not count.isdecimal() or int(count) < 1:
             raise ValueError(f"{job.source}: expected procedural:COUNT with a count from 1, got {count!r}")
-        whole = ProceduralSource(int(count), job.seed, job.textures or None)
+        source = ProceduralSource(int(count), job.seed, job.textures or None)
     else:
         folder = Path(job.source)
-        whole = SplatFolder(folder) if holds_splats(folder) else MeshFolder(folder)
+        source = SplatFolder(folder) if holds_splats(folder) else MeshFolder(folder)
     if job.part == "all":
-        return whole
-    names = [whole.name(i) for i in range(len(whole))]
+        return source
+    names = [source.name(i) for i in range(len(source))]
     chosen = set(split(names, job.split_seed, job.share)[job.part == "validation"])
     numbers = [i for i, name in enumerate(names) if name in chosen]
     if not numbers:
         raise ValueError(f"{job.source}: none of its {len(names)} objects is in the {job.part} part of the split")
-    return _Part(whole, numbers)
+    return _Part(source, numbers)
 
 
 def holds_splats(folder: Path) -> bool:
     """Whether the files directly in a folder are splat assets. A GLB is one where it says KHR_gaussian_splatting; with
     meshes among them, the folder is one of meshes."""
     files = [path for path in folder.iterdir() if path.is_file()] if folder.is_dir() else []
-    found = False
+    has_gaussians = False
     for path in files:
         suffix = path.suffix.lower()
         if suffix in (".obj", ".gltf"):
@@ -108,9 +108,9 @@ def holds_splats(folder: Path) -> bool:
             with open(path, "rb") as file:
                 if b"KHR_gaussian_splatting" not in file.read(1 << 16):
                     return False
-            found = True
-        found |= suffix in SPLAT_SUFFIXES
-    return found
+            has_gaussians = True
+        has_gaussians |= suffix in SPLAT_SUFFIXES
+    return has_gaussians
 
 
 def render_scene(job: RenderJob, number: int) -> Scene:
@@ -132,8 +132,8 @@ def render_scene(job: RenderJob, number: int) -> Scene:
             return Scene(name, skipped=[str(error)])
     else:
         one = cast(Source, _Part(source, [i]))
-        stock = (job.decals or (), job.fonts or (), job.textures or ())
-        make = SampleStream(one, job.recipe, seed, environments, *stock).__getitem__
+        resources = (job.decals or (), job.fonts or (), job.textures or ())
+        make = SampleStream(one, job.recipe, seed, environments, *resources).__getitem__
     samples, kinds, skipped = [], [], []
     for step in range(job.recipe.steps_per_object):
         try:
@@ -160,34 +160,34 @@ def _encoded(made: Any, exr: bool) -> tuple[str, Files]:
 class _Part:
     """Some objects of a source."""
 
-    def __init__(self, whole: Any, numbers: Sequence[int]) -> None:
-        self._whole, self._numbers = whole, list(numbers)
-        self.skipped: dict[str, str] = whole.skipped
+    def __init__(self, source: Any, numbers: Sequence[int]) -> None:
+        self._source, self._numbers = source, list(numbers)
+        self.skipped: dict[str, str] = source.skipped
         for kind in ("mesh", "splats"):  # which of the two a source has says what it is
-            if hasattr(whole, kind):
-                setattr(self, kind, self._reader(getattr(whole, kind)))
+            if hasattr(source, kind):
+                setattr(self, kind, self._reader(getattr(source, kind)))
 
     def __len__(self) -> int:
         return len(self._numbers)
 
     def name(self, i: int) -> str:
-        return self._whole.name(self._numbers[i])
+        return self._source.name(self._numbers[i])
 
     def _reader(self, read: Callable[[int], Any]) -> Callable[[int], Any]:
         return lambda i: read(self._numbers[i])
 
 
-_kept: tuple[str, Any] | None = None
+_opened_job: tuple[str, Any] | None = None
 
 
 def _opened(job: RenderJob) -> tuple[Any, Sequence[Any]]:
     """(source, environments) of a job, kept for the process's next scene."""
-    global _kept
-    if _kept is None or _kept[0] != repr(job):
+    global _opened_job
+    if _opened_job is None or _opened_job[0] != repr(job):
         from splatpainter.data.environments import load_environment
 
-        _kept = (repr(job), (open_source(job), tuple(load_environment(path) for path in job.environments)))
-    return _kept[1]
+        _opened_job = (repr(job), (open_source(job), tuple(load_environment(path) for path in job.environments)))
+    return _opened_job[1]
 
 
 def _listing(folder: str) -> list[str]:

@@ -42,8 +42,8 @@ def visible_points(mesh: Mesh, camera: Camera, points: np.ndarray) -> np.ndarray
             groups.append((mesh.material_ids == k, np.ascontiguousarray(material.alpha)))
     for used, alpha in groups:
         faces = mesh.faces[used]
-        starts, held = _tiled(projected(mesh.vertices, camera)[faces], across, down)
-        _hide(targets, tile, vertices[faces], mesh.uvs[faces].astype(np.float64), alpha, starts, held, visible)
+        starts, members = _tiled(projected(mesh.vertices, camera)[faces], across, down)
+        _hide(targets, tile, vertices[faces], mesh.uvs[faces].astype(np.float64), alpha, starts, members, visible)
     return visible
 
 
@@ -70,19 +70,19 @@ def _fill(low, high, across, tiles):
                 starts[row * across + column + 1] += 1
     for t in range(tiles):
         starts[t + 1] += starts[t]
-    held = np.empty(starts[tiles], np.int64)
+    members = np.empty(starts[tiles], np.int64)
     used = np.zeros(tiles, np.int64)
     for f in range(len(low)):
         for row in range(low[f, 1], high[f, 1] + 1):
             for column in range(low[f, 0], high[f, 0] + 1):
                 t = row * across + column
-                held[starts[t] + used[t]] = f
+                members[starts[t] + used[t]] = f
                 used[t] += 1
-    return starts, held
+    return starts, members
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _hide(points, tile, corners, uvs, alpha, starts, held, visible):
+def _hide(points, tile, corners, uvs, alpha, starts, members, visible):
     """Sets visible [M] to False where a triangle cuts the line from the origin to points [M, 3]."""
     h, w = alpha.shape
     for i in range(len(points)):
@@ -90,7 +90,7 @@ def _hide(points, tile, corners, uvs, alpha, starts, held, visible):
             continue
         px, py, pz = points[i]
         for k in range(starts[tile[i]], starts[tile[i] + 1]):
-            f = held[k]
+            f = members[k]
             ax, ay, az = corners[f, 0]
             ux, uy, uz = corners[f, 1, 0] - ax, corners[f, 1, 1] - ay, corners[f, 1, 2] - az
             vx, vy, vz = corners[f, 2, 0] - ax, corners[f, 2, 1] - ay, corners[f, 2, 2] - az

@@ -19,7 +19,7 @@ from splatpainter.data.materials import Material, convert_material
 
 EXTENT = 1.8
 """Longest side of a normalised mesh's bounding box, world units; the box is centred, so all lies within -0.9..0.9."""
-MOST_TRIANGLES = 10_000_000
+MAX_TRIANGLES = 10_000_000
 SUFFIXES = (".glb", ".gltf", ".obj")
 
 
@@ -86,9 +86,9 @@ def joined(name: str, parts: list[Mesh]) -> Mesh:
     for part in parts:
         table = []
         for material in part.materials:
-            known = [k for k, other in enumerate(materials) if other is material]
-            table.append(known[0] if known else len(materials))
-            if not known:
+            same = [k for k, other in enumerate(materials) if other is material]
+            table.append(same[0] if same else len(materials))
+            if not same:
                 materials.append(material)
         columns["faces"].append(part.faces + start)
         columns["material_ids"].append(np.asarray(table, np.int64)[part.material_ids])
@@ -116,16 +116,16 @@ def repaired(mesh: Mesh, where: str = "") -> Mesh:
     faces = mesh.faces
     inside = ((faces >= 0) & (faces < len(mesh.vertices))).all(1)
     faces, ids = faces[inside], mesh.material_ids[inside]
-    sound = np.all(np.isfinite(mesh.vertices), axis=1)
-    if not sound.any():
+    finite = np.all(np.isfinite(mesh.vertices), axis=1)
+    if not finite.any():
         raise ValueError(f"{where}: no vertex is finite")
-    middle = mesh.vertices[sound].mean(0)
-    vertices = np.where(sound[:, None], mesh.vertices, middle).astype(np.float32)
+    middle = mesh.vertices[finite].mean(0)
+    vertices = np.where(finite[:, None], mesh.vertices, middle).astype(np.float32)
     corners = vertices.astype(np.float64)[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice = np.linalg.norm(cross, axis=1)
-    span = float(np.ptp(vertices[sound], axis=0).max())
-    keep = sound[faces].all(1) & (twice > 1e-14 * span * span)
+    span = float(np.ptp(vertices[finite], axis=0).max())
+    keep = finite[faces].all(1) & (twice > 1e-14 * span * span)
     if span <= 0 or not keep.any():
         raise ValueError(f"{where}: the mesh has no area ({len(mesh.faces)} faces, none of them usable)")
     faces, ids, cross = faces[keep], ids[keep], cross[keep]
@@ -219,16 +219,16 @@ def _announced_triangles(path: Path) -> int:
                 return 0
             document = json.loads(file.read(length))
         primitives = [p for mesh in document.get("meshes", ()) for p in mesh.get("primitives", ())]
-        places = [p.get("indices", p["attributes"]["POSITION"]) for p in primitives if p.get("mode", 4) == 4]
-        return sum(int(document["accessors"][place]["count"]) for place in places) // 3
+        accessors = [p.get("indices", p["attributes"]["POSITION"]) for p in primitives if p.get("mode", 4) == 4]
+        return sum(int(document["accessors"][index]["count"]) for index in accessors) // 3
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error):
         return 0  # the reader will say what is wrong
 
 
 def _refuse_too_many(triangles: int, path: Path) -> None:
-    if triangles > MOST_TRIANGLES:
+    if triangles > MAX_TRIANGLES:
         raise ValueError(
-            f"{path}: {triangles:,} triangles, at most {MOST_TRIANGLES:,} are read; simplify the mesh first"
+            f"{path}: {triangles:,} triangles, at most {MAX_TRIANGLES:,} are read; simplify the mesh first"
         )
 
 

@@ -18,7 +18,7 @@ from splatpainter.kernels.parallel import THREADS_VARIABLE, threads
 
 Variant = Literal["cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"]
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
-LLVM_OLDEST = 18
+MIN_LLVM_VERSION = 18
 """Major version. Dr.Jit 1.x aborts the whole process in LLVM 14, 15 and 16 (measured, "cannot select"): they are
 passed over, for scalar is slow but not dead."""
 LLVM_FOLDERS = (
@@ -82,13 +82,13 @@ def has_gpu() -> bool:
 
 def find_llvm(folders: Iterable[str] = LLVM_FOLDERS) -> Path | None:
     """The newest libLLVM in `folders` (absolute, may hold wildcards) that Dr.Jit can use, None where there is none."""
-    found: dict[Path, int] = {}
+    versions: dict[Path, int] = {}
     for folder in folders:
         for path in Path("/").glob(f"{folder.lstrip('/')}/libLLVM*"):
             version = llvm_version(path)
-            if version is not None and version >= LLVM_OLDEST:
-                found[path] = version
-    return max(found, key=lambda path: (found[path], str(path)), default=None)
+            if version is not None and version >= MIN_LLVM_VERSION:
+                versions[path] = version
+    return max(versions, key=lambda path: (versions[path], str(path)), default=None)
 
 
 def llvm_version(path: Path) -> int | None:

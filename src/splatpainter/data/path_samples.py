@@ -54,7 +54,7 @@ class PathScene:
         self.mesh = source.mesh(i)
         rng = self._generator("stage")
         sizes = (recipe.surfels, recipe.rows, float(rng.uniform(*recipe.fuzz)), int(rng.integers(1 << 31)))
-        item = mesh_object(_Held(source.name(i), self.mesh), 0, *sizes, "cpu")
+        item = mesh_object(_OneMesh(source.name(i), self.mesh), 0, *sizes, "cpu")
         background = recipe.backgrounds[rng.integers(len(recipe.backgrounds))]
         optics = Optics(recipe.size, float(rng.uniform(*recipe.fov)), background)
         self.light = random_light(rng, environments)
@@ -122,7 +122,7 @@ def refuse_kinds(recipe: SampleRecipe) -> None:
         )
 
 
-class _Held:
+class _OneMesh:
     """A source of one mesh that was read already."""
 
     def __init__(self, name: str, mesh: Any) -> None:

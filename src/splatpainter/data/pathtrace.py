@@ -155,11 +155,11 @@ def _parts(mesh: Mesh) -> list[Mesh]:
         mirrored = _mirrored(mesh) if material.normal_map is not None else np.zeros(len(of), bool)
         for faces, kind in ((of & ~mirrored, material), (of & mirrored, _turned(material))):
             if faces.any():
-                parts.append(_taken(mesh, mesh.faces[faces], kind))
+                parts.append(_with_faces(mesh, mesh.faces[faces], kind))
     return parts
 
 
-def _taken(mesh: Mesh, faces: np.ndarray, material: Material) -> Mesh:
+def _with_faces(mesh: Mesh, faces: np.ndarray, material: Material) -> Mesh:
     """These faces and the vertices that they use, in one material."""
     used, local = np.unique(faces, return_inverse=True)
     colors = None if mesh.colors is None else mesh.colors[used]

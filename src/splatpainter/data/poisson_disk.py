@@ -20,8 +20,8 @@ def scatter(
     corners = vertices.astype(np.float64)[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     ends = np.cumsum(area)
-    places = (np.arange(count) + rng.random(count)) * (ends[-1] / count)
-    face = np.minimum(np.searchsorted(ends, places, side="right"), len(faces) - 1)
+    positions = (np.arange(count) + rng.random(count)) * (ends[-1] / count)
+    face = np.minimum(np.searchsorted(ends, positions, side="right"), len(faces) - 1)
     first = np.searchsorted(face, face)  # faces come in rising order: the k-th point of a face is its own index - first
     k = np.arange(count) - first
     shift = rng.random((len(faces), 2))[face]
@@ -91,9 +91,9 @@ def _fill(points, low, cell, dims):
     following = np.full(len(points), -1, np.int32)
     for i in range(len(points)):
         x, y, z = _cell(points[i], low, cell, dims)
-        place = (x * dims[1] + y) * dims[2] + z
-        following[i] = heads[place]
-        heads[place] = i
+        cell_index = (x * dims[1] + y) * dims[2] + z
+        following[i] = heads[cell_index]
+        heads[cell_index] = i
     return heads, following
 
 
@@ -125,9 +125,9 @@ def _throw(points, normals, order, taken, heads, following, low, cell, reach, di
                 break
         if free:
             taken[i] = True
-            place = (x * dims[1] + y) * dims[2] + z
-            following[i] = heads[place]
-            heads[place] = i
+            cell_index = (x * dims[1] + y) * dims[2] + z
+            following[i] = heads[cell_index]
+            heads[cell_index] = i
             left -= 1
     return left
 
@@ -169,7 +169,7 @@ def _closest(points, normals, centers, center_normals, heads, following, low, ce
     for i in range(len(points)):
         p, n = points[i], normals[i]
         x, y, z = _cell(p, low, cell, dims)
-        most = np.float32(1e30)
+        nearest_square = np.float32(1e30)
         for cx in range(max(x - 1, 0), min(x + 2, dims[0])):
             for cy in range(max(y - 1, 0), min(y + 2, dims[1])):
                 for cz in range(max(z - 1, 0), min(z + 2, dims[2])):
@@ -179,8 +179,8 @@ def _closest(points, normals, centers, center_normals, heads, following, low, ce
                         a, b, c = p[0] - q[0], p[1] - q[1], p[2] - q[2]
                         cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
                         d = a * a + b * b + c * c + turn * (1 - cosine)
-                        if d < most:
-                            most = d
+                        if d < nearest_square:
+                            nearest_square = d
                             out[i] = j
                         j = following[j]
     return out

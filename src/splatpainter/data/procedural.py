@@ -64,14 +64,14 @@ def random_mesh(seed: int, textures: str | Path | None = None, odds: Odds = Odds
         solids.append(placed)
         ids.append(np.full(len(placed.faces), k))
         reached += list(placed.vertices[rng.integers(len(placed.vertices), size=3)])
-    whole = shapes.joined(solids)
+    solid = shapes.joined(solids)
     materials = tuple(random_material(rng, textures) for _ in range(count))
     mesh = Mesh(
         f"procedural {seed}",
-        whole.vertices.astype(np.float32),
-        whole.faces,
-        whole.normals.astype(np.float32),
-        whole.uvs.astype(np.float32),
+        solid.vertices.astype(np.float32),
+        solid.faces,
+        solid.normals.astype(np.float32),
+        solid.uvs.astype(np.float32),
         _traded(ids, rng, odds.traded),
         materials,
     )
@@ -157,10 +157,10 @@ def pattern(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray
         level = ((np.floor((x + warp) * 2 * n) + np.floor((y + warp) * 2 * n)) % 2) * 0.9
         relief = level
     elif kind == "spots":
-        gap, own, _ = cells(rng, int(rng.integers(15, 90)))
+        gap, numbers, _ = cells(rng, int(rng.integers(15, 90)))
         size = rng.uniform(0.02, 0.06)
-        inside = np.clip((size * (0.5 + own) - gap) * 200, 0, 1)
-        return blend(colors[0], colors[1 + (own * 3).astype(int) % 3], inside), inside
+        inside = np.clip((size * (0.5 + numbers) - gap) * 200, 0, 1)
+        return blend(colors[0], colors[1 + (numbers * 3).astype(int) % 3], inside), inside
     elif kind == "gradient":
         turn = np.sin(2 * np.pi * (y * int(rng.integers(1, 3)) + (x if rng.random() < 0.3 else 0 * x)) + 20 * warp)
         level = 0.5 + 0.5 * turn
@@ -169,9 +169,9 @@ def pattern(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray
     elif kind == "strokes":
         return _strokes(rng, colors)
     elif kind == "cells":
-        gap, own, edge = cells(rng, int(rng.integers(12, 80)))
+        gap, numbers, edge = cells(rng, int(rng.integers(12, 80)))
         grout = np.clip((edge - 0.008) * 120, 0, 1)
-        return blend(colors[0], ramp(colors[1:], own), grout) * (0.9 + 0.1 * rough)[..., None], grout
+        return blend(colors[0], ramp(colors[1:], numbers), grout) * (0.9 + 0.1 * rough)[..., None], grout
     elif kind == "marble":
         level = 0.5 + 0.5 * np.sin(2 * np.pi * int(rng.integers(1, 4)) * y + rng.uniform(2, 6) * noise(rng, 2.0))
         level = level ** rng.uniform(1, 3)
@@ -221,9 +221,9 @@ def cells(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray,
     two = np.argpartition(d, 1, -1)[..., :2]
     near = np.take_along_axis(d, two, -1)
     first = near.argmin(-1)
-    own = rng.random(count)[np.take_along_axis(two, first[..., None], -1)[..., 0]]
+    numbers = rng.random(count)[np.take_along_axis(two, first[..., None], -1)[..., 0]]
     near.sort(-1)
-    parts = np.stack([near[..., 0], own, near[..., 1] - near[..., 0]])
+    parts = np.stack([near[..., 0], numbers, near[..., 1] - near[..., 0]])
     gap, number, edge = parts.repeat(2, 1).repeat(2, 2)
     return gap, number, edge
 
@@ -237,8 +237,8 @@ def _bricks(
     joint = rng.uniform(0.03, 0.1)
     inside = np.minimum(np.minimum(u % 1, 1 - u % 1) * rows / across, np.minimum(y * rows % 1, 1 - y * rows % 1))
     solid = np.clip((inside - joint) * 30, 0, 1)
-    own = rng.random((rows, across))[row.astype(int) % rows, np.floor(u).astype(int) % across]
-    return np.clip(blend(colors[0], ramp(colors[1:], own), solid) * (1 + 0.12 * rough)[..., None], 0, 1), solid
+    numbers = rng.random((rows, across))[row.astype(int) % rows, np.floor(u).astype(int) % across]
+    return np.clip(blend(colors[0], ramp(colors[1:], numbers), solid) * (1 + 0.12 * rough)[..., None], 0, 1), solid
 
 
 def _strokes(rng: np.random.Generator, colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -104,8 +104,8 @@ def decode_radiance(files: Mapping[str, bytes], name: str, where: str) -> np.nda
     """[V, H, W, 3] float32 of a sample's NAME_00.exr ...; V = 0 where it has none. Raises ValueError."""
     from splatpainter.data.environments import decode_exr
 
-    found = sorted(key for key in files if key.startswith(f"{name}_") and key.endswith(".exr"))
-    pictures = [decode_exr(files[key], f"{where}.{key}") for key in found]
+    names = sorted(key for key in files if key.startswith(f"{name}_") and key.endswith(".exr"))
+    pictures = [decode_exr(files[key], f"{where}.{key}") for key in names]
     return np.stack(pictures) if pictures else np.zeros((0, 0, 0, 3), np.float32)
 
 

@@ -115,9 +115,9 @@ def split(names: Sequence[str], seed: int = 0, share: float = 0.1) -> tuple[list
     adding objects moves none; `share` of many names lands in validation."""
     if not 0 <= share < 1:
         raise ValueError(f"split: expected a share of 0 up to 1 for validation, got {share}")
-    held = [_unit_hash(f"{seed}:{name}") < share for name in names]
-    train = [name for name, out in zip(names, held, strict=True) if not out]
-    return train, [name for name, out in zip(names, held, strict=True) if out]
+    validation = [_unit_hash(f"{seed}:{name}") < share for name in names]
+    train = [name for name, out in zip(names, validation, strict=True) if not out]
+    return train, [name for name, out in zip(names, validation, strict=True) if out]
 
 
 def object_seed(seed: int, i: int) -> int:
@@ -138,8 +138,8 @@ def _files(
 ) -> list[Path]:
     if not folder.is_dir():
         raise ValueError(f"{folder}: no such folder; expected a folder of {what} files")
-    found = sorted(folder.rglob("*") if recursive else folder.iterdir())
-    files = [file for file in found if file.suffix.lower() in suffixes and file.is_file()]
+    paths = sorted(folder.rglob("*") if recursive else folder.iterdir())
+    files = [file for file in paths if file.suffix.lower() in suffixes and file.is_file()]
     if names is not None:
         by_name = {_name(file, folder): file for file in files} | {f.relative_to(folder).as_posix(): f for f in files}
         missing = [name for name in names if name not in by_name]

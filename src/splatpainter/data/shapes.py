@@ -224,12 +224,12 @@ def cut(solid: Solid, cutter: Distance, wall: float) -> Solid:
 def _clipped(solid: Solid, value: np.ndarray) -> tuple[Solid, np.ndarray]:
     """(what has value > 0, [R, 2] edges of the cut by vertex index). Triangles across the border are cut along the
     straight line where the value, linear on each edge, is 0."""
-    kept = value[solid.faces] > 0
-    count = kept.sum(1)
-    whole = solid.faces[count == 3]
+    inside = value[solid.faces] > 0
+    count = inside.sum(1)
+    complete = solid.faces[count == 3]
     # Turn each mixed triangle so that its odd corner comes first.
     mixed = solid.faces[(count == 1) | (count == 2)]
-    keeps = kept[(count == 1) | (count == 2)]
+    keeps = inside[(count == 1) | (count == 2)]
     odd = np.where(keeps.sum(1) == 1, keeps.argmax(1), keeps.argmin(1))
     order = (odd[:, None] + np.arange(3)) % 3
     mixed, alone = np.take_along_axis(mixed, order, 1), keeps.sum(1) == 1
@@ -249,7 +249,7 @@ def _clipped(solid: Solid, value: np.ndarray) -> tuple[Solid, np.ndarray]:
     rim = np.concatenate([np.stack([first, second], 1)[alone], np.stack([second, first], 1)[pair]])
     normals = between(solid.normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    faces = np.concatenate([whole, lone, *quads])
+    faces = np.concatenate([complete, lone, *quads])
     return Solid(between(solid.vertices), faces, between(solid.uvs), normals), rim
 
 

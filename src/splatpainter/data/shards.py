@@ -114,9 +114,9 @@ class ShardWriter:
         index = read_index(self.folder)
         for key in sorted({*spec, *index["spec"]}):
             if spec.get(key) != index["spec"].get(key):
-                there, asked = _short(index["spec"].get(key)), _short(spec.get(key))
+                there, requested = _short(index["spec"].get(key)), _short(spec.get(key))
                 raise ValueError(
-                    f"{self.folder}: holds shards of another run ({key} was {there}, now {asked}); "
+                    f"{self.folder}: holds shards of another run ({key} was {there}, now {requested}); "
                     "use the same options to carry it on, or another folder"
                 )
         self.scenes = max(self.scenes, index["done"])
@@ -149,13 +149,13 @@ class ShardWriter:
             with _tar(hashed) as tar:
                 for path in waiting:
                     about, keys = _copy(path, tar)
-                    kept = {
+                    record = {
                         "scene": about["scene"],
                         "object": about["object"],
                         "samples": keys,
                         "kinds": about["kinds"],
                     }
-                    scenes += [kept] if keys else []
+                    scenes += [record] if keys else []
                     skipped += [
                         {"scene": about["scene"], "object": about["object"], "reason": r} for r in about["skipped"]
                     ]
@@ -184,8 +184,8 @@ def read_index(folder: Path) -> dict[str, Any]:
         index = json.loads(files.read_all(path))
         version = (index["format"], index["version"])
         lists = [index["shards"], index["skipped"]]
-        whole = [index["done"], index["scenes"], index["per_shard"]]
-        if not all(isinstance(v, list) for v in lists) or not all(isinstance(v, int) for v in whole):
+        counts_read = [index["done"], index["scenes"], index["per_shard"]]
+        if not all(isinstance(v, list) for v in lists) or not all(isinstance(v, int) for v in counts_read):
             raise TypeError("a field of another kind")
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise ValueError(f"{path}: is no index of shards ({type(error).__name__}: {error})") from None
@@ -250,8 +250,8 @@ def check(folder: Path) -> Health:
         wrong = damage(folder, entry)
         problems += [wrong] if wrong else []
         samples += 0 if wrong else sum(len(scene["samples"]) for scene in entry["scenes"])
-    known = {entry["file"] for entry in index["shards"]}
-    problems += [f"{path}: is not in the index" for path in sorted(folder.glob("*.tar")) if path.name not in known]
+    listed = {entry["file"] for entry in index["shards"]}
+    problems += [f"{path}: is not in the index" for path in sorted(folder.glob("*.tar")) if path.name not in listed]
     waiting = len(list((folder / WAITING).glob("[0-9]*.tar")))
     counts = (len(index["shards"]), samples, index["scenes"], index["done"], waiting, len(index["skipped"]))
     return Health(*counts, tuple(problems))
@@ -309,10 +309,10 @@ class ShardStream:
         """(the files of sample `index`, its key): for what a Sample leaves out, such as 16-bit pictures."""
         if index < 0:
             raise IndexError(f"shards: expected an index from 0, got {index}")
-        epoch, place = divmod(index, self._total)
+        epoch, position = divmod(index, self._total)
         order, ends = self._order(epoch)
-        at = bisect_right(ends, place)
-        step = place - (ends[at - 1] if at else 0)
+        at = bisect_right(ends, position)
+        step = position - (ends[at - 1] if at else 0)
         for further in range(len(order)):
             scene = self._scenes[order[(at + further) % len(order)]]
             contents = self._open(scene.shard)
@@ -359,12 +359,12 @@ class ShardStream:
 
     def _read(self, shard: int, key: str, contents: dict[str, dict[str, tuple[int, int]]]) -> Files:
         path = self.folder / self._shards[shard]["file"]
-        found: Files = {}
+        contents_read: Files = {}
         with files.reading(path) as file:
             for name, (offset, size) in contents.get(key, {}).items():
                 file.seek(offset)
-                found[name] = file.read(size)
-        return found
+                contents_read[name] = file.read(size)
+        return contents_read
 
     def _asset(self, sample: Files) -> Splats | None:
         """The asset, the same object for equal bytes: `sample.asset is before.asset` within a scene."""

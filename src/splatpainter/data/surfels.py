@@ -57,14 +57,14 @@ class Surfels:
 
 CANDIDATES = 2.0
 """Candidates per surfel before the even ones are selected."""
-SIZE = 0.62
+SIGMA_PER_SPACING = 0.62
 """In-plane standard deviation over the mean distance to the five nearest: closed surfaces, sharp texture."""
-THIN = 0.12
+THICKNESS = 0.12
 """Third standard deviation over the other two."""
 OPACITY = 0.99
-SEEN = 0.01
+MIN_VISIBLE_SHARE = 0.01
 """Points that see a smaller share of both hemispheres lie inside the object and are left out."""
-INVERTED = 0.1
+MAX_INVERTED_SHARE = 0.1
 """Points that see less than this above and more below have a normal that points into a closed object."""
 
 
@@ -77,11 +77,11 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
     if count < 1:
         raise ValueError(f"{mesh.name}: expected at least one surfel, got {count}")
     rng = np.random.default_rng([seed, count])
-    found = _candidates(mesh, count, rng)
-    chosen = poisson_disk.select(found.points, found.normals, count, found.spacing, rng)
-    part = found.take(chosen)
-    gap = poisson_disk.spacing_around(part.points, part.normals, found.spacing)
-    width = SIZE * np.clip(gap, 0.5 * found.spacing, 1.5 * found.spacing)
+    candidates = _candidates(mesh, count, rng)
+    chosen = poisson_disk.select(candidates.points, candidates.normals, count, candidates.spacing, rng)
+    part = candidates.take(chosen)
+    gap = poisson_disk.spacing_around(part.points, part.normals, candidates.spacing)
+    width = SIGMA_PER_SPACING * np.clip(gap, 0.5 * candidates.spacing, 1.5 * candidates.spacing)
     look = _materials(mesh, part.face, part.weights, part.points, part.normals, width)
     normals = _upright(look.pop("normals"), part.normals)
     transfer = unoccluded_transfer(normals) - part.blocked
@@ -89,7 +89,7 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
         "means": part.points,
         "normals": normals,
         "quats": facing(part.normals, rng.uniform(0, 2 * np.pi, count)),
-        "scales": np.stack([width, width, THIN * width], 1),
+        "scales": np.stack([width, width, THICKNESS * width], 1),
         "opacities": np.full(count, OPACITY),
         "occlusion": part.openness,
         "transfer": transfer,
@@ -103,22 +103,22 @@ def to_splats(surfels: Surfels, sh: Any) -> Splats:
     return Splats(surfels.means, surfels.quats, surfels.scales, surfels.opacities, sh)
 
 
-def coarse_asset(surfels: Surfels, rows: int, seed: int = 0, fuzz: float = 0.3) -> Surfels:
+def coarse_asset(surfels: Surfels, rows: int, seed: int = 0, roughness: float = 0.3) -> Surfels:
     """`rows` larger, irregular Gaussians as a captured or generated asset has them.
 
     Each stands for a patch of surfels: materials and transfer are means over the patch, so that shading them agrees
-    with the dense truth under any light; shape is the patch's own covariance. fuzz, 0..1: how rough the asset is:
-    opacity down to 0.99 - 0.49 fuzz, jitter of place, size and orientation, and 0.3 fuzz of the rows spent on faint
-    layers above and below the surface. Raises ValueError when rows exceed the surfels or fuzz its range.
+    with the dense truth under any light; shape is the patch's own covariance. roughness, 0..1, of the asset: opacity
+    down to 0.99 - 0.49 roughness, jitter of position, size and orientation, and 0.3 roughness of the Gaussians spent on
+    faint layers above and below the surface. Raises ValueError when rows exceed the surfels or roughness its range.
     """
     from splatpainter.data.degrade import coarsened
 
     if not 1 <= rows <= len(surfels):
         raise ValueError(f"coarse_asset: expected 1 to {len(surfels)} rows (the surfels there are), got {rows}")
-    if not 0 <= fuzz <= 1:
-        raise ValueError(f"coarse_asset: expected fuzz 0..1, got {fuzz}")
-    own = {f.name: getattr(surfels, f.name).detach().cpu().numpy() for f in fields(surfels)}
-    return _as_surfels(coarsened(own, rows, seed, fuzz), surfels.means.device)
+    if not 0 <= roughness <= 1:
+        raise ValueError(f"coarse_asset: expected a roughness of 0..1, got {roughness}")
+    arrays = {f.name: getattr(surfels, f.name).detach().cpu().numpy() for f in fields(surfels)}
+    return _as_surfels(coarsened(arrays, rows, seed, roughness), surfels.means.device)
 
 
 def _as_surfels(rows: dict[str, np.ndarray], device: Any) -> Surfels:
@@ -140,8 +140,8 @@ class _Candidates:
     spacing: float
 
     def take(self, rows: np.ndarray) -> _Candidates:
-        kept = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "spacing"}
-        return _Candidates(**kept, spacing=self.spacing)
+        visible = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "spacing"}
+        return _Candidates(**visible, spacing=self.spacing)
 
 
 def _candidates(mesh: Mesh, count: int, rng: np.random.Generator) -> _Candidates:
@@ -151,13 +151,13 @@ def _candidates(mesh: Mesh, count: int, rng: np.random.Generator) -> _Candidates
     area = float(np.linalg.norm(cross, axis=1).sum()) / 2
     share, number = 1.0, min(max(count // 4, 4000), 16000)
     for _ in range(4):
-        found, share = _round(mesh, number, _unit(cross), area, rng)
-        if len(found.points) >= 1.4 * count:
+        candidates, share = _round(mesh, number, _unit(cross), area, rng)
+        if len(candidates.points) >= 1.4 * count:
             break
         number = int(1.1 * CANDIDATES * count / max(share, 0.05)) + 64
-    if len(found.points) < count:
+    if len(candidates.points) < count:
         raise ValueError(f"{mesh.name}: only a part too small for {count} surfels can be seen from outside")
-    return replace(found, spacing=float(np.sqrt(area * share / count)))
+    return replace(candidates, spacing=float(np.sqrt(area * share / count)))
 
 
 def _round(
@@ -176,13 +176,13 @@ def _round(
     # Smooth normals that leave the triangle by more than a right angle are a fault of the file.
     normals = np.where(((normals * flat).sum(1) > 0.1)[:, None], normals, flat).astype(np.float32)
     sees = visibility(points, normals, float(np.sqrt(area / number)))
-    turn = (sees.front < INVERTED) & (sees.front < 0.3 * sees.back)
+    turn = (sees.front < MAX_INVERTED_SHARE) & (sees.front < 0.3 * sees.back)
     openness = np.where(turn, sees.back, sees.front)
     blocked = np.where(turn[:, None], sees.blocked_back, sees.blocked_front)
     normals = np.where(turn[:, None], -normals, normals)
-    kept = openness > SEEN
-    found = _Candidates(points, normals, face, weights, openness, blocked, 0.0).take(kept)
-    return found, float(kept.sum()) / number
+    visible = openness > MIN_VISIBLE_SHARE
+    candidates = _Candidates(points, normals, face, weights, openness, blocked, 0.0).take(visible)
+    return candidates, float(visible.sum()) / number
 
 
 def _covered(mesh: Mesh, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -190,9 +190,9 @@ def _covered(mesh: Mesh, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
     solid = np.ones(len(face), bool)
     ids = mesh.material_ids[face]
     for k, material in enumerate(mesh.materials):
-        if material.alpha is not None and (mine := ids == k).any():
-            uvs = np.einsum("nk,nkc->nc", weights[mine], mesh.uvs[mesh.faces[face[mine]]])
-            solid[mine] = sample_texture(material.alpha[..., None], uvs)[:, 0] > 0.5
+        if material.alpha is not None and (used := ids == k).any():
+            uvs = np.einsum("nk,nkc->nc", weights[used], mesh.uvs[mesh.faces[face[used]]])
+            solid[used] = sample_texture(material.alpha[..., None], uvs)[:, 0] > 0.5
     return solid
 
 
@@ -209,40 +209,40 @@ def _materials(
     metallic, roughness = np.empty(count, np.float32), np.empty(count, np.float32)
     ids = mesh.material_ids[face]
     for k, material in enumerate(mesh.materials):
-        mine = np.flatnonzero(ids == k)
-        if not len(mine):
+        used = np.flatnonzero(ids == k)
+        if not len(used):
             continue
-        corner = mesh.faces[face[mine]]
-        place, uv = mesh.vertices[corner], mesh.uvs[corner]
-        middle = np.einsum("nk,nkc->nc", weights[mine], uv)
-        along_u, along_v, steps = _tangents(place, uv)
-        tone = np.broadcast_to(np.asarray(material.base_factor, np.float32), (len(mine), 3))
+        corner = mesh.faces[face[used]]
+        corners, uv = mesh.vertices[corner], mesh.uvs[corner]
+        middle = np.einsum("nk,nkc->nc", weights[used], uv)
+        along_u, along_v, steps = _tangents(corners, uv)
+        tone = np.broadcast_to(np.asarray(material.base_factor, np.float32), (len(used), 3))
         if material.base_color is not None:
-            reach = _footprint(steps, width[mine], material.base_color.shape)
-            seen = [sample_texture(material.base_color, middle + t @ reach, SRGB_BYTES) for t in TAPS]
-            tone = tone * np.mean(seen, 0)
+            reach = _footprint(steps, width[used], material.base_color.shape)
+            taps = [sample_texture(material.base_color, middle + t @ reach, SRGB_BYTES) for t in TAPS]
+            tone = tone * np.mean(taps, 0)
         if mesh.colors is not None:
-            tone = tone * np.einsum("nk,nkc->nc", weights[mine], mesh.colors[corner])
-        albedo[mine] = tone
-        shine = np.ones((len(mine), 2), np.float32)
+            tone = tone * np.einsum("nk,nkc->nc", weights[used], mesh.colors[corner])
+        albedo[used] = tone
+        shine = np.ones((len(used), 2), np.float32)
         if material.metallic_roughness is not None:
             shine = sample_texture(material.metallic_roughness, middle)
-        metallic[mine] = material.metallic * shine[:, 0]
-        roughness[mine] = material.roughness * shine[:, 1]
+        metallic[used] = material.metallic * shine[:, 0]
+        roughness[used] = material.roughness * shine[:, 1]
         if material.normal_map is not None:
             bump = 2 * sample_texture(material.normal_map, middle) - 1
-            n = normals[mine]
+            n = normals[used]
             t = _unit(along_u - (along_u * n).sum(1, keepdims=True) * n)
             b = np.cross(n, t)
             b = np.where(((b * along_v).sum(1) < 0)[:, None], -b, b)
             bent = bump[:, :1] * t + bump[:, 1:2] * b + np.maximum(bump[:, 2:], 0.2) * n
-            normal[mine] = np.where(np.all(np.isfinite(bent), axis=1)[:, None], _unit(bent), n)
+            normal[used] = np.where(np.all(np.isfinite(bent), axis=1)[:, None], _unit(bent), n)
     return {"albedo": albedo, "metallic": metallic, "roughness": roughness, "normals": normal}
 
 
-def _tangents(place: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _tangents(corners: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(dP/du [N, 3], dP/dv [N, 3], [N, 2, 2] change of uv per world unit along two orthonormal axes of each face)."""
-    first, second = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     (a, b), (c, d) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
     det = a * d - b * c
     safe = np.where(np.abs(det) > 1e-12, det, 1e-12)[:, None]

@@ -121,9 +121,9 @@ def densify(
     opacity = parameters.opacities.sigmoid()
     chosen = torch.as_tensor(pulls, device=device) >= options.threshold
     chosen &= torch.isfinite(size) & (opacity >= options.faintest)
-    room = max(most_rows - len(parameters), 0)
-    if int(chosen.sum()) > room:
-        hardest = np.argsort(-np.where(chosen.cpu().numpy(), pulls, -1), kind="stable")[:room]
+    free = max(most_rows - len(parameters), 0)
+    if int(chosen.sum()) > free:
+        hardest = np.argsort(-np.where(chosen.cpu().numpy(), pulls, -1), kind="stable")[:free]
         chosen = torch.zeros_like(chosen)
         chosen[torch.as_tensor(hardest.copy(), device=device)] = True
     large = size > options.dense * extent
@@ -134,8 +134,8 @@ def densify(
         gone |= size > options.largest * extent
     kept = torch.nonzero(~gone)[:, 0]
     children = _children(parameters.take(split), options.shrink, generator)
-    whole = parameters.take(kept).append(parameters.take(cloned), children)
-    return Round(whole, kept, torch.cat([kept, cloned, split]))
+    densified = parameters.take(kept).append(parameters.take(cloned), children)
+    return Round(densified, kept, torch.cat([kept, cloned, split]))
 
 
 def reset_opacities(parameters: Parameters, value: float) -> None:

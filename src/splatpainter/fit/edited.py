@@ -40,7 +40,7 @@ class EditFitOptions:
     """Edge of the held views, pixels; at most that of the edited ones."""
 
 
-ROOM = 5
+SSIM_MARGIN_PX = 5
 """Pixels around what the rows draw that still enter the structural similarity (half of its window)."""
 ELEVATIONS = {-20.0: (0.0, 0.0, 0.0), 15.0: (1.0, 1.0, 1.0), 50.0: (0.0, 0.0, 0.0)}
 """Degrees -> background: over one alone, rows of its colour and holes look alike."""
@@ -56,10 +56,10 @@ def fit_edited(
     """`lifted` with the given rows ([M] int64) moved so that its renders match the edited views (camera, [H, W, 3] the
     whole picture wanted) while it looks from around as it did. before: the asset before the lift; both numpy. All other
     rows keep their bits."""
-    held = _held(before, lifted, views[0][0], options)
+    anchors = _anchors(before, lifted, views[0][0], options)
     edited = [view for camera, picture in views if (view := _cropped(lifted, camera, picture, rows)) is not None]
-    often = max(round(len(held) / max(len(edited), 1)), 1)  # so that half of the steps are of edited views
-    fitted = optimize(lifted, edited * often + held, FitOptions(steps=options.steps, densify=False), rows=rows)
+    often = max(round(len(anchors) / max(len(edited), 1)), 1)  # so that half of the steps are of edited views
+    fitted = optimize(lifted, edited * often + anchors, FitOptions(steps=options.steps, densify=False), rows=rows)
     return fitted.splats
 
 
@@ -71,22 +71,22 @@ def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, rows: np.ndarr
     ys, xs = np.nonzero(project(splats, camera, gaussian_mask=chosen).tiles_of(chosen))
     if not len(ys):
         return None
-    left, top = max(int(xs.min()) * TILE - ROOM, 0), max(int(ys.min()) * TILE - ROOM, 0)
-    right = min((int(xs.max()) + 1) * TILE + ROOM, camera.width)
-    bottom = min((int(ys.max()) + 1) * TILE + ROOM, camera.height)
+    left, top = max(int(xs.min()) * TILE - SSIM_MARGIN_PX, 0), max(int(ys.min()) * TILE - SSIM_MARGIN_PX, 0)
+    right = min((int(xs.max()) + 1) * TILE + SSIM_MARGIN_PX, camera.width)
+    bottom = min((int(ys.max()) + 1) * TILE + SSIM_MARGIN_PX, camera.height)
     share = (right - left) * (bottom - top) / (camera.width * camera.height)
     part = np.ascontiguousarray(picture[top:bottom, left:right])
     return View(camera.cropped(left, top, right - left, bottom - top), part, weight=share)
 
 
-def _held(before: Splats, lifted: Splats, like: Camera, options: EditFitOptions) -> list[View]:
+def _anchors(before: Splats, lifted: Splats, like: Camera, options: EditFitOptions) -> list[View]:
     """The asset from around."""
     size = min(options.size, like.width, like.height)
-    held = []
+    anchors = []
     for elevation, background in ELEVATIONS.items():
         cameras = orbit_cameras(before, options.views, size=size, elevation=elevation, background=background)
         was, now = (render(splats, cameras).colors for splats in (before, lifted))
         same = (np.abs(now - was).max(-1) < options.same)[..., None]
         pictures = np.where(same, was, now)
-        held += [View(c, p, weight=options.weight) for c, p in zip(cameras, pictures, strict=True)]
-    return held
+        anchors += [View(c, p, weight=options.weight) for c, p in zip(cameras, pictures, strict=True)]
+    return anchors

@@ -20,7 +20,7 @@ from splatpainter.fit.loss import picture_loss, torch_loss
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 
-OwnLoss = Callable[[Tensor], Tensor]
+CustomLoss = Callable[[Tensor], Tensor]
 """[H, W, 3] render -> scalar."""
 
 
@@ -76,14 +76,16 @@ class CpuPasses:
     def __init__(self) -> None:
         self._out: tuple[np.ndarray, ...] = ()
 
-    def __call__(self, splats: Splats, target: Target, own: OwnLoss | None, pull: bool, absolute: bool = False) -> Pass:
+    def __call__(
+        self, splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
+    ) -> Pass:
         """splats: torch, CPU, float32. pull: find it. absolute: see `_pull`."""
         rows = replace(splats, **{name: getattr(splats, name).numpy() for name in ATTRIBUTES})
-        frame = project(rows, target.camera, tiles=target.tiles if own is None else None)
+        frame = project(rows, target.camera, tiles=target.tiles if custom_loss is None else None)
         shape = (target.camera.height, target.camera.width)
         image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
         ends = frame.rasterize_into(image, alpha, depth)
-        loss, slope = _image_loss(image, target, own)
+        loss, slope = _image_loss(image, target, custom_loss)
         nothing = np.zeros(shape, np.float32)
         sums = frame.rasterize_backward(ends, image, alpha, depth, slope, nothing, nothing)
         if not self._out or self._out[0].shape != rows.means.shape or self._out[4].shape != rows.sh.shape:
@@ -93,18 +95,20 @@ class CpuPasses:
         return Pass(loss, gradients, _pull(frame, sums, absolute) if pull else None)
 
 
-def torch_pass(splats: Splats, target: Target, own: OwnLoss | None, pull: bool, absolute: bool = False) -> Pass:
+def torch_pass(
+    splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
+) -> Pass:
     """The same by torch, on the splats' device. absolute: not known here, and left out."""
     from splatpainter.rendering import render
 
     leaves = {name: getattr(splats, name).detach().requires_grad_() for name in ATTRIBUTES}
     image = render(replace(splats, **leaves), target.camera).colors[0]
-    if own is None:
+    if custom_loss is None:
         color = torch.as_tensor(target.color, device=image.device)
         weights = None if target.weights is None else torch.as_tensor(target.weights, device=image.device)
         loss = torch_loss(image, color, weights, target.share)
     else:
-        loss = own(image)
+        loss = custom_loss(image)
     loss = loss * target.weight
     loss.backward()
     gradients = {name: leaf.grad if leaf.grad is not None else torch.zeros_like(leaf) for name, leaf in leaves.items()}
@@ -123,12 +127,12 @@ def screen_pull(splats: Splats, gradients: dict[str, Tensor], camera: Camera) ->
     return Pull(drawn.cpu().numpy(), pixels[drawn].cpu().numpy(), radii[drawn].cpu().numpy())
 
 
-def _image_loss(image: np.ndarray, target: Target, own: OwnLoss | None) -> tuple[float, np.ndarray]:
-    if own is None:
+def _image_loss(image: np.ndarray, target: Target, custom_loss: CustomLoss | None) -> tuple[float, np.ndarray]:
+    if custom_loss is None:
         loss, slope = picture_loss(image, target.color, target.weights, target.share)
         return loss * target.weight, slope if target.weight == 1 else slope * np.float32(target.weight)
     leaf = torch.from_numpy(image).requires_grad_()
-    value = own(leaf) * target.weight
+    value = custom_loss(leaf) * target.weight
     value.backward()
     assert leaf.grad is not None, "loss: expected one that depends on the render"
     return float(value.detach()), np.ascontiguousarray(leaf.grad.numpy(), np.float32)

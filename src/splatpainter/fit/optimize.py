@@ -116,8 +116,8 @@ def optimize(
     losses = []
     for step in range(1, options.steps + 1):
         k = order[step - 1]
-        own = None if loss is None else _bound(loss, views[k])
-        losses.append(run.step(step, targets[k], own))
+        loss_of_view = None if loss is None else _bound(loss, views[k])
+        losses.append(run.step(step, targets[k], loss_of_view))
         if watch is not None:
             watch(step, run.current)
     return Fitted(run.current(), run.parents.cpu().numpy(), losses, options.steps)
@@ -131,7 +131,7 @@ class _Run:
         self.start = with_degree(start, options.sh_degree)
         device = options.device
         self.rows = None if rows is None else torch.as_tensor(np.asarray(rows, np.int64), device=device)
-        self.whole = None if rows is None else _unshared(self.start.torch(device), options.attributes)
+        self.full = None if rows is None else _unshared(self.start.torch(device), options.attributes)
         self.raw = Parameters.of(self.start if rows is None else self.start.take(np.asarray(rows, np.int64)), device)
         self.parents = torch.arange(len(start), device=device)
         self.adam = Adam({name: getattr(self.raw, name) for name in options.attributes})
@@ -144,11 +144,11 @@ class _Run:
         self.passes = CpuPasses() if device == "cpu" else torch_pass
         self.was_reset = False
 
-    def step(self, step: int, target: Target, own: Callable[[Tensor], Tensor] | None) -> float:
+    def step(self, step: int, target: Target, loss_of_view: Callable[[Tensor], Tensor] | None) -> float:
         options = self.options
         growing = options.densify and step <= self.schedule.stop
         drawn = self._drawn()
-        done = self.passes(drawn, target, own, growing, options.density.absolute)
+        done = self.passes(drawn, target, loss_of_view, growing, options.density.absolute)
         gradients, some = done.gradients, drawn
         if self.rows is not None:
             gradients = {name: value[self.rows] for name, value in gradients.items()}
@@ -170,9 +170,9 @@ class _Run:
         """Numpy; new arrays. What did not move keeps the start's bits: through log and logit it might come back one
         bit off."""
         parents = self.parents.cpu().numpy()
-        kept = self.start if self.rows is not None else self.start.take(parents)
+        reference = self.start if self.rows is not None else self.start.take(parents)
         rows = slice(None) if self.rows is None else self.rows.cpu().numpy()
-        before = kept if self.rows is None else kept.take(rows)
+        before = reference if self.rows is None else reference.take(rows)
         first = Parameters.of(before, self.options.device)
         moved = self.raw.splats(self.start).numpy()
         out: dict[str, np.ndarray] = {}
@@ -180,23 +180,23 @@ class _Run:
             same = (getattr(first, name) == getattr(self.raw, name)).cpu().numpy()
             values = np.where(same, getattr(before, name), getattr(moved, name))
             if self.rows is not None:
-                whole = getattr(kept, name).copy()
-                whole[rows] = values
-                values = whole
+                full = getattr(reference, name).copy()
+                full[rows] = values
+                values = full
             out[name] = values
-        return replace(kept, **out)
+        return replace(reference, **out)
 
     def _drawn(self) -> Splats:
         """What is rendered: attributes that are not optimised come straight from the start."""
         moved = self.raw.splats(self.start)
-        if self.whole is None and len(self.options.attributes) == len(ATTRIBUTES):
+        if self.full is None and len(self.options.attributes) == len(ATTRIBUTES):
             return moved
-        if self.whole is None:
+        if self.full is None:
             fixed = self._fixed()
             return replace(moved, **{n: getattr(fixed, n) for n in ATTRIBUTES if n not in self.options.attributes})
         for name in self.options.attributes:
-            getattr(self.whole, name)[self.rows] = getattr(moved, name)
-        return replace(self.whole, source=None, origin=None)
+            getattr(self.full, name)[self.rows] = getattr(moved, name)
+        return replace(self.full, source=None, origin=None)
 
     def _fixed(self) -> Splats:
         if not hasattr(self, "_fixed_splats"):
@@ -236,12 +236,12 @@ def short_run_rate(steps: int, way: float) -> float:
 
 def extent(splats: Splats) -> float:
     """The longest side of the box around the middle 98 % of the rows that can be drawn, world units; 1 for none."""
-    own = splats.numpy()
-    means = own.means[splats.drawable]
+    loss_of_view = splats.numpy()
+    means = loss_of_view.means[splats.drawable]
     if not len(means):
         return 1.0
     low, high = np.quantile(means, [0.01, 0.99], axis=0)
-    return max(float((high - low).max()), float(np.median(own.scales[splats.drawable].max(1))), 1e-6)
+    return max(float((high - low).max()), float(np.median(loss_of_view.scales[splats.drawable].max(1))), 1e-6)
 
 
 def _unshared(splats: Splats, names: tuple[str, ...]) -> Splats:
@@ -260,7 +260,7 @@ def _order(views: int, options: FitOptions) -> np.ndarray:
     return np.concatenate([rng.permutation(views) for _ in range(max(rounds, 1))])[: options.steps]
 
 
-def _check(start: Splats, views: Sequence[View], options: FitOptions, rows: Any, own_loss: bool) -> None:
+def _check(start: Splats, views: Sequence[View], options: FitOptions, rows: Any, custom_loss: bool) -> None:
     if not views:
         raise ValueError("fit: expected at least one view, got none")
     unknown = sorted(set(options.attributes) - set(ATTRIBUTES))
@@ -286,7 +286,7 @@ def _check(start: Splats, views: Sequence[View], options: FitOptions, rows: Any,
                 f"fit: view {k}: expected colours {[*shape, 3]} and a mask {list(shape)} as its camera says, got "
                 f"{list(view.color.shape)}" + ("" if view.mask is None else f" and {list(view.mask.shape)}")
             )
-        if options.ssim > 0 and min(shape) < WINDOW and not own_loss:
+        if options.ssim > 0 and min(shape) < WINDOW and not custom_loss:
             raise ValueError(
                 f"fit: view {k}: expected {WINDOW}x{WINDOW} pixels or more, got {shape[1]}x{shape[0]}; or ssim=0"
             )

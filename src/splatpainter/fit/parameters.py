@@ -48,8 +48,8 @@ class Parameters:
     @staticmethod
     def of(splats: Splats, device: str = "cpu") -> Parameters:
         """Copies of the rows; rows that cannot be drawn come out as NaN or infinite, and stay that way."""
-        own = splats.torch(device)
-        values: dict[str, Any] = {name: getattr(own, name).clone().contiguous() for name in ATTRIBUTES}
+        tensors = splats.torch(device)
+        values: dict[str, Any] = {name: getattr(tensors, name).clone().contiguous() for name in ATTRIBUTES}
         values["scales"] = torch.where(values["scales"] > 0, values["scales"].clamp_min(MIN_SCALE), torch.nan).log()
         values["opacities"] = torch.logit(values["opacities"].clamp(MIN_OPACITY, 1 - MIN_OPACITY))
         return Parameters(**values)

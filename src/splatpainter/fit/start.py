@@ -18,9 +18,9 @@ from splatpainter.splats import MAX_MAGNITUDE, SH_COUNTS, ColorSpace, Splats
 
 OPACITY = 0.1
 """Of first rows, as in 3DGS."""
-SOLID = 0.5
+MIN_ALPHA = 0.5
 """Pixels with less alpha have no depth to speak of."""
-EVEN = 16
+MAX_SIZE_RATIO = 16
 """Rows larger than this many times the median row are made this large: a stray point has no near neighbours."""
 BLOCK = 256
 """Points that a thread takes at a time."""
@@ -69,7 +69,7 @@ def from_depths(
     colors: np.ndarray,
     depths: np.ndarray,
     alphas: np.ndarray,
-    rows: int,
+    count: int,
     seed: int = 0,
     sh_degree: int = 3,
     *,
@@ -82,27 +82,27 @@ def from_depths(
     colors: [V, H, W, 3] 0..1; depths: [V, H, W] z-depth, world units; alphas: [V, H, W] 0..1, pixels above SOLID have
     a point. Raises ValueError: shapes that do not fit, or no such pixel."""
     shape = (len(cameras), *np.shape(depths)[1:])
-    if np.shape(colors) != (*shape, 3) or np.shape(depths) != shape or np.shape(alphas) != shape or rows < 1:
+    if np.shape(colors) != (*shape, 3) or np.shape(depths) != shape or np.shape(alphas) != shape or count < 1:
         raise ValueError(
             f"depth maps: expected colours [V, H, W, 3], depths and alphas [V, H, W] of {len(cameras)} cameras and at "
-            f"least one row, got {list(np.shape(colors))}, {list(np.shape(depths))}, {list(np.shape(alphas))}, {rows}"
+            f"least one row, got {list(np.shape(colors))}, {list(np.shape(depths))}, {list(np.shape(alphas))}, {count}"
         )
     rng = np.random.default_rng(seed)
-    solid = (np.asarray(alphas) > SOLID) & (np.asarray(depths) > 0) & np.isfinite(depths)
+    solid = (np.asarray(alphas) > MIN_ALPHA) & (np.asarray(depths) > 0) & np.isfinite(depths)
     view, y, x = np.nonzero(solid)
     if not len(view):
         raise ValueError("depth maps: expected some opaque pixels, got none; do the cameras see the object?")
     z = np.asarray(depths, np.float64)[solid]
     focal = np.array([camera.fx * camera.fy for camera in cameras])
     keys = rng.exponential(size=len(view)) / (z**2 / focal[view])  # the smallest are a draw weighted by area
-    if rows <= len(view):
-        chosen, jitter = np.argpartition(keys, rows - 1)[:rows], np.zeros((rows, 2))
+    if count <= len(view):
+        chosen, jitter = np.argpartition(keys, count - 1)[:count], np.zeros((count, 2))
     else:  # every pixel, again and again, elsewhere within the pixel
-        chosen = np.concatenate([np.arange(len(view)), rng.integers(len(view), size=rows - len(view))])
-        jitter = rng.uniform(-0.5, 0.5, (rows, 2))
+        chosen = np.concatenate([np.arange(len(view)), rng.integers(len(view), size=count - len(view))])
+        jitter = rng.uniform(-0.5, 0.5, (count, 2))
         jitter[: len(view)] = 0
     view, y, x, z = view[chosen], y[chosen], x[chosen], z[chosen]
-    points = np.empty((rows, 3))
+    points = np.empty((count, 3))
     for k, camera in enumerate(cameras):
         inside = view == k
         pixels = np.stack([x[inside], y[inside]], 1) + 0.5 + jitter[inside]
@@ -113,11 +113,11 @@ def from_depths(
 def _spacing(points: np.ndarray) -> np.ndarray:
     """[M] root mean squared distance to the three nearest, world units, within reason."""
     gap = np.sqrt(mean_neighbour_squares(points))
-    known = gap[np.isfinite(gap) & (gap > 0)]
-    if not len(known):
+    finite = gap[np.isfinite(gap) & (gap > 0)]
+    if not len(finite):
         return np.full(len(points), 0.01)
-    typical = float(np.median(known))
-    return np.clip(np.nan_to_num(gap, posinf=typical), typical / EVEN, typical * EVEN)
+    typical = float(np.median(finite))
+    return np.clip(np.nan_to_num(gap, posinf=typical), typical / MAX_SIZE_RATIO, typical * MAX_SIZE_RATIO)
 
 
 def mean_neighbour_squares(points: np.ndarray, count: int = 3) -> np.ndarray:

@@ -18,11 +18,11 @@ def interval(
     every value is its own). Too narrow for a handful of owners. None with fewer than two. Equal input, equal answer.
     """
     values = np.asarray(values, np.float64)
-    places = np.arange(len(values)) if owners is None else np.unique(np.asarray(owners), return_inverse=True)[1]
-    count = int(places.max()) + 1 if len(values) else 0
+    groups = np.arange(len(values)) if owners is None else np.unique(np.asarray(owners), return_inverse=True)[1]
+    count = int(groups.max()) + 1 if len(values) else 0
     if count < 2:
         return None
-    sums, counts = np.bincount(places, values), np.bincount(places)
+    sums, counts = np.bincount(groups, values), np.bincount(groups)
     drawn = np.random.default_rng(seed).integers(count, size=(ROUNDS, count))
     means = sums[drawn].sum(1) / counts[drawn].sum(1)
     # no interpolation between order statistics: infinite values would give NaN

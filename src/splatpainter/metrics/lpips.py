@@ -121,10 +121,10 @@ class Lpips:
         """Read the weights in float32 on the CPU. folder: by default that of SPLATPAINTER_PERCEPTUAL. Raises
         LpipsUnavailable when folder, file or safetensors is missing, ValueError when the file is not these weights."""
         assert net in _STAGES, net
-        place = folder if folder is not None else os.environ.get(VARIABLE)
-        if not place:
+        weights_folder = folder if folder is not None else os.environ.get(VARIABLE)
+        if not weights_folder:
             raise LpipsUnavailable(f"LPIPS: no weights; set {VARIABLE} to the folder of lpips_{net}.safetensors")
-        path = Path(place) / f"lpips_{net}.safetensors"
+        path = Path(weights_folder) / f"lpips_{net}.safetensors"
         if not path.is_file():
             raise LpipsUnavailable(f"LPIPS: no weights; expected the file {path} (folder given, or {VARIABLE})")
         return Lpips(net, _read(path, net))
@@ -139,8 +139,8 @@ def lpips(a: Any, b: Any, mask: Any = None, *, net: Net = "alex", folder: str | 
     first, second, weights = checked(a, b, mask, "LPIPS")
     if first.shape[2] != 3:
         raise ValueError(f"LPIPS: expected pictures [H, W, 3], got {first.shape}")
-    place = folder if folder is not None else os.environ.get(VARIABLE)
-    network = _loaded(net, None if place is None else str(place))
+    weights_folder = folder if folder is not None else os.environ.get(VARIABLE)
+    network = _loaded(net, None if weights_folder is None else str(weights_folder))
     x, y = (torch.from_numpy(p.transpose(2, 0, 1).astype(np.float32))[None] for p in (first, second))
     with torch.no_grad():
         return float(network(x, y, None if weights is None else torch.from_numpy(weights)[None, None]))

@@ -42,33 +42,33 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
     model = SplatPainterModel(recipe.model)
     if weights is None:
         return model
-    held = checkpoint.load(weights)
-    stage = str(held.notes.get("stage", "refine"))
+    saved = checkpoint.load(weights)
+    stage = str(saved.notes.get("stage", "refine"))
     parts, order = TRAINED.get(stage, TRAINED["refine"]), list(TRAINED)
     if recipe.stage == "compress" and stage in order[order.index("compress") + 1 :]:
         parts = TRAINED["lrm"]
-    if stage == recipe.stage == "compress" and held.config.representation == "copy":
+    if stage == recipe.stage == "compress" and saved.config.representation == "copy":
         parts = (*parts, "head.")
     if until is not None:
         if not set(TRAINED.get(until, "?")) <= set(TRAINED.get(stage, TRAINED["refine"])):
             raise ValueError(f"{weights}: expected --from-stage to be one up to {stage}, got {until}")
         parts = TRAINED[until]
-    sizes = [(c.predict.features, c.predict.hidden) for c in (held.config, recipe.model)]
-    if sizes[0] != sizes[1] and (recipe.stage == "predict" or not held.config.predict.features):  # a new predictor
+    sizes = [(c.predict.features, c.predict.hidden) for c in (saved.config, recipe.model)]
+    if sizes[0] != sizes[1] and (recipe.stage == "predict" or not saved.config.predict.features):  # a new predictor
         parts = tuple(part for part in parts if part != "predictor.")
     untrained = _untrained_keys(parts)
 
     def free(key: str) -> bool:
         return key in SETTINGS or key.endswith("checkpoint_activations") or key.startswith(untrained)
 
-    differing = state.differing_config(held.config, recipe.model, free)
+    differing = state.differing_config(saved.config, recipe.model, free)
     if differing:
         more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
         raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}{more}")
-    own = model.state_dict()
-    used = {name: t for name, t in held.tensors.items() if name.startswith(parts)}
-    checkpoint.fill(model, {**own, **used}, str(weights))
-    model.notes = {"history": state.history(weights, held.notes)}
+    initial = model.state_dict()
+    used = {name: t for name, t in saved.tensors.items() if name.startswith(parts)}
+    checkpoint.fill(model, {**initial, **used}, str(weights))
+    model.notes = {"history": state.history(weights, saved.notes)}
     say(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
     return model
 
@@ -107,14 +107,14 @@ def densify_task(recipe: Recipe, weights: Path | None, say: Say = print) -> Dens
     what differs where the checkpoint is of another densifier."""
     model = Densifier(recipe.densifier)
     if weights is not None:
-        held = checkpoint.load(weights, kind=DensifyConfig)
+        saved = checkpoint.load(weights, kind=DensifyConfig)
         differing = state.differing_config(
-            held.config, recipe.densifier, lambda key: key in ("preset", "most", "min_opacity")
+            saved.config, recipe.densifier, lambda key: key in ("preset", "most", "min_opacity")
         )
         if differing:
             raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}")
-        checkpoint.fill(model, held.tensors, str(weights))
-        model.notes = {"history": state.history(weights, held.notes)}
+        checkpoint.fill(model, saved.tensors, str(weights))
+        model.notes = {"history": state.history(weights, saved.notes)}
         say(f"starting from {weights}")
     return DensifyTask(model, recipe.loss_views, recipe.gradient_rows)
 
@@ -127,4 +127,4 @@ def _untrained_keys(parts: tuple[str, ...]) -> tuple[str, ...]:
         "head.": ("decoder",),
         "predictor.": ("predict.",),
     }
-    return tuple(key for part, own in keys.items() if part not in parts for key in own)
+    return tuple(key for part, initial in keys.items() if part not in parts for key in initial)

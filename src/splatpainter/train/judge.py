@@ -53,15 +53,15 @@ class Trial:
     """Or why there is none."""
 
 
-def trials(supply: Supply, kinds: Mapping[str, float], count: int, most_views: int) -> Iterator[Trial]:
+def trials(supply: Supply, kinds: Mapping[str, float], count: int, max_views: int) -> Iterator[Trial]:
     """`count` samples of objects held out of training, made one at a time. kinds: kind -> weight; most_views: edited
     views of every "relight" sample (in shards: of those that have them). Raises ValueError where no object is held
     out, or none of the kinds can be made of this data."""
-    stream = _held(supply)
+    stream = _validation_stream(supply)
     if is_shards(supply.data):
         streams = {kind: found for kind in kinds if (found := _shards_of(supply, kind)) is not None}
     else:
-        streams = {kind: _only(stream, kind, most_views) for kind in kinds if kind in stream.kinds}
+        streams = {kind: _only(stream, kind, max_views) for kind in kinds if kind in stream.kinds}
     if not streams:
         raise ValueError(f"--data {supply.data}: none of the kinds {', '.join(kinds)} can be made of it")
     order = apportioned({kind: kinds[kind] for kind in streams}, count)
@@ -69,10 +69,10 @@ def trials(supply: Supply, kinds: Mapping[str, float], count: int, most_views: i
     for number, kind in enumerate(order):
         source = streams[kind]
         # Shards hold the samples of an object one after another: strides reach other objects.
-        place = done[kind] * max(len(source) // order.count(kind), 1) if isinstance(source, ShardStream) else number
+        index = done[kind] * max(len(source) // order.count(kind), 1) if isinstance(source, ShardStream) else number
         done[kind] += 1
         try:
-            made: Sample | str = source[place]
+            made: Sample | str = source[index]
         except ValueError as error:
             made = str(error)
         yield Trial(number, kind, made)
@@ -102,8 +102,8 @@ def first_views(sample: Sample, count: int) -> Sample:
     return dataclasses.replace(sample, edited=edited, masks=sample.masks[kept])
 
 
-def _held(supply: Supply) -> Any:
-    stream = supply.stream(held=True)
+def _validation_stream(supply: Supply) -> Any:
+    stream = supply.stream(validation=True)
     if stream is None:
         raise ValueError(
             f"--data {supply.data}: no object of it is held out of training "
@@ -112,20 +112,20 @@ def _held(supply: Supply) -> Any:
     return stream
 
 
-def _only(stream: Any, kind: str, most_views: int) -> Any:
+def _only(stream: Any, kind: str, max_views: int) -> Any:
     """The stream with samples of one kind alone. It shares what is remembered of objects with the first one."""
-    own = copy.copy(stream)
-    own.kinds = {kind: 1.0}
+    group = copy.copy(stream)
+    group.kinds = {kind: 1.0}
     if kind == MANY_VIEWS:
-        own.recipe = dataclasses.replace(stream.recipe, views=(0.0,) * (most_views - 1) + (1.0,))
-    return own
+        group.recipe = dataclasses.replace(stream.recipe, views=(0.0,) * (max_views - 1) + (1.0,))
+    return group
 
 
 def _shards_of(supply: Supply, kind: str) -> Any:
     """The samples of one kind in shards, or None where they hold none of it."""
     recipe = dataclasses.replace(supply.recipe, kinds={kind: 1.0})
     try:
-        return dataclasses.replace(supply, recipe=recipe).stream(held=True)
+        return dataclasses.replace(supply, recipe=recipe).stream(validation=True)
     except ValueError:
         return None
 
@@ -204,10 +204,10 @@ def judge_edits(task: Task, trials: Iterable[Trial], views: Sequence[int]) -> It
             yield f"sample {trial.number} ({trial.kind}): {trial.sample}"
             continue
         sample = trial.sample
-        shown: list[int | None] = [None]
+        view_counts: list[int | None] = [None]
         if sample.kind == MANY_VIEWS:
-            shown = [n for n in sorted(set(views)) if n <= len(sample.edited.cameras)]
-        for count in shown:
+            view_counts = [n for n in sorted(set(views)) if n <= len(sample.edited.cameras)]
+        for count in view_counts:
             try:
                 verdict = task.judge(sample if count is None else first_views(sample, count))
             except ValueError as error:
@@ -257,10 +257,10 @@ def looking_tasks(recipe: Recipe, model: SplatPainterModel, folder: Path) -> tup
     if not isinstance(task, HiddenColors):
         return tasks | {COPY: task}, ""
     found = state.read_outs(folder.parent)
-    own = {name: tensor for name, tensor in found.items() if name in dict(task.named_parameters())}
-    if not own:
+    group = {name: tensor for name, tensor in found.items() if name in dict(task.named_parameters())}
+    if not group:
         return tasks, f"{folder}: the read-out of hidden colours is in {state.STATE}/ beside it, which is not there"
-    task.load_state_dict(own, strict=False)
+    task.load_state_dict(group, strict=False)
     return tasks | {HIDDEN: task.to(next(model.parameters()).device)}, ""
 
 
@@ -273,8 +273,8 @@ def edit_rows(findings: Sequence[Finding], seed: int = 0) -> list[EditRow]:
     order = sorted(groups, key=lambda key: (KINDS.index(key[0]), key[1] or 0))
     rows = [_edit_row(kind, views, groups[kind, views], seed) for kind, views in order]
     for mode in ("local", "global"):
-        own = merged([f for f in findings if f.mode == mode])
-        rows += [_edit_row(mode, None, own, seed)] if own else []
+        group = merged([f for f in findings if f.mode == mode])
+        rows += [_edit_row(mode, None, group, seed)] if group else []
     return rows
 
 
@@ -282,12 +282,12 @@ def copy_rows(findings: Sequence[Finding], seed: int = 0) -> list[CopyRow]:
     """One row per task."""
     rows = []
     for name in dict.fromkeys(f.kind for f in findings):
-        own = [f for f in findings if f.kind == name]
-        mean = {key: float(np.mean([f.numbers[key] for f in own])) for key in ("reference", "ours")}
-        differences = [f.numbers["ours"] - f.numbers["reference"] for f in own]
-        low, high = interval(differences, [f.name for f in own], seed) or (None, None)
+        group = [f for f in findings if f.kind == name]
+        mean = {key: float(np.mean([f.numbers[key] for f in group])) for key in ("reference", "ours")}
+        differences = [f.numbers["ours"] - f.numbers["reference"] for f in group]
+        low, high = interval(differences, [f.name for f in group], seed) or (None, None)
         compared = {LRM: "the asset itself", COPY: "the LRM before compression", HIDDEN: "mean of the shown colours"}
-        counts = len(own), len({f.name for f in own})
+        counts = len(group), len({f.name for f in group})
         mean_difference = float(np.mean(differences))
         rows.append(CopyRow(name, *counts, compared[name], mean["reference"], mean["ours"], mean_difference, low, high))
     return rows
@@ -300,9 +300,9 @@ def merged(findings: Sequence[Finding]) -> list[Finding]:
         by_sample[finding.sample].append(finding)
     return [
         dataclasses.replace(
-            own[0], views=None, numbers={k: float(np.mean([f.numbers[k] for f in own])) for k in own[0].numbers}
+            group[0], views=None, numbers={k: float(np.mean([f.numbers[k] for f in group])) for k in group[0].numbers}
         )
-        for own in by_sample.values()
+        for group in by_sample.values()
     ]
 
 
@@ -325,25 +325,25 @@ def _reference(name: str, verdicts: Mapping[str, Verdict]) -> float:
     return verdicts[name].numbers["asset" if name == LRM else "mean"]
 
 
-def _edit_row(kind: str, views: int | None, own: Sequence[Finding], seed: int) -> EditRow:
+def _edit_row(kind: str, views: int | None, group: Sequence[Finding], seed: int) -> EditRow:
     def mean(figure: str) -> float | None:
-        some = [f.numbers[figure] for f in own if figure in f.numbers]
+        some = [f.numbers[figure] for f in group if figure in f.numbers]
         return float(np.mean(some)) if some else None
 
     def means(ending: str) -> list[Any]:
         return [mean(f"{name}{ending}") for name in ("nothing", "lift", "ours")]
 
     psnr, ssim, lpips = means(""), means(" SSIM"), means(" LPIPS-Alex")
-    low, high = interval([f.numbers["gain"] for f in own], [f.name for f in own], seed) or (None, None)
+    low, high = interval([f.numbers["gain"] for f in group], [f.name for f in group], seed) or (None, None)
     return EditRow(
         kind=kind,
         views=views,
-        samples=len({f.sample for f in own}),
-        objects=len({f.name for f in own}),
+        samples=len({f.sample for f in group}),
+        objects=len({f.name for f in group}),
         nothing=psnr[0],
         lift=psnr[1],
         ours=psnr[2],
-        gain=float(np.mean([f.numbers["gain"] for f in own])),
+        gain=float(np.mean([f.numbers["gain"] for f in group])),
         gain_low=low,
         gain_high=high,
         nothing_ssim=ssim[0],

@@ -70,8 +70,8 @@ class Result:
 
 def sample_numbers(step: int, batch: int, stay: int, rank: int = 0, world: int = 1) -> list[int]:
     """Numbers of the samples of this step that are this process's. stay: consecutive numbers that share an object."""
-    own = range(rank * batch // world, (rank + 1) * batch // world)
-    return [((step // stay) * batch + lane) * stay + step % stay for lane in own]
+    lanes = range(rank * batch // world, (rank + 1) * batch // world)
+    return [((step // stay) * batch + lane) * stay + step % stay for lane in lanes]
 
 
 class Loop:
@@ -312,7 +312,7 @@ def _signals(loop: Loop) -> Iterator[None]:
         return
     before: dict[int, Any] = {}
 
-    def told(number: int, _: Any) -> None:
+    def stop(number: int, _: Any) -> None:
         loop.stop(signal.Signals(number).name)
         for sign, handler in before.items():
             signal.signal(sign, handler)
@@ -321,7 +321,7 @@ def _signals(loop: Loop) -> Iterator[None]:
     if sys.platform == "win32":
         signs.append(signal.SIGBREAK)  # what another program can send there
     for sign in signs:
-        before[sign] = signal.signal(sign, told)
+        before[sign] = signal.signal(sign, stop)
     try:
         yield
     finally:
@@ -330,10 +330,10 @@ def _signals(loop: Loop) -> Iterator[None]:
 
 
 @contextmanager
-def _bar(steps: int, done: int, wanted: bool) -> Iterator[Any]:
+def _bar(steps: int, done: int, enabled: bool) -> Iterator[Any]:
     from tqdm import tqdm
 
-    bar = tqdm(total=steps, initial=done, desc="train", disable=None if wanted else True, leave=False)
+    bar = tqdm(total=steps, initial=done, desc="train", disable=None if enabled else True, leave=False)
     try:
         yield bar
     finally:

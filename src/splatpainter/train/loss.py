@@ -63,15 +63,15 @@ class PictureLoss:
         network = Lpips.load("squeeze", folder).to(device) if share > 0 else None
         return PictureLoss(network, share)
 
-    def __call__(self, rendered: Tensor, wanted: PictureTarget, views: list[int] | None = None) -> dict[str, Tensor]:
+    def __call__(self, rendered: Tensor, target: PictureTarget, views: list[int] | None = None) -> dict[str, Tensor]:
         """{"squared": , "perceptual": , "loss": their weighted sum}; differentiable in rendered [C, H, W, 3]. views:
         those that the perceptual term looks at (all by default; it costs more than the renderer)."""
-        squared = weighted_square(rendered, wanted)
+        squared = weighted_square(rendered, target)
         parts = {"squared": squared, "loss": squared}
         chosen = list(range(len(rendered))) if views is None else views
         if self.network is not None and chosen and min(rendered.shape[1:3]) >= SMALLEST:
-            first, second = (x[chosen].permute(0, 3, 1, 2) for x in (rendered.clamp(0, 1), wanted.colors))
-            mask = wanted.weights[chosen][:, None]
+            first, second = (x[chosen].permute(0, 3, 1, 2) for x in (rendered.clamp(0, 1), target.colors))
+            mask = target.weights[chosen][:, None]
             # Squeeze's first pixels are 4 wide: every pixel around the edit is in some tap's window.
             mask = F.max_pool2d(mask, 9, stride=1, padding=4) + 1e-6
             with exact(rendered.device):
@@ -92,10 +92,10 @@ def perceptual_or_not(
         return PictureLoss(None, 0.0), f"{error}; the perceptual term is dropped"
 
 
-def weighted_square(rendered: Tensor, wanted: PictureTarget) -> Tensor:
+def weighted_square(rendered: Tensor, target: PictureTarget) -> Tensor:
     """sum w |a - b|^2 / (3 C): the mean over views of the weighted squared difference, over channels averaged."""
-    difference = (rendered - wanted.colors).square().mean(-1)
-    return (wanted.weights * difference).sum() / len(rendered)
+    difference = (rendered - target.colors).square().mean(-1)
+    return (target.weights * difference).sum() / len(rendered)
 
 
 def local_target(
@@ -130,11 +130,11 @@ def joined(parts: list[PictureTarget]) -> PictureTarget:
     return PictureTarget(*(torch.cat([getattr(p, name) for p in parts]) for name in ("colors", "weights", "focus")))
 
 
-def masked_psnr(rendered: Tensor, wanted: PictureTarget) -> float | None:
+def masked_psnr(rendered: Tensor, target: PictureTarget) -> float | None:
     """dB over the focus pixels of all views together (clamped to 0..1); None where there are none."""
-    if not bool(wanted.focus.any()):
+    if not bool(target.focus.any()):
         return None
-    error = (rendered.clamp(0, 1) - wanted.colors).square().mean(-1)[wanted.focus].double().mean()
+    error = (rendered.clamp(0, 1) - target.colors).square().mean(-1)[target.focus].double().mean()
     return float(-10 * torch.log10(error.clamp_min(1e-12)))
 
 

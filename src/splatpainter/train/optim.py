@@ -99,14 +99,14 @@ class Average:
     @contextmanager
     def used_by(self, module: nn.Module) -> Iterator[None]:
         """Inside, the module has the averaged weights."""
-        own = {name: p for name, p in module.named_parameters() if name in self.values}
-        kept = {name: p.detach().clone() for name, p in own.items()}
+        parameters = {name: p for name, p in module.named_parameters() if name in self.values}
+        originals = {name: p.detach().clone() for name, p in parameters.items()}
         with torch.no_grad():
-            for name, p in own.items():
+            for name, p in parameters.items():
                 p.copy_(self.values[name])
         try:
             yield
         finally:
             with torch.no_grad():
-                for name, p in own.items():
-                    p.copy_(kept[name])
+                for name, p in parameters.items():
+                    p.copy_(originals[name])

@@ -102,21 +102,21 @@ def alex_or_none(folder: str | Path | None, device: torch.device | str = "cpu") 
 
 
 @torch.no_grad()
-def figures(name: str, rendered: Tensor, wanted: PictureTarget, alex: Lpips | None) -> dict[str, float]:
+def figures(name: str, rendered: Tensor, target: PictureTarget, alex: Lpips | None) -> dict[str, float]:
     """{name: PSNR in dB, "name SSIM": , "name LPIPS-Alex": } of rendered [C, H, W, 3] over wanted.focus: PSNR over all
     of its pixels together, the others as means of the views that have some. Those that do not apply are left out."""
-    value = masked_psnr(rendered, wanted)
+    value = masked_psnr(rendered, target)
     if value is None:
         return {}
-    found = {name: value}
-    pictures, truth = rendered.clamp(0, 1).float(), wanted.colors.float()
-    some = [i for i in range(len(pictures)) if bool(wanted.focus[i].any())]
+    values = {name: value}
+    pictures, truth = rendered.clamp(0, 1).float(), target.colors.float()
+    some = [i for i in range(len(pictures)) if bool(target.focus[i].any())]
     if min(pictures.shape[1:3]) >= SSIM_WINDOW_PX:
-        trios = ((x[i].cpu().numpy() for x in (pictures, truth, wanted.focus)) for i in some)
-        found[f"{name} SSIM"] = float(np.mean([ssim(*trio) for trio in trios]))
+        trios = ((x[i].cpu().numpy() for x in (pictures, truth, target.focus)) for i in some)
+        values[f"{name} SSIM"] = float(np.mean([ssim(*trio) for trio in trios]))
     if alex is not None and min(pictures.shape[1:3]) >= LPIPS_MIN_PX:
         a, b = (x[some].permute(0, 3, 1, 2) for x in (pictures, truth))
-        mask = wanted.focus[some][:, None].float()
+        mask = target.focus[some][:, None].float()
         # A small edit may lie between the pixels of the last taps.
-        found[f"{name} LPIPS-Alex"] = float(alex(a, b, mask + 1e-6).mean())
-    return found
+        values[f"{name} LPIPS-Alex"] = float(alex(a, b, mask + 1e-6).mean())
+    return values

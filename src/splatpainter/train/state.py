@@ -155,8 +155,10 @@ def read_outs(folder: Path) -> dict[str, Tensor]:
     if not exists(folder):
         return {}
     tensors = dict(_full(name, tensor) for name, tensor in checkpoint.load(folder / STATE).tensors.items())
-    own = [n.removeprefix("weight/") for n in tensors if n.startswith("weight/") and not n.startswith("weight/model.")]
-    return {name: tensors.get(f"average/{name}", tensors[f"weight/{name}"]) for name in own}
+    names = [
+        n.removeprefix("weight/") for n in tensors if n.startswith("weight/") and not n.startswith("weight/model.")
+    ]
+    return {name: tensors.get(f"average/{name}", tensors[f"weight/{name}"]) for name in names}
 
 
 def exists(folder: Path) -> bool:

@@ -23,7 +23,7 @@ VALIDATION_SEED = 0x5EED
 
 
 @dataclass(frozen=True)
-class Stock:
+class ResourceFolders:
     """Folders of things that edits and lights are made of; None: built-in ones."""
 
     environments: Path | None = None
@@ -37,7 +37,7 @@ class Stock:
 
 
 @dataclass(frozen=True)
-class Material:
+class TrainingData:
     """What a run trains on."""
 
     training: Any
@@ -58,33 +58,33 @@ class Supply:
     """Of order and edits."""
     share: float
     """Of the objects, for validation."""
-    stock: Stock
+    resources: ResourceFolders
     device: str = "cpu"
     memory: int = 1 << 30
     """Bytes of objects that a stream keeps."""
 
-    def stream(self, *, held: bool = False) -> Any:
+    def stream(self, *, validation: bool = False) -> Any:
         """The samples of the training objects, or of those held back: another seed, an object of its own each. None
         where there are none of these. Raises ValueError: nothing there, too few objects, files that are not there."""
         recipe, seed = self.recipe, self.seed
-        if held:
+        if validation:
             recipe, seed = dataclasses.replace(recipe, steps_per_object=1), seed + VALIDATION_SEED
         if is_shards(self.data):
-            names = _shard_names(self.data, self.share)[held]
+            names = _shard_names(self.data, self.share)[validation]
             kinds = [kind for kind, weight in recipe.kinds.items() if weight > 0]
             return ShardStream(self.data, seed, names=names, kinds=kinds) if names else None
-        source = _sources(self.data, self.seed, self.share, self.stock)[held]
+        source = _sources(self.data, self.seed, self.share, self.resources)[validation]
         if source is None:
             return None
-        return SampleStream(source, recipe, seed, **_files(self.stock), device=self.device, cache_bytes=self.memory)
+        return SampleStream(source, recipe, seed, **_files(self.resources), device=self.device, cache_bytes=self.memory)
 
     def counts(self) -> tuple[int, int]:
         """Objects of training and of validation."""
         if is_shards(self.data):
-            train, held = _shard_names(self.data, self.share)
-            return len(train), len(held)
-        train, held = _sources(self.data, self.seed, self.share, self.stock)
-        return len(train), len(held) if held is not None else 0
+            train, validation = _shard_names(self.data, self.share)
+            return len(train), len(validation)
+        train, validation = _sources(self.data, self.seed, self.share, self.resources)
+        return len(train), len(validation) if validation is not None else 0
 
 
 class Lanes:
@@ -101,31 +101,31 @@ class Lanes:
         return self._streams[lane][i]
 
 
-def row_material(supply: Supply, count: int) -> Material:
-    """As `open_material`, for stage predict, whose samples have no pictures (data/row_edits.py). Raises ValueError as
-    Supply.stream and RowStream."""
-    from splatpainter.data.row_edits import RowStream
+def open_global_edits(supply: Supply, count: int) -> TrainingData:
+    """As `open_training_data`, for stage predict, whose samples have no pictures (data/global_edits.py). Raises
+    ValueError as Supply.stream and GlobalEditStream."""
+    from splatpainter.data.global_edits import GlobalEditStream
 
     if is_shards(supply.data):
         raise ValueError(f"--data {supply.data}: expected meshes or procedural:N for stage predict, got shards")
     few = dataclasses.replace(supply, memory=supply.memory >> 4)
-    held = few.stream(held=True) if count else None
-    samples = [] if held is None else list(_first(RowStream(held, 0), count))
-    return Material(RowStream(few.stream(), cache_bytes=supply.memory), samples, supply.counts())
+    validation = few.stream(validation=True) if count else None
+    samples = [] if validation is None else list(_first(GlobalEditStream(validation, 0), count))
+    return TrainingData(GlobalEditStream(few.stream(), cache_bytes=supply.memory), samples, supply.counts())
 
 
-def open_material(supply: Supply, *, batch: int, count: int, workers: int = 0) -> Material:
+def open_training_data(supply: Supply, *, batch: int, count: int, workers: int = 0) -> TrainingData:
     """Training samples for batches of this size, and `count` validation samples (0: none are made). workers: processes
     that make samples ahead. Raises ValueError as Supply.stream."""
     objects = supply.counts()
     supply = dataclasses.replace(supply, memory=supply.memory // max(batch, 1))
-    fixed = supply.stream(held=True) if count else None
-    samples = [] if fixed is None else list(_first(fixed, count))
+    stream = supply.stream(validation=True) if count else None
+    samples = [] if stream is None else list(_first(stream, count))
     stay = supply.recipe.steps_per_object
     if workers:
         make = partial(Lanes, dataclasses.replace(supply, device="cpu"), batch)
-        return Material(Ahead(make, workers, stay), samples, objects)
-    return Material(Lanes(supply, batch), samples, objects)
+        return TrainingData(Ahead(make, workers, stay), samples, objects)
+    return TrainingData(Lanes(supply, batch), samples, objects)
 
 
 def is_shards(data: str) -> bool:
@@ -155,41 +155,41 @@ def _first(stream: Any, count: int) -> Iterator[Sample]:
         raise ValueError(f"validation: no sample could be made; the last problem: {last}")
 
 
-def _sources(data: str, seed: int, share: float, stock: Stock) -> tuple[Any, Any]:
+def _sources(data: str, seed: int, share: float, resources: ResourceFolders) -> tuple[Any, Any]:
     """(training, validation) objects; validation None where there are too few to spare any."""
     if data.startswith("procedural:"):
         number = data.removeprefix("procedural:")
         if not number.isdigit() or int(number) < 1:
             raise ValueError(f"--data {data}: expected procedural:N with a number of objects, such as procedural:500")
         count = int(number)
-        other = ProceduralSource(min(count, 64), seed + VALIDATION_SEED, stock.textures) if share > 0 else None
-        return ProceduralSource(count, seed, stock.textures), other
+        other = ProceduralSource(min(count, 64), seed + VALIDATION_SEED, resources.textures) if share > 0 else None
+        return ProceduralSource(count, seed, resources.textures), other
     folder = Path(data)
     if not folder.is_dir():
         raise ValueError(f"--data {data}: expected procedural:N, or a folder of meshes, splats or shards")
     kind: Any = MeshFolder
     try:
-        whole: Any = MeshFolder(folder)
+        every: Any = MeshFolder(folder)
     except ValueError:
         if not any(f.suffix.lower() in SPLAT_SUFFIXES for f in folder.iterdir()):
             raise
         kind = SplatFolder
-        whole = SplatFolder(folder)
+        every = SplatFolder(folder)
     # The split never depends on the run's seed: stages trained one after the other share their validation objects.
-    names, held = split([whole.name(i) for i in range(len(whole))], share=share)
+    names, validation = split([every.name(i) for i in range(len(every))], share=share)
     if not names:
-        raise ValueError(f"--data {data}: expected at least one object to train on, got {len(whole)} in all")
-    return kind(folder, names), kind(folder, held) if held else None
+        raise ValueError(f"--data {data}: expected at least one object to train on, got {len(every)} in all")
+    return kind(folder, names), kind(folder, validation) if validation else None
 
 
-def _files(stock: Stock) -> dict[str, Sequence[Any]]:
+def _files(resources: ResourceFolders) -> dict[str, Sequence[Any]]:
     from splatpainter.data.environments import load_environment
 
     return {
-        "environments": tuple(load_environment(f) for f in _listed(stock.environments, (".hdr", ".exr"))),
-        "decals": tuple(_listed(stock.decals, (".png", ".webp"))),
-        "fonts": tuple(_listed(stock.fonts, (".ttf", ".otf"))),
-        "textures": tuple(_listed(stock.textures, (".png", ".jpg", ".jpeg", ".webp"))),
+        "environments": tuple(load_environment(f) for f in _listed(resources.environments, (".hdr", ".exr"))),
+        "decals": tuple(_listed(resources.decals, (".png", ".webp"))),
+        "fonts": tuple(_listed(resources.fonts, (".ttf", ".otf"))),
+        "textures": tuple(_listed(resources.textures, (".png", ".jpg", ".jpeg", ".webp"))),
     }
 
 
@@ -198,7 +198,7 @@ def _listed(folder: Path | None, suffixes: tuple[str, ...]) -> list[Path]:
         return []
     if not folder.is_dir():
         raise ValueError(f"{folder}: no such folder")
-    found = sorted(f for f in folder.rglob("*") if f.suffix.lower() in suffixes)
-    if not found:
+    files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in suffixes)
+    if not files:
         raise ValueError(f"{folder}: holds no file that ends in {', '.join(suffixes)}")
-    return found
+    return files

@@ -42,10 +42,10 @@ class CopyTask(Task[SplatPainterModel]):
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         made, _ = self._copy(sample)
-        cameras, wanted = truth(sample, self.device)
+        cameras, target = truth(sample, self.device)
         rendered, _ = draw(made, cameras, self.device)
         chosen = np.random.default_rng(seed).permutation(len(rendered))[: self.perceptual_views]
-        return self.loss(rendered, wanted, sorted(chosen.tolist()))
+        return self.loss(rendered, target, sorted(chosen.tolist()))
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> Verdict:

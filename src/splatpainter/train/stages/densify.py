@@ -40,10 +40,10 @@ class DensifyTask(Task[Densifier]):
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         rng = np.random.default_rng(seed)
         made = self._made(sample, rng)
-        cameras, wanted = self._wanted(sample, rng)
+        cameras, target = self._target(sample, rng)
         rendered, _ = draw(made.splats, cameras, self.device)
-        squared = (rendered - wanted).square().mean()
-        likeness = ms_ssim(rendered.clamp(0, 1), wanted)
+        squared = (rendered - target).square().mean()
+        likeness = ms_ssim(rendered.clamp(0, 1), target)
         return {"squared": squared, "ms_ssim": likeness, "loss": squared + SHARE * (1 - likeness)}
 
     @torch.no_grad()
@@ -58,11 +58,11 @@ class DensifyTask(Task[Densifier]):
             pick = torch.from_numpy(np.flatnonzero(chosen)).to(self.device)
             if not len(pick):
                 continue
-            wanted = global_target(truth[pick], alpha[pick] > SOLID)
+            target = global_target(truth[pick], alpha[pick] > SOLID)
             for name, picture in pictures.items():
                 if not where:
-                    numbers |= figures(name, picture[pick], wanted, None)
-                elif (value := masked_psnr(picture[pick], wanted)) is not None:
+                    numbers |= figures(name, picture[pick], target, None)
+                elif (value := masked_psnr(picture[pick], target)) is not None:
                     numbers[where + name] = value
         if "ours" in numbers:
             numbers["gain"] = numbers["ours"] - numbers["nothing"]
@@ -80,7 +80,7 @@ class DensifyTask(Task[Densifier]):
         colors = [picture for part in views for picture in torch.as_tensor(part.colors).float().cpu().numpy()]
         return densified(self.model, sample.asset.numpy(), cameras, colors, rng, most=self.most)
 
-    def _wanted(self, sample: Sample, rng: np.random.Generator) -> tuple[list[Camera], Tensor]:
+    def _target(self, sample: Sample, rng: np.random.Generator) -> tuple[list[Camera], Tensor]:
         """(cameras, pictures [C, H, W, 3]): a third close-ups on average, the others novel views."""
         novel, given = len(sample.novel_after.cameras), len(sample.edited.cameras)
         most = self.loss_views or novel + given

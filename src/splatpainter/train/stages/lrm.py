@@ -46,10 +46,10 @@ class LrmTask(Task[SplatPainterModel]):
         if self.step < self.pull_steps:
             pulled = PULL * scattered_depth(_distances(made, views), len(views.cameras))
             return {"loss": pulled, "pulled": pulled}
-        cameras, wanted = truth(sample, self.device)
+        cameras, target = truth(sample, self.device)
         rendered, _ = draw(_drawn(made, views, self.model), cameras, self.device)
         chosen = np.random.default_rng(seed).permutation(len(rendered))[: self.perceptual_views]
-        return self.loss(rendered, wanted, sorted(chosen.tolist()))
+        return self.loss(rendered, target, sorted(chosen.tolist()))
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> Verdict:
@@ -63,13 +63,13 @@ def judged(
     made: Splats, sample: Sample, views: AssetViews, device: torch.device, before: Splats | None = None
 ) -> Verdict:
     """What a reconstruction looks like beside the truth, and beside what it was made of (before)."""
-    cameras, wanted = truth(sample, device)
-    shown = {"asset": sample.asset, "before": before, "ours": made}
-    pictures = {name: draw(rows, cameras, device)[0] for name, rows in shown.items() if rows is not None}
-    numbers = {name: v for name, p in pictures.items() if (v := masked_psnr(p, wanted)) is not None}
+    cameras, target = truth(sample, device)
+    drawn_views = {"asset": sample.asset, "before": before, "ours": made}
+    pictures = {name: draw(rows, cameras, device)[0] for name, rows in drawn_views.items() if rows is not None}
+    numbers = {name: v for name, p in pictures.items() if (v := masked_psnr(p, target)) is not None}
     strip = [("input", views.colors[0].cpu().numpy())]
     strip += [(f"{name} {numbers.get(name, float('nan')):.2f} dB", p[0].cpu().numpy()) for name, p in pictures.items()]
-    strip.append(("truth", wanted.colors[0].cpu().numpy()))
+    strip.append(("truth", target.colors[0].cpu().numpy()))
     return Verdict("reconstruction", numbers, tuple(strip))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatpainter.data.row_edits import RowEdit
+from splatpainter.data.global_edits import GlobalEdit
 from splatpainter.lift.global_edit import regressed
 from splatpainter.lift.joint_colors import MIN_SEEN_PX
 from splatpainter.lift.options import GlobalOptions
@@ -21,7 +21,7 @@ from splatpainter.models.predictor import row_facts
 from splatpainter.splats import SH_C0
 from splatpainter.train.stages.task import Task, Verdict, freeze
 
-LEAST = 1e-5
+MIN_SQUARED_ERROR = 1e-5
 """Added to the squared error: 50 dB are enough."""
 
 
@@ -37,46 +37,46 @@ class PredictTask(Task[SplatPainterModel]):
         freeze(model)
         model.predictor.requires_grad_(True)
 
-    def losses(self, sample: RowEdit, seed: int) -> dict[str, Tensor]:  # type: ignore[override]
+    def losses(self, sample: GlobalEdit, seed: int) -> dict[str, Tensor]:  # type: ignore[override]
         squared = self._squared(sample, self._predicted(sample))
-        return {"loss": torch.log(squared + LEAST), "squared": squared}
+        return {"loss": torch.log(squared + MIN_SQUARED_ERROR), "squared": squared}
 
     @torch.no_grad()
-    def judge(self, sample: RowEdit) -> Verdict:  # type: ignore[override]
+    def judge(self, sample: GlobalEdit) -> Verdict:  # type: ignore[override]
         ours = self._predicted(sample)
-        lift = regressed(sample.asset, sample.normals, sample.told, sample.weight)
+        lift = regressed(sample.asset, sample.normals, sample.observed, sample.weight)
         # Nothing done: a change of 0 wherever a row is seen, too.
         before = np.clip(_colors(sample), 0, 1) - np.clip(_colors(sample) + sample.change, 0, 1)
-        nothing = float(np.average((before**2).mean(1), weights=sample.counts))
+        unedited = float(np.average((before**2).mean(1), weights=sample.counts))
         numbers = {
-            "nothing": _decibels(nothing),
+            "nothing": _decibels(unedited),
             "lift": _decibels(float(self._squared(sample, self._tensor(lift)))),
             "ours": _decibels(float(self._squared(sample, ours))),
         }
         numbers["gain"] = numbers["ours"] - numbers["lift"]
         return Verdict(f"{sample.kind} {sample.views}", numbers, ())
 
-    def _predicted(self, sample: RowEdit) -> Tensor:
+    def _predicted(self, sample: GlobalEdit) -> Tensor:
         predictor = self.model.predictor
         assert predictor is not None
         if not (sample.weight > MIN_SEEN_PX).any():
             raise ValueError("the pictures show no row")
         facts = row_facts(sample.asset, sample.normals, sample.transfer)
-        return predictor(self._tensor(facts), self._tensor(sample.told), self._tensor(sample.weight))
+        return predictor(self._tensor(facts), self._tensor(sample.observed), self._tensor(sample.weight))
 
-    def _squared(self, sample: RowEdit, predicted: Tensor) -> Tensor:
+    def _squared(self, sample: GlobalEdit, predicted: Tensor) -> Tensor:
         """Mean squared error of the base colours 0..1 that a global edit would give."""
         old, weight, counts = (self._tensor(x) for x in (_colors(sample), sample.weight, sample.counts))
         trust = (weight / (weight + GlobalOptions.half_seen))[:, None]
-        moved = trust * self._tensor(sample.told) + (1 - trust) * predicted
-        away = (old + moved).clamp(0, 1) - (old + self._tensor(sample.change)).clamp(0, 1)
-        return (away.square().mean(1) * counts).sum() / counts.sum().clamp(min=1e-6)
+        moved = trust * self._tensor(sample.observed) + (1 - trust) * predicted
+        error = (old + moved).clamp(0, 1) - (old + self._tensor(sample.change)).clamp(0, 1)
+        return (error.square().mean(1) * counts).sum() / counts.sum().clamp(min=1e-6)
 
     def _tensor(self, values: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(values, np.float32)).to(self.device)
 
 
-def _colors(sample: RowEdit) -> np.ndarray:
+def _colors(sample: GlobalEdit) -> np.ndarray:
     return 0.5 + SH_C0 * sample.asset.sh[:, 0]
 
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
 
 Encoder = Literal["nothing", "compress", "all"]
-LEAST = 0.02
+MIN_VISIBLE_WEIGHT = 0.02
 """Pixels of weight from which a row counts as shown."""
 SOLID = 0.5
 """Alpha from which a pixel is the object's."""
@@ -64,7 +64,7 @@ class RefineOptions:
 
 
 @dataclass(frozen=True)
-class Known:
+class PreparedAsset:
     """What is computed once of an asset, while the data stays on it."""
 
     splats: Splats
@@ -102,7 +102,7 @@ class RefineTask(Task[SplatPainterModel]):
             if options.train_encoder != "nothing":
                 raise ValueError("train: expected train_encoder nothing with 'copy': the rows themselves would move")
             freeze(model.head)  # the paper trains the decoder in Stage I and freezes it with that
-        self._known: Recent[Known] = Recent(options.objects)
+        self._prepared: Recent[PreparedAsset] = Recent(options.objects)
         if options.train_encoder != "all":
             freeze(model.lrm)
         freeze(model.lrm.head, model.lrm.norm_out, model.predictor)
@@ -116,35 +116,35 @@ class RefineTask(Task[SplatPainterModel]):
         if sample.mode == "global" and self.model.config.predictor_only:
             raise ValueError("global edits are the predictor's alone: Stage II learns nothing from them")
         rng = np.random.default_rng(seed)
-        known = self._remembered(sample)
-        views = self._edits(sample, known)
-        start = self._start(sample, known, views)
-        cameras, wanted = self._wanted(sample, known, views, rng)
-        start = self._shown(start, cameras)
+        prepared = self._remembered(sample)
+        views = self._edits(sample, prepared)
+        start = self._start(sample, prepared, views)
+        cameras, target = self._target(sample, prepared, views, rng)
+        start = self._visible(start, cameras)
         with self.arithmetic():
-            edited = self._refined(known, start, views, self._first(sample, rng), rng)
+            edited = self._refined(prepared, start, views, self._first(sample, rng), rng)
         rendered, _ = draw(edited, cameras, self.device)
         chosen = rng.permutation(len(rendered))[: self.options.perceptual_views]
-        return self.loss(rendered, wanted, sorted(chosen.tolist()))
+        return self.loss(rendered, target, sorted(chosen.tolist()))
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> Verdict:
-        known = self._remembered(sample)
-        views = self._edits(sample, known)
-        lifted = self._start(sample, known, views, analytic=True)
-        same = self.base == "lift" and (sample.mode == "local" or known.predict is None)
-        start = lifted if same else self._start(sample, known, views)
+        prepared = self._remembered(sample)
+        views = self._edits(sample, prepared)
+        lifted = self._start(sample, prepared, views, analytic=True)
+        same = self.base == "lift" and (sample.mode == "local" or prepared.predict is None)
+        start = lifted if same else self._start(sample, prepared, views)
         alone = sample.mode == "global" and self.model.config.predictor_only
         with self.arithmetic():
-            edited = start.splats if alone else self._refined(known, start, views)
-        wanted = self._novel(sample, known, range(len(sample.novel_after.cameras)))
-        near = np.flatnonzero(np.asarray(sample.near)) if sample.mode == "local" else np.arange(len(wanted.colors))
+            edited = start.splats if alone else self._refined(prepared, start, views)
+        target = self._novel(sample, prepared, range(len(sample.novel_after.cameras)))
+        near = np.flatnonzero(np.asarray(sample.near)) if sample.mode == "local" else np.arange(len(target.colors))
         if not len(near):
-            near = np.arange(len(wanted.colors))
+            near = np.arange(len(target.colors))
         pick = torch.from_numpy(near)
         cameras = [sample.novel_after.cameras[i] for i in near]
-        aim = PictureTarget(*(getattr(wanted, name)[pick] for name in ("colors", "weights", "focus")))
-        drawn = {"nothing": known.splats, "lift": lifted.splats, "ours": edited}
+        aim = PictureTarget(*(getattr(target, name)[pick] for name in ("colors", "weights", "focus")))
+        drawn = {"nothing": prepared.splats, "lift": lifted.splats, "ours": edited}
         pictures = {name: draw(splats, cameras, self.device)[0] for name, splats in drawn.items()}
         numbers: dict[str, float] = {}
         for name, picture in pictures.items():
@@ -159,11 +159,11 @@ class RefineTask(Task[SplatPainterModel]):
         strip.append((f"truth ({sample.kind})", aim.colors[shown].cpu().numpy()))
         return Verdict(sample.kind, numbers, tuple(strip))
 
-    def _remembered(self, sample: Sample) -> Known:
-        return self._known.get(sample.asset.sha256, lambda: self._know(sample.asset.numpy()))
+    def _remembered(self, sample: Sample) -> PreparedAsset:
+        return self._prepared.get(sample.asset.sha256, lambda: self._prepare(sample.asset.numpy()))
 
     @torch.no_grad()
-    def _know(self, splats: Splats) -> Known:
+    def _prepare(self, splats: Splats) -> PreparedAsset:
         resolution = self.model.config.compress.resolution
         grid = voxelize(splats, resolution)
         if self.options.train_encoder == "nothing":
@@ -172,15 +172,15 @@ class RefineTask(Task[SplatPainterModel]):
             if self.copies:  # what is edited is what Stage I decodes
                 splats = encoded.gaussians.numpy()
                 grid = voxelize(splats, resolution)
-            return Known(splats, grid, *self._aside(splats), encoded, None, None)
+            return PreparedAsset(splats, grid, *self._aside(splats), encoded, None, None)
         if self.options.train_encoder == "all":
-            return Known(splats, grid, *self._aside(splats), None, None, None)
+            return PreparedAsset(splats, grid, *self._aside(splats), None, None, None)
         config = self.model.config.lrm
         cameras = canonical_cameras(splats, config)
         views, seen = asset_views(splats.torch(str(self.device)), cameras, grid)
         with self.arithmetic():
             tokens = self.model.encode_views(views)
-        return Known(
+        return PreparedAsset(
             splats,
             grid,
             *self._aside(splats),
@@ -193,27 +193,29 @@ class RefineTask(Task[SplatPainterModel]):
         normals = outward_normals(splats)
         return normals, predicting(self.model, splats, normals, lambda: prt_transfer(splats.means, normals))
 
-    def _encoded(self, known: Known, parents: np.ndarray) -> Encoded:
+    def _encoded(self, prepared: PreparedAsset, parents: np.ndarray) -> Encoded:
         """The asset's latents, those of the given rows at least."""
-        if known.encoded is not None:
-            return known.encoded
-        if known.tokens is None or known.links is None:
-            return encode_asset(self.model, known.splats, known.grid)
-        rows = known.splats.torch(str(self.device))
-        groups = holding(self.model.groups(known.grid), parents, len(rows))
-        return Encoded(self.model.compressor(known.tokens, rows, known.links, groups), rows)
+        if prepared.encoded is not None:
+            return prepared.encoded
+        if prepared.tokens is None or prepared.links is None:
+            return encode_asset(self.model, prepared.splats, prepared.grid)
+        rows = prepared.splats.torch(str(self.device))
+        groups = holding(self.model.groups(prepared.grid), parents, len(rows))
+        return Encoded(self.model.compressor(prepared.tokens, rows, prepared.links, groups), rows)
 
-    def _edits(self, sample: Sample, known: Known) -> list[EditView]:
+    def _edits(self, sample: Sample, prepared: PreparedAsset) -> list[EditView]:
         targets = [np.asarray(c, np.float32) for c in torch.as_tensor(sample.edited.colors).cpu().numpy()]
-        return edit_views(known.splats, sample.edited.cameras, targets, list(np.asarray(sample.masks, bool)))
+        return edit_views(prepared.splats, sample.edited.cameras, targets, list(np.asarray(sample.masks, bool)))
 
-    def _start(self, sample: Sample, known: Known, views: Sequence[EditView], analytic: bool = False) -> LiftedEdit:
+    def _start(
+        self, sample: Sample, prepared: PreparedAsset, views: Sequence[EditView], analytic: bool = False
+    ) -> LiftedEdit:
         """What the network starts from; or (analytic) the lift's own answer."""
         base = "lift" if analytic else self.base
         if sample.mode == "global":
-            predict = None if analytic else known.predict
-            return lift_global_views(known.splats, views, base, normals=known.normals, predict=predict)
-        return lift_local_views(known.splats, known.grid, views, base)
+            predict = None if analytic else prepared.predict
+            return lift_global_views(prepared.splats, views, base, normals=prepared.normals, predict=predict)
+        return lift_local_views(prepared.splats, prepared.grid, views, base)
 
     def _first(self, sample: Sample, rng: np.random.Generator) -> int:
         """How many of the views are an edit of their own, before the others."""
@@ -222,7 +224,7 @@ class RefineTask(Task[SplatPainterModel]):
 
     def _refined(
         self,
-        known: Known,
+        prepared: PreparedAsset,
         start: LiftedEdit,
         views: Sequence[EditView],
         first: int = 0,
@@ -230,7 +232,7 @@ class RefineTask(Task[SplatPainterModel]):
     ) -> Splats:
         """The edited asset. first: views whose only trace is the state that they leave; rng: chooses the rows that
         gradients go through, where they are limited."""
-        encoded, state = self._encoded(known, start.parents), self.model.initial_state()
+        encoded, state = self._encoded(prepared, start.parents), self.model.initial_state()
         if first:  # only its state is wanted, so one row is read
             state, _, _ = refine_edit(self.model, state, encoded, part_of(start, np.arange(1)), views[:first])
         count, most = len(start.ids), self.options.gradient_rows
@@ -246,18 +248,18 @@ class RefineTask(Task[SplatPainterModel]):
         both = {n: torch.cat([_louder(getattr(own, n), count / most), getattr(others, n)]) for n in ATTRIBUTES}
         return assemble(part_of(start, order), replace(own, **both), None)
 
-    def _shown(self, start: LiftedEdit, cameras: Sequence[Camera]) -> LiftedEdit:
+    def _visible(self, start: LiftedEdit, cameras: Sequence[Camera]) -> LiftedEdit:
         """The same with only those rows to change that the views show: the others would get no gradient."""
         splats = start.splats if self.device.type == "cpu" else start.splats.torch(str(self.device))
         with torch.no_grad():
             weights = torch.as_tensor(render(splats, list(cameras), contributions=True).contributions).sum(0)
-        shown = weights.cpu().numpy()[start.ids] > LEAST
+        shown = weights.cpu().numpy()[start.ids] > MIN_VISIBLE_WEIGHT
         if not shown.any():
             raise ValueError("the chosen views show nothing of the edit")
         return part_of(start, np.flatnonzero(shown))
 
-    def _wanted(
-        self, sample: Sample, known: Known, views: Sequence[EditView], rng: np.random.Generator
+    def _target(
+        self, sample: Sample, prepared: PreparedAsset, views: Sequence[EditView], rng: np.random.Generator
     ) -> tuple[list[Camera], PictureTarget]:
         """(views to draw, what they should show): some novel ones, then some of the edited."""
         novel, given = len(sample.novel_after.cameras), self._true_edits(sample)
@@ -267,7 +269,7 @@ class RefineTask(Task[SplatPainterModel]):
         edited = sorted(rng.permutation(given)[:share].tolist()) if same else []
         odds = self._odds(sample)
         chosen = sorted(rng.choice(novel, min(most - len(edited), novel), replace=False, p=odds).tolist())
-        parts = [self._novel(sample, known, chosen)]
+        parts = [self._novel(sample, prepared, chosen)]
         if edited:
             colors = tensor(sample.edited.colors, self.device)[edited]
             masks = torch.from_numpy(np.asarray(sample.masks, bool)).to(self.device)[edited]
@@ -295,19 +297,21 @@ class RefineTask(Task[SplatPainterModel]):
         area = area + 0.1 * area.max()
         return area / area.sum()
 
-    def _novel(self, sample: Sample, known: Known, chosen: Sequence[int]) -> PictureTarget:
+    def _novel(self, sample: Sample, prepared: PreparedAsset, chosen: Sequence[int]) -> PictureTarget:
         pick = list(chosen)
         after = tensor(sample.novel_after.colors, self.device)[pick]
         with torch.no_grad():
-            drawn, alpha = draw(known.splats, [sample.novel_after.cameras[i] for i in pick], self.device)
+            drawn, alpha = draw(prepared.splats, [sample.novel_after.cameras[i] for i in pick], self.device)
         if sample.mode == "global":
             return global_target(after, alpha > SOLID)
         return local_target(after, tensor(sample.novel_before.colors, self.device)[pick], drawn, self.options.keep)
 
 
-def part_of(start: LiftedEdit, places: np.ndarray) -> LiftedEdit:
+def part_of(start: LiftedEdit, positions: np.ndarray) -> LiftedEdit:
     """The same with only these of its changeable rows (indices into start.ids), in this order."""
-    return replace(start, ids=start.ids[places], parents=start.parents[places], features=start.features[places])
+    return replace(
+        start, ids=start.ids[positions], parents=start.parents[positions], features=start.features[positions]
+    )
 
 
 def _louder(values: Tensor, factor: float) -> Tensor:
@@ -318,9 +322,9 @@ def _louder(values: Tensor, factor: float) -> Tensor:
 def holding(groups: GaussianGroups, rows: np.ndarray, count: int) -> GaussianGroups:
     """Those groups that hold any of the given rows, whole: nothing crosses a voxel's border, so Stage I gives their
     rows the same latents. count: N rows of the asset."""
-    wanted = np.zeros(count, bool)
-    wanted[rows] = True
+    target = np.zeros(count, bool)
+    target[rows] = True
     owner = np.repeat(np.arange(len(groups.lengths)), groups.lengths)
-    kept = np.bincount(owner, wanted[groups.order], len(groups.lengths)) > 0
+    kept = np.bincount(owner, target[groups.order], len(groups.lengths)) > 0
     starts = np.concatenate([[0], np.cumsum(groups.lengths[kept])]).astype(np.int64)
     return replace(groups, order=groups.order[kept[owner]], starts=starts, centers=groups.centers[kept])

@@ -41,7 +41,7 @@ VIEWS = 4
 """Of a ring; an edit is shown in the first, in two that face each other, or in all."""
 VIEW_ODDS = (0.5, 0.3, 0.2)
 """Of one, two and four views: the fewer, the more has to be predicted."""
-ROWS = 2000
+GAUSSIANS_PER_EDIT = 2000
 """Of an edit of training, a random choice."""
 LIGHTS = 1024
 """Lights that edits choose from, two at a time: a million pairs."""
@@ -54,7 +54,7 @@ UPRIGHT = (
 
 
 @dataclass(frozen=True)
-class RowEdit:
+class GlobalEdit:
     """One global edit of N rows of an asset. Arrays are numpy float32."""
 
     name: str
@@ -68,7 +68,7 @@ class RowEdit:
     """[N, 3] unit, outwards, as the painter finds them."""
     transfer: np.ndarray = field(repr=False)
     """[N, 10] of `lighting.prt_transfer`."""
-    told: np.ndarray = field(repr=False)
+    observed: np.ndarray = field(repr=False)
     """[N, 3] change of base colour as the pictures tell it; zeros for rows that none shows."""
     weight: np.ndarray = field(repr=False)
     """[N] pixels that show each row, in all pictures."""
@@ -79,7 +79,7 @@ class RowEdit:
 
 
 @dataclass(frozen=True)
-class _Known:
+class _RelitObject:
     """An object, ready to be relit."""
 
     name: str
@@ -87,21 +87,21 @@ class _Known:
     """The asset's, with materials; torch."""
     normals: np.ndarray
     transfer: np.ndarray
-    shown: np.ndarray
+    visible_px: np.ndarray
     """[RINGS, VIEWS, N] float32 pixels that show each row."""
     errors: np.ndarray
     """[RINGS, 3, N, 3] float32 told minus true change under one light, of 1, 2 and 4 views."""
 
     @property
     def nbytes(self) -> int:
-        return self.shown.nbytes + self.errors.nbytes + 4 * len(self.rows) * 40
+        return self.visible_px.nbytes + self.errors.nbytes + 4 * len(self.rows) * 40
 
 
-class RowStream:
+class GlobalEditStream:
     """Endless edits by number. Objects, sizes and environments are the stream's; of its kinds "relight" and "regrade"
     count. Not for several threads at once."""
 
-    def __init__(self, stream: SampleStream, rows: int = ROWS, cache_bytes: int = 1 << 30) -> None:
+    def __init__(self, stream: SampleStream, rows: int = GAUSSIANS_PER_EDIT, cache_bytes: int = 1 << 30) -> None:
         """rows: of an edit, 0: all; cache_bytes: of objects kept. Raises ValueError for splat assets, whose light
         nobody knows, and for a recipe without global edits."""
         if stream.splats:
@@ -109,27 +109,27 @@ class RowStream:
         weights = np.array([stream.kinds.get(kind, 0.0) for kind in ("relight", "regrade")])
         if not weights.sum() > 0:
             raise ValueError("train predict: expected --samples.kinds with relight or regrade")
-        self.stream, self.rows, self._most = stream, rows, cache_bytes
+        self.stream, self.rows, self._cache_bytes = stream, rows, cache_bytes
         self._odds = weights / weights.sum()
-        self._known: OrderedDict[int, _Known] = OrderedDict()
+        self._objects: OrderedDict[int, _RelitObject] = OrderedDict()
 
-    def __getitem__(self, index: int) -> RowEdit:
+    def __getitem__(self, index: int) -> GlobalEdit:
         """Raises IndexError below 0 and ValueError as SampleStream."""
         if index < 0:
             raise IndexError(f"row edits: expected an index from 0, got {index}")
         block = index // self.stream.recipe.steps_per_object
-        known, rng = self._object(block), self._generator("edit", index)
+        item, rng = self._object(block), self._generator("edit", index)
         kind: Literal["relight", "regrade"] = "relight" if rng.random() < self._odds[0] else "regrade"
-        count = len(known.rows)
-        some = np.sort(rng.permutation(count)[: self.rows]) if self.rows else np.arange(count)
-        rows = known.rows.take(torch.from_numpy(some))
+        count = len(item.rows)
+        ids = np.sort(rng.permutation(count)[: self.rows]) if self.rows else np.arange(count)
+        rows = item.rows.take(torch.from_numpy(ids))
         before, after = self._colors(rows, kind, rng)
         which, size = int(rng.integers(RINGS)), int(rng.choice(3, p=VIEW_ODDS))
         views = 2**size
-        weight = known.shown[which][:: VIEWS // views, some].sum(0)
-        error = known.errors[which, size][some][:, rng.permutation(3)] * rng.choice([-1, 1]) * rng.uniform(0.4, 1.2)
+        weight = item.visible_px[which][:: VIEWS // views, ids].sum(0)
+        error = item.errors[which, size][ids][:, rng.permutation(3)] * rng.choice([-1, 1]) * rng.uniform(0.4, 1.2)
         change = after - before
-        told = np.where((weight > MIN_SEEN_PX)[:, None], change + error, 0)
+        observed = np.where((weight > MIN_SEEN_PX)[:, None], change + error, 0)
         turn = np.array(UPRIGHT[rng.integers(len(UPRIGHT))])
         asset = Splats(
             (rows.means.numpy() @ turn.T).astype(np.float32),
@@ -138,12 +138,12 @@ class RowStream:
             rows.opacities.numpy(),
             ((before - 0.5) / SH_C0)[:, None],
         )
-        transfer = known.transfer[some].copy()
+        transfer = item.transfer[ids].copy()
         transfer[:, :9] = transfer[:, :9] @ _sh_rotation(tuple(turn.ravel().tolist())).T
-        counts = known.shown.sum((0, 1))[some]
-        normals = (known.normals[some] @ turn.T).astype(np.float32)
-        numbers = (told.astype(np.float32), weight, change, counts)
-        return RowEdit(known.name, kind, views, asset, normals, transfer.astype(np.float32), *numbers)
+        counts = item.visible_px.sum((0, 1))[ids]
+        normals = (item.normals[ids] @ turn.T).astype(np.float32)
+        numbers = (observed.astype(np.float32), weight, change, counts)
+        return GlobalEdit(item.name, kind, views, asset, normals, transfer.astype(np.float32), *numbers)
 
     def _colors(self, rows: Surfels, kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Base colours [N, 3] before and after."""
@@ -153,8 +153,8 @@ class RowStream:
         if kind == "relight":
             both = shade_all(rows, coefficients[pick], exposures[pick], degree)
         else:
-            own = shade_all(rows, coefficients[pick[0]], exposures[pick[0]], degree)
-            both = torch.stack([own, grade_sh(own, random_grade(rng))])
+            lit = shade_all(rows, coefficients[pick[0]], exposures[pick[0]], degree)
+            both = torch.stack([lit, grade_sh(lit, random_grade(rng))])
         before, after = (0.5 + SH_C0 * both[:, :, 0]).numpy()
         return before, after
 
@@ -168,40 +168,40 @@ class RowStream:
             self._pool = torch.stack([x.coefficients for x in lights]), torch.stack([x.exposure for x in lights])
         return self._pool
 
-    def _object(self, block: int) -> _Known:
+    def _object(self, block: int) -> _RelitObject:
         count = len(self.stream.source)
-        epoch, place = divmod(block, count)
-        key = int(self._generator("epoch", epoch).permutation(count)[place])
-        if key not in self._known:
-            self._known[key] = self._know(self.stream.scene_object(key), self._generator("object", key))
-            while len(self._known) > 1 and sum(k.nbytes for k in self._known.values()) > self._most:
-                self._known.popitem(last=False)
-        self._known.move_to_end(key)
-        return self._known[key]
+        epoch, position = divmod(block, count)
+        key = int(self._generator("epoch", epoch).permutation(count)[position])
+        if key not in self._objects:
+            self._objects[key] = self._prepare(self.stream.scene_object(key), self._generator("object", key))
+            while len(self._objects) > 1 and sum(k.nbytes for k in self._objects.values()) > self._cache_bytes:
+                self._objects.popitem(last=False)
+        self._objects.move_to_end(key)
+        return self._objects[key]
 
-    def _know(self, subject: SceneObject, rng: np.random.Generator) -> _Known:
-        recipe, rows = self.stream.recipe, subject.coarse.to("cpu")
-        shown, errors = [], []
+    def _prepare(self, scene_object: SceneObject, rng: np.random.Generator) -> _RelitObject:
+        recipe, rows = self.stream.recipe, scene_object.coarse.to("cpu")
+        visible_px, errors = [], []
         normals = None
         for _ in range(RINGS):
             optics = Optics(recipe.size, float(rng.uniform(*recipe.fov)))
-            cameras = ring(subject.radius, optics, VIEWS, rng)
+            cameras = ring(scene_object.radius, optics, VIEWS, rng)
             old, new = (random_light(rng, self.stream.environments, self.stream.device) for _ in range(2))
             asset = _lit(rows, old, recipe.sh_degree)
             normals = outward_normals(asset) if normals is None else normals
-            truth = to_splats(subject.surfels, shade(subject.surfels, new, recipe.sh_degree))
+            truth = to_splats(scene_object.surfels, shade(scene_object.surfels, new, recipe.sh_degree))
             shots = render_views(truth, cameras)
             pictures = shots.views.colors.cpu().numpy()
             masks = (shots.alphas > 0.5).cpu().numpy()
             views = list(zip(cameras, pictures, masks, strict=True))
             true = SH_C0 * (_lit(rows, new, recipe.sh_degree).sh[:, 0] - asset.sh[:, 0])
-            told = [seen_change(asset, views[:: VIEWS // number]) for number in (1, 2, VIEWS)]
-            shown.append([seen_change(asset, [view])[1] for view in views])
-            errors.append([np.where((weight > MIN_SEEN_PX)[:, None], change - true, 0) for change, weight in told])
+            observed = [seen_change(asset, views[:: VIEWS // number]) for number in (1, 2, VIEWS)]
+            visible_px.append([seen_change(asset, [view])[1] for view in views])
+            errors.append([np.where((weight > MIN_SEEN_PX)[:, None], change - true, 0) for change, weight in observed])
         assert normals is not None
         transfer = prt_transfer(rows.means.numpy(), normals)
-        arrays = (np.asarray(shown, np.float32), np.asarray(errors, np.float32))
-        return _Known(subject.name, rows, normals, transfer, *arrays)
+        arrays = (np.asarray(visible_px, np.float32), np.asarray(errors, np.float32))
+        return _RelitObject(scene_object.name, rows, normals, transfer, *arrays)
 
     def _generator(self, what: str, *numbers: int) -> np.random.Generator:
         return np.random.default_rng([self.stream.seed, *b"rows", *what.encode(), *numbers])
@@ -223,4 +223,4 @@ def _small(picture: Tensor) -> Tensor:
 @cache
 def _sh_rotation(turn: tuple[float, ...]) -> np.ndarray:
     """[9, 9] for coefficients of degree 2."""
-    return block_diag(*sh_rotations(np.array(turn).reshape(3, 3), 2))
+    return np.asarray(block_diag(*sh_rotations(np.array(turn).reshape(3, 3), 2)))

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.data import row_edits
-from splatpainter.data.row_edits import RowEdit, RowStream
+from splatpainter.data import global_edits
+from splatpainter.data.global_edits import GlobalEdit, GlobalEditStream
 from splatpainter.data.samples import SampleRecipe, SampleStream
 from splatpainter.data.scenes import ProceduralSource
 from splatpainter.lift.colors import MAX_COLOR
@@ -25,7 +25,7 @@ from splatpainter.splats import SH_C0
 from splatpainter.train.build import make_task, start
 from splatpainter.train.recipes import Recipe
 from splatpainter.train.stages.predict import PredictTask
-from splatpainter.train.training_data import Stock, Supply, row_material
+from splatpainter.train.training_data import ResourceFolders, Supply, open_global_edits
 from tests.support.train_scenes import LIFT, Kept, loop, model
 
 SAMPLES = SampleRecipe(
@@ -48,29 +48,29 @@ RECIPE = Recipe(
 @pytest.fixture(autouse=True, scope="module")
 def few_lights() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(row_edits, "LIGHTS", 24)
+        patch.setattr(global_edits, "LIGHTS", 24)
         yield
 
 
 @cache
-def stream() -> RowStream:
-    return RowStream(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1), rows=300)
+def stream() -> GlobalEditStream:
+    return GlobalEditStream(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1), rows=300)
 
 
 @cache
-def held() -> tuple[RowEdit, ...]:
+def held() -> tuple[GlobalEdit, ...]:
     return tuple(stream()[i] for i in range(1000, 1012))
 
 
-def same(one: RowEdit, other: RowEdit) -> bool:
-    arrays = ("normals", "transfer", "told", "weight", "change", "counts")
+def same(one: GlobalEdit, other: GlobalEdit) -> bool:
+    arrays = ("normals", "transfer", "observed", "weight", "change", "counts")
     equal = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
     return equal and one.kind == other.kind and np.array_equal(one.asset.sh, other.asset.sh)
 
 
 def test_edits_depend_on_their_number_alone() -> None:
     forth = [stream()[i] for i in range(4)]
-    other = RowStream(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1), rows=300)
+    other = GlobalEditStream(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1), rows=300)
     assert all(same(forth[i], other[i]) for i in (3, 1, 0))
     assert {forth[0].name, forth[1].name} == {forth[2].name, forth[3].name} and forth[0].name != forth[1].name
     assert not any(same(one, other) for one in forth[:2] for other in forth[2:])
@@ -85,12 +85,12 @@ def test_what_they_hold() -> None:
         kinds.add(edit.kind)
         assert len(edit.asset) == 300 and edit.transfer.shape == (300, 10) and edit.normals.shape == (300, 3)
         seen = edit.weight > 0.05
-        assert seen.any() and not edit.told[~seen].any()
+        assert seen.any() and not edit.observed[~seen].any()
         colors = 0.5 + SH_C0 * edit.asset.sh[:, 0]
         assert np.abs(edit.change).max() > 0.02 and -0.1 < (colors + edit.change).min() < 1.3
         assert edit.counts.min() >= 0 and (edit.counts[seen] > 0).all()
         # What pictures tell is about what happens, but not exactly.
-        error = np.abs(edit.told - edit.change)[seen].mean()
+        error = np.abs(edit.observed - edit.change)[seen].mean()
         assert 1e-3 < error < 0.12
         # Turned worlds are turned as a whole: what little is in the way, transfer follows the normals.
         free = edit.transfer[:, 9] > 0.97
@@ -99,11 +99,11 @@ def test_what_they_hold() -> None:
     assert views == {1, 2, 4} and kinds == {"relight", "regrade"}
 
 
-def test_told_is_what_the_lift_sees_of_a_real_picture() -> None:
-    """The error that is added was measured: under the light that it was measured with, told is the lift's own."""
+def test_what_is_observed_is_what_the_lift_sees_of_a_real_picture() -> None:
+    """The error that is added was measured; under the light of that measurement, the lift itself is what is observed."""
     known = stream()._object(0)
-    assert known.shown.shape[:2] == (3, 4) and known.errors.shape[:2] == (3, 3)
-    unseen = known.shown[0][0] <= 0.05  # by the first view of the ring, which one view alone is
+    assert known.visible_px.shape[:2] == (3, 4) and known.errors.shape[:2] == (3, 3)
+    unseen = known.visible_px[0][0] <= 0.05  # by the first view of the ring, which one view alone is
     assert unseen.any() and not known.errors[0][0][unseen].any()
     assert 0.005 < np.abs(known.errors[known.errors != 0]).mean() < 0.15
 
@@ -111,11 +111,11 @@ def test_told_is_what_the_lift_sees_of_a_real_picture() -> None:
 def test_bad_sources() -> None:
     recipe = replace(SAMPLES, kinds={"stroke": 1.0})
     with pytest.raises(ValueError, match="relight or regrade"):
-        RowStream(SampleStream(ProceduralSource(2, seed=3), recipe))
+        GlobalEditStream(SampleStream(ProceduralSource(2, seed=3), recipe))
     splats = SampleStream(ProceduralSource(2, seed=3), SAMPLES)
     splats.splats = True
     with pytest.raises(ValueError, match="materials are known"):
-        RowStream(splats)
+        GlobalEditStream(splats)
 
 
 def test_the_stage_trains_the_predictor_alone_and_learns(tmp_path: Path) -> None:
@@ -171,11 +171,11 @@ def _uniform():  # noqa: ANN202
 def test_a_model_without_predictor_and_data_without_meshes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="features"):
         make_task(replace(RECIPE, model=LIFT), model(LIFT), None)
-    supply = Supply("procedural:4", SAMPLES, 0, 0.5, Stock())
-    material = row_material(supply, 3)
-    assert len(material.validation) == 3 and all(len(edit.asset) == 400 for edit in material.validation)
-    names = {edit.name for edit in material.validation}
-    assert material.training[0].name not in names
+    supply = Supply("procedural:4", SAMPLES, 0, 0.5, ResourceFolders())
+    data = open_global_edits(supply, 3)
+    assert len(data.validation) == 3 and all(len(edit.asset) == 400 for edit in data.validation)
+    names = {edit.name for edit in data.validation}
+    assert data.training[0].name not in names
 
 
 def test_training_it_keeps_the_rest_and_later_stages_keep_it(tmp_path: Path) -> None:
