@@ -100,7 +100,7 @@ def test_what_they_hold() -> None:
 
 
 def test_what_is_observed_is_what_the_lift_sees_of_a_real_picture() -> None:
-    """The error that is added was measured; under the light of that measurement, the lift itself is what is observed."""
+    """The error that is added was measured; under the light of that measurement, the lift is what is observed."""
     known = stream()._object(0)
     assert known.visible_px.shape[:2] == (3, 4) and known.errors.shape[:2] == (3, 3)
     unseen = known.visible_px[0][0] <= 0.05  # by the first view of the ring, which one view alone is
