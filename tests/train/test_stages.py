@@ -101,8 +101,8 @@ def test_all_rows_or_some_have_the_same_picture_and_on_average_the_same_gradient
     known = task._remembered(sample)
     views = task._edits(sample, known)
     start = task._start(sample, known, views)
-    cameras, wanted = task._wanted(sample, known, views, np.random.default_rng(5))
-    start = task._shown(start, cameras)
+    cameras, wanted = task._target(sample, known, views, np.random.default_rng(5))
+    start = task._visible(start, cameras)
     for seed in range(24):
         from splatpainter.train.stages.task import draw
 
@@ -123,7 +123,7 @@ def test_a_part_of_the_voxels_has_the_latents_of_the_whole(precision: str) -> No
     task = task_of(replace(RECIPE, train_encoder="compress"))
     rows = np.array([3, 50, 51, 120])
     with task.arithmetic():
-        part = task._encoded(task._know(asset), rows)
+        part = task._encoded(task._prepare(asset), rows)
     with torch.no_grad():
         same = whole.latents.values[whole.latent_ids[rows]]
     assert len(part.latents.groups) < len(whole.latents.groups)
