@@ -20,7 +20,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,7 +35,8 @@ VERSION = 2
 MAX_NAME_CHARS = 80
 Redo = Literal["nothing", "errors", "all"]
 """Which records that are up to date are made anew."""
-T = TypeVar("T")
+DATA_FOLDERS = ("data", "environments", "decals", "fonts", "textures")
+"""Fields of Setup."""
 
 
 @dataclass(frozen=True)
@@ -117,18 +118,8 @@ class RunConfig:
 
 
 def to_json(value: Setup | Budget) -> dict[str, Any]:
-    """A setup or a budget as JSON values; paths become absolute."""
+    """A setup or a budget as JSON values, for `jsonio.build`; paths become absolute."""
     return {k: str(v.absolute()) if isinstance(v, Path) else v for k, v in asdict(value).items()}
-
-
-def from_json(kind: type[T], values: dict[str, Any]) -> T:
-    """Setup or Budget of `to_json`."""
-    paths = path_fields(kind)
-    return kind(**{k: Path(v) if k in paths and v is not None else v for k, v in values.items()})
-
-
-def path_fields(kind: Any) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(kind) if "Path" in str(f.type))
 
 
 @dataclass(frozen=True)
@@ -401,7 +392,7 @@ class CaseStore:
             with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
                 values = json.loads(file.read_bytes())
                 noted = dict(values["setup"] if inside else values)
-        compared = [name for name in new if name in noted and name not in ("objects", *path_fields(Setup))]
+        compared = [name for name in new if name in noted and name not in ("objects", *DATA_FOLDERS)]
         changes = [f"{name} {noted[name]}, not {new[name]}" for name in compared if noted[name] != new[name]]
         if changes and redo != "all":
             raise ValueError(
@@ -418,7 +409,7 @@ class CaseStore:
         more objects, makes no case anew."""
         values: dict[str, Any] = asdict(setup)
         values.pop("objects")
-        for folder in ("environments", "decals", "fonts", "textures"):
+        for folder in DATA_FOLDERS[1:]:
             values[folder] = _digest(_listing(values[folder]))
         listing = _listing(values["data"])
         of_object = [line for line in listing if key.name in _object_names(line[0])]

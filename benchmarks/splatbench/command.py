@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from splatbench.cases import Budget, RunConfig, Setup
+from splatbench.cases import DATA_FOLDERS, Budget, RunConfig, Setup
 from splatpainter.commands import Outcome
 from splatpainter.commands.options import parse
 from splatpainter.commands.targets import check_folder
@@ -80,7 +80,7 @@ MINIMUM = {
     "steps": 1,
     "processes": 1,
 }
-FOLDERS = ("data", "environments", "decals", "fonts", "textures", "perceptual_weights")
+FOLDERS = (*DATA_FOLDERS, "perceptual_weights")
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 
 

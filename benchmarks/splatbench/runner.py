@@ -35,7 +35,6 @@ from splatbench.cases import (
     RunConfig,
     Setup,
     fingerprint,
-    from_json,
     records,
     to_json,
 )
@@ -45,6 +44,7 @@ from splatbench.process import WorkerJob, Workers, answer_jobs, forget_peak, one
 from splatbench.report import tables as report_tables
 from splatbench.report.summary import RUN_FILE, MethodNames, SummaryRow, summarize
 from splatbench.tables import Table
+from splatpainter import jsonio
 from splatpainter.image_files import write_png
 from splatpainter.io import files
 from splatpainter.kernels.parallel import threads
@@ -286,7 +286,7 @@ def load_kernels() -> None:
 
 
 def _maker(values: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
-    table, setup = tables.table(values["protocol"]), from_json(Setup, values["setup"])
+    table, setup = tables.table(values["protocol"]), jsonio.build(Setup, values["setup"], "setup")
     store = CaseStore(Path(values["out"]), values["protocol"])
 
     def make(item: dict[str, Any]) -> str:
@@ -302,7 +302,7 @@ def _maker(values: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
 
 
 def _editor(values: dict[str, Any]) -> Callable[[dict[str, Any]], str]:
-    table, budget = tables.table(values["protocol"]), from_json(Budget, values["budget"])
+    table, budget = tables.table(values["protocol"]), jsonio.build(Budget, values["budget"], "budget")
     store = CaseStore(Path(values["out"]), values["protocol"])
     method = registry.all_methods()[values["method"]]
     perceptual = None

@@ -23,7 +23,6 @@ from splatbench.cases import (
     RunConfig,
     Setup,
     fingerprint,
-    from_json,
     records,
     to_json,
 )
@@ -31,6 +30,7 @@ from splatbench.runner import RunResult
 
 from benchmarks.tests.support import stubs as paper_stubs
 from benchmarks.tests.support.stubs import counted
+from splatpainter import jsonio
 from tests.support.systems import posix_only
 
 STUBS = Path(paper_stubs.__file__)
@@ -139,7 +139,7 @@ def test_methods_files_lie_beside_the_logs(config: RunConfig) -> None:
     for scratch in (None, config.out / "own"):
         own = replace(config, budget=replace(config.budget, scratch=scratch))
         plan = runner.edit_job(own, CaseStore(own.out, "toy"), paper_stubs.METHODS[0], "1", [blank], "", False)
-        told[scratch] = from_json(Budget, plan.values["budget"]).scratch
+        told[scratch] = jsonio.build(Budget, plan.values["budget"], "budget").scratch
         assert plan.log == logs / "grow.log"
     assert told == {None: logs, config.out / "own": config.out / "own"}
 
@@ -293,8 +293,8 @@ def test_equal_rows_are_counted_over_all_attributes() -> None:
 def test_setups_and_budgets_travel_as_json(tmp_path: Path) -> None:
     setup = Setup(data=tmp_path, fonts=tmp_path / "fonts", size=7)
     budget = Budget(steps=3, adapters=tmp_path / "a.toml", weights={"x": "y"})
-    assert from_json(Setup, json.loads(json.dumps(to_json(setup)))) == setup
-    assert from_json(Budget, json.loads(json.dumps(to_json(budget)))) == budget
+    assert jsonio.build(Setup, json.loads(json.dumps(to_json(setup))), "setup") == setup
+    assert jsonio.build(Budget, json.loads(json.dumps(to_json(budget))), "budget") == budget
 
 
 def _figures(text: str) -> list[list[str]]:
