@@ -22,7 +22,7 @@ from splatpainter.server.commands.files import ReceiptShow
 from splatpainter.server.commands.layers import ConflictsList, Redo
 from splatpainter.server.hub import Hub
 from splatpainter.server.protocol import Answer
-from splatpainter.session import project
+from splatpainter.session import project_file
 from splatpainter.splats import rows_sha256
 from tests.support.studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
 
@@ -85,7 +85,7 @@ def test_two_windows_see_the_same(studio: Live) -> None:
 
 
 def test_of_the_long_lists_only_what_is_new_is_told(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(project, "STEPS", 6)  # so that old steps go
+    monkeypatch.setattr(project_file, "MAX_STEPS", 6)  # so that old steps go
 
     def state_of(browser: Browser) -> dict[str, Any]:
         browser.do("receipt")
