@@ -44,9 +44,10 @@ def test_normals_point_to_the_eye_and_the_interior_has_all_neighbours() -> None:
 
 
 def test_the_region_of_a_recolouring_holds_what_it_may_reach() -> None:
-    design = EditDesign("recolor", CAMERA, Recoloring(np.array([0.2, 0.1, 0.0]), 0.3, 0))
+    recoloring = Recoloring(np.array([0.2, 0.1, 0.0]), 0.3, 0)
+    design = EditDesign("recolor", CAMERA, recoloring)
     ring = np.random.default_rng(0).normal(size=(200, 3))
-    points = design.content.position + 0.3 * ring / np.linalg.norm(ring, axis=1, keepdims=True)
+    points = recoloring.position + 0.3 * ring / np.linalg.norm(ring, axis=1, keepdims=True)
     pixels, _ = CAMERA.project(points)
     x, y = pixels.astype(int).T
     assert design.region[y, x].mean() > 0.9 and 0.01 < design.region.mean() < 0.3
