@@ -95,3 +95,10 @@ def test_rows_that_no_screen_can_show_are_hidden() -> None:
 def test_what_is_no_frame_is_refused(broken: bytes) -> None:
     with pytest.raises(ValueError, match="frame: expected"):
         frames.unpack(broken)
+
+
+def test_rotations_beyond_every_range_travel_without_a_warning() -> None:
+    splats = two_rows()
+    splats.quats[1] = 3e38
+    received = frames.unpack(frames.snapshot(splats, 1)).splats
+    assert received.opacities.tolist() == [0.5, 0] and received.quats.tolist()[0] == [1, 0, 0, 0]

@@ -34,6 +34,10 @@ class FlatPainter:
     calls: list[str] = field(default_factory=list)
 
     def choose(self, method: str, mode: str) -> tuple[str, str]:
+        if method == "ttt" and self.model is None:
+            raise ValueError(
+                "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
+            )
         return ("lift" if self.model is None else "ttt") if method == "auto" else method, ""
 
     def encodes(self, method: str, mode: str) -> bool:
