@@ -14,7 +14,8 @@ from splatbench.cases import Budget, EditStep, PosedImages
 from splatbench.methods import EditTask, srgs
 from splatbench.methods.gs3d import mixed
 from splatbench.methods.gs3d import orbit as orbit_views
-from splatbench.methods.srgs_patches import Patch, loss_by_torch, patches, srgs_loss
+from splatbench.methods.srgs_patches import TrainingPatch, loss_by_torch, patches, srgs_loss
+from splatbench.methods.super_resolution import lanczos, pooled, program
 
 from splatpainter.cameras import Camera, look_at, orbit
 from splatpainter.fit.optimize import View
@@ -49,11 +50,11 @@ def test_enlarged_pictures_pool_to_the_given_ones_and_stay_in_range(kind: str, f
         "black and white": rng.integers(0, 2, (14, 18, 3)),
         "smooth": np.stack([0.5 + 0.4 * np.sin(5 * x), 0.5 + 0.4 * np.cos(4 * y), x * y], -1),
     }[kind].astype(np.float32)
-    large = srgs.lanczos(picture, factor)
+    large = lanczos(picture, factor)
     assert large.shape == (14 * factor, 18 * factor, 3) and large.dtype == np.float32
     assert large.min() >= 0 and large.max() <= 1
     np.testing.assert_allclose(means_of_blocks(large, factor), picture, atol=2e-6)
-    np.testing.assert_allclose(srgs.pooled(large, factor), means_of_blocks(large, factor), atol=1e-6)
+    np.testing.assert_allclose(pooled(large, factor), means_of_blocks(large, factor), atol=1e-6)
 
 
 def test_the_prior_is_where_back_projection_ends() -> None:
@@ -66,16 +67,16 @@ def test_the_prior_is_where_back_projection_ends() -> None:
     out = enlarged(picture)
     for _ in range(80):
         out = out + enlarged((picture - means_of_blocks(out, 4)).astype(np.float32))
-    np.testing.assert_allclose(srgs.lanczos(picture, 4), out, atol=2e-5)
+    np.testing.assert_allclose(lanczos(picture, 4), out, atol=2e-5)
 
 
 def test_a_plain_picture_stays_plain_and_a_smooth_one_is_better_than_blocks() -> None:
     plain = np.full((16, 16, 3), 0.3, np.float32)
-    np.testing.assert_allclose(srgs.lanczos(plain, 4), 0.3, atol=1e-5)
+    np.testing.assert_allclose(lanczos(plain, 4), 0.3, atol=1e-5)
     y, x = np.mgrid[:64, :64] / 64
     truth = np.stack([0.5 + 0.4 * np.sin(9 * x + 4 * y)] * 3, -1).astype(np.float32)
-    low = srgs.pooled(truth, 4)
-    assert db(srgs.lanczos(low, 4), truth) > db(low.repeat(4, 0).repeat(4, 1), truth) + 10
+    low = pooled(truth, 4)
+    assert db(lanczos(low, 4), truth) > db(low.repeat(4, 0).repeat(4, 1), truth) + 10
 
 
 def base_of(asset: Splats, size: int = 24) -> PosedImages:
@@ -86,7 +87,7 @@ def base_of(asset: Splats, size: int = 24) -> PosedImages:
 def test_patches_are_windows_of_the_large_view() -> None:
     asset = sheet(30, half=0.4)
     base = base_of(asset, 64)
-    cut = patches(base, asset, lambda low: srgs.lanczos(low, 4), 4, 64, 5, RNG(2))
+    cut = patches(base, asset, lambda low: lanczos(low, 4), 4, 64, 5, RNG(2))
     assert len(cut) == 10
     for k, patch in enumerate(cut):
         own = base.cameras[k // 5]
@@ -99,7 +100,7 @@ def test_patches_are_windows_of_the_large_view() -> None:
         assert window.alphas.max() > 0.05  # the asset fills a sixth of the picture: it is looked for
         np.testing.assert_array_equal(patch.low, base.colors[k // 5, y // 4 : y // 4 + 16, x // 4 : x // 4 + 16])
         np.testing.assert_allclose(means_of_blocks(patch.color, 4), patch.low, atol=2e-6)
-    again = patches(base, asset, lambda low: srgs.lanczos(low, 4), 4, 64, 5, RNG(2))
+    again = patches(base, asset, lambda low: lanczos(low, 4), 4, 64, 5, RNG(2))
     assert all(np.array_equal(a.color, b.color) for a, b in zip(cut, again, strict=True))
 
 
@@ -124,7 +125,7 @@ def test_the_loss_is_the_published_one(w: float) -> None:
     image, color, low = (
         rng.uniform(0, 1, shape).astype(np.float32) for shape in [(32, 28, 3), (32, 28, 3), (16, 14, 3)]
     )
-    patch = Patch(front(32).cropped(0, 0, 28, 32), color, low=low)
+    patch = TrainingPatch(front(32).cropped(0, 0, 28, 32), color, low=low)
     given = torch.from_numpy(image)
     assert float(srgs_loss(w, 2, given, patch)) == pytest.approx(published(image, color, low, w), abs=2e-5)
     assert float(loss_by_torch(w, 2, given, patch)) == pytest.approx(published(image, color, low, w), abs=2e-5)
@@ -139,7 +140,7 @@ def test_pixels_without_weight_have_no_influence_in_either_resolution() -> None:
     low_mask = np.ones((16, 16), np.float32)
     low_mask[:, 9:] = 0
     color, low = (rng.uniform(0, 1, (size, size, 3)).astype(np.float32) for size in (32, 16))
-    patch = Patch(front(32), color, 1.0, low_mask.repeat(2, 0).repeat(2, 1), low, low_mask)
+    patch = TrainingPatch(front(32), color, 1.0, low_mask.repeat(2, 0).repeat(2, 1), low, low_mask)
     image = torch.from_numpy(rng.uniform(0, 1, (32, 32, 3)).astype(np.float32)).requires_grad_()
     for view, w in [(patch, 0.4), (patch, 1.0), (replace(patch, mask=None, low_mask=None), 0.4)]:
         ours, theirs = (loss(w, 2, image, view) for loss in (srgs_loss, loss_by_torch))
@@ -166,7 +167,7 @@ def test_patches_of_weighted_pictures_carry_the_weights_and_are_left_out_without
 
 def test_a_step_down_the_loss_moves_the_colour_of_a_pixel_to_its_sub_pixels_mean() -> None:
     low = np.full((11, 11, 3), 0.25, np.float32)
-    patch = Patch(front(22), np.full((22, 22, 3), 0.75, np.float32), low=low)  # a prior that drifts in colour
+    patch = TrainingPatch(front(22), np.full((22, 22, 3), 0.75, np.float32), low=low)  # a prior that drifts in colour
     value = torch.full((22, 22, 3), 0.5, requires_grad=True)
     pulls = {}
     for w in (0.0, 1.0):
@@ -259,7 +260,7 @@ def adapters(folder: Path, *words: str, device: str = "cpu") -> Path:
 
 def test_a_program_of_the_user_makes_the_large_pictures(tmp_path: Path) -> None:
     file = adapters(tmp_path, "--scale", "3")
-    prior = srgs.program(file, 3, tmp_path / "work")
+    prior = program(file, 3, tmp_path / "work")
     picture = RNG(5).integers(0, 256, (8, 6, 3)).astype(np.float32) / 255
     np.testing.assert_allclose(prior(picture), picture.repeat(3, 0).repeat(3, 1), atol=1e-6)
     assert [path.name for path in (tmp_path / "work").iterdir()] == ["log.txt"]
@@ -279,15 +280,15 @@ def test_a_program_that_is_missing_or_fails_is_said_in_one_line(tmp_path: Path) 
     empty.write_text("[super-resolution]\n")
     assert "has no `command`" in method.missing(Budget(adapters=empty))
     empty.write_text("[super-resolution]\ncommand = 3\n")
-    assert "expected a list of words" in method.missing(Budget(adapters=empty))
-    with pytest.raises(ValueError, match="expected a list of words"):
-        srgs.program(empty, 4, tmp_path)
+    assert "expected a list as 'command', got 3" in method.missing(Budget(adapters=empty))
+    with pytest.raises(ValueError, match="expected a list as 'command', got 3"):
+        program(empty, 4, tmp_path)
     picture = np.zeros((4, 4, 3), np.float32)
     with pytest.raises(ValueError, match=r"ended with status 1; out of memory, as it were \(log: .*log.txt\)"):
-        srgs.program(adapters(tmp_path, "--scale", "4", "--fail"), 4, tmp_path)(picture)
+        program(adapters(tmp_path, "--scale", "4", "--fail"), 4, tmp_path)(picture)
     with pytest.raises(ValueError, match="expected a picture of 16x16 pixels, got 8x8"):
-        srgs.program(adapters(tmp_path, "--scale", "2"), 4, tmp_path)(picture)
+        program(adapters(tmp_path, "--scale", "2"), 4, tmp_path)(picture)
     quiet = tmp_path / "quiet.toml"
     quiet.write_text("[super-resolution]\ncommand = ['true']\ndevice = 'cpu'\n")
     with pytest.raises(ValueError, match="ended well but wrote no"):
-        srgs.program(quiet, 4, tmp_path)(picture)
+        program(quiet, 4, tmp_path)(picture)

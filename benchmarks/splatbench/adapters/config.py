@@ -27,7 +27,7 @@ from splatpainter.jsonio import build
 SYSTEMS = ("voxhammer", "vinedresser3d", "dge", "instruct-gs2gs", "relitlrm")
 """Names of tables in the file."""
 PROGRAMS = ("super-resolution",)
-"""Tables that are not about a system (methods/srgs.py)."""
+"""Tables that are not about a system (methods/super_resolution.py)."""
 GUIDE = "docs/ADAPTERS.md"
 SECRETS = re.compile(r"key|token|secret|password", re.IGNORECASE)
 

@@ -11,18 +11,20 @@ import torch
 from torch import Tensor
 
 from splatbench.cases import PosedImages
-from splatbench.methods.srgs import SSIM_SHARE, Prior, blocks, pooled
+from splatbench.methods.super_resolution import Prior, blocks, pooled
 from splatpainter.fit.loss import picture_loss, torch_loss
 from splatpainter.fit.optimize import View
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 
+SSIM_SHARE = 0.2
+"""Of 1 - SSIM in both parts of the loss; the rest is L1."""
 MIN_PATCH_PX = 16
 """Edge of a patch in low-resolution pixels, at least (SSIM's window is 11 wide)."""
 
 
 @dataclass(frozen=True)
-class Patch(View):
+class TrainingPatch(View):
     """A window of a view in high resolution; `color` is what the prior made of it."""
 
     low: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32), repr=False)
@@ -45,7 +47,7 @@ def loss_by_kernels(texture: float, factor: int, image: np.ndarray, view: View) 
     """(loss, gradient [H, W, 3]) with the kernels of fit/loss.py: a tenth of the time of a step goes into the loss, not
     nine tenths as with torch on a CPU."""
     value, slope = picture_loss(image, view.color, view.mask, SSIM_SHARE)
-    if not isinstance(view, Patch) or texture == 1:
+    if not isinstance(view, TrainingPatch) or texture == 1:
         return value, slope
     low_value, low_slope = picture_loss(pooled(image, factor), view.low, view.low_mask, SSIM_SHARE)
     part = low_slope * np.float32((1 - texture) / factor**2)
@@ -60,7 +62,7 @@ def loss_by_torch(texture: float, factor: int, image: Tensor, view: View) -> Ten
         return torch_loss(render, torch.as_tensor(color, device=image.device), weights, SSIM_SHARE)
 
     loss = part(image, view.color, view.mask)
-    if not isinstance(view, Patch) or texture == 1:
+    if not isinstance(view, TrainingPatch) or texture == 1:
         return loss
     means = torch.nn.functional.avg_pool2d(image.permute(2, 0, 1)[None], factor)[0].permute(1, 2, 0)
     return texture * loss + (1 - texture) * part(means, view.low, view.low_mask)
@@ -88,7 +90,7 @@ def patches(
     count: int,
     rng: np.random.Generator,
     weights: np.ndarray | None = None,
-) -> list[Patch]:
+) -> list[TrainingPatch]:
     """`count` random patches of every picture, `edge` pixels wide and high in high resolution (more than
     MIN_PATCH_PX low-resolution pixels, no more than the picture), placed where the asset is. weights: [V, H, W] of the
     pictures' pixels, >= 0; patches without any are left out.
@@ -108,10 +110,12 @@ def patches(
             low = np.ascontiguousarray(color[y : y + high, x : x + wide])
             low_mask = None if weights is None else weights[k, y : y + high, x : x + wide].astype(np.float32)
             if low_mask is None or low_mask.min() == 1:
-                out.append(Patch(window, np.ascontiguousarray(texture), weight, None, low))
+                out.append(TrainingPatch(window, np.ascontiguousarray(texture), weight, None, low))
             elif low_mask.any():
                 out.append(
-                    Patch(window, np.ascontiguousarray(texture), weight, blocks(low_mask, factor), low, low_mask)
+                    TrainingPatch(
+                        window, np.ascontiguousarray(texture), weight, blocks(low_mask, factor), low, low_mask
+                    )
                 )
     return out
 
