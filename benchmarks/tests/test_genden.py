@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 from splatbench.cases import Budget, EditStep, PosedImages
+from splatbench.densification.densifier import Densifier
+from splatbench.densification.densify_config import COMPACT
 from splatbench.methods import EditTask, genden
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.metrics import psnr
-from splatpainter.models.densification.config import COMPACT
-from splatpainter.models.densification.densifier import Densifier
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -103,7 +103,7 @@ def test_without_weights_it_says_how_to_get_them(
     budget: Budget, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert ROW.missing(budget) == "" and ROW.name == "genden" and ROW.protocols == ("refine",)
-    monkeypatch.setattr("splatpainter.models.weights.PACKAGED", tmp_path / "none")
+    monkeypatch.setattr("splatbench.methods.weights.BENCH_WEIGHTS", tmp_path / "none")
     monkeypatch.delenv("SPLATPAINTER_WEIGHTS", raising=False)
     line = ROW.missing(Budget())
     assert line.startswith("no weights: train with `splatpainter train densify") and "--weights genden=" in line
@@ -126,8 +126,6 @@ def test_other_weights_are_another_version(budget: Budget, tmp_path: Path) -> No
 
 
 def test_packaged_weights_are_of_a_densifier() -> None:
-    if genden.WEIGHTS.folder(Budget()) is None:
-        pytest.skip("no weights of the densifier are packaged")
     assert ROW.missing(Budget()) == ""
     done = ROW.edit(work(), Budget())
     assert done.numbers["rows_generated"] > done.numbers["rows_replaced"] > 16

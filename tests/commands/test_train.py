@@ -101,6 +101,15 @@ def test_wrong_words_are_one_line(
     assert not list(tmp_path.rglob("*.json"))
 
 
+def test_a_stage_of_another_distribution_says_what_brings_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: [])
+    assert run("densify", "--data", "procedural:2") == 2
+    line = "splatpainter train densify: not installed; it comes with the distribution splatpainter-bench"
+    assert line in capsys.readouterr().err
+
+
 def test_help_shows_the_recipes_own_values(capsys: pytest.CaptureFixture[str]) -> None:
     assert run() == 0 and "stages:" in capsys.readouterr().out
     assert run("refine", "--recipe", "paper", "--help") == 0

@@ -176,7 +176,7 @@ def test_every_recipe_in_the_package_loads_and_survives_json() -> None:
     assert paper.model.compress == replace(PAPER.compress, checkpoint_activations=True)
     assert recipes.load("paper", "compress").steps == 80_000
     assert recipes.load("compact", "refine").model.refine.base == "lift"
-    models = [recipes.load("compact", stage).model for stage in recipes.STAGES]
+    models = [recipes.load("compact", stage).model for stage in recipes.STAGES if stage not in recipes.DISTRIBUTIONS]
     assert models[0] == models[1] == models[2] and models[0].compress == PRESETS["compact"].compress
 
 

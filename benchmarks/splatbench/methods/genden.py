@@ -1,4 +1,4 @@
-"""GenDen-style feed-forward densification (arXiv 2412.06234), with this package's densifier (models/densification).
+"""GenDen-style feed-forward densification (arXiv 2412.06234), with our densifier (densification/).
 
 As the supplement of the paper runs it: all base and edited views at once, on the given asset. Gaussians that the views
 pull at hardest are replaced by finer ones; nothing is optimised. There is no set-up: every edit is the whole pass.
@@ -11,9 +11,9 @@ import time
 import numpy as np
 
 from splatbench.cases import Budget, PosedImages
+from splatbench.densification.densify_config import DensifyConfig
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.weights import Weights
-from splatpainter.models.densification.config import DensifyConfig
 
 WEIGHTS = Weights(
     ("genden",), "genden", "densifier", train="densify --data MESHES --out RUN", config_class=DensifyConfig
@@ -25,7 +25,7 @@ def edit(task: EditTask, budget: Budget) -> EditResult:
     Raises ValueError where there are no weights, or as densified."""
     import torch
 
-    from splatpainter.models.densification.densifier import densified
+    from splatbench.densification.densifier import densified
 
     model = WEIGHTS.load(budget)
     start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Where methods find their networks: `--weights NAME=FOLDER`, or the weights that come with the package."""
+"""Where methods find their networks: `--weights NAME=FOLDER`, or the weights that come with the packages."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from splatbench.cases import Budget
+from splatbench.densification.densify_config import DensifyConfig
 from splatpainter.models import weights as packaged
 from splatpainter.models.checkpoint import INDEX
 from splatpainter.models.config import ModelConfig
-from splatpainter.models.densification.config import DensifyConfig
 
 COMPACT = "compact"
 """The name under which the package's model is replaced."""
+BENCH_WEIGHTS = Path(__file__).parents[1] / "weights"
+"""Folder of weights that come with the benches, beside those of splatpainter."""
 VERSION = "1"
 """Of how methods use their weights."""
 
@@ -43,7 +45,7 @@ class Weights:
         for name in self.names:
             if name in budget.weights:
                 return Path(budget.weights[name])
-        return packaged.find(self.packaged) if self.packaged else None
+        return packaged.find(self.packaged, BENCH_WEIGHTS) if self.packaged else None
 
     def source(self, budget: Budget) -> str:
         """Which weights they are, in words."""
@@ -106,7 +108,7 @@ class Weights:
 def _loaded(folder: str, digest: str, device: str, densifier: bool) -> Any:
     """digest: so that other weights in the same folder are read."""
     if densifier:
-        from splatpainter.models.densification.densifier import Densifier as Network
+        from splatbench.densification.densifier import Densifier as Network
     else:
         from splatpainter.models.model import SplatPainterModel as Network
     return Network.load(folder).to(device)

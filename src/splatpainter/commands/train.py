@@ -1,5 +1,5 @@
-"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, the predictor, Stage II, and the densifier, a baseline. The
-training itself is in `train`, judging in train_judge.py."""
+"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, the predictor, Stage II, and stages that other
+distributions add. The training itself is in `train`, judging in train_judge.py."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SUMMARIES = {
     "compress": "Stage I: rows and tokens to latents",
     "predict": "what rows become that no picture shows: beside the other stages, in minutes",
     "refine": "Stage II: edits to changes of the asset",
-    "densify": "a baseline (GenDen): close-ups to finer rows",
+    "densify": "a baseline (GenDen) of splatpainter-bench: close-ups to finer rows",
 }
 AFTERWARDS = {
     "judge": "what trained weights reach on objects held out of training",
@@ -114,7 +114,9 @@ def run(config: Config) -> Outcome:
     from splatpainter.train.state import exists
     from splatpainter.train.training_data import ResourceFolders, Supply, open_global_edits, open_training_data
 
-    recipe = Recipe(**{f.name: getattr(config, f.name) for f in dataclasses.fields(Recipe)})
+    stage = recipes.additional_stage(config.stage)
+    kind = stage.RECIPE_CLASS if stage else Recipe
+    recipe = kind(**{f.name: getattr(config, f.name) for f in dataclasses.fields(kind)})
     if not config.data:
         raise ValueError(f"splatpainter train {config.stage}: --data is missing: procedural:N, or a folder")
     started = exists(config.out)
@@ -166,11 +168,11 @@ def _task(config: Config, recipe: Recipe, group: Group, say: Any) -> Task:
     """The stage with its model on its device."""
     import torch
 
-    from splatpainter.train.build import densify_task, make_task, start
+    from splatpainter.train.build import make_task, start
 
     torch.manual_seed(recipe.seed)
-    if recipe.stage == "densify":
-        return densify_task(recipe, config.weights, say).to(group.device)
+    if stage := recipes.additional_stage(recipe.stage):
+        return stage.make_task(recipe, config.weights, say).to(group.device)
     model: SplatPainterModel = start(recipe, config.weights, say, config.from_stage)
     return make_task(recipe, model.to(group.device), config.perceptual_weights, say).to(group.device)
 
@@ -187,7 +189,7 @@ def _named(words: Sequence[str]) -> str:
 
 def _with_defaults(recipe: Recipe) -> type:
     """Config whose defaults are the recipe's: so --help shows them, and options change them one by one."""
-    types = field_types(Recipe)  # resolved: this module does not know their names
+    types = field_types(type(recipe))  # resolved: this module does not know their names
     space: dict[str, Any] = {"__annotations__": types, "__doc__": Config.__doc__, "__module__": Config.__module__}
     for name in types:
         value = getattr(recipe, name)

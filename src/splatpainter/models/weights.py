@@ -27,9 +27,10 @@ def places(preset: str) -> list[Path]:
     return [Path(root) / preset for root in ([named] if named else [])] + [PACKAGED / preset]
 
 
-def find(preset: str) -> Path | None:
-    """The folder with the weights of a preset, or None."""
-    return next((folder for folder in places(preset) if (folder / INDEX).is_file()), None)
+def find(preset: str, *more_roots: Path) -> Path | None:
+    """The folder with the weights of a preset, or None. more_roots: folders like PACKAGED, tried last."""
+    folders = places(preset) + [root / preset for root in more_roots]
+    return next((folder for folder in folders if (folder / INDEX).is_file()), None)
 
 
 class _Deferred:

@@ -8,15 +8,12 @@ from pathlib import Path
 
 from splatpainter.data.samples import GLOBAL
 from splatpainter.models import checkpoint
-from splatpainter.models.densification.config import DensifyConfig
-from splatpainter.models.densification.densifier import Densifier
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.train import state
 from splatpainter.train.loss import perceptual_or_not
 from splatpainter.train.recipes import Recipe, Stage
 from splatpainter.train.report import alex_or_none
 from splatpainter.train.stages.compress import CopyTask, HiddenColors
-from splatpainter.train.stages.densify import DensifyTask
 from splatpainter.train.stages.lrm import LrmTask
 from splatpainter.train.stages.predict import PredictTask
 from splatpainter.train.stages.refine import RefineOptions, RefineTask
@@ -100,23 +97,6 @@ def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path
     )
     modes = {"global" if kind in GLOBAL else "local" for kind, weight in recipe.samples.kinds.items() if weight > 0}
     return RefineTask(model, options, loss, sorted(modes), alex_or_none(perceptual_weights, device))
-
-
-def densify_task(recipe: Recipe, weights: Path | None, say: Say = print) -> DensifyTask:
-    """The task of stage densify, with a new model (seed torch before) or that of a checkpoint. Raises ValueError naming
-    what differs where the checkpoint is of another densifier."""
-    model = Densifier(recipe.densifier)
-    if weights is not None:
-        saved = checkpoint.load(weights, kind=DensifyConfig)
-        differing = state.differing_config(
-            saved.config, recipe.densifier, lambda key: key in ("preset", "most", "min_opacity")
-        )
-        if differing:
-            raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}")
-        checkpoint.fill(model, saved.tensors, str(weights))
-        model.notes = {"history": state.history(weights, saved.notes)}
-        say(f"starting from {weights}")
-    return DensifyTask(model, recipe.loss_views, recipe.gradient_rows)
 
 
 def _untrained_keys(parts: tuple[str, ...]) -> tuple[str, ...]:

@@ -15,8 +15,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from splatpainter.fit.loss import TAPS, WINDOW
-from splatpainter.metrics.images import C1, C2
 from splatpainter.metrics.lpips import SMALLEST, Lpips, LpipsUnavailable
 from splatpainter.nn.precision import exact
 
@@ -24,12 +22,6 @@ NEGLIGIBLE_ERROR = 2e-4
 """An error of which nothing need be left, where ratios count: 37 dB."""
 MIN_EDITED_SHARE = 0.005
 """Share of a view that counts as edited at least: the loss of a dot must not outweigh everything else."""
-
-
-MS_SSIM_EXPONENTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
-"""Of the scales, from the finest."""
-MIN_SCALE_MEAN = 1e-3
-"""A scale's mean is at least this: a power of it must have a gradient."""
 
 
 @dataclass(frozen=True)
@@ -149,42 +141,3 @@ def scattered_depth(distances: Tensor, views: int, spread: float = 0.5) -> Tenso
     deviation = centered.detach().std(1, keepdim=True).clamp_min(1e-4)
     goal = (centered / deviation * spread).detach()
     return (per_view - goal).square().mean()
-
-
-def ms_ssim(a: Tensor, b: Tensor) -> Tensor:
-    """Scalar, at most 1: multi-scale structural similarity, differentiable (Wang, Simoncelli & Bovik 2003), the mean
-    over pictures and channels.
-
-        MS-SSIM = prod_k mean(c_k)^w_k over the finer scales * mean(S_K)^w_K at the coarsest
-
-    c: SSIM's contrast and structure term, S: all of SSIM, both over pixels whose window lies in the picture
-    (metrics/images). Small pictures have fewer scales than the paper's five: those where a window still fits; their
-    exponents are divided by their sum. a, b: [C, H, W, 3] in 0..1, of at least 11 x 11 pixels.
-    Raises ValueError for smaller ones."""
-    if min(a.shape[1:3]) < WINDOW:
-        raise ValueError(f"MS-SSIM: expected pictures of at least {WINDOW}x{WINDOW}, got {a.shape[2]}x{a.shape[1]}")
-    first, second = (x.permute(0, 3, 1, 2) for x in (a, b))
-    count = 1
-    while count < len(MS_SSIM_EXPONENTS) and min(a.shape[1:3]) >> count >= WINDOW:
-        count += 1
-    total = sum(MS_SSIM_EXPONENTS[:count])
-    value = torch.ones_like(first[:, :, 0, 0])
-    for k in range(count):
-        structure, ssim = _ssim_terms(first, second)
-        value = value * (ssim if k == count - 1 else structure).clamp_min(MIN_SCALE_MEAN) ** (
-            MS_SSIM_EXPONENTS[k] / total
-        )
-        first, second = F.avg_pool2d(first, 2), F.avg_pool2d(second, 2)
-    return value.mean()
-
-
-def _ssim_terms(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """[C, 3] means of c and of S, of pictures [C, 3, H, W]."""
-    count = a.shape[0] * a.shape[1]
-    stack = torch.stack([a, b, a * a, b * b, a * b]).reshape(5 * count, 1, *a.shape[2:])
-    taps = torch.as_tensor(TAPS, dtype=a.dtype, device=a.device)
-    blurred = F.conv2d(F.conv2d(stack, taps.view(1, 1, WINDOW, 1)), taps.view(1, 1, 1, WINDOW))
-    mean_a, mean_b, aa, bb, ab = blurred.reshape(5, *a.shape[:2], *blurred.shape[2:]).unbind(0)
-    structure = (2 * (ab - mean_a * mean_b) + C2) / (aa - mean_a**2 + bb - mean_b**2 + C2)
-    light = (2 * mean_a * mean_b + C1) / (mean_a**2 + mean_b**2 + C1)
-    return structure.mean((2, 3)), (light * structure).mean((2, 3))

@@ -1,42 +1,46 @@
 """A training recipe: one dataclass that is the command line, the JSON in the run's folder and the documentation.
 
 Recipes are found by name in recipes/ beside this file (`compact`, `paper`, per stage) or as JSON files. A JSON recipe
-names only what differs from the defaults here; unknown keys are errors.
+names only what differs from the defaults here; unknown keys are errors. Stages of other distributions bring their own.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from splatpainter import jsonio
 from splatpainter.data.samples import KINDS, SampleRecipe
 from splatpainter.io.files import read_all
 from splatpainter.models.config import COMPACT, PRESETS, ModelConfig
-from splatpainter.models.densification.config import PRESETS as DENSIFIERS
-from splatpainter.models.densification.config import DensifyConfig
 
 Stage = Literal["lrm", "compress", "predict", "refine", "densify"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 Encoder = Literal["nothing", "compress", "all"]
 Parallel = Literal["ddp", "fsdp"]
 FOLDER = Path(__file__).with_name("recipes")
+ENTRY_POINTS = "splatpainter.training_stages"
+"""Group of entry points by which other distributions add stages: modules with RECIPE_CLASS, a subclass of
+`Recipe`, RECIPES, the folder of its recipes, and `make_task(recipe, weights, say)`."""
+DISTRIBUTIONS = {"densify": "the distribution splatpainter-bench: pip install ./benchmarks, in the repository"}
+"""Stages that are not in this package -> what brings them."""
 
 
 @dataclass(frozen=True)
 class Recipe:
     """How a stage is trained."""
 
+    MODEL_PRESETS: ClassVar[dict[str, Any]] = {"model": PRESETS}
+    """Key of a model's config -> its presets."""
     stage: Stage = "refine"
     """lrm: the Gaussian LRM; compress: Stage I; predict: the predictor of unseen rows; refine: Stage II; densify: a
     model of its own, a baseline."""
     model: ModelConfig = COMPACT
     """The model; not of stage densify."""
-    densifier: DensifyConfig = DENSIFIERS["compact"]
-    """The model of stage densify."""
     samples: SampleRecipe = field(default_factory=SampleRecipe)
     """What samples look like."""
     steps: int = 20_000
@@ -131,14 +135,22 @@ class Recipe:
         return self.samples.steps_per_object
 
     def to_dict(self) -> dict[str, Any]:
-        """Nested plain values, as in the JSON; of the two models the one that the stage trains."""
-        values = jsonio.plain(self)
-        del values["model" if self.stage == "densify" else "densifier"]
-        return values
+        """Nested plain values, as in the JSON."""
+        return jsonio.plain(self)
 
     def to_json(self) -> str:
         """Every field."""
         return json.dumps(self.to_dict(), indent=2)
+
+
+def additional_stage(stage: Stage) -> Any | None:
+    """The module of a stage that another distribution adds; None for those of this package. Raises ValueError where
+    that distribution is missing."""
+    if stage not in DISTRIBUTIONS:
+        return None
+    for entry_point in importlib.metadata.entry_points(group=ENTRY_POINTS, name=stage):
+        return entry_point.load()
+    raise ValueError(f"splatpainter train {stage}: not installed; it comes with {DISTRIBUTIONS[stage]}")
 
 
 def names() -> list[str]:
@@ -148,7 +160,8 @@ def names() -> list[str]:
 
 def load(name: str | Path, stage: Stage) -> Recipe:
     """The recipe of a name or JSON file, for a stage. Raises ValueError: no such recipe, or what is wrong in it."""
-    path = FOLDER / f"{name}-{stage}.json"
+    module = additional_stage(stage)
+    path = (module.RECIPES if module else FOLDER) / f"{name}-{stage}.json"
     if not path.is_file():
         path = Path(name)
         if not path.is_file():
@@ -157,14 +170,15 @@ def load(name: str | Path, stage: Stage) -> Recipe:
 
 
 def parse(text: str, stage: Stage, where: str = "recipe") -> Recipe:
-    """A recipe from JSON: the defaults with what the text says. A "preset" ("compact", "paper") in "model" or
-    "densifier" stands for the other values of that model. Raises ValueError naming `where` and the key."""
+    """A recipe from JSON: the defaults with what the text says. A "preset" ("compact", "paper") in "model" stands
+    for the other values of that model. Raises ValueError naming `where` and the key, and as additional_stage."""
     data = jsonio.load_object(text, where, "recipe")
     if data.get("stage", stage) != stage:
         raise ValueError(f"{where}: is a recipe of stage {jsonio.brief(data['stage'])}, not of '{stage}'")
-    base = Recipe(stage=stage)
-    for key, presets in (("model", PRESETS), ("densifier", DENSIFIERS)):
+    module = additional_stage(stage)
+    base: Recipe = (module.RECIPE_CLASS if module else Recipe)(stage=stage)
+    for key, presets in base.MODEL_PRESETS.items():
         model = data.get(key)
         if isinstance(model, dict) and str(model.get("preset")) in presets:
             base = dataclasses.replace(base, **{key: presets[model["preset"]]})
-    return jsonio.build(Recipe, data, where, what="recipe", base=base)
+    return jsonio.build(type(base), data, where, what="recipe", base=base)

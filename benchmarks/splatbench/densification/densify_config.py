@@ -1,7 +1,7 @@
 """Sizes and switches of the densifier; the dataclass is the command line and the JSON in the checkpoint. No torch here.
 
-`paper` has the numbers of the published system as far as they are known (arXiv 2412.06234); where nothing is known
-(heads, hidden widths, resolution) the choice is this package's.
+`paper` has the numbers of the published system as far as they are published (arXiv 2412.06234); of the others
+(heads, hidden widths, resolution) the choice is ours.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class DensifyConfig:
     preset: str = "paper"
     """Name of these settings."""
     most: int = 12_000
-    """Rows that are replaced, at most: those with the largest absolute screen-space gradients."""
+    """Gaussians that are replaced, at most: those with the largest absolute screen-space gradients."""
     min_opacity: float = 0.005
-    """Rows at or below this opacity are never chosen."""
+    """Gaussians at or below this opacity are never chosen."""
     sh_degree: int = 1
-    """Of the harmonics that the network sees and changes, 0..4; higher bands of a row stay."""
+    """Of the harmonics that the network sees and changes, 0..4; higher bands of a Gaussian stay."""
     widths: tuple[int, ...] = (160, 256)
     """Of a point's features in each level."""
     children: tuple[int, ...] = (2, 4)

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from splatbench.densification import densifier, training, view_features
+from splatbench.densification.densifier import Densifier, densified, prepared
+from splatbench.densification.densify_config import COMPACT, PRESETS, DensifyConfig
+from splatbench.densification.training import ms_ssim
 from torch.nn import functional as F
 
 from splatpainter.cameras import Camera, orbit
+from splatpainter.cli import main
 from splatpainter.data.samples import SampleRecipe, SampleStream
 from splatpainter.data.scenes import ProceduralSource
 from splatpainter.metrics import psnr, ssim
 from splatpainter.models import checkpoint
-from splatpainter.models.densification import curves, looks, network
-from splatpainter.models.densification.config import COMPACT, PRESETS, DensifyConfig
-from splatpainter.models.densification.densifier import Densifier, densified, picked
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn.attention import Groups
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.train import recipes
-from splatpainter.train.build import densify_task
 from splatpainter.train.distributed import Group
 from splatpainter.train.loop import Loop
-from splatpainter.train.loss import ms_ssim
 from tests.support.model_scenes import TINY
 from tests.support.train_scenes import RECIPE
 
@@ -70,79 +70,89 @@ def test_curves_by_hand_and_by_what_defines_them() -> None:
     """Z-order: x y z bits from the top. Hilbert: every cell once, each next to the one before."""
     cell = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 1, 2], [7, 7, 7]])
     # 3, 1, 2 = 011, 001, 010 -> 000 101 110 = 46
-    assert curves.z_order(cell, 3).tolist() == [4, 2, 1, 32, 46, 511]
+    assert densifier.z_order(cell, 3).tolist() == [4, 2, 1, 32, 46, 511]
     every = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    key = curves.hilbert(every, 3)
+    key = densifier.hilbert(every, 3)
     assert sorted(key.tolist()) == list(range(512))
     assert (np.abs(np.diff(every[np.argsort(key)], axis=0)).sum(1) == 1).all()
-    assert curves.windows(100, 48) == [48, 48, 4] and curves.windows(96, 48) == [48, 48] and curves.windows(0, 48) == []
+    assert (
+        densifier.windows(100, 48) == [48, 48, 4]
+        and densifier.windows(96, 48) == [48, 48]
+        and densifier.windows(0, 48) == []
+    )
     lo, points = np.zeros(3), np.array([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9], [0.1, 0.1, 0.1], [5, -3, 0]])
-    assert curves.along(points, lo, 1.0, "z").tolist() == [2, 1, 0, 3]  # x weighs most; outside: the nearest cell
-    assert curves.along(points, lo, 1.0, "z-turned").tolist() == [2, 3, 0, 1]  # z weighs most
+    assert densifier.along(points, lo, 1.0, "z").tolist() == [2, 1, 0, 3]  # x weighs most; outside: the nearest cell
+    assert densifier.along(points, lo, 1.0, "z-turned").tolist() == [2, 3, 0, 1]  # z weighs most
     same = np.full((5, 3), 0.3)
-    assert all(curves.along(same, lo, 1.0, curve).tolist() == [0, 1, 2, 3, 4] for curve in curves.CURVES)
+    assert all(densifier.along(same, lo, 1.0, curve).tolist() == [0, 1, 2, 3, 4] for curve in densifier.CURVES)
 
 
 def test_pull_grows_where_the_picture_differs_and_the_hardest_are_chosen() -> None:
-    own = sphere(4)
+    asset = sphere(4)
     means = np.array([[-0.5, 0, 3], [0.5, 0, 3], [0.5, 0.5, 3], [-0.5, 0.5, 3]], np.float32)
-    own = replace(own, means=means, scales=np.full((4, 3), 0.08, np.float32), opacities=np.full(4, 0.8, np.float32))
-    picture = render(own, CAMERA).colors[0].clip(0, 1)
+    asset = replace(asset, means=means, scales=np.full((4, 3), 0.08, np.float32), opacities=np.full(4, 0.8, np.float32))
+    picture = render(asset, CAMERA).colors[0].clip(0, 1)
     changed = picture.copy()
     changed[:, 32:] = 1 - changed[:, 32:]  # around rows 1 and 2 alone
-    found = looks.look(own, [CAMERA], [changed])
-    assert found.pull[[1, 2]].min() > 10 * found.pull[[0, 3]].max()
-    assert found.shown.shape == (1, 4) and found.shown.min() > 1
-    assert np.allclose(found.renders[0], picture, atol=1e-6)
+    measured = view_features.measure_views(asset, [CAMERA], [changed])
+    assert measured.pull[[1, 2]].min() > 10 * measured.pull[[0, 3]].max()
+    assert measured.coverage.shape == (1, 4) and measured.coverage.min() > 1
+    assert np.allclose(measured.renders[0], picture, atol=1e-6)
     pull = np.array([3.0, 5.0, 0.0, 5.0], np.float32)
-    assert looks.choose(own, pull, replace(SMALL, most=2)).tolist() == [1, 3]
-    assert looks.choose(own, pull, SMALL).tolist() == [0, 1, 3]  # nothing pulls at row 2
-    faint = replace(own, opacities=np.array([0.8, 0.005, 0.8, 0.006], np.float32))
-    assert looks.choose(faint, pull, SMALL).tolist() == [0, 3]
+    assert view_features.choose(asset, pull, replace(SMALL, most=2)).tolist() == [1, 3]
+    assert view_features.choose(asset, pull, SMALL).tolist() == [0, 1, 3]  # nothing pulls at row 2
+    faint = replace(asset, opacities=np.array([0.8, 0.005, 0.8, 0.006], np.float32))
+    assert view_features.choose(faint, pull, SMALL).tolist() == [0, 3]
 
 
 def test_pictures_are_sampled_where_rows_lie() -> None:
     point = np.array([[0.3, -0.2, 2.0], [0, 0, -1.0]])
-    at = looks.project(point, CAMERA)
+    at = view_features.project(point, CAMERA)
     assert np.allclose(at[0], [80 * 0.15 + 32, 80 * -0.1 + 32]) and at[1].max() < 0
     ramp = np.stack(np.meshgrid(np.arange(8) + 0.5, np.arange(8) + 0.5), -1).astype(np.float32)  # its own x, y
-    places = np.array([[2.5, 3.5], [4.0, 2.25], [6.1, 6.9]])
-    assert np.allclose(looks.sample(ramp, places, np.zeros(3, int)), places, atol=1e-5)
-    assert np.allclose(looks.sample(ramp, places, np.ones(3, int)), places, atol=1e-5)  # means of a ramp are a ramp
+    positions = np.array([[2.5, 3.5], [4.0, 2.25], [6.1, 6.9]])
+    assert np.allclose(view_features.sample(ramp, positions, np.zeros(3, int)), positions, atol=1e-5)
+    assert np.allclose(
+        view_features.sample(ramp, positions, np.ones(3, int)), positions, atol=1e-5
+    )  # means of a ramp are a ramp
     checker = (np.indices((8, 8)).sum(0) % 2).astype(np.float32)[..., None]
-    assert np.allclose(looks.sample(checker, places, np.full(3, 1)), 0.5)  # 2 x 2 pixels: grey
-    assert np.allclose(looks.sample(ramp, np.array([[-9.0, 4.0]]), np.zeros(1, int)), [[0.5, 4.0]])  # the edge's
+    assert np.allclose(view_features.sample(checker, positions, np.full(3, 1)), 0.5)  # 2 x 2 pixels: grey
+    assert np.allclose(
+        view_features.sample(ramp, np.array([[-9.0, 4.0]]), np.zeros(1, int)), [[0.5, 4.0]]
+    )  # the edge's
 
 
 def test_features_say_what_was_put_in() -> None:
-    own, (cameras, colors) = sphere(), views(sphere())
-    found = looks.look(own, cameras, colors)
-    places = looks.choose(own, found.pull, SMALL)
-    told = looks.gather(own, places, found, cameras, colors, SMALL)
-    assert told.features.shape == (100, looks.feature_count(SMALL)) and torch.isfinite(told.features).all()
-    assert told.features.abs().max() < 8
-    sigma = told.rows.scales.gather(1, told.ranks)
+    asset, (cameras, colors) = sphere(), views(sphere())
+    measured = view_features.measure_views(asset, cameras, colors)
+    gaussian_ids = view_features.choose(asset, measured.pull, SMALL)
+    inputs = view_features.gather(asset, gaussian_ids, measured, cameras, colors, SMALL)
+    assert inputs.features.shape == (100, view_features.feature_count(SMALL)) and torch.isfinite(inputs.features).all()
+    assert inputs.features.abs().max() < 8
+    sigma = inputs.rows.scales.gather(1, inputs.ranks)
     assert (sigma[:, 0] >= sigma[:, 1]).all() and (sigma[:, 1] >= sigma[:, 2]).all()
     # Axes: the covariance R S^2 R^T, from the row's own quaternion by hand, has them as eigenvectors.
-    w, x, y, z = F.normalize(told.rows.quats, dim=1).double().unbind(1)
+    w, x, y, z = F.normalize(inputs.rows.quats, dim=1).double().unbind(1)
     first = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], 1)  # image of the x axis
-    k = (told.ranks == 0).nonzero()[:, 1]
-    assert torch.allclose(told.axes[torch.arange(100), k].double(), first, atol=1e-5)
+    k = (inputs.ranks == 0).nonzero()[:, 1]
+    assert torch.allclose(inputs.axes[torch.arange(100), k].double(), first, atol=1e-5)
     # Of a picture that is exactly the render there is no difference to see.
-    plain = [picture.clip(0, 1) for picture in render(own, cameras).colors]
-    same = looks.gather(own, places, looks.look(own, cameras, plain), cameras, plain, SMALL).features
+    plain = [picture.clip(0, 1) for picture in render(asset, cameras).colors]
+    same = view_features.gather(
+        asset, gaussian_ids, view_features.measure_views(asset, cameras, plain), cameras, plain, SMALL
+    ).features
     harmonics = 3 * (SMALL.sh_degree + 1) ** 2
     changes = same[:, 13 + harmonics + 3 : 13 + harmonics + 9 + 27]
     assert changes.abs().max() < 1e-5
-    assert told.features[:, 13 + harmonics + 3 : 13 + harmonics + 9 + 27].abs().max() > 0.05
+    assert inputs.features[:, 13 + harmonics + 3 : 13 + harmonics + 9 + 27].abs().max() > 0.05
 
 
 def test_attention_is_dense_attention_inside_windows_along_the_curve() -> None:
     torch.manual_seed(0)
-    block = network.WindowBlock(8, 2, 16).double()
+    block = densifier.WindowBlock(8, 2, 16).double()
     torch.nn.init.normal_(block.adapt.weight, std=0.1)
     x, order = torch.randn(10, 8, dtype=torch.float64), torch.randperm(10)
-    got = block(x, order, Groups.of(curves.windows(10, 4)))
+    got = block(x, order, Groups.of(densifier.windows(10, 4)))
     gain, shift, gain_mlp, shift_mlp = block.adapt(F.silu(x.mean(0))).split(8)
     centred = (x - x.mean(1, keepdim=True)) / (x.var(1, unbiased=False, keepdim=True) + 1e-5).sqrt()
     y = centred * (1 + gain) + shift
@@ -160,15 +170,15 @@ def test_attention_is_dense_attention_inside_windows_along_the_curve() -> None:
 
 def test_masks_codes_and_even_splits_by_hand() -> None:
     chance = torch.tensor([0.2, 0.9, 0.5, 0.5, 0.1])
-    assert network.going_on(chance, 0.4).tolist() == [False, True, True, False, False]  # of equals the first
-    assert network.going_on(chance, 0.8).sum() == 4 and network.going_on(chance, 1.0).all()
-    code = network.wave_code(torch.tensor([[0.5, 0.25, 0.0]]), 2)[0].tolist()
+    assert densifier.going_on(chance, 0.4).tolist() == [False, True, True, False, False]  # of equals the first
+    assert densifier.going_on(chance, 0.8).sum() == 4 and densifier.going_on(chance, 1.0).all()
+    code = densifier.wave_code(torch.tensor([[0.5, 0.25, 0.0]]), 2)[0].tolist()
     half = math.sqrt(0.5)
     assert np.allclose(code, [1, 0, 0, -1, half, 1, half, 0, 0, 0, 1, 1], atol=1e-6)
     for count in (2, 4):
-        places = network.even_split(count).double()
-        assert places.shape == (count, 3) and torch.allclose(places.sum(0), torch.zeros(3).double())
-        spread = places.square().mean(0) + torch.tensor([1.0, float(count == 4), 0.0]) * network.SHRINK**2
+        offsets = densifier.even_split(count).double()
+        assert offsets.shape == (count, 3) and torch.allclose(offsets.sum(0), torch.zeros(3).double())
+        spread = offsets.square().mean(0) + torch.tensor([1.0, float(count == 4), 0.0]) * densifier.SHRINK**2
         assert torch.allclose(spread[: count // 2], torch.ones(count // 2).double(), atol=1e-6)  # the parent's variance
 
 
@@ -177,11 +187,11 @@ def test_a_split_row_looks_like_its_parent(count: int) -> None:
     """Composited alpha over the plane of the two long axes, integrated numerically."""
     line = torch.linspace(-4, 4, 161, dtype=torch.float64)
     x, y = torch.meshgrid(line, line, indexing="ij")
-    narrow = network.SHRINK
+    narrow = densifier.SHRINK
     for opacity in (0.1, 0.5, 0.95):
-        a, b = network.FAINTER[count]
+        a, b = densifier.FAINTER[count]
         clear = torch.ones_like(x)
-        for u, v, _ in network.even_split(count).tolist():
+        for u, v, _ in densifier.even_split(count).tolist():
             tall = narrow if count == 4 else 1.0
             clear *= 1 - opacity * (a + b * opacity) * torch.exp(-(((x - u) / narrow) ** 2 + ((y - v) / tall) ** 2) / 2)
         parent = opacity * torch.exp(-(x * x + y * y) / 2)
@@ -190,35 +200,35 @@ def test_a_split_row_looks_like_its_parent(count: int) -> None:
 
 
 def test_an_untrained_densifier_stays_near_the_asset_and_keeps_what_it_does_not_choose() -> None:
-    own, (cameras, colors) = sphere(), views(sphere())
-    made = densified(model(), own, cameras, colors)
-    assert len(made.chosen) == 100 and made.splats.sh_degree == own.sh_degree
+    asset, (cameras, colors) = sphere(), views(sphere())
+    made = densified(model(), asset, cameras, colors)
+    assert len(made.chosen) == 100 and made.splats.sh_degree == asset.sh_degree
     # ceil(0.8 100) = 80 go on, 20 stay; 160 children, 128 go on, 32 stay; 512 grandchildren.
     assert len(made.parents) == 20 + 32 + 512 and len(made.splats) == 300 - 100 + len(made.parents)
     stay = np.setdiff1d(np.arange(300), made.chosen)
     out = made.splats.numpy()
     for name in ATTRIBUTES:
-        assert np.array_equal(getattr(out, name)[:200], getattr(own, name)[stay])
+        assert np.array_equal(getattr(out, name)[:200], getattr(asset, name)[stay])
     assert set(made.parents.tolist()) == set(made.chosen.tolist())
     # New rows lie within their parents, and colours are the parents' own.
     assert (
-        np.linalg.norm(out.means[200:] - own.means[made.parents], axis=1) < own.scales[made.parents].max(1) * 2
+        np.linalg.norm(out.means[200:] - asset.means[made.parents], axis=1) < asset.scales[made.parents].max(1) * 2
     ).all()
-    assert np.array_equal(out.sh[200:], own.sh[made.parents])
-    before, after = (render(s, cameras).colors.astype(np.float64).clip(0, 1) for s in (own, out))
-    gone = render(own.take(stay), cameras).colors.astype(np.float64).clip(0, 1)
-    assert psnr(after[0], before[0]) > max(25.0, psnr(gone[0], before[0]) + 6)
-    absolute = densified(model(replace(SMALL, head="absolute")), own, cameras, colors)
+    assert np.array_equal(out.sh[200:], asset.sh[made.parents])
+    before, after = (render(s, cameras).colors.astype(np.float64).clip(0, 1) for s in (asset, out))
+    without = render(asset.take(stay), cameras).colors.astype(np.float64).clip(0, 1)
+    assert psnr(after[0], before[0]) > max(25.0, psnr(without[0], before[0]) + 6)
+    absolute = densified(model(replace(SMALL, head="absolute")), asset, cameras, colors)
     new = absolute.splats.opacities[200:]
     assert torch.allclose(new, torch.full_like(new, 1 / (1 + math.exp(2.1792))), atol=0.05)
 
 
 def test_the_order_of_rows_does_not_matter() -> None:
     """The network is equivariant: what a row becomes does not depend on where in the list it stands."""
-    own, (cameras, colors) = sphere(), views(sphere())
+    asset, (cameras, colors) = sphere(), views(sphere())
     net = model(awake=0.3)
     order = np.random.default_rng(3).permutation(300)
-    here, there = (densified(net, s, cameras, colors) for s in (own, own.take(order)))
+    here, there = (densified(net, s, cameras, colors) for s in (asset, asset.take(order)))
     assert set(order[there.chosen].tolist()) == set(here.chosen.tolist())
 
     def sorted_rows(splats: Splats) -> np.ndarray:
@@ -229,14 +239,14 @@ def test_the_order_of_rows_does_not_matter() -> None:
 
 
 def test_gradients_reach_every_weight_and_one_scene_is_learnt() -> None:
-    own, (cameras, colors) = sphere(), views(sphere())
+    asset, (cameras, colors) = sphere(), views(sphere())
     net = model(awake=0.01).train()
     rng = np.random.default_rng(0)
     rate, losses = torch.optim.Adam(net.parameters(), 3e-3), []
-    wanted = torch.from_numpy(np.stack(colors))
+    truth = torch.from_numpy(np.stack(colors))
     for step in range(12):
-        made = densified(net, own, cameras, colors, rng)
-        loss = (render(made.splats, cameras).colors - wanted).square().mean()
+        made = densified(net, asset, cameras, colors, rng)
+        loss = (render(made.splats, cameras).colors - truth).square().mean()
         rate.zero_grad()
         loss.backward()
         if step == 1:
@@ -283,13 +293,13 @@ def test_settings_that_make_no_sense(change: dict[str, object], message: str) ->
 
 
 def test_bad_input_is_one_line() -> None:
-    own, (cameras, colors) = sphere(), views(sphere())
+    asset, (cameras, colors) = sphere(), views(sphere())
     with pytest.raises(ValueError, match="a picture for each camera, got 2 for 3"):
-        picked(SMALL, own, cameras, colors[:2])
+        prepared(SMALL, asset, cameras, colors[:2])
     with pytest.raises(ValueError, match=r"expected 48x48 RGB pictures, got \[24, 24, 3\]"):
-        picked(SMALL, own, cameras, [picture[:24, :24] for picture in colors])
+        prepared(SMALL, asset, cameras, [picture[:24, :24] for picture in colors])
     with pytest.raises(ValueError, match="at least 16 rows that the views show, got 8"):
-        picked(replace(SMALL, most=8), own, cameras, colors)
+        prepared(replace(SMALL, most=8), asset, cameras, colors)
 
 
 def test_ms_ssim_against_the_metric() -> None:
@@ -309,13 +319,27 @@ def test_ms_ssim_against_the_metric() -> None:
         ms_ssim(torch.zeros(1, 8, 8, 3), torch.zeros(1, 8, 8, 3))
 
 
+def test_the_command_finds_the_stage_and_its_recipes(capsys: pytest.CaptureFixture[str]) -> None:
+    for path in training.RECIPES.glob("*.json"):
+        recipe = recipes.load(path.stem.removesuffix("-densify"), "densify")
+        assert isinstance(recipe, training.DensifyRecipe) and recipes.parse(recipe.to_json(), "densify") == recipe
+    assert recipes.load("paper", "densify").densifier == PRESETS["paper"]  # type: ignore[attr-defined]
+    assert main(["train", "densify", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert (
+        "--densifier.head" in text and "Optimiser steps; the learning rate's cosine ends there. (default: 4000)" in text
+    )
+    assert main(["train", "densify"]) == 2
+    assert "splatpainter train densify: --data is missing" in capsys.readouterr().err
+
+
 def test_the_trainer_trains_it(tmp_path: Path) -> None:
     samples = SampleRecipe(
         {"zoom": 1.0}, size=32, rows=200, surfels=1500, base_views=2, novel_views=2, steps_per_object=2
     )
+    base = {field.name: getattr(RECIPE, field.name) for field in fields(RECIPE) if field.name != "stage"}
     recipe = replace(
-        RECIPE,
-        stage="densify",
+        training.DensifyRecipe(**base),
         densifier=SMALL,
         samples=samples,
         steps=3,
@@ -324,23 +348,22 @@ def test_the_trainer_trains_it(tmp_path: Path) -> None:
         gradient_rows=60,
         validate_every=3,
     )
-    told = recipe.to_dict()
-    assert "model" not in told and told["densifier"]["most"] == 100
+    stored = recipe.to_dict()
+    assert "model" not in stored and stored["densifier"]["most"] == 100
     assert recipes.parse(recipe.to_json(), "densify") == replace(recipe, model=recipes.Recipe().model)
-    assert "densifier" not in RECIPE.to_dict()
     stream = SampleStream(ProceduralSource(2, seed=3), samples, seed=1)
-    said: list[str] = []
+    lines: list[str] = []
     torch.manual_seed(0)
-    loop = Loop(densify_task(recipe, None), recipe, stream, [stream[4]], tmp_path, Group(), say=said.append)
+    loop = Loop(training.make_task(recipe, None), recipe, stream, [stream[4]], tmp_path, Group(), say=lines.append)
     result = loop()
     assert result.step == 3 and result.failed == 0 and result.ended == "done"
     assert {"nothing", "ours", "gain", "around ours"} <= result.validation["zoom"].keys()
     trained = Densifier.load(tmp_path / "model")
     assert trained.config == SMALL and trained.notes["stage"] == "densify"
     # Going on, and starting from it.
-    again = Loop(densify_task(recipe, None), recipe, stream, [], tmp_path, Group(), resume=True)
+    again = Loop(training.make_task(recipe, None), recipe, stream, [], tmp_path, Group(), resume=True)
     assert again.progress.step == 3
-    followed = densify_task(recipe, tmp_path / "model", said.append)
+    followed = training.make_task(recipe, tmp_path / "model", lines.append)
     assert torch.equal(followed.model.network.embed.weight, trained.network.embed.weight)
     with pytest.raises(ValueError, match="weights of another model: window 16 there, 8 here"):
-        densify_task(replace(recipe, densifier=replace(SMALL, window=8)), tmp_path / "model")
+        training.make_task(replace(recipe, densifier=replace(SMALL, window=8)), tmp_path / "model")
