@@ -95,7 +95,7 @@ class Asset:
     @cached_property
     def normals(self) -> np.ndarray:
         """[N, 3] float32 outward unit normals, made on first use; zeros for Gaussians that cannot be drawn."""
-        from splatpainter.lift.normals import outward_normals
+        from splatpainter.lift.surface import outward_normals
 
         return outward_normals(self.splats)
 
@@ -386,7 +386,7 @@ class Painter:
         self, before: Splats, after: Splats, lifted: LiftedEdit, views: Sequence[EditView], mode: Mode
     ) -> Splats:
         """Two rounds of the lift's colours on the Gaussians that the edit may change."""
-        from splatpainter.lift.color_refine import refine_colors_global, refine_colors_local
+        from splatpainter.lift.colors import refine_colors_global, refine_colors_local
 
         if mode == "global":
             return refine_colors_global(after, [(v.camera, v.edited, v.mask) for v in views])

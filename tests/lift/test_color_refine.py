@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatpainter.lift.color_refine import refine_colors_global, refine_colors_local
+from splatpainter.lift.colors import refine_colors_global, refine_colors_local
 from splatpainter.models.gaussian_groups import drift_features
 from tests.support.lift_scenes import back, base_colors, dense_weights, differing, disk, front, sheet
 

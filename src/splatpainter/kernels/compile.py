@@ -27,7 +27,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
     "splatpainter.rendering.cpu.warm:warm_projection": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
-    "splatpainter.lift.surface:warm": ("lift/surface.py",),
+    "splatpainter.lift.surface:warm": ("lift/surface.py", "rendering/cpu/geometry.py"),
     "splatpainter.lighting:warm": ("lighting.py",),
 }
 """Registry. "module:function" that calls every kernel of its package once with float32 arrays -> files and folders

@@ -84,9 +84,9 @@ def _scratch(typing, like, size):
     def generate(context, builder, signature, arguments):
         scalar = context.get_data_type(signature.args[0].dtype)
         with builder.goto_entry_block():
-            place = builder.alloca(ir.ArrayType(scalar, count))
-            place.align = 64
-        return builder.bitcast(place, scalar.as_pointer())
+            pointer = builder.alloca(ir.ArrayType(scalar, count))
+            pointer.align = 64
+        return builder.bitcast(pointer, scalar.as_pointer())
 
     return types.CPointer(like.dtype)(like, size), generate
 
@@ -98,18 +98,18 @@ def _prefetch(typing, array, row):
         ary = context.make_array(signature.args[0])(context, builder, arguments[0])
         stride = builder.extract_value(ary.shape, 1)
         i32 = ir.IntType(32)
-        place = builder.gep(ary.data, [builder.mul(arguments[1], stride)])
-        place = builder.bitcast(place, ir.IntType(8).as_pointer())
-        kind = ir.FunctionType(ir.VoidType(), [place.type, i32, i32, i32])
+        pointer = builder.gep(ary.data, [builder.mul(arguments[1], stride)])
+        pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [pointer.type, i32, i32, i32])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        builder.call(function, [place, i32(0), i32(3), i32(1)])
+        builder.call(function, [pointer, i32(0), i32(3), i32(1)])
         return context.get_dummy_value()
 
     return types.void(array, types.int64), generate
 
 
-def _sum_lanes(typing, lanes, fields, sums, place):
-    """sums[place, k] = sum_l lanes[k, l] for k < fields (a constant), 0 in its other columns (8 or 16 in all), for
+def _sum_lanes(typing, lanes, fields, sums, row):
+    """sums[row, k] = sum_l lanes[k, l] for k < fields (a constant), 0 in its other columns (8 or 16 in all), for
     lanes [>= fields, 16]: a shuffle tree that ends with all sums in one vector, about one step per field."""
     if not isinstance(fields, types.IntegerLiteral):
         return None
@@ -139,16 +139,16 @@ def _sum_lanes(typing, lanes, fields, sums, place):
         nothing = ir.Constant(vector, None)
         level = [nothing] * width
         for k in range(count):
-            place = builder.bitcast(builder.gep(source.data, [i64(16 * k)]), vector.as_pointer())
-            level[k] = builder.load(place, align=size)
+            pointer = builder.bitcast(builder.gep(source.data, [i64(16 * k)]), vector.as_pointer())
+            level[k] = builder.load(pointer, align=size)
         half = 1
         while len(level) > 1:
             pairs = zip(level[::2], level[1::2], strict=True)
             level = [nothing if x is nothing and y is nothing else merge(x, y, half) for x, y in pairs]
             half *= 2
         total = level[0] if width == 16 else add(level[0], nothing, range(8), range(8, 16))
-        place = builder.gep(target.data, [builder.mul(arguments[3], i64(width))])
-        builder.store(total, builder.bitcast(place, total.type.as_pointer()), align=size)
+        pointer = builder.gep(target.data, [builder.mul(arguments[3], i64(width))])
+        builder.store(total, builder.bitcast(pointer, total.type.as_pointer()), align=size)
         return context.get_dummy_value()
 
     return types.void(lanes, fields, sums, types.int64), generate

@@ -1,4 +1,5 @@
-"""Colour rounds of one view: move Gaussians' colours so that their composite becomes a target picture.
+"""Colour rounds: move Gaussians' colours so that their composite becomes a target picture, in one view or in several at
+once; and two rounds on an asset whose geometry is settled (refine_colors_*), for what is left of the pictures' error.
 
 A picture is linear in the Gaussians' colours, C_p = sum_i w_ip c_i + T_p background. One round is
 c_i += sum_p w_ip m_p (I*_p - C_p) / sum_p w_ip m_p over *all* pixels of the Gaussian, edited or not (SIRT; as
@@ -9,17 +10,27 @@ divisor and h_i (c_i - old) taken from the sum.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 
-from splatpainter.rendering.cpu.projected_view import ProjectedView
+from splatpainter.cameras import Camera
+from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import sirt_steps
-from splatpainter.splats import SH_C0
+from splatpainter.splats import SH_C0, Splats
 
 MAX_COLOR = 1.3
 """Upper bound of a lifted colour; the lower one is the renderer's clamp at 0, without which Gaussians compensate for
 each other with colours that are never drawn (measured: 2 dB inside the mask, 0.5 dB on novel views)."""
 MIN_CHANGE = 1 / 1024
 """Colours that move by no more than this keep their bits."""
+MIN_SEEN_PX = 0.05
+"""Pixels of weight from which a Gaussian counts as seen."""
+MIN_SOLID_ALPHA = 0.9
+"""Pixels that the asset covers by less than this do not count: their colour is the background's too."""
+REFINE_ROUNDS = 2
 
 
 def lift_colors(
@@ -85,3 +96,91 @@ def recolor(
     out = sh * keep[..., None]
     out[:, 0] = (target - 0.5 - keep * varying) / SH_C0
     return out.astype(sh.dtype)
+
+
+@dataclass(frozen=True)
+class SolidView:
+    """One edited view: where it counts, and what it shows of each Gaussian."""
+
+    camera: Camera
+    target: np.ndarray = field(repr=False)
+    """[H, W, 3] float32."""
+    use: np.ndarray = field(repr=False)
+    """[H, W] float32: 1 where pixels count."""
+    weight: np.ndarray = field(repr=False)
+    """[N] float32 pixels that show each Gaussian."""
+    projected: ProjectedView = field(repr=False)
+    """The asset before the edit, in this view."""
+
+    @staticmethod
+    def of(splats: Splats, camera: Camera, target: np.ndarray, mask: np.ndarray) -> SolidView:
+        """mask: [H, W] bool."""
+        projected = project(splats, camera)
+        _, alpha, _ = projected.rasterize()
+        use = (mask & (alpha > MIN_SOLID_ALPHA)).astype(np.float32)
+        weight = np.zeros(len(splats), np.float32)
+        weight[projected.gaussian_ids] = projected.backproject(target, use).weight
+        return SolidView(camera, target, use, weight, projected)
+
+
+def total_weight(views: Sequence[SolidView]) -> np.ndarray:
+    """[N] float32 pixels of all views that show each Gaussian."""
+    return np.sum([view.weight for view in views], axis=0)
+
+
+def joint_change(
+    views: Sequence[SolidView],
+    rounds: int,
+    *,
+    projected: Sequence[ProjectedView] | None = None,
+    hold: float = 0.0,
+    limit: float = MAX_COLOR,
+) -> np.ndarray:
+    """[N, 3] float32 change of base colour after `rounds`; zeros for Gaussians that are not seen. projected: the asset
+    in each view, where it is no longer the one before the edit; hold: pixels of weight that pull every Gaussian back to
+    no change; limit: the largest change."""
+    projected = projected or [view.projected for view in views]
+    total = total_weight(views)
+    change = np.zeros((len(total), 3), np.float32)
+    for _ in range(rounds):
+        gain = np.zeros_like(change)
+        for now, view in zip(projected, views, strict=True):
+            ids, before = now.gaussian_ids, now.unclamped_colors
+            colors = np.clip(before + change[ids], 0, np.maximum(before, MAX_COLOR))
+            gain_here = now.sirt_step(view.target, view.use, colors)[0]
+            gain[ids] += np.where(view.weight[ids, None] > 0, gain_here, 0)
+        change += (gain - hold * change) / np.maximum(total + hold, 1e-6)[:, None]
+        np.clip(change, -limit, limit, out=change)
+    return np.where(total[:, None] > MIN_SEEN_PX, change, 0)
+
+
+def refine_colors_local(
+    splats: Splats,
+    pictures: Sequence[tuple[Camera, np.ndarray]],
+    editable: np.ndarray,
+    rounds: int = REFINE_ROUNDS,
+) -> Splats:
+    """One view after the other: where they disagree, the latest wins. pictures: (camera, target [H, W, 3]), the full
+    picture to reach: where nothing was edited it holds Gaussians that straddle the edit's edge; editable: [N] bool.
+    Other Gaussians keep their bits."""
+    for camera, target in pictures:
+        tiles = project(splats, camera, gaussian_mask=editable).tiles_of(editable)
+        view = project(splats, camera, tiles=tiles)
+        sh = painted_sh(splats.sh, view, target, editable[view.gaussian_ids], rounds, LOCAL_DEFAULTS.damping)
+        splats = splats if sh is splats.sh else replace(splats, sh=sh)
+    return splats
+
+
+def refine_colors_global(
+    splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]], rounds: int = REFINE_ROUNDS
+) -> Splats:
+    """All Gaussians that the views show, from all of them at once. views: (camera, target [H, W, 3], mask [H, W] bool);
+    pixels that the asset covers by less than 0.9 do not count."""
+    solid = [SolidView.of(splats, *view) for view in views]
+    change = joint_change(solid, rounds, limit=np.inf)
+    moved = (total_weight(solid) > MIN_SEEN_PX) & (np.abs(change).max(1) > MIN_CHANGE)
+    if not moved.any():
+        return splats
+    sh = splats.sh.copy()
+    sh[moved, 0] += change[moved] / SH_C0
+    return replace(splats, sh=sh)

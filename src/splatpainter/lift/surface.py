@@ -1,20 +1,37 @@
-"""The visible surface in one view: its smoothed z-depth, its normals, and the Gaussian that makes each pixel."""
+"""The visible surface in one view (its smoothed z-depth, its normals, and the Gaussian that makes each pixel), and the
+normals of Gaussians: their shortest axes, turned to the side from which they are seen."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from splatpainter.cameras import Camera
+from splatpainter.cameras import Camera, look_at, orbit
 from splatpainter.kernels.parallel import run
-from splatpainter.rendering.cpu.projected_view import ProjectedView
+from splatpainter.rendering.cpu.geometry import (
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    DEPTH,
+    EXTENT_X,
+    EXTENT_Y,
+    MEAN_X,
+    MEAN_Y,
+    OPACITY,
+)
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats
+from splatpainter.transforms import quat_to_matrix
 
 STOPPED_LIGHT = 0.4
 """The surface is where this much of a pixel's light has been stopped: in front of the expected depth, so that little
 lies before it, but not on the first floater."""
 SMOOTHING_PX = 3
 """Pixels around each one whose depths are averaged."""
+RING_VIEWS = 8
+"""Views around the asset that decide which side of a Gaussian is its outside."""
+RING_PX = 160
+"""Pixels of their edges."""
 
 
 def surface(view: ProjectedView, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -50,11 +67,43 @@ def surface_normals(depth: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: C
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
+def outward_normals(splats: Splats, views: int = RING_VIEWS) -> np.ndarray:
+    """[N, 3] float32 unit shortest axes, turned towards the side from which a ring of views sees the Gaussian (else
+    away from the asset's centre); zeros for those that cannot be drawn. Colours have no part in them. At least one
+    Gaussian must be drawable."""
+    drawable = splats.drawable
+    if not drawable.all():
+        return scattered(outward_normals(splats.take(drawable), views), drawable)
+    n = len(splats)
+    normal = quat_to_matrix(splats.quats)[np.arange(n), :, splats.scales.argmin(1)]
+    center = np.median(splats.means, 0)
+    radius = float(np.quantile(np.linalg.norm(splats.means - center, axis=1), 0.98))
+    towards = 1e-3 * (splats.means - center) / max(radius, 1e-9)  # [N, 3] mean direction to the views that see it
+    shape = (RING_PX, RING_PX)
+    for k in range(views):
+        tilt = 35.0 if k % 2 else -20.0
+        start = 360.0 * k / views
+        camera = orbit(center, 2.8 * radius, 1, elevation=tilt, start=start, width=RING_PX, height=RING_PX)[0]
+        projected = project(splats, camera)
+        sums = projected.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))
+        away = camera.position.astype(np.float32) - splats.means[projected.gaussian_ids]
+        # What shimmers through the far wall is seen from within.
+        weight = np.where(sums.weight > 0.1 * sums.alpha, sums.weight, 0)
+        towards[projected.gaussian_ids] += weight[:, None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+    side = np.einsum("ni,ni->n", normal, towards)
+    normal = np.where(side[:, None] < 0, -normal, normal)
+    return normal.astype(np.float32)
+
+
+def scattered(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """values [M, ...] at the M set entries of mask [N] bool, zeros elsewhere."""
+    full = np.zeros((len(mask), *values.shape[1:]), values.dtype)
+    full[mask] = values
+    return full
+
+
 def warm() -> None:
     """Compile (or load) the kernels of this module."""
-    from splatpainter.cameras import look_at
-    from splatpainter.rendering.cpu.projected_view import project
-
     one = np.ones((1, 3), np.float32)
     splats = Splats(one * 0, np.ones((1, 4), np.float32), one, one[:, 0] * 0.9, one[:, None])
     view = project(splats, look_at((0, 0, -3), (0, 0, 0), width=32, height=32))
@@ -67,26 +116,26 @@ def _camera_points(z: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: Camera
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _stopped_at(records, members, tiles, starts, pixels, share, depth, host, thread, threads):
+def _stopped_at(projected, flatten_ids, tile_ids, isect_offsets, pixels, share, depth, host, thread, threads):
     """Walk each pixel's Gaussians front to back until `share` of the light is stopped; and note the heaviest."""
     height, width = pixels.shape
     across = (width + 15) // 16
-    for k in range(thread, tiles.shape[0], threads):
-        y0, x0 = (tiles[k] // across) * 16, (tiles[k] % across) * 16
+    for k in range(thread, tile_ids.shape[0], threads):
+        y0, x0 = (tile_ids[k] // across) * 16, (tile_ids[k] % across) * 16
         for y in range(y0, min(y0 + 16, height)):
             for x in range(x0, min(x0 + 16, width)):
                 if not pixels[y, x]:
                     continue
                 clear, best = np.float32(1), np.float32(0)
-                for p in range(starts[k], starts[k + 1]):
-                    i = members[p]
-                    dx = records[i, 0] - (np.float32(x) + np.float32(0.5))
-                    dy = records[i, 1] - (np.float32(y) + np.float32(0.5))
-                    if abs(dy) > records[i, 10] or abs(dx) > records[i, 11]:  # most Gaussians of a tile
+                for p in range(isect_offsets[k], isect_offsets[k + 1]):
+                    i = flatten_ids[p]
+                    dx = projected[i, MEAN_X] - (np.float32(x) + np.float32(0.5))
+                    dy = projected[i, MEAN_Y] - (np.float32(y) + np.float32(0.5))
+                    if abs(dy) > projected[i, EXTENT_Y] or abs(dx) > projected[i, EXTENT_X]:  # most Gaussians of a tile
                         continue
-                    sigma = records[i, 2] * dx * dx + records[i, 4] * dy * dy
-                    sigma = np.float32(0.5) * sigma + records[i, 3] * dx * dy
-                    alpha = min(np.float32(0.999), records[i, 5] * np.exp(-max(sigma, np.float32(0))))
+                    sigma = projected[i, CONIC_A] * dx * dx + projected[i, CONIC_C] * dy * dy
+                    sigma = np.float32(0.5) * sigma + projected[i, CONIC_B] * dx * dy
+                    alpha = min(np.float32(0.999), projected[i, OPACITY] * np.exp(-max(sigma, np.float32(0))))
                     if alpha < np.float32(1 / 255):
                         continue
                     weight = alpha * clear
@@ -95,7 +144,7 @@ def _stopped_at(records, members, tiles, starts, pixels, share, depth, host, thr
                         host[y, x] = i
                     clear -= weight
                     if depth[y, x] == 0 and 1 - clear >= share:
-                        depth[y, x] = records[i, 9]
+                        depth[y, x] = projected[i, DEPTH]
                     if clear < np.float32(1e-3):
                         break
 

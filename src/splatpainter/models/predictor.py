@@ -18,8 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.global_edit import Predict
-from splatpainter.lift.joint_colors import MIN_SEEN_PX
 from splatpainter.models.config import PredictConfig
 from splatpainter.nn.fast_weights import solve_ridge
 from splatpainter.nn.precision import exact
@@ -77,6 +77,7 @@ class Predictor(nn.Module):
         """Trained on rows alone, without pictures (train/stages/predict.py)."""
         super().__init__()
         width, self.features = config.hidden, config.features
+        # Attribute names are keys of stored weights; `own`: of a row alone, `company`: of the asset.
         self.own = nn.Sequential(nn.Linear(INPUTS, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
         self.company = nn.Sequential(nn.Linear(width, width), nn.SiLU())
         self.evidence = nn.Sequential(nn.Linear(INPUTS + 3, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
@@ -104,14 +105,14 @@ class Predictor(nn.Module):
             counts = weight[seen].clamp(max=MOST)
             share = (counts / counts.sum())[:, None]
             inputs = _inputs(facts[seen])
-            shown = change[seen] @ opponent.mT
-            told = (share * self.evidence(torch.cat([inputs, 4 * shown], 1))).sum(0)
+            seen_change = change[seen] @ opponent.mT
+            evidence = (share * self.evidence(torch.cat([inputs, 4 * seen_change], 1))).sum(0)
             everyone = _spread(torch.arange(len(facts), device=facts.device), COMPANY)
             company = self.company(self.own(_inputs(facts[everyone]))).mean(0)
-            around = torch.cat([company, told])
+            around = torch.cat([company, evidence])
             light, hue, mean = self._described(inputs, around)
             counted = share[:, 0] * self.trust.exp()
-            rest = shown - mean
+            rest = seen_change - mean
             solved = solve_ridge(light, rest[:, :1], counted), solve_ridge(hue, rest[:, 1:], counted)
             size = len(facts) if torch.is_grad_enabled() else CHUNK
             parts = []
@@ -122,9 +123,9 @@ class Predictor(nn.Module):
 
     def _described(self, inputs: Tensor, around: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(features for lightness [M, F], for hue [M, F], change expected beforehand [M, 3], lightness and hue)."""
-        mine, others = self.together.weight.split([self.expected.in_features, len(around)], dim=1)
-        same = functional.linear(around, others, self.together.bias)  # for all rows
-        x = functional.silu(functional.linear(self.own(inputs), mine) + same)
+        row_weight, context_weight = self.together.weight.split([self.expected.in_features, len(around)], dim=1)
+        same = functional.linear(around, context_weight, self.together.bias)  # for all rows
+        x = functional.silu(functional.linear(self.own(inputs), row_weight) + same)
         light, hue = (2 * self.features**-0.5 * self.describe(x)).chunk(2, dim=1)
         return light, hue, 0.1 * self.expected(x)
 
@@ -141,9 +142,9 @@ def predicting(
 
     def predict(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
         device = predictor.trust.device
-        told = (torch.from_numpy(np.ascontiguousarray(x, np.float32)).to(device) for x in (facts, change, weight))
+        inputs = (torch.from_numpy(np.ascontiguousarray(x, np.float32)).to(device) for x in (facts, change, weight))
         with torch.no_grad():
-            return predictor(*told).cpu().numpy()
+            return predictor(*inputs).cpu().numpy()
 
     return predict
 

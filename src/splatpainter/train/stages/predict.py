@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from splatpainter.data.global_edits import GlobalEdit
+from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.global_edit import regressed
-from splatpainter.lift.joint_colors import MIN_SEEN_PX
 from splatpainter.lift.options import GlobalOptions
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import row_facts

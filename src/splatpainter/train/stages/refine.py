@@ -18,8 +18,8 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit, lift_global_views, lift_local_views
 from splatpainter.lift.global_edit import Predict
-from splatpainter.lift.normals import outward_normals
 from splatpainter.lift.options import ResidualBase
+from splatpainter.lift.surface import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit
