@@ -13,7 +13,7 @@ import torch
 from splatpainter.lift.edit_views import edit_views
 from splatpainter.lift.edits import lift_local_views
 from splatpainter.models import checkpoint
-from splatpainter.models.config import COMPACT, PAPER, ModelConfig, shallow
+from splatpainter.models.config import COMPACT, PAPER, ModelConfig
 from splatpainter.models.encode import asset_views, canonical_cameras, encode_asset
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.weights import _Deferred
@@ -24,6 +24,7 @@ from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import voxelize
 from tests.support.lift_scenes import db, differing, disk, front, same_bits
+from tests.support.model_scenes import shallow
 from tests.support.painter_scenes import (
     BLUE,
     CAMERA,

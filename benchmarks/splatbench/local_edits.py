@@ -26,7 +26,7 @@ from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 from splatpainter.image_files import to_uint8
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.receipts import score
-from splatpainter.sources.layers import over, solid_layer
+from splatpainter.sources.drawing import over, solid_layer
 from splatpainter.splats import Splats
 
 BACKGROUND = (0.33, 0.35, 0.37)

@@ -23,7 +23,7 @@ from splatbench.scenes import resampled
 from splatpainter import text_tables as tables
 from splatpainter.cameras import look_at
 from splatpainter.contact_sheet import Strip, error_map, sheet
-from splatpainter.sources.layers import over
+from splatpainter.sources.drawing import over
 from splatpainter.splats import SH_C0, Splats
 
 

@@ -170,8 +170,8 @@ class Camera:
         try:
             red, green, blue = (float(c) for c in data.get("background") or (0, 0, 0))
             return Camera(
-                width=_whole(data["width"]),
-                height=_whole(data["height"]),
+                width=_pixel_count(data["width"]),
+                height=_pixel_count(data["height"]),
                 fx=float(data["fx"]),
                 fy=float(data["fy"]),
                 cx=float(data["cx"]),
@@ -186,7 +186,7 @@ class Camera:
             raise ValueError(f"{where}: {' '.join(str(error).split())[:200]}") from None
 
 
-def _whole(value: Any) -> int:
+def _pixel_count(value: Any) -> int:
     if int(value) != float(value):
         raise ValueError(f"expected whole pixels, got {value}")
     return int(value)

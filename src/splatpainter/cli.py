@@ -67,7 +67,7 @@ def _run(words: list[str]) -> Outcome:
     command = _module(name)
     if hasattr(command, "dispatch"):  # a command of commands
         return command.dispatch(rest)
-    from splatpainter.commands.options import parse
+    from splatpainter.commands.option_parsing import parse
 
     config = parse(command.Config, f"{PROGRAM} {name}", rest)
     outcome = command.run(config)

@@ -204,8 +204,8 @@ def _setting_problems(name: str, was: Any, now: Any) -> list[str]:
     if was == now:
         return []
     if isinstance(was, tuple) and isinstance(now, tuple):
-        gone, new = _without(was, now), _without(now, was)
-        lines = [f"{name}: {_quoted(line)} is missing" for line in gone] + [
+        missing, new = _without(was, now), _without(now, was)
+        lines = [f"{name}: {_quoted(line)} is missing" for line in missing] + [
             f"{name}: {_quoted(line)} is new" for line in new
         ]
         return lines[:MAX_LINES] or [f"{name}: its lines stand in another order"]

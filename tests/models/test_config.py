@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from splatpainter.models import config as module
-from splatpainter.models.config import PRESETS, CompressConfig, LrmConfig, ModelConfig, RefineConfig, shallow
+from splatpainter.models.config import PRESETS, CompressConfig, LrmConfig, ModelConfig, RefineConfig
+from tests.support.model_scenes import shallow
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.models.config import PRESETS, LrmConfig, shallow
-from splatpainter.models.lrm import AssetViews, GaussianLrm, nearest_points, patchify, rays, unpatchify
+from splatpainter.models.config import PRESETS, LrmConfig
+from splatpainter.models.lrm import AssetViews, GaussianLrm, nearest_points, patchify, rays
+from tests.support.model_scenes import shallow
 
 TINY = LrmConfig(patch=4, dim=32, layers=2, heads=4, hidden=64, sh_degree=1, views=2, image_size=16)
 SEEING = replace(TINY, geometry=True)
@@ -85,7 +86,6 @@ def test_patches_are_in_the_stated_order() -> None:
     assert cut.shape == (2 * 2 * 3, 4 * 4 * 3)
     # Second view, lower row of patches, middle column; second line of the patch, fourth pixel, third channel.
     assert cut[6 + 3 + 1, (1 * 4 + 3) * 3 + 2] == images[1, 4 + 1, 4 + 3, 2]
-    assert torch.equal(unpatchify(cut, 2, 8, 12, 4), images)
     assert torch.equal(pixel_by_pixel(cut.reshape(-1, 3), 2, 8, 12, 4), images)
 
 

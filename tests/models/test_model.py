@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.models.compress import Latents
-from splatpainter.models.config import PRESETS, ModelConfig, shallow
+from splatpainter.models.config import PRESETS, ModelConfig
 from splatpainter.models.model import Decoded, Refined, SplatPainterModel
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.model_scenes import (
@@ -22,6 +22,7 @@ from tests.support.model_scenes import (
     grid_of,
     links,
     pictures,
+    shallow,
     shell,
     with_compress,
     with_refine,

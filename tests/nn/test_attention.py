@@ -131,7 +131,7 @@ def test_queries_are_padded_no_more_than_keys() -> None:
 
 def test_groups_in_order_of_length_are_views_not_copies() -> None:
     groups = Groups.of([1, 1, 2, 2, 2, 7, 7])
-    assert groups.place is None and all(isinstance(bucket.queries, slice) for bucket in groups.buckets)
+    assert groups.result_index is None and all(isinstance(bucket.queries, slice) for bucket in groups.buckets)
 
 
 def test_half_precision_follows_single_precision() -> None:

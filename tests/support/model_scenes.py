@@ -95,3 +95,13 @@ def with_refine(config: ModelConfig, **changes: object) -> ModelConfig:
 
 def with_compress(config: ModelConfig, **changes: object) -> ModelConfig:
     return replace(config, compress=replace(config.compress, **changes))  # type: ignore[arg-type]
+
+
+def shallow(config: ModelConfig, layers: int = 1) -> ModelConfig:
+    """The same model with `layers` LRM blocks, encoder and decoder layers and refinement blocks."""
+    return replace(
+        config,
+        lrm=replace(config.lrm, layers=layers),
+        compress=replace(config.compress, encoder_layers=layers, decoder_layers=layers),
+        refine=replace(config.refine, blocks=layers),
+    )

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import CameraFiles
+from splatpainter.commands.option_parsing import CameraFiles
 from splatpainter.commands.render import MOST_VIEWS, color, given_cameras, rgb
 from splatpainter.commands.targets import check_folder, check_target, make_folder, save_text
 from splatpainter.commands.terminal import count, decibels, progress, to_json

@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
-from splatpainter.commands.options import AssetFile, FrameOption
+from splatpainter.commands.option_parsing import AssetFile, FrameOption
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import FORMATS, frame_is_news, frame_line, frame_of_target, read, write
@@ -76,11 +76,11 @@ def run(config: Config) -> Outcome:
         },
         "lost": losses(before, after),
     }
-    news = frame_is_news(before.source) or frame_is_news(after.source)
+    show_frame = frame_is_news(before.source) or frame_is_news(after.source)
     lines = [
         f"{config.asset} -> {config.out}",
         f"{count(len(after), 'row')}; {size(before_size)} -> {size(record['output']['bytes'])}",
-        *([f"frame: {frame_line(before.source)} -> {frame_line(after.source)}"] if news else []),
+        *([f"frame: {frame_line(before.source)} -> {frame_line(after.source)}"] if show_frame else []),
         *(f"lost: {line}" for line in record["lost"] or ["nothing"]),
     ]
     return Outcome(record, lines)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import parse
+from splatpainter.commands.option_parsing import parse
 from splatpainter.commands.targets import check_folder
 from splatpainter.commands.terminal import count, progress, size, warn
 

@@ -75,22 +75,22 @@ def run(config: Config) -> Outcome:
         clock.add("local edit", local)
         after = read(out / "painted.ply")
         bar.enter("regrade")
-        shown = {
+        renders = {
             "after": _shot(after, hero),
             "after_left": _shot(after, view(-38, 2, config.size, BACKGROUND)),
             "after_above": _shot(after, view(24, 24, config.size, BACKGROUND, 1.15)),
         }
-        for name, pixels in shown.items():
+        for name, pixels in renders.items():
             save_picture(out / f"{name}.png", pixels)
-        regraded = evening(shown["after"])
+        regraded = evening(renders["after"])
         save_picture(out / "regraded.png", regraded, replace(hero, asset_sha256=after.sha256))
-        whole = _edit(out / "painted.ply", out / "regraded.png", out / "evening.ply", "global")
-        clock.add("global edit", whole)
+        global_edit = _edit(out / "painted.ply", out / "regraded.png", out / "evening.ply", "global")
+        clock.add("global edit", global_edit)
         last = read(out / "evening.ply")
         bar.enter("overview")
-        shown["evening"] = _shot(last, view(-62, 4, config.size, DUSK, 1.1))
-        save_picture(out / "evening.png", shown["evening"])
-        save_picture(out / "overview.png", overview(_panels(before, edited, regraded, shown, local["receipt"])))
+        renders["evening"] = _shot(last, view(-62, 4, config.size, DUSK, 1.1))
+        save_picture(out / "evening.png", renders["evening"])
+        save_picture(out / "overview.png", overview(_panels(before, edited, regraded, renders, local["receipt"])))
         bar.enter("turntable")
         frames = [_shot(last, view(360 * k / FRAMES, 4, config.size // 2, DUSK)) for k in range(FRAMES)]
         film, ending = clock.lap(f"turntable, {FRAMES} views", lambda: animation(frames))
@@ -128,18 +128,18 @@ def _edit(asset: Path, picture: Path, out: Path, mode: Any) -> dict[str, Any]:
 
 
 def _panels(
-    before: np.ndarray, edited: np.ndarray, regraded: np.ndarray, shown: dict[str, np.ndarray], receipt: dict
+    before: np.ndarray, edited: np.ndarray, regraded: np.ndarray, renders: dict[str, np.ndarray], receipt: dict
 ) -> list[Panel]:
     rows, touched, added = receipt["asset"]["rows"], receipt["touched_rows"], receipt["appended_rows"]
     spent = receipt["seconds"]["prepare"] + receipt["seconds"]["lift"]
     return [
         Panel(before, "1  the asset", f"{rows:,} Gaussians"),
         Panel(edited, "2  a picture of it, painted on", "text, a brush stroke, a sticker: any 2D editor will do"),
-        Panel(shown["after"], "3  the asset, edited", f"{touched:,} rows changed, {added:,} added in {spent:.1f} s"),
-        Panel(shown["after_left"], "4  from the left", f"{rows - touched:,} rows are byte for byte what they were"),
-        Panel(shown["after_above"], "5  from above", "the paint lies on the surface"),
+        Panel(renders["after"], "3  the asset, edited", f"{touched:,} rows changed, {added:,} added in {spent:.1f} s"),
+        Panel(renders["after_left"], "4  from the left", f"{rows - touched:,} rows are byte for byte what they were"),
+        Panel(renders["after_above"], "5  from above", "the paint lies on the surface"),
         Panel(
-            shown["evening"],
+            renders["evening"],
             "6  one regraded picture, the whole asset",
             "the small picture was all it took",
             regraded,

@@ -38,8 +38,8 @@ def lettering(size: int, text: str, center: tuple[float, float], height: float, 
     big = size * FINE
     layer = Image.new("L", (big, big))
     font = ImageFont.load_default(height * big)
-    place, weight = (center[0] * big, center[1] * big), round(0.02 * height * big)
-    ImageDraw.Draw(layer).text(place, text, fill=255, font=font, anchor="mm", stroke_width=weight, stroke_fill=255)
+    anchor, weight = (center[0] * big, center[1] * big), round(0.02 * height * big)
+    ImageDraw.Draw(layer).text(anchor, text, fill=255, font=font, anchor="mm", stroke_width=weight, stroke_fill=255)
     flat = np.asarray(layer)
     columns = np.arange(big)
     lift = np.round(bend * big * ((columns / big - center[0]) / 0.15) ** 2).astype(int)
@@ -61,9 +61,9 @@ def stroke(size: int, start: tuple[float, float], end: tuple[float, float], widt
     soft = np.clip((1 - np.abs(across)) * radius * size / 1.5, 0, 1)  # an edge of 1.5 pixels
     soft *= (t > 0) * np.clip((1 - t) * 40, 0, 1)
     hairs = np.random.default_rng(4).uniform(0, 1, 15)  # how late each runs dry
-    place = np.clip((across + 1) / 2 * (len(hairs) - 1), 0, len(hairs) - 1.001)
-    left = place.astype(int)
-    wet = hairs[left] * (left + 1 - place) + hairs[left + 1] * (place - left)
+    position = np.clip((across + 1) / 2 * (len(hairs) - 1), 0, len(hairs) - 1.001)
+    left = position.astype(int)
+    wet = hairs[left] * (left + 1 - position) + hairs[left + 1] * (position - left)
     dry = np.clip((s - 0.5 - 0.45 * wet) / 0.10, 0, 1)
     return soft * (1 - 0.85 * dry) * 0.97
 

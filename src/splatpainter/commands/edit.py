@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import AssetFile, CameraFiles, FrameOption, OutFile
+from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption, OutFile
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verify import receipt_of, same_words

@@ -9,7 +9,7 @@ import numpy as np
 
 from splatpainter.cameras import bounding_sphere
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import AssetFile, FrameOption
+from splatpainter.commands.option_parsing import AssetFile, FrameOption
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import FORMATS, frame_line, read
 from splatpainter.splats import Splats

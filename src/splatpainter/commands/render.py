@@ -12,7 +12,7 @@ from tyro.conf import arg
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import from_display
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import AssetFile, CameraFiles, FrameOption
+from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.targets import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, progress
 from splatpainter.io import files, frame_is_news, frame_line, read

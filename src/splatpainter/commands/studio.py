@@ -11,7 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import FrameOption
+from splatpainter.commands.option_parsing import FrameOption
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ def save_picture(path: Path, pixels: np.ndarray, camera: Camera | None = None) -
 
 def _same(a: Path, b: Path) -> bool:
     """Whether two names mean one asset; a SOG folder is its meta.json."""
-    a, b = (place / META if place.is_dir() else place for place in (a, b))
+    a, b = (path / META if path.is_dir() else path for path in (a, b))
     try:
         return os.path.samefile(a, b)
     except OSError:

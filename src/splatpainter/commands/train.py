@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import parse
+from splatpainter.commands.option_parsing import parse
 from splatpainter.jsonio import field_types
 from splatpainter.train import recipes
 from splatpainter.train.recipes import Recipe, Stage

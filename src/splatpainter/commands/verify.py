@@ -10,7 +10,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
-from splatpainter.commands.options import FrameOption
+from splatpainter.commands.option_parsing import FrameOption
 from splatpainter.commands.targets import META
 from splatpainter.commands.terminal import count, stages
 from splatpainter.io import files

@@ -225,7 +225,7 @@ def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int
     at, row, stepped, patience = 0, 0, 0, MIN_RUN
 
     def walk(count: int) -> list[tuple[int, int]]:
-        """Step over so many rows one by one; (place, length) of every list of the last one."""
+        """Step over so many rows one by one; (offset, length) of every list of the last one."""
         nonlocal window, base, last, at
         seen: list[tuple[int, int]] = []
         for k in range(count):
@@ -254,8 +254,8 @@ def _walk_lists(file: BinaryIO, header: Header, element: Element, available: int
         run = 0
         if seen and first >= base and fitting >= MIN_RUN:
             equal = np.ones(fitting, bool)
-            for (place, length), (_, counter, _) in zip(seen, lists, strict=True):
-                equal &= np.ndarray(fitting, counter, window, at - base + place - first, at - first) == length
+            for (offset, length), (_, counter, _) in zip(seen, lists, strict=True):
+                equal &= np.ndarray(fitting, counter, window, at - base + offset - first, at - first) == length
             run = fitting if equal.all() else int(np.argmin(equal))
             at, row = at + run * (at - first), row + run
         # Uneven rows are not compared again soon: a failed try costs as much as many steps.
@@ -417,10 +417,13 @@ class BinaryRows:
 
     def _columns(self, names: Sequence[str]) -> np.ndarray:
         out = np.empty((len(self), len(names)), np.float32)
-        own = self.records.dtype.names or ()
-        if all(self.records.dtype[name] == np.float32 for name in own):
+        fields = self.records.dtype.names or ()
+        if all(self.records.dtype[name] == np.float32 for name in fields):
             # The usual file: a matrix of floats, gathered row by row, three times faster than column by column.
-            matrix, picks = self.records.view(np.float32).reshape(-1, len(own)), [own.index(name) for name in names]
+            matrix, picks = (
+                self.records.view(np.float32).reshape(-1, len(fields)),
+                [fields.index(name) for name in names],
+            )
             for start in range(0, len(self), BLOCK_ROWS):
                 part = slice(start, start + BLOCK_ROWS)
                 np.take(matrix[part], picks, axis=1, out=out[part], mode="clip")
@@ -437,8 +440,8 @@ class BinaryRows:
 
     def block(self, rows: np.ndarray) -> BinaryBlock:
         copies = np.zeros(len(rows), self.records.dtype)
-        own = rows >= 0
-        copies[own] = self.records[rows[own]]
+        copied = rows >= 0
+        copies[copied] = self.records[rows[copied]]
         return BinaryBlock(copies)
 
     def relayout(self, layout: Sequence[tuple[str, str, str | None]]) -> BinaryRows:
@@ -482,8 +485,8 @@ class TextRows:
         return self.data[self.starts[row] : self.starts[row + 1]]
 
     def columns(self, plan: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
-        place = {name: k for k, (name, _) in enumerate(self.properties)}
-        picks = {key: [place[name] for name in names] for key, names in plan.items()}
+        index = {name: k for k, (name, _) in enumerate(self.properties)}
+        picks = {key: [index[name] for name in names] for key, names in plan.items()}
         out = {key: np.empty((len(self), len(names)), np.float32) for key, names in plan.items()}
         with np.errstate(over="ignore", invalid="ignore"):
             step = max(1, min(BLOCK_ROWS, MAX_BLOCK_WORDS // max(1, len(self.properties))))
@@ -516,8 +519,8 @@ class TextRows:
         except ValueError:
             for k, word in enumerate(words):
                 if len(word) > MAX_NUMBER_CHARACTERS or not _is_number(word):
-                    row, said = start + k // len(self.properties), printable(word[:40].decode("latin-1"))
-                    raise ValueError(f"{self.where}: row {row}: expected a number, got {said!r}") from None
+                    row, excerpt = start + k // len(self.properties), printable(word[:40].decode("latin-1"))
+                    raise ValueError(f"{self.where}: row {row}: expected a number, got {excerpt!r}") from None
             raise
 
     def stored(self) -> memoryview:
@@ -529,8 +532,8 @@ class TextRows:
         return TextBlock(lines, self.properties, self.newline)
 
     def relayout(self, layout: Sequence[tuple[str, str, str | None]]) -> TextRows:
-        place = {name: k for k, (name, _) in enumerate(self.properties)}
-        picks = [None if old is None else place[old] for _, _, old in layout]
+        index = {name: k for k, (name, _) in enumerate(self.properties)}
+        picks = [None if old is None else index[old] for _, _, old in layout]
         lines = []
         for row in range(len(self)):
             words = self.line(row).split()
@@ -546,12 +549,12 @@ class TextBlock:
     newline: bytes
 
     def put(self, name: str, rows: np.ndarray, values: np.ndarray) -> None:
-        place = next(k for k, (n, _) in enumerate(self.properties) if n == name)
-        code = np.dtype(self.properties[place][1])
+        column = next(k for k, (n, _) in enumerate(self.properties) if n == name)
+        code = np.dtype(self.properties[column][1])
         for row, value in zip(np.flatnonzero(rows), as_type(values, code), strict=True):
             # Separators are kept: only the one word changes.
             words = re.split(rb"(\s+)", self.lines[row])
-            words[2 * place + (2 if words[0] == b"" else 0)] = str(value).encode()
+            words[2 * column + (2 if words[0] == b"" else 0)] = str(value).encode()
             self.lines[row] = b"".join(words)
 
     def tobytes(self) -> bytes:

@@ -516,9 +516,9 @@ def _image_files(images: dict[str, np.ndarray], meta: dict[str, Any], old: SogFi
     out = {META: json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()}
     if old and not old.container.folder:
         # Keep a bundle's order and whatever else it holds; planes that are no longer named go.
-        gone = set(_named_files(old.meta, "source")) - set(contents)
+        dropped = set(_named_files(old.meta, "source")) - set(contents)
         both = out | contents
-        order = [name for name in old.container.files if name not in gone]
+        order = [name for name in old.container.files if name not in dropped]
         merged = {name: both.get(name, old.container.files[name]) for name in order}
         return merged | {name: data for name, data in both.items() if name not in merged}
     return out | contents

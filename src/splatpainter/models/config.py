@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, TypeVar
 
 from splatpainter import jsonio
@@ -248,10 +248,10 @@ def _positive(config: Any, *names: str, least: int = 1) -> None:
             raise ValueError(f"config: expected {name} of at least {least}, got {getattr(config, name)}")
 
 
-def _multiple(config: Any, whole: str, part: str) -> None:
-    a, b = getattr(config, whole), getattr(config, part)
+def _multiple(config: Any, name: str, divisor: str) -> None:
+    a, b = getattr(config, name), getattr(config, divisor)
     if a % b:
-        raise ValueError(f"config: expected {whole} a multiple of {part}, got {a} and {b}")
+        raise ValueError(f"config: expected {name} a multiple of {divisor}, got {a} and {b}")
 
 
 def _degree(config: Any) -> None:
@@ -287,13 +287,3 @@ COMPACT = ModelConfig(
 row, so that a global edit of 100,000 rows fits in 2.5 s also where only float32 is fast (AVX2)."""
 
 PRESETS = {"paper": PAPER, "compact": COMPACT}
-
-
-def shallow(config: ModelConfig, layers: int = 1) -> ModelConfig:
-    """The same model with `layers` LRM blocks, encoder and decoder layers and refinement blocks: for tests."""
-    return replace(
-        config,
-        lrm=replace(config.lrm, layers=layers),
-        compress=replace(config.compress, encoder_layers=layers, decoder_layers=layers),
-        refine=replace(config.refine, blocks=layers),
-    )

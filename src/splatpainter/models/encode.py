@@ -111,17 +111,17 @@ def encode_asset(
 
     config = model.config
     kind, device = dtype or torch.float32, next(model.parameters()).device
-    own = splats.numpy()
+    arrays = splats.numpy()
     if grid is None or grid.resolution != config.compress.resolution:
-        grid = voxelize(own, config.compress.resolution)
+        grid = voxelize(arrays, config.compress.resolution)
     gaussians = splats.torch(str(device))
-    cameras = canonical_cameras(own, config.lrm)
-    views, contributions = asset_views(gaussians if device.type == "cuda" else own, cameras, grid)
+    cameras = canonical_cameras(arrays, config.lrm)
+    views, contributions = asset_views(gaussians if device.type == "cuda" else arrays, cameras, grid)
     if config.representation == "copy":
         return _copied(model, views, kind)
     tokens = model.encode_views(views)
     # Rows that cannot be drawn contribute nothing; their NaN must not reach the arithmetic.
-    means = np.where(own.drawable[:, None], own.means, 0)
+    means = np.where(arrays.drawable[:, None], arrays.means, 0)
     links = links_from_views(means, cameras, contributions, config.lrm.patch)
     return Encoded(model.compressor(tokens, gaussians, links, model.groups(grid), dtype=kind), gaussians)
 

@@ -216,12 +216,6 @@ def patchify(images: Tensor, patch: int) -> Tensor:
     return cut.transpose(2, 3).reshape(-1, patch * patch * channels)
 
 
-def unpatchify(values: Tensor, views: int, height: int, width: int, patch: int) -> Tensor:
-    """The inverse: [V * L, p * p * C], or a row per Gaussian [V * H * W, C], -> [V, H, W, C]."""
-    cut = values.reshape(views, height // patch, width // patch, patch, patch, -1)
-    return cut.transpose(2, 3).reshape(views, height, width, -1)
-
-
 def _nearest_along(origins: Tensor, directions: Tensor) -> Tensor:
     """[V, H, W, 1] distance along each ray to its point nearest (0, 0, 0)."""
     return -(origins[:, None, None] * directions).sum(-1, keepdim=True)
@@ -234,7 +228,7 @@ def _depth_range(views: AssetViews, origins: Tensor, directions: Tensor, geometr
         return nearest, torch.full_like(nearest, REACH)
     assert views.depth is not None and views.alpha is not None
     slant = slants(views.cameras, directions)
-    known = (views.alpha > KNOWN_ALPHA) & (views.depth > 0)
+    has_depth = (views.alpha > KNOWN_ALPHA) & (views.depth > 0)
     # z-depth to distance along the ray; clamped, since a background row may lie far behind the cube.
     along = (views.depth / (slant * views.half_extent) - nearest).clamp(-REACH, REACH) + nearest
-    return torch.where(known, along, nearest), torch.where(known, DEPTH_REACH, REACH).to(nearest.dtype)
+    return torch.where(has_depth, along, nearest), torch.where(has_depth, DEPTH_REACH, REACH).to(nearest.dtype)

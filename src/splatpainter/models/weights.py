@@ -21,7 +21,7 @@ PACKAGED = Path(__file__).parents[1] / "weights"
 """The same for weights that come with the package."""
 
 
-def places(preset: str) -> list[Path]:
+def weight_folders(preset: str) -> list[Path]:
     """Folders that may hold the weights of a preset, in the order in which they are tried."""
     named = os.environ.get(VARIABLE, "")
     return [Path(root) / preset for root in ([named] if named else [])] + [PACKAGED / preset]
@@ -29,7 +29,7 @@ def places(preset: str) -> list[Path]:
 
 def find(preset: str, *more_roots: Path) -> Path | None:
     """The folder with the weights of a preset, or None. more_roots: folders like PACKAGED, tried last."""
-    folders = places(preset) + [root / preset for root in more_roots]
+    folders = weight_folders(preset) + [root / preset for root in more_roots]
     return next((folder for folder in folders if (folder / INDEX).is_file()), None)
 
 
@@ -76,8 +76,8 @@ def load(preset: str) -> SplatPainterModel:
     else:
         folder = Path(preset)
         if not folder.is_dir():
-            known = ", ".join(["auto", "lift", *PRESETS])
-            raise ValueError(f"preset: expected one of {known}, or a folder of weights, got {preset!r}")
+            choices = ", ".join(["auto", "lift", *PRESETS])
+            raise ValueError(f"preset: expected one of {choices}, or a folder of weights, got {preset!r}")
     from splatpainter.models.model import SplatPainterModel
 
     return SplatPainterModel.load(folder, preset if preset in PRESETS else None)

@@ -75,7 +75,7 @@ class _Plan:
     keys: Packing
     buckets: tuple[Bucket, ...]
     """Every group that has queries and keys, in exactly one of them."""
-    place: Tensor | None = field(repr=False)
+    result_index: Tensor | None = field(repr=False)
     """[Tq] int64 where each query's result lies in the buckets' results, one bucket after the other and after all of
     them one row of zeros; None where that is the order of the queries already."""
     blind: Tensor | None = field(repr=False)
@@ -152,7 +152,7 @@ def _bucketed(q: Tensor, k: Tensor, v: Tensor, groups: Groups | CrossGroups) -> 
     if groups.blind is not None:
         results.append(torch.zeros_like(q[:1]))
     joined = results[0] if len(results) == 1 else torch.cat(results)
-    return joined if groups.place is None else joined[groups.place]
+    return joined if groups.result_index is None else joined[groups.result_index]
 
 
 def _fits_varlen(q: Tensor) -> bool:
@@ -180,7 +180,7 @@ def _varlen_kernel() -> Any:
 
 
 def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any, Any, Any]:
-    """The buckets, `place` and `blind` of a plan."""
+    """The buckets, `result_index` and `blind` of a plan."""
     lq, lk = queries.lengths.numpy(), keys.lengths.numpy()
     starts_q, starts_k = np.cumsum(lq) - lq, np.cumsum(lk) - lk
     alive = np.flatnonzero((lq > 0) & (lk > 0))
@@ -189,7 +189,7 @@ def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any
     order = np.lexsort((class_q, class_k))
     alive, class_q, class_k = alive[order], class_q[order], class_k[order]
     change = np.flatnonzero((np.diff(class_q) != 0) | (np.diff(class_k) != 0)) + 1
-    place = np.full(queries.total, -1, np.int64)
+    index = np.full(queries.total, -1, np.int64)
     done, made = 0, []
     for first, last in pairwise([0, *change.tolist(), len(alive)]) if len(alive) else ():
         widest_q, widest_k = int(lq[alive[first:last]].max()), int(lk[alive[first:last]].max())
@@ -200,17 +200,17 @@ def _buckets(queries: Packing, keys: Packing, device: torch.device) -> tuple[Any
             rows_k, valid_k = (
                 (rows_q, valid_q) if keys is queries else _padded(starts_k[members], lk[members], widest_k)
             )
-            place[rows_q[valid_q]] = done + np.flatnonzero(valid_q)
+            index[rows_q[valid_q]] = done + np.flatnonzero(valid_q)
             mask = None if valid_k.all() else torch.from_numpy(valid_k).view(len(members), 1, 1, -1).to(device)
             size = (len(members), widest_q, widest_k)
             made.append(Bucket(size, _index(rows_q, device), _index(rows_k, device), mask))
             done += len(rows_q)
-    blind = place < 0
-    place[blind] = done
-    straight = not blind.any() and done == queries.total and (np.diff(place) == 1).all()
+    blind = index < 0
+    index[blind] = done
+    straight = not blind.any() and done == queries.total and (np.diff(index) == 1).all()
     return (
         tuple(made),
-        None if straight else torch.from_numpy(place).to(device),
+        None if straight else torch.from_numpy(index).to(device),
         torch.from_numpy(blind).to(device) if blind.any() else None,
     )
 

@@ -114,9 +114,9 @@ class TTTLayer(nn.Module):
     def read(self, state: FastWeights, tokens: Tensor, stream: Stream) -> Tensor:
         """What the fast network says to tokens [T, D] of a stream, -> [T, D]."""
         q = functional.silu(self.queries[stream](tokens)).unflatten(-1, (self.heads, -1))
-        said = fast_weights.apply(state, _unit(q).transpose(0, 1)).transpose(0, 1)  # [T, H, D/H]
-        said = functional.rms_norm(said.float(), said.shape[-1:], self.gain.float(), EPS)
-        return self.out(said.flatten(1))
+        answer = fast_weights.apply(state, _unit(q).transpose(0, 1)).transpose(0, 1)  # [T, H, D/H]
+        answer = functional.rms_norm(answer.float(), answer.shape[-1:], self.gain.float(), EPS)
+        return self.out(answer.flatten(1))
 
     def _keys_values_rates(self, tokens: Tensor, mask: Tensor | None, stream: Stream) -> tuple[Tensor, Tensor, Tensor]:
         """Keys and values [H, T, D/H] and rates [H, T, 3] of a stream's tokens [T, D]; mask as in `update`."""

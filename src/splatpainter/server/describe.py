@@ -156,8 +156,8 @@ def history_change(before: list[protocol.StepInfo], now: list[protocol.StepInfo]
     if _same(before, now):
         return None
     dropped = next((k for k, step in enumerate(before) if now and step is now[0]), len(before))
-    kept = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(before[dropped:], now, strict=False)))
-    return protocol.HistoryChange(dropped=dropped, kept=kept, steps=now[kept:])
+    common = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(before[dropped:], now, strict=False)))
+    return protocol.HistoryChange(dropped=dropped, kept=common, steps=now[common:])
 
 
 def _same(before: Sequence[object], now: Sequence[object]) -> bool:

@@ -96,22 +96,22 @@ class Studio:
         _close(old, self.projects)
 
     def _adopt(self, session: Session, name: str) -> None:
-        session_id, lists, shown = secrets.token_hex(8), describe.Lists(), session.snapshot
+        session_id, lists, snapshot = secrets.token_hex(8), describe.Lists(), session.snapshot
         with _one_line_errors(name):
-            asset = describe.counted(describe.asset_info(session, name), session.original, shown.splats)
+            asset = describe.counted(describe.asset_info(session, name), session.original, snapshot.splats)
             state = self._state_of(session, session_id, name, asset, lists)
         self.session, self.session_id, self.name = session, session_id, name
-        self._asset, self._lists, self._counted = asset, lists, shown.version
+        self._asset, self._lists, self._counted = asset, lists, snapshot.version
         self.state = state
 
     def refresh(self) -> None:
         """Describe the session anew; cheap where the Gaussians are the same."""
-        session, shown = self.session, self.session.snapshot
+        session, snapshot = self.session, self.session.snapshot
         if self._asset.up != list(describe.up_axis(session)):
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
-        if self._counted != shown.version:
-            self._asset = describe.counted(self._asset, session.original, shown.splats)
-            self._counted = shown.version
+        if self._counted != snapshot.version:
+            self._asset = describe.counted(self._asset, session.original, snapshot.splats)
+            self._counted = snapshot.version
         with _one_line_errors(self.name):
             self.state = self._state_of(session, self.session_id, self.name, self._asset, self._lists)
 

@@ -30,10 +30,16 @@ import numpy as np
 
 from splatpainter.nn.precision import resolve
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
-from splatpainter.session.compositing import AdjustmentFunction, adjust_sh, blend_delta, erase_delta, reached_gaussians
 from splatpainter.session.conflicts import EditedIds, policy_strength
 from splatpainter.session.delta import Delta, bare, between, no_delta
 from splatpainter.session.document import Document, Layer, View, digest
+from splatpainter.session.layer_blending import (
+    AdjustmentFunction,
+    adjust_sh,
+    blend_delta,
+    erase_delta,
+    reached_gaussians,
+)
 from splatpainter.session.layer_factory import decode_mask, decode_picture
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
 from splatpainter.splats import ATTRIBUTES, Splats

@@ -56,12 +56,12 @@ class Layer:
     kind: Kind
     views: tuple[View, ...] = ()
     parameters: dict[str, Any] = field(default_factory=dict)
-    """JSON; of an adjustment layer (kind "look") the name of its function and its settings (compositing.py). Free for
-    the caller's notes otherwise."""
+    """JSON; of an adjustment layer (kind "look") the name of its function and its settings (layer_blending.py).
+    Free for the caller's notes otherwise."""
     mode: Mode = "local"
     method: Method = "auto"
     opacity: float = 1.0
-    """0..1, see compositing.py."""
+    """0..1, see layer_blending.py."""
     blend: Blend = "normal"
     visible: bool = True
     layers: tuple[Layer, ...] = ()

@@ -429,11 +429,11 @@ def _set_cursor(db: sqlite3.Connection, step: int) -> None:
 def _sweep(db: sqlite3.Connection) -> set[str]:
     """Delete what no step needs any more; the keys of deleted results."""
     unused = "NOT IN (SELECT result FROM step_results)"
-    gone = {key for (key,) in db.execute(f"SELECT key FROM results WHERE key {unused}")}
+    unused_keys = {key for (key,) in db.execute(f"SELECT key FROM results WHERE key {unused}")}
     db.execute(f"DELETE FROM results WHERE key {unused}")
     db.execute("DELETE FROM layers WHERE id NOT IN (SELECT layer FROM step_layers)")
     db.execute("DELETE FROM blobs WHERE sha256 NOT IN (SELECT blob FROM layer_blobs)")
-    return gone
+    return unused_keys
 
 
 def _result_facts(text: str) -> dict[str, Any]:

@@ -36,7 +36,6 @@ from splatpainter.rendering.profiles import Profile
 from splatpainter.session import asset_files, conflicts
 from splatpainter.session.asset_files import ANY_FILE, OriginalRule
 from splatpainter.session.compose import LayerState, Progress, Replay, fingerprint
-from splatpainter.session.compositing import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.database import SUFFIX
 from splatpainter.session.delta import AssetDelta, VersionLog, bare
 from splatpainter.session.document import (
@@ -53,6 +52,7 @@ from splatpainter.session.document import (
     move_layer,
     resolve_conflict,
 )
+from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.layer_factory import new_layer
 from splatpainter.session.project_file import Bookmark, Project, Step, Transaction
 from splatpainter.session.scratch import ScratchFolder
@@ -114,9 +114,9 @@ class Session:
 
         project: the project file to make; None: a temporary one, which `save_as` moves to a name and `close` deletes.
         painter: default Painter.load(). adjustments: functions of adjustment layers by name, besides
-        compositing.ADJUSTMENTS. embed: the project holds the original's bytes; False: only its path and hash. frame: of
-        a splat file, as in io.read. Raises ValueError for what cannot be read, an asset of which nothing can be drawn,
-        and a project that exists (unless overwrite)."""
+        layer_blending.ADJUSTMENTS. embed: the project holds the original's bytes; False: only its path and
+        hash. frame: of a splat file, as in io.read. Raises ValueError for what cannot be read, an asset of
+        which nothing can be drawn, and a project that exists (unless overwrite)."""
         if not isinstance(asset, Splats) and Path(asset).suffix.lower() == SUFFIX:
             if project is not None:
                 raise ValueError(f"{asset}: is a project already; open it alone, then save_as")

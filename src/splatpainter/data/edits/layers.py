@@ -1,6 +1,6 @@
 """What is painted: a random stroke, word, sticker, photo patch, image noise or recolouring around a pixel of a view.
 
-Each function designs one edit from a generator and returns a layer over the view (sources/layers.py); a recolouring
+Each function designs one edit from a generator and returns a layer over the view (sources/drawing.py); a recolouring
 follows the object's colours and is one of points. Sizes are chosen so that an edit covers about the intended area.
 """
 
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.color import luminance
-from splatpainter.sources import layers
+from splatpainter.sources import drawing
 
 Color = tuple[float, float, float]
 WORDS = tuple(
@@ -68,7 +68,7 @@ def stroke(canvas: Canvas, resources: EditResources, rng: np.random.Generator) -
     color = contrasting_color(canvas.local_color, rng)
     count = int(rng.integers(1, 5))
     width = canvas.extent * rng.uniform(0.7, 1.4) / (1.5 + count)
-    brush = layers.Brush(width, rng.uniform(0.4, 1), rng.choice([1.0, 0.9, 0.7]), int(rng.choice([0, 0, 9, 15])))
+    brush = drawing.Brush(width, rng.uniform(0.4, 1), rng.choice([1.0, 0.9, 0.7]), int(rng.choice([0, 0, 9, 15])))
     angle, hatch = rng.uniform(0, math.pi), rng.random() < 0.4
     out = np.zeros((*canvas.shape, 4), np.float32)
     for k in range(count):
@@ -79,8 +79,8 @@ def stroke(canvas: Canvas, resources: EditResources, rng: np.random.Generator) -
         pressure = np.clip(np.sin(np.linspace(0.15, math.pi - 0.15, len(points))) ** 0.5 + rng.normal(0, 0.12), 0.15, 1)
         if rng.random() < 0.3:
             color = contrasting_color(canvas.local_color, rng)
-        mark = layers.draw_stroke(canvas.shape, points, pressure, brush, color, int(rng.integers(1 << 30)))
-        out = layers.stack_layers(out, mark)
+        mark = drawing.draw_stroke(canvas.shape, points, pressure, brush, color, int(rng.integers(1 << 30)))
+        out = drawing.stack_layers(out, mark)
     return out
 
 
@@ -93,14 +93,14 @@ def text(canvas: Canvas, resources: EditResources, rng: np.random.Generator) -> 
     color = contrasting_color(canvas.local_color, rng)
     outline = contrasting_color(np.array(color), rng) if rng.random() < 0.35 else None
     angle, weight = rng.normal(0, 14), 0.06 if font is None else rng.uniform(0, 0.05)
-    return layers.draw_text(canvas.shape, word, canvas.center, max(height, 5), color, font, angle, outline, weight)
+    return drawing.draw_text(canvas.shape, word, canvas.center, max(height, 5), color, font, angle, outline, weight)
 
 
 def sticker(canvas: Canvas, resources: EditResources, rng: np.random.Generator) -> np.ndarray:
     """A decal, or a built-in shape where there are none."""
     stamp = _picture(resources.decals[rng.integers(len(resources.decals))]) if resources.decals else _shape(rng)
     size = canvas.extent * rng.uniform(1.0, 1.4)
-    return layers.draw_sticker(
+    return drawing.draw_sticker(
         canvas.shape, stamp, canvas.center, size, rng.normal(0, 25), rng.choice([1.0, 1.0, 0.85])
     )
 
@@ -117,10 +117,10 @@ def photo(canvas: Canvas, resources: EditResources, rng: np.random.Generator) ->
     angle = rng.normal(0, 20)
     if rng.random() < 0.5:
         part = part[: max(int(side * rng.uniform(0.5, 1)), 1)]
-        return layers.draw_sticker(canvas.shape, part, canvas.center, canvas.extent * rng.uniform(1, 1.25), angle)
+        return drawing.draw_sticker(canvas.shape, part, canvas.center, canvas.extent * rng.uniform(1, 1.25), angle)
     radius = canvas.extent * 0.56
-    patch = layers.draw_sticker(canvas.shape, part, canvas.center, radius * 4.2, angle)
-    patch[..., 3] *= layers.round_spot(canvas.shape, canvas.center, radius, rng.uniform(0.05, 0.4), rng)
+    patch = drawing.draw_sticker(canvas.shape, part, canvas.center, radius * 4.2, angle)
+    patch[..., 3] *= drawing.round_spot(canvas.shape, canvas.center, radius, rng.uniform(0.05, 0.4), rng)
     return patch
 
 
@@ -129,17 +129,17 @@ def image_noise(canvas: Canvas, resources: EditResources, rng: np.random.Generat
     colors = np.clip(canvas.colors, 0, 1)
     how = rng.choice(["grain", "blur", "sharpen", "mosaic"], p=[0.5, 0.15, 0.2, 0.15])
     if how == "grain":
-        grain = layers.value_noise(canvas.shape, canvas.extent * rng.uniform(0.06, 0.35), rng)
+        grain = drawing.value_noise(canvas.shape, canvas.extent * rng.uniform(0.06, 0.35), rng)
         grain = grain if rng.random() < 0.6 else grain[..., :1]
         changed = colors + rng.uniform(0.08, 0.25) * grain
     elif how == "mosaic":
         cell = max(round(canvas.extent * rng.uniform(0.06, 0.15)), 2)
         rows, columns = ((np.arange(n) // cell * cell + cell // 2).clip(0, n - 1) for n in canvas.shape)
-        changed = layers.gaussian_blur(colors, cell / 2)[rows[:, None], columns[None]]
+        changed = drawing.gaussian_blur(colors, cell / 2)[rows[:, None], columns[None]]
     else:
-        soft = layers.gaussian_blur(colors, max(canvas.extent * rng.uniform(0.03, 0.08), 1.0))
+        soft = drawing.gaussian_blur(colors, max(canvas.extent * rng.uniform(0.03, 0.08), 1.0))
         changed = soft if how == "blur" else colors + rng.uniform(1, 2.5) * (colors - soft)
-    cover = layers.round_spot(canvas.shape, canvas.center, canvas.extent * 0.56, rng.uniform(0.05, 0.5), rng)
+    cover = drawing.round_spot(canvas.shape, canvas.center, canvas.extent * 0.56, rng.uniform(0.05, 0.5), rng)
     return np.concatenate([np.clip(changed, 0, 1), cover[..., None]], -1).astype(np.float32)
 
 
@@ -249,9 +249,9 @@ def _pattern(rng: np.random.Generator) -> np.ndarray:
     elif kind == 1:
         share = np.clip(np.sin(2 * math.pi * count * u) * np.sin(2 * math.pi * count * v) * 12 + 0.5, 0, 1)
     else:
-        share = np.clip(0.5 + 0.5 * layers.value_noise((192, 192), 48, rng)[..., 0], 0, 1)
+        share = np.clip(0.5 + 0.5 * drawing.value_noise((192, 192), 48, rng)[..., 0], 0, 1)
     colors = [np.array(colorsys.hsv_to_rgb(rng.random(), rng.uniform(0, 1), rng.uniform(0.2, 1))) for _ in range(2)]
-    grain = 0.04 * layers.value_noise((192, 192), 6, rng)
+    grain = 0.04 * drawing.value_noise((192, 192), 6, rng)
     return np.clip(colors[0] + share[..., None] * (colors[1] - colors[0]) + grain, 0, 1).astype(np.float32)
 
 

@@ -101,12 +101,6 @@ class ProjectedView:
         """[M, 3] the same, not clamped."""
         return self.projected[:, geometry.UNCLAMPED_RED :]
 
-    def visible_gaussians(self) -> np.ndarray:
-        """[N] bool: Gaussians that touch a drawn tile (hidden behind others or not)."""
-        visible = np.zeros(self.num_gaussians, bool)
-        visible[self.gaussian_ids] = True
-        return visible
-
     def tiles_of(self, gaussian_mask: np.ndarray) -> np.ndarray:
         """[TH, TW] bool: drawn tiles that the ellipses of these Gaussians ([N] bool) touch."""
         selected = gaussian_mask[self.gaussian_ids][self.flatten_ids]  # [P]

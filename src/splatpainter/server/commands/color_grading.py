@@ -21,7 +21,7 @@ from splatpainter.server.commands.context import (
     python_line,
 )
 from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
-from splatpainter.session.compositing import reached_gaussians
+from splatpainter.session.layer_blending import reached_gaussians
 from splatpainter.sources.color_grading import GradeSettings, grade_sh
 
 

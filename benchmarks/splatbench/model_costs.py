@@ -1,5 +1,5 @@
 """How large the model is and what it costs: parameters and floating-point operations per stage, row and view
-(`python -m splatpainter.models.flops` prints them for both presets).
+(`python -m splatbench.model_costs` prints them for both presets).
 
 Counts matrix products only (2 per multiply-add), which is what the time goes into. D width of a latent, F hidden width
 of the fast network, T tokens, G rows per voxel.
@@ -16,7 +16,7 @@ from splatpainter.models.refine import DRIFT_FEATURES, LIFT_FEATURES
 
 
 @dataclass(frozen=True)
-class Parameters:
+class ParameterCounts:
     """Numbers that training fits."""
 
     lrm: int
@@ -53,7 +53,7 @@ class Flops:
     """Second set of a local edit, per latent; 0 without a detail layer."""
 
 
-def parameters(config: ModelConfig) -> Parameters:
+def parameters(config: ModelConfig) -> ParameterCounts:
     """Counted on the meta device: nothing is allocated."""
     import torch
 
@@ -62,7 +62,7 @@ def parameters(config: ModelConfig) -> Parameters:
     with torch.device("meta"):
         model = SplatPainterModel(config)
     parts = (model.lrm, model.compressor, model.refiner, model.head, model.predictor)
-    return Parameters(*(sum(p.numel() for p in part.parameters()) if part else 0 for part in parts))
+    return ParameterCounts(*(sum(p.numel() for p in part.parameters()) if part else 0 for part in parts))
 
 
 def flops(config: ModelConfig, rows_per_voxel: float = 8.0, views: int | None = None) -> Flops:
@@ -153,21 +153,21 @@ def _orthogonalise(config: RefineConfig, dim: int) -> float:
 
 def _read(config: RefineConfig, dim: int) -> float:
     """Per latent."""
-    return float(_told(config, dim) + config.blocks * _read_block(config, dim))
+    return float(_input_features(config, dim) + config.blocks * _read_block(config, dim))
 
 
 def _read_block(config: RefineConfig, dim: int) -> int:
     return 4 * dim**2 + 6 * dim * config.fast_hidden + 6 * dim * config.hidden
 
 
-def _told(config: RefineConfig, dim: int) -> int:
+def _input_features(config: RefineConfig, dim: int) -> int:
     return 2 * dim * (LIFT_FEATURES * config.lift_features + DRIFT_FEATURES * (config.base == "lift"))
 
 
 def _teach(config: RefineConfig, dim: int) -> int:
     """Per row that teaches along: like a latent up to the last block, and as much as a picture token in each."""
     blocks = (config.blocks - 1) * _read_block(config, dim) + config.blocks * _learn(config, dim)
-    return _told(config, dim) + blocks
+    return _input_features(config, dim) + blocks
 
 
 def _detail(config: RefineConfig, dim: int) -> float:

@@ -9,8 +9,8 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.painter import Painter
-from splatpainter.session.compositing import blend_delta, blend_sh, mix_sh
 from splatpainter.session.delta import Delta, between
+from splatpainter.session.layer_blending import blend_delta, blend_sh, mix_sh
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import bits, db, differing, front, sheet
 from tests.support.session_scenes import RED, asset, dab

@@ -49,8 +49,8 @@ def unboxed(text: str, program: str) -> str:
     The frame is public behaviour and parse hooks are not (tyro 1.0 keeps them in a private module), so text it is."""
     body = [line.strip().removeprefix("│ ").removesuffix("│").rstrip() for line in text.splitlines()][1:]
     rules = [at for at, line in enumerate(body) if line.strip("─╰╯ ") == ""] + [len(body)]
-    said = [line.strip() for line in body[: rules[0]] if not line.startswith(8 * " ")]  # deeper: help of an option
-    line = " ".join(said).replace(f"Missing from {program}:", "missing").replace("Error parsing ", "")
+    words = [line.strip() for line in body[: rules[0]] if not line.startswith(8 * " ")]  # deeper: help of an option
+    line = " ".join(words).replace(f"Missing from {program}:", "missing").replace("Error parsing ", "")
     return line.rstrip(". ") or "options that cannot be understood"
 
 

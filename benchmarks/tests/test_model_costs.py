@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from splatbench.model_costs import flops, parameters, table
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 from splatpainter.models.config import PRESETS, ModelConfig
-from splatpainter.models.flops import flops, parameters, table
 from splatpainter.models.gaussian_groups import GaussianGroups
 from splatpainter.models.image_tokens import tokenize
 from splatpainter.models.model import SplatPainterModel
