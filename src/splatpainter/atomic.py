@@ -46,6 +46,12 @@ def writing(path: Path) -> Iterator[BinaryIO]:
         remove(partial)
 
 
+def write_text(path: Path, text: str) -> None:
+    """A UTF-8 file, as `writing` makes it."""
+    with writing(path) as file:
+        file.write(text.encode())
+
+
 def replace(source: Path, target: Path) -> None:
     """`os.replace`. On Windows a virus scanner or an indexer holds a new file open for a moment: there it is tried
     again for REPLACE_SECONDS. Raises OSError: the last one."""

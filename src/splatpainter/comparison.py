@@ -92,12 +92,15 @@ def changed_rows(before: Splats, after: Splats) -> np.ndarray:
             continue
         if old.shape[1:] != new.shape[1:]:
             return np.arange(n)
-        differing = np.flatnonzero(_bits(old[:n]) != _bits(new[:n]))  # a reduction along short rows takes longer
+        differing = np.flatnonzero(
+            float_bits(old[:n]) != float_bits(new[:n])
+        )  # a reduction along short rows takes longer
         changed[differing // (old[:n].size // n)] = True
     return np.flatnonzero(changed)
 
 
-def _bits(values: np.ndarray) -> np.ndarray:
+def float_bits(values: np.ndarray) -> np.ndarray:
+    """The bits of float32 values, as uint32: -0 and 0 differ, equal NaN do not."""
     return np.ascontiguousarray(values, np.float32).view(np.uint32)
 
 

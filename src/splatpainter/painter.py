@@ -358,7 +358,7 @@ class Painter:
         from splatpainter.models.predictor import predicting
 
         assert self.model is not None
-        return predicting(self.model, asset.splats, asset.normals, lambda: asset.transfer)
+        return predicting(self.model.predictor, asset.splats, asset.normals, lambda: asset.transfer)
 
     def _refined(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView]) -> Asset:
         """The asset after the networks have changed a lifted edit of it."""

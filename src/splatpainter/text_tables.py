@@ -10,7 +10,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from splatpainter.io import files
+from splatpainter.atomic import write_text
 
 
 def columns(row: Any) -> list[str]:
@@ -27,12 +27,12 @@ def write_csv(path: Path, rows: Sequence[Any], heading: str) -> None:
         table.writerow(columns(rows[0]))
     for row in rows:
         table.writerow(["" if value is None else value for value in _values(row)])
-    _write(path, text.getvalue())
+    write_text(path, text.getvalue())
 
 
 def write_markdown(path: Path, rows: Sequence[Any], heading: str, notes: Sequence[str] = ()) -> None:
     """A table for people, `heading` above it and `notes` below."""
-    _write(path, "\n\n".join([heading, markdown(rows), *notes]) + "\n")
+    write_text(path, "\n\n".join([heading, markdown(rows), *notes]) + "\n")
 
 
 def markdown(rows: Sequence[Any]) -> str:
@@ -68,8 +68,3 @@ def cell_text(value: Any) -> str:
 
 def _values(row: Any) -> list[Any]:
     return list(row.values()) if isinstance(row, Mapping) else [getattr(row, name) for name in columns(row)]
-
-
-def _write(path: Path, text: str) -> None:
-    with files.writing(path) as file:
-        file.write(text.encode())

@@ -115,12 +115,12 @@ def test_an_untrained_predictor_leaves_the_lift_alone() -> None:
 
     torch.manual_seed(0)
     assert PRESETS["compact"].predict.features > 0 == PRESETS["paper"].predict.features
-    assert predicting(SplatPainterModel(TINY), splats, normals, never) is None
+    assert predicting(SplatPainterModel(TINY).predictor, splats, normals, never) is None
     model = SplatPainterModel(WITH)
     assert model.predictor is not None and model.predictor.is_untrained
-    assert predicting(model, splats, normals, never) is None
+    assert predicting(model.predictor, splats, normals, never) is None
     torch.nn.init.normal_(model.predictor.expected.weight, std=0.1)
-    predict = predicting(model, splats, normals, lambda: prt_transfer(splats.means, normals))
+    predict = predicting(model.predictor, splats, normals, lambda: prt_transfer(splats.means, normals))
     assert predict is not None
     told = predict(np.full((300, 3), 0.1, np.float32), np.ones(300, np.float32))
     assert told.shape == (300, 3) and told.dtype == np.float32

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from splatpainter.atomic import write_text
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import CameraFiles
 from splatpainter.commands.render import MOST_VIEWS, color, given_cameras, rgb
-from splatpainter.commands.targets import check_folder, check_target, make_folder, save_text
+from splatpainter.commands.targets import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, decibels, progress, to_json
 from splatpainter.io import read
 from splatpainter.rendering import MAX_SIDE_PX
@@ -143,7 +144,7 @@ def run(config: Config) -> Outcome:
             for name, camera, one in zip(names, cameras, results, strict=True)
         ],
     }
-    save_text(config.out / "compare.json", to_json(record) + "\n")
+    write_text(config.out / "compare.json", to_json(record) + "\n")
     lines = [f"{name}  {_words(one)}" for name, one in zip(names, results, strict=True)]
     lines += [
         f"all {count(total, 'view')}: {decibels(pooled)}, SSIM {summary['ssim']:.4f}, worst {names[worst[0]]}",

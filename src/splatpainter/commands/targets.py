@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.atomic import check_name
+from splatpainter.atomic import check_name, write_text
 from splatpainter.cameras import Camera
 from splatpainter.commands.terminal import reason
 from splatpainter.image_files import write_png
@@ -118,18 +118,12 @@ def _move_into(partial: Path, final: Path) -> None:
     files.sync_folder(final)
 
 
-def save_text(path: Path, text: str) -> None:
-    """A text file, UTF-8, whole or not at all. Raises ValueError."""
-    with files.writing(path) as file:
-        file.write(text.encode())
-
-
 def save_picture(path: Path, pixels: np.ndarray, camera: Camera | None = None) -> None:
     """A PNG of [H, W, 3] display colours; with its camera inside and in the sidecar NAME.json, if there is one.
     Raises ValueError."""
     write_png(path, pixels, camera)
     if camera is not None:
-        save_text(path.with_suffix(".json"), camera.to_json() + "\n")
+        write_text(path.with_suffix(".json"), camera.to_json() + "\n")
 
 
 def _same(a: Path, b: Path) -> bool:

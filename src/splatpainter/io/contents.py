@@ -28,7 +28,7 @@ _NOTHING = "nothing"
 
 
 @dataclass(frozen=True)
-class Table:
+class StoredTable:
     """Stored rows: N rows of fields, of one kind of record."""
 
     records: Any
@@ -48,7 +48,7 @@ class Table:
 class Contents:
     """One file."""
 
-    tables: tuple[Table, ...] = ()
+    tables: tuple[StoredTable, ...] = ()
     """All with the same number of rows. Of no table: rows can only be compared by value."""
     settings: dict[str, Any] = field(default_factory=dict)
     """What a header says besides counts: name -> value."""
@@ -66,7 +66,7 @@ def contents(source: Source) -> Contents | None:
     return None if made is None or source.detail is None else made(source.detail)
 
 
-def rows_differ(old: Table, new: Table, count: int) -> np.ndarray:
+def rows_differ(old: StoredTable, new: StoredTable, count: int) -> np.ndarray:
     """[D] int64 ascending: rows below `count` whose stored bytes differ. The tables have the same fields."""
     if isinstance(old.records, TextRows):
         rows = range(count)
@@ -79,7 +79,7 @@ def rows_differ(old: Table, new: Table, count: int) -> np.ndarray:
     return np.concatenate(differing)
 
 
-def fields_differ(old: Table, new: Table, rows: np.ndarray) -> dict[str, np.ndarray]:
+def fields_differ(old: StoredTable, new: StoredTable, rows: np.ndarray) -> dict[str, np.ndarray]:
     """Name of a property -> those of the rows in which its stored bytes differ; "white space" of text."""
     if isinstance(old.records, TextRows):
         return _words_of_text_differ(old, new, rows)
@@ -94,7 +94,7 @@ def fields_differ(old: Table, new: Table, rows: np.ndarray) -> dict[str, np.ndar
     return out
 
 
-def _column(table: Table, k: int, rows: np.ndarray) -> np.ndarray:
+def _column(table: StoredTable, k: int, rows: np.ndarray) -> np.ndarray:
     records = table.records
     values = records[table.fields[k][0]][rows] if records.dtype.names else records[rows, k, None]
     return np.ascontiguousarray(values).reshape(len(rows), -1).view(np.uint8).reshape(len(rows), -1)
@@ -108,7 +108,7 @@ def _words(records: np.ndarray) -> np.ndarray:
     return flat.view(np.uint8).reshape(len(flat), size).view(word) if size else np.zeros((len(flat), 1), np.uint8)
 
 
-def _words_of_text_differ(old: Table, new: Table, rows: np.ndarray) -> dict[str, np.ndarray]:
+def _words_of_text_differ(old: StoredTable, new: StoredTable, rows: np.ndarray) -> dict[str, np.ndarray]:
     out: dict[str, list[int]] = {}
     for row in rows.tolist():
         one, two = (table.records.line(row).split() for table in (old, new))
@@ -130,7 +130,7 @@ def _ply(record: Any) -> Contents:
     blocks = _elements(record.header, record.header.elements[:at], record.before, "")
     blocks |= _elements(record.header, record.header.elements[at + 1 :], record.after, "trailing bytes")
     settings = _header(record.header, ("vertex",)) | {"last line end": not record.unended}
-    return Contents((Table(stored, names, gaussian_fields),), settings, blocks)
+    return Contents((StoredTable(stored, names, gaussian_fields),), settings, blocks)
 
 
 def _compressed_ply(record: Any) -> Contents:
@@ -140,7 +140,7 @@ def _compressed_ply(record: Any) -> Contents:
         names = tuple((p.name, p.type) for p in element.properties)
         if element.name in ("vertex", "sh"):
             gaussian_fields = frozenset(n for n, _ in names if n.startswith(("packed_", "f_rest_")))
-            tables.append(Table(values, names, gaussian_fields))
+            tables.append(StoredTable(values, names, gaussian_fields))
         elif element.name == "chunk":
             chunked["chunk"] = _bytes_of(values)
         else:
@@ -187,7 +187,7 @@ def _elements(header: Header, elements: tuple[Element, ...], data: bytes, rest: 
 def _splat(record: Any) -> Contents:
     names = tuple((name, str(record.rows.dtype[name])) for name in record.rows.dtype.names)
     return Contents(
-        (Table(record.rows, names, frozenset(record.rows.dtype.names)),), {}, {"trailing bytes": record.after}
+        (StoredTable(record.rows, names, frozenset(record.rows.dtype.names)),), {}, {"trailing bytes": record.after}
     )
 
 
@@ -196,7 +196,7 @@ def _spz(file: Any) -> Contents:
     tables = []
     for name, words in file.streams.items():
         fields = tuple((f"{name} byte {k}", "u1") for k in range(words.shape[1]))
-        tables.append(Table(words, fields, frozenset(n for n, _ in fields)))
+        tables.append(StoredTable(words, fields, frozenset(n for n, _ in fields)))
     settings = {"version": file.version, "fractional bits": file.fractional_bits, "flags": file.flags & ~spz.EXTENDED}
     settings["axes"] = spz.NAMES[file.frame - 1]
     settings["reserved bytes"] = bytes(file.reserved)
@@ -208,7 +208,7 @@ def _sog(file: Any) -> Contents:
     tables = []
     for name, pixels in file.pixels.items():
         fields = tuple((f"{name} {channel}", "u1") for channel in "RGBA")
-        tables.append(Table(pixels, fields, frozenset(n for n, _ in fields)))
+        tables.append(StoredTable(pixels, fields, frozenset(n for n, _ in fields)))
     meta = copy.deepcopy(file.meta)
     planes = set()
     for part in ("means", "scales", "quats", "sh0", "shN"):
@@ -240,7 +240,7 @@ def _glb(file: Any) -> Contents:
                 continue
             fields = tuple((f"{name} {k}", values.dtype.str) for k in range(values.shape[1]))
             edited = frozenset(n for n, _ in fields) if name in ours else frozenset()
-            tables.append(Table(values, fields, edited, getattr(one, "first", 0)))
+            tables.append(StoredTable(values, fields, edited, getattr(one, "first", 0)))
         primitive["attributes"] = sorted(primitive.get("attributes", {}))
     for mesh in doc["meshes"]:
         for other in mesh.get("primitives", []):

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter import user_folders
-from splatpainter.io.files import writing
+from splatpainter.io.files import remove, writing
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import VoxelGrid, voxelize
@@ -71,7 +71,7 @@ def encode_cached(
     held = _read(path)
     encoded = None if held is None else _unpacked(model, splats, grid, held)
     if encoded is None:
-        _forget(path)
+        remove(path)
         encoded = encode_half(model, splats, grid)
         _write(path, _packed(model, encoded), limit)
     else:
@@ -170,12 +170,7 @@ def _evict(folder: Path, max_bytes: int) -> None:
     for _, size, path in files:
         max_bytes -= size
         if max_bytes < 0:
-            _forget(path)
-
-
-def _forget(path: Path) -> None:
-    with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
+            remove(path)
 
 
 def _checksum(tensors: dict[str, Tensor]) -> str:

@@ -1,6 +1,6 @@
 """What rows that no edited picture shows become under a new light or look: learned features, an edit solved exactly.
 
-    predict = predicting(model, splats, normals, transfer)      # None for a model without a predictor
+    predict = predicting(model.predictor, splats, normals, transfer)      # None without a trained one
     lift_global(splats, views, predict=predict)
 
 A network describes every row (its colour, normal, place, and the light that reaches it: precomputed transfer) in the
@@ -11,7 +11,6 @@ holds for all. It takes the place of the lift's fixed features and keeps its pri
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -24,9 +23,6 @@ from splatpainter.models.config import PredictConfig
 from splatpainter.nn.fast_weights import solve_ridge
 from splatpainter.nn.precision import exact
 from splatpainter.splats import SH_C0, Splats
-
-if TYPE_CHECKING:
-    from splatpainter.models.model import SplatPainterModel
 
 FACTS = 21
 """Numbers per row: `row_facts`."""
@@ -131,11 +127,10 @@ class Predictor(nn.Module):
 
 
 def predicting(
-    model: SplatPainterModel, splats: Splats, normals: np.ndarray, transfer: Callable[[], np.ndarray]
+    predictor: Predictor | None, splats: Splats, normals: np.ndarray, transfer: Callable[[], np.ndarray]
 ) -> Predict | None:
-    """The model's prediction for edits of this asset, on the model's device; None where it has no trained predictor,
-    and then `transfer`, which says [N, 10] of `prt_transfer`, is not asked."""
-    predictor = model.predictor
+    """The predictor's answer for edits of this asset, on its device; None where there is none or it is untrained, and
+    then `transfer`, which computes [N, 10] of `prt_transfer`, is not called."""
     if predictor is None or predictor.is_untrained:
         return None
     facts = row_facts(splats, normals, transfer())

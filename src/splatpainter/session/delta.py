@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from splatpainter.comparison import float_bits
 from splatpainter.receipts import changed_rows
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
 
@@ -54,7 +55,7 @@ class Delta:
         written = {}
         for name in ATTRIBUTES:
             old, new = getattr(below, name), getattr(self.values, name)
-            if np.array_equal(_bits(old[self.gaussian_ids]), _bits(new)):
+            if np.array_equal(float_bits(old[self.gaussian_ids]), float_bits(new)):
                 continue
             written[name] = old.copy()
             written[name][self.gaussian_ids] = new
@@ -226,7 +227,3 @@ def _gaussians(column, count: int, k: int) -> Splats:
         size = int(np.prod(shapes[name], dtype=np.int64))
         arrays[name] = column(count * size, "<f4").reshape(count, *shapes[name]).copy()
     return Splats(**arrays)
-
-
-def _bits(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values, np.float32).view(np.uint32)

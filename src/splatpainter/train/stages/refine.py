@@ -191,7 +191,7 @@ class RefineTask(Task[SplatPainterModel]):
 
     def _aside(self, splats: Splats) -> tuple[np.ndarray, Predict | None]:
         normals = outward_normals(splats)
-        return normals, predicting(self.model, splats, normals, lambda: prt_transfer(splats.means, normals))
+        return normals, predicting(self.model.predictor, splats, normals, lambda: prt_transfer(splats.means, normals))
 
     def _encoded(self, prepared: PreparedAsset, parents: np.ndarray) -> Encoded:
         """The asset's latents, those of the given rows at least."""
