@@ -100,7 +100,8 @@ def pack(
     if gaussian_ids is not None:
         parts.append(np.asarray(gaussian_ids, "<u4").tobytes())
     if not flags & COLORS_ONLY:
-        quats = np.where(drawable[:, None], splats.quats, np.float32([1, 0, 0, 0]))  # others' squares may overflow
+        # Squares of undrawable ones may overflow.
+        quats = np.where(drawable[:, None], splats.quats, np.array([1, 0, 0, 0], np.float32))
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         parts += [_bytes(splats.means, drawable), _bytes(splats.scales, drawable), _bytes(quats, drawable)]
     parts += [_bytes(np.clip(splats.opacities, 0, 1), drawable), _bytes(splats.sh, drawable)]
