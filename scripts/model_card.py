@@ -169,7 +169,7 @@ def _training(stages: Sequence[Mapping[str, Any]], hardware: str) -> str:
     )
 
 
-def _figures(judged: Mapping[str, Any], shown: str, reached: Sequence[str]) -> str:
+def _figures(judged: Mapping[str, Any], rows: str, reached: Sequence[str]) -> str:
     return f"""
 ## Figures
 
@@ -179,7 +179,7 @@ where it changes the object; of global ones on the whole object. `nothing` is th
 ours - lift, the interval the middle 95 % of a bootstrap over objects. SSIM (higher is better) and LPIPS-Alex (lower is
 better): nothing / lift / ours. Relighting is the same samples with some of their edited views.
 
-{shown}
+{rows}
 
 What was wanted, and what came:
 

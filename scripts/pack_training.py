@@ -21,7 +21,7 @@ from pathlib import Path
 
 MIB = 1 << 20
 ROOT = Path(__file__).resolve().parents[1]
-KEPT = ("state", "model", "log.csv", "validation.csv", "recipe.json", "sheets")
+RUN_FILES = ("state", "model", "log.csv", "validation.csv", "recipe.json", "sheets")
 """What of a run travels."""
 RUN = """#!/bin/bash
 # usage: bash run.sh STAGE [options of `splatpainter train STAGE`]; OUT, if set, is the folder whose files come back.
@@ -106,11 +106,11 @@ def pack(given: argparse.Namespace) -> None:
         for kind in ("environments", "decals", "fonts", "textures", "perceptual", "weights"):
             if getattr(given, kind):
                 add_tree(getattr(given, kind), kind)
-        for place in given.wheels:
-            for wheel in sorted(place.glob("*.whl")) if place.is_dir() else [place]:
+        for path in given.wheels:
+            for wheel in sorted(path.glob("*.whl")) if path.is_dir() else [path]:
                 add(f"wheels/{wheel.name}", wheel.read_bytes())
         if given.run:
-            for name in KEPT[:-1]:  # sheets need not travel back
+            for name in RUN_FILES[:-1]:  # sheets need not travel back
                 part = given.run / name
                 add_tree(part, f"run/{name}") if part.is_dir() else add(f"run/{name}", part.read_bytes())
     listed = ", ".join(f"{name} {size / MIB:.1f}" for name, size in sorted(sizes.items(), key=lambda x: -x[1]))
@@ -123,26 +123,26 @@ def pack(given: argparse.Namespace) -> None:
 def split(run: Path, out: Path, size: float, files: int) -> None:
     """A run's tar file in parts of `size` MiB. Without its sheets, and then without its model (which the state holds
     too), where all would be too much. Raises ValueError where the state alone is."""
-    names = [name for name in (*KEPT, "train.log") if (run / name).exists()]
-    whole = b""
+    names = [name for name in (*RUN_FILES, "train.log") if (run / name).exists()]
+    packed = b""
     for left_out in ((), ("sheets",), ("sheets", "model")):
         buffer = io.BytesIO()
         with tarfile.open(fileobj=buffer, mode="w:gz", compresslevel=1) as tar:
             for name in names:
                 if name not in left_out:
                     tar.add(run / name, name)
-        whole = buffer.getvalue()
-        if len(whole) <= files * size * MIB:
+        packed = buffer.getvalue()
+        if len(packed) <= files * size * MIB:
             break
     else:
         raise ValueError(
-            f"{run}: expected at most {files} x {size} MiB, got {len(whole) / MIB:.1f}; train with --compact-state"
+            f"{run}: expected at most {files} x {size} MiB, got {len(packed) / MIB:.1f}; train with --compact-state"
         )
     out.mkdir(parents=True, exist_ok=True)
     step = int(size * MIB)
-    for k in range(0, max(len(whole), 1), step):
-        (out / f"part-{k // step}.bin").write_bytes(whole[k : k + step])
-    print(f"{out}: {len(whole) / MIB:.1f} MiB in {-(-len(whole) // step)} files")
+    for k in range(0, max(len(packed), 1), step):
+        (out / f"part-{k // step}.bin").write_bytes(packed[k : k + step])
+    print(f"{out}: {len(packed) / MIB:.1f} MiB in {-(-len(packed) // step)} files")
 
 
 def unpack(given: argparse.Namespace) -> None:

@@ -430,8 +430,8 @@ class CaseStore:
     def save(self, case: Case, stamp: str, pictures: dict[str, Any]) -> None:
         """Write a case and its pictures; the stamp comes last, so that what was interrupted counts as not made.
 
-        pictures: Table.pictures of the unedited asset: "result", and "truth" where the table says what to compare it
-        with; otherwise the truth is the most changed view."""
+        pictures: BenchTable.pictures of the unedited asset: "result", and "truth" where the table says what to compare
+        it with; otherwise the truth is the most changed view."""
         folder = self.case_folder(case.label)
         (folder / "stamp.json").unlink(missing_ok=True)
         case.save(folder)

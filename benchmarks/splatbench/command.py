@@ -261,7 +261,7 @@ def bench(name: str, words: Sequence[str]) -> Outcome:
         "out": result.folder,
         "sheet": sheet,
         "complete": result.complete,
-        "rows": [asdict(row) for row in result.rows],
+        "rows": [{"asked" if k == "all_cases" else k: v for k, v in asdict(row).items()} for row in result.rows],
         "notes": result.notes,
     }
     return _outcome(record, lines, 0 if result.complete else 1, options.json)

@@ -175,7 +175,7 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         asset = painter.encode(read(ply), method)
         assert asset.grid is not None
         setup = time.perf_counter() - start
-        before = Views(asset.splats, view)
+        before = RenderedViews(asset.splats, view)
         layers = painted_layers(before.images[0], before.covers[0], config)
         edited = before.images[0]
         for layer in layers:
@@ -190,11 +190,11 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         )
         painted = results[0]
         exact = _verified(painted, ply, Path(folder) / "edited.ply")
-    after = Views(painted.splats, view)
+    after = RenderedViews(painted.splats, view)
     return _scored(name, asset, painted, exact, edit, layers, before, after, (setup, timing.seconds))
 
 
-class Views:
+class RenderedViews:
     """The close-up of an asset and the other views, drawn."""
 
     def __init__(self, splats: Splats, view: Closeup) -> None:
@@ -242,8 +242,8 @@ def _scored(
     exact: bool,
     edit: Edit,
     layers: Sequence[np.ndarray],
-    before: Views,
-    after: Views,
+    before: RenderedViews,
+    after: RenderedViews,
     seconds: tuple[float, float],
 ) -> tuple[Lift, Strip]:
     receipt = painted.receipt
@@ -290,7 +290,7 @@ def _db(value: float | None) -> str:
 
 
 def _novel(
-    splats: Splats, layers: Sequence[np.ndarray], before: Views, after: Views
+    splats: Splats, layers: Sequence[np.ndarray], before: RenderedViews, after: RenderedViews
 ) -> tuple[list[float], list[float]]:
     """PSNR per other view: (under the paint against the expected picture, elsewhere against the render before)."""
     inside, outside = [], []

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from splatbench.cases import Record, RunConfig, Setup
 from splatbench.report import published, summary
 from splatbench.report.tables import seconds
-from splatbench.tables import Table
+from splatbench.tables import BenchTable
 
 SIDE_BY_SIDE = re.compile(r"; (\d+) methods side by side")
 LOAD = re.compile(r"; load [\d.]+ at the start")
@@ -36,7 +36,7 @@ class RunState:
     """All that belong to the table."""
     outdated: tuple[Record, ...]
     """Those of them that were made with another budget or other weights than this run's."""
-    table: Table
+    table: BenchTable
     labels: dict[str, str]
     """Method -> its name in tables."""
 

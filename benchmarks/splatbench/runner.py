@@ -43,7 +43,7 @@ from splatbench.notes import RunState, complete, notes
 from splatbench.process import WorkerJob, Workers, answer_jobs, forget_peak, one_line, peak_mib
 from splatbench.report import tables as report_tables
 from splatbench.report.summary import RUN_FILE, MethodNames, SummaryRow, summarize
-from splatbench.tables import Table
+from splatbench.tables import BenchTable
 from splatpainter import jsonio
 from splatpainter.image_files import write_png
 from splatpainter.io import files
@@ -355,7 +355,7 @@ def edited(case: Case, method: Method, budget: Budget) -> tuple[list[EditResult]
 
 
 def measured(
-    record: Record, table: Table, case: Case, results: Sequence[EditResult], perceptual: Any | None, peak: float
+    record: Record, table: BenchTable, case: Case, results: Sequence[EditResult], perceptual: Any | None, peak: float
 ) -> Record:
     """The record with all its figures. Seconds of set-up and of edits are sums over the steps."""
     keeps = all(result.keeps_rows for result in results)

@@ -60,7 +60,7 @@ def save_scene(folder: Path, splats: Splats) -> None:
 
 
 @dataclass(frozen=True)
-class Scene:
+class SavedScene:
     """A scene saved by `save_scene`, seen in the demo's recommended view."""
 
     folder: Path

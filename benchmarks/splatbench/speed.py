@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from splatbench.process import in_fresh_process
-from splatbench.scenes import Scene, resampled, save_scene
+from splatbench.scenes import SavedScene, resampled, save_scene
 from splatbench.speed_cases import OPERATIONS
 from splatbench.timing import Timing, machine, measure
 from splatpainter import text_tables as tables
@@ -211,7 +211,7 @@ def _programs(config: SpeedBench, rows: int, scene: Path, folder: Path) -> Itera
     ply = scene / "scene.ply"
     if config.wants(EDIT_FILE):
         size = config.sizes[0] if config.quick else LARGE_PX
-        view = Scene(scene, size)
+        view = SavedScene(scene, size)
         write_png(folder / "edited.png", view.edited("dab")[0], view.camera)
         arguments = {"ply": str(ply), "picture": str(folder / "edited.png")}
         runs = [in_fresh_process("splatbench.speed_cases:edit_file", arguments) for _ in range(repeats)]

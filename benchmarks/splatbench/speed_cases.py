@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from splatbench.scenes import Scene
+from splatbench.scenes import SavedScene
 from splatbench.timing import measure
 from splatpainter.splats import ATTRIBUTES, Splats
 
@@ -28,7 +28,7 @@ Work = Callable[[], Any]
 class Operation:
     """One line of the table."""
 
-    prepare: Callable[[Scene], Work]
+    prepare: Callable[[SavedScene], Work]
     views: bool = True
     """Whether the picture's size matters."""
     large: bool = True
@@ -43,7 +43,7 @@ class Operation:
     """Largest picture that it is timed with, pixels."""
 
 
-def render_forward(scene: Scene) -> Work:
+def render_forward(scene: SavedScene) -> Work:
     """One view, numpy in and out."""
     from splatpainter.rendering import render
 
@@ -51,7 +51,7 @@ def render_forward(scene: Scene) -> Work:
     return lambda: render(splats, camera)
 
 
-def render_backward(scene: Scene) -> Work:
+def render_backward(scene: SavedScene) -> Work:
     """Forward and torch's backward to every attribute."""
     return _backward(scene.splats, scene.camera, "cpu")
 
@@ -75,7 +75,7 @@ def _backward(splats: Splats, camera: Any, backend: Any) -> Work:
     return work
 
 
-def rays(scene: Scene) -> Work:
+def rays(scene: SavedScene) -> Work:
     """First occupied voxel of every pixel's ray, in a ready grid."""
     from splatpainter.voxels.grid import voxelize
     from splatpainter.voxels.raycast import first_hits
@@ -85,7 +85,7 @@ def rays(scene: Scene) -> Work:
     return lambda: first_hits(grid.occupancy, grid, origin, directions)
 
 
-def voxels(scene: Scene) -> Work:
+def voxels(scene: SavedScene) -> Work:
     """The 128^3 grid, as `Painter.encode` and the first edit make it once per asset."""
     from splatpainter.voxels.grid import voxelize
 
@@ -93,7 +93,7 @@ def voxels(scene: Scene) -> Work:
     return lambda: voxelize(replace(splats))  # a new object: `finite` is cached on the old one
 
 
-def edit_lift(scene: Scene, kind: str, mode: Any) -> Work:
+def edit_lift(scene: SavedScene, kind: str, mode: Any) -> Work:
     """A whole edit: its mask found, lifted, receipt with its hashes and scores. kind: of Scene.edited."""
     from splatpainter.painter import Edit, Painter
 
@@ -104,14 +104,14 @@ def edit_lift(scene: Scene, kind: str, mode: Any) -> Work:
     return lambda: painter.apply(asset, [edit], mode=mode)
 
 
-def encode(scene: Scene) -> Work:
+def encode(scene: SavedScene) -> Work:
     """Canonical views, LRM and Stage I of the preset `compact`; nothing from the cache. Times do not depend on the
     weights, so untrained ones will do."""
     painter, splats = _networks(), scene.splats
     return lambda: painter.encode(replace(splats))
 
 
-def edit_networks(scene: Scene, mode: Any) -> Work:
+def edit_networks(scene: SavedScene, mode: Any) -> Work:
     """A whole edit by the networks: a disc on the pot's belly, or one regraded view."""
     from splatpainter.painter import Edit
 
@@ -123,7 +123,7 @@ def edit_networks(scene: Scene, mode: Any) -> Work:
     return lambda: painter.apply(asset, [edit], mode=mode)
 
 
-def _disc(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _disc(scene: SavedScene) -> tuple[np.ndarray, np.ndarray]:
     """([H, W, 3] float32 picture, [H, W] bool) a red disc around the dab, DISC_RADIUS of the picture."""
     v, u = np.nonzero(scene.edited("dab")[1])
     across = np.hypot(*(np.indices((scene.size, scene.size)) - np.array([v.mean(), u.mean()])[:, None, None]))
@@ -145,7 +145,7 @@ def _networks() -> Any:
     return Painter(model=model)
 
 
-def lift_dab(scene: Scene) -> Work:
+def lift_dab(scene: SavedScene) -> Work:
     """The lift alone, mask and allowed Gaussians given."""
     from splatpainter.lift.local_edit import lift_local
 
@@ -154,7 +154,7 @@ def lift_dab(scene: Scene) -> Work:
     return lambda: lift_local(splats, camera, target, mask)
 
 
-def preview_round(scene: Scene, projected: bool) -> Work:
+def preview_round(scene: SavedScene, projected: bool) -> Work:
     """One round of the lift's colours over the dab's tiles; with its projection, as after a camera move, or with the
     one of the round before."""
     from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
@@ -173,14 +173,14 @@ def preview_round(scene: Scene, projected: bool) -> Work:
     return work
 
 
-def open_file(scene: Scene) -> Work:
+def open_file(scene: SavedScene) -> Work:
     """Read a PLY."""
     from splatpainter.io import read
 
     return lambda: read(scene.ply)
 
 
-def save_file(scene: Scene) -> Work:
+def save_file(scene: SavedScene) -> Work:
     """Write a PLY that was read, with every hundredth Gaussian recoloured."""
     from splatpainter.io import read, write
 
@@ -218,7 +218,7 @@ OPERATIONS: dict[str, Operation] = {
 
 def run_operation(name: str, folder: str, size: int, repeats: int, budget: float) -> dict[str, Any]:
     """Time one of OPERATIONS on a saved scene."""
-    work = OPERATIONS[name].prepare(Scene(Path(folder), size))
+    work = OPERATIONS[name].prepare(SavedScene(Path(folder), size))
     return asdict(measure(work, repeats=repeats, budget=budget))
 
 
@@ -228,7 +228,7 @@ def small_scene(folder: str, size: int, repeats: int) -> dict[str, dict[str, dic
 
     from splatpainter.rendering import render
 
-    scene = Scene(Path(folder), size)
+    scene = SavedScene(Path(folder), size)
     splats, camera = scene.splats.torch(), scene.camera
 
     def forward(backend: Any) -> Work:

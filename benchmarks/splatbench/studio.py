@@ -73,7 +73,7 @@ class StudioBench:
 
 
 @dataclass(frozen=True)
-class Line:
+class Measurement:
     """One line of the table."""
 
     what: str
@@ -91,21 +91,21 @@ class Line:
 
 def line(
     what: str, values: list[float], unit: str = "ms", target: float | None = None, size: int | None = None
-) -> Line:
+) -> Measurement:
     """Median and worst of some values."""
     median = statistics.median(values)
     met = None if target is None or math.isnan(median) else median <= target
-    return Line(what, size, unit, median, max(values), target, met, len(values))
+    return Measurement(what, size, unit, median, max(values), target, met, len(values))
 
 
-def run(config: StudioBench, report: Report | None = None) -> list[Line]:
+def run(config: StudioBench, report: Report | None = None) -> list[Measurement]:
     """Measure, write studio.csv and studio.md, and return the lines. report: called with one sentence per measurement.
     Raises ValueError for settings that make no sense, RuntimeError where the studio does not do what it should."""
     config = _checked(config)
     report = report or (lambda _: None)
     where, results = machine(), []
 
-    def add(lines: Iterator[Line]) -> None:
+    def add(lines: Iterator[Measurement]) -> None:
         for entry in lines:
             results.append(entry)
             end = "" if entry.target is None else f", target {tables.cell_text(entry.target)}"
@@ -171,13 +171,13 @@ def view(home: dict[str, Any], size: int) -> dict[str, Any]:
     return {**home, **focal, "width": size, "height": size, "cx": size / 2, "cy": size / 2}
 
 
-def _page() -> Iterator[Line]:
+def _page() -> Iterator[Measurement]:
     static = resources.files("splatpainter.server") / "static"
     packed = sum(len(gzip.compress(entry.read_bytes(), mtime=0)) for entry in static.iterdir() if entry.is_file())
     yield line("page: bundle, gzipped", [packed / 2**20], "MiB", BUNDLE_MIB)
 
 
-def _starts(config: StudioBench, asset: Path, folder: Path) -> Iterator[Line]:
+def _starts(config: StudioBench, asset: Path, folder: Path) -> Iterator[Measurement]:
     warm = 1 if config.quick else 3
     kinds: list[tuple[str, Path | None, dict[str, str], int, float | None]] = [
         ("start", asset, {}, warm, START_MS),
@@ -220,7 +220,7 @@ def _ask(browser: Browser, name: str, /, **fields: Any) -> tuple[dict[str, Any],
 
 
 @dataclass(frozen=True)
-class Patch:
+class StrokePatch:
     """New pixels of a stroke, as the page sends them."""
 
     x: int
@@ -230,39 +230,39 @@ class Patch:
     rgba: str
 
     @staticmethod
-    def of(layer: np.ndarray, box: tuple[float, float, float, float]) -> Patch:
+    def of(layer: np.ndarray, box: tuple[float, float, float, float]) -> StrokePatch:
         """Of a [H, W, 4] layer (scenes.py) within left, top, right, bottom."""
         height, width = layer.shape[:2]
         left, top = max(int(box[0]), 0), max(int(box[1]), 0)
         right, bottom = min(math.ceil(box[2]), width), min(math.ceil(box[3]), height)
         pixels = (layer[top:bottom, left:right] * 255 + 0.5).astype(np.uint8)
-        return Patch(left, top, right - left, bottom - top, encoded(pixels))
+        return StrokePatch(left, top, right - left, bottom - top, encoded(pixels))
 
 
-def dab_at(size: int, x: float, y: float, tone: int = 0) -> Patch:
+def dab_at(size: int, x: float, y: float, tone: int = 0) -> StrokePatch:
     """A soft disc around x, y of a view of `size` pixels."""
     width = DAB_WIDTH * size
     layer = scenes.stroke_layer((size, size), np.array([(x, y)]), width, size / 128, scenes.PALETTE[tone])
-    return Patch.of(layer, (x - width / 2, y - width / 2, x + width / 2, y + width / 2))
+    return StrokePatch.of(layer, (x - width / 2, y - width / 2, x + width / 2, y + width / 2))
 
 
-def stroke_patches(size: int, height: float) -> list[Patch]:
+def stroke_patches(size: int, height: float) -> list[StrokePatch]:
     """Batches of one stroke to the right, at `height` (0..1) of the picture: each holds all paint in its rectangle."""
     half, step = DAB_WIDTH * size / 2, size / 32
     points = np.array([(0.3 * size + k * step, height * size) for k in range(STROKE_BATCHES)])
     out = []
     for k, (x, y) in enumerate(points):
         layer = scenes.stroke_layer((size, size), points[: k + 1], 2 * half, size / 128, scenes.PALETTE[0])
-        out.append(Patch.of(layer, (x - half - step * bool(k), y - half, x + half, y + half)))
+        out.append(StrokePatch.of(layer, (x - half - step * bool(k), y - half, x + half, y + half)))
     return out
 
 
-def text_patch(size: int, height: float) -> Patch:
+def text_patch(size: int, height: float) -> StrokePatch:
     """Letters, their middle at `height` (0..1) of a view."""
     middle = (size / 2, height * size)
     layer = scenes.text_layer("TEA", (size, size), middle, TEXT_HEIGHT * size, scenes.PALETTE[1])
     rows, columns = (np.flatnonzero(layer[..., 3].any(axis)) for axis in (1, 0))
-    return Patch.of(layer, (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1))
+    return StrokePatch.of(layer, (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1))
 
 
 @dataclass
@@ -276,7 +276,7 @@ class Painted:
     end_bytes: int
 
 
-def stroke(browser: Browser, camera: dict[str, Any], patches: list[Patch]) -> Painted:
+def stroke(browser: Browser, camera: dict[str, Any], patches: list[StrokePatch]) -> Painted:
     """Draw and commit. Raises RuntimeError where the paint reached nothing."""
     started, begin = _ask(browser, "paint.begin", camera=camera)
     previews, sizes, reached = [], [], 0
@@ -291,7 +291,7 @@ def stroke(browser: Browser, camera: dict[str, Any], patches: list[Patch]) -> Pa
     return Painted(begin, previews, sizes, end, browser.received)
 
 
-def _painting(browser: Browser, camera: dict[str, Any], repeats: int) -> Iterator[Line]:
+def _painting(browser: Browser, camera: dict[str, Any], repeats: int) -> Iterator[Measurement]:
     """Strokes, dabs and text on one view, each of them undone, redone and undone."""
     size = camera["width"]
     heights = np.linspace(0.45, 0.55, repeats)
@@ -319,7 +319,7 @@ def _painting(browser: Browser, camera: dict[str, Any], repeats: int) -> Iterato
             yield line(f"{command} of a {kind}", values, size=size)
 
 
-def _renders(server: Server, browser: Browser, camera: dict[str, Any], repeats: int) -> Iterator[Line]:
+def _renders(server: Server, browser: Browser, camera: dict[str, Any], repeats: int) -> Iterator[Measurement]:
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -328,7 +328,7 @@ def _renders(server: Server, browser: Browser, camera: dict[str, Any], repeats: 
     yield line("view rendered and fetched", times, size=camera["width"])
 
 
-def _looks(browser: Browser, repeats: int) -> Iterator[Line]:
+def _looks(browser: Browser, repeats: int) -> Iterator[Measurement]:
     """Sliders that are dragged, one after the other, then kept."""
     times, sent = [], []
     settings = [{"exposure": 0.1 + 0.05 * k, "temperature": 0.2, "contrast": 0.1} for k in range(3 * repeats)]
@@ -345,7 +345,7 @@ def _looks(browser: Browser, repeats: int) -> Iterator[Line]:
     yield line("undo of a slider", undone)
 
 
-def _memory(server: Server, browser: Browser, camera: dict[str, Any], edits: int) -> Iterator[Line]:
+def _memory(server: Server, browser: Browser, camera: dict[str, Any], edits: int) -> Iterator[Measurement]:
     """Dabs here and there, each of them undone."""
     size, rng = camera["width"], np.random.default_rng(0)
     yield line("memory: before the edits", [server.memory()[0]], "MiB", MEMORY_MIB)
@@ -364,7 +364,7 @@ def _memory(server: Server, browser: Browser, camera: dict[str, Any], edits: int
     yield line("memory: growth per 100 edits and undos", [growth], "MiB", GROWTH_MIB)
 
 
-def _load(server: Server, clients: int, edits: int) -> Iterator[Line]:
+def _load(server: Server, clients: int, edits: int) -> Iterator[Measurement]:
     """All clients at once on one session. Raises RuntimeError where one fails, or where they do not end up with equal
     Gaussians."""
     before = server.memory()[0]

@@ -27,7 +27,7 @@ from tests.support.painter_scenes import LIFT, OWN, built
 from tests.support.train_scenes import LIFT as TRAINED
 from tests.support.train_scenes import RECIPE
 
-TABLE = ablate.protocol()
+TABLE = ablate.TABLE
 SETUP = Setup(objects=2, size=32, rows=200, base_views=2, novel_views=2, seed=4)
 ROWS = {method.name: method for method in ablations.METHODS}
 
@@ -38,8 +38,8 @@ def few_surfels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @cache
-def made(place: int) -> Case:
-    return TABLE.make(TABLE.keys(SETUP)[place], SETUP)
+def made(index: int) -> Case:
+    return TABLE.make(TABLE.keys(SETUP)[index], SETUP)
 
 
 @cache
@@ -61,8 +61,8 @@ def test_the_list_begins_with_every_part_of_the_mixture() -> None:
 
 
 def test_cases_are_the_samples_that_training_is_judged_on() -> None:
-    for place, sample in enumerate(judged_samples()):
-        case = made(place)
+    for index, sample in enumerate(judged_samples()):
+        case = made(index)
         assert case.name == sample.name and case.steps[0].kind == sample.kind and case.steps[0].mode == sample.mode
         assert np.array_equal(case.asset.means, sample.asset.means)
         assert np.array_equal(case.steps[0].edited.colors, sample.edited.colors.numpy())
@@ -71,29 +71,29 @@ def test_cases_are_the_samples_that_training_is_judged_on() -> None:
     assert len(made(0).steps[0].edited) == ablate.RELIT_VIEWS and made(0).facts["mode"] == "global"
 
 
-@pytest.mark.parametrize("place", [0, 1])
-def test_figures_are_those_of_the_judge(place: int) -> None:
+@pytest.mark.parametrize("index", [0, 1])
+def test_figures_are_those_of_the_judge(index: int) -> None:
     """Of the asset as it is, and of the lift: train/stages/refine.py measures both beside the network."""
-    case, sample = made(place), judged_samples()[place]
+    case, sample = made(index), judged_samples()[index]
     torch.manual_seed(0)
     numbers = (
         refine_task(replace(RECIPE, samples=RECIPE.samples), SplatPainterModel(TRAINED), None).judge(sample).numbers
     )
     lifted = lift.edit(EditTask("ablate", case.asset, case.base, case.steps[0]), Budget())
     for name, splats in (("nothing", case.asset), ("lift", lifted.splats)):
-        found = TABLE.score(case, [EditResult(splats, 0, 0)], None)
-        assert found["psnr"] == pytest.approx(numbers[name], abs=2e-3)
-        assert found["ssim"] == pytest.approx(numbers[f"{name} SSIM"], abs=1e-3)
-        assert found["lpips"] is None
+        figures = TABLE.score(case, [EditResult(splats, 0, 0)], None)
+        assert figures["psnr"] == pytest.approx(numbers[name], abs=2e-3)
+        assert figures["ssim"] == pytest.approx(numbers[f"{name} SSIM"], abs=1e-3)
+        assert figures["lpips"] is None
 
 
 def test_the_sheet_shows_the_view_with_most_of_the_edit() -> None:
     case = made(1)
-    shown = TABLE.pictures(case, [EditResult(case.asset, 0, 0)])
+    tiles = TABLE.pictures(case, [EditResult(case.asset, 0, 0)])
     change = np.abs(case.after.colors - case.before.colors).max(-1) > 0.02
     most = int(np.argmax(np.where(case.near, change.sum((1, 2)), -1)))
-    assert list(shown) == ["result", "truth"]
-    np.testing.assert_allclose(shown["truth"][change[most]], case.after.colors[most][change[most]])
+    assert list(tiles) == ["result", "truth"]
+    np.testing.assert_allclose(tiles["truth"][change[most]], case.after.colors[most][change[most]])
 
 
 def test_bad_data_is_a_line(tmp_path: Path) -> None:
@@ -166,20 +166,20 @@ def test_loss_and_orthogonalisation_reach_the_update() -> None:
     start = [w[0] for w in ttt.initial_state()]
     way = fast_weights.ascent(FastWeights(*start), k, v, rates, "dot")
     moved = [w + d for w, d in zip(start, way, strict=True)]
-    wanted = [w * s.norm(dim=0) / w.norm(dim=0) for w, s in zip(moved, start, strict=True)]
+    expected = [w * s.norm(dim=0) / w.norm(dim=0) for w, s in zip(moved, start, strict=True)]
     if torch.allclose(v.norm(dim=1), torch.ones(len(v)), atol=1e-3):
         pytest.fail("values are not to be of unit length")
-    assert close(wanted, [w[0] for w in ttt.update(ttt.initial_state(), tokens)])
+    assert close(expected, [w[0] for w in ttt.update(ttt.initial_state(), tokens)])
 
 
 def test_weights_are_shared_and_the_model_stays_as_it_was() -> None:
     model = wide_awake()
     changed = altered(model, Change({"mask_tokens": False}, ("refiner.lift.weight",)))
-    own, other = model.state_dict(), changed.state_dict()
-    assert own.keys() == other.keys() and not changed.training
-    for name, tensor in own.items():
+    original, other = model.state_dict(), changed.state_dict()
+    assert original.keys() == other.keys() and not changed.training
+    for name, tensor in original.items():
         assert (tensor.data_ptr() == other[name].data_ptr()) == (name != "refiner.lift.weight"), name
-    assert not other["refiner.lift.weight"].any() and own["refiner.lift.weight"].any()
+    assert not other["refiner.lift.weight"].any() and original["refiner.lift.weight"].any()
     groups = model.groups(grid_of(shell(), model.config))
     tokens = tokenize(pictures(2), groups, changed.config.refine)
     assert len(tokens.pixels) == 2 * (32 // model.config.refine.patch) ** 2  # all of them, edited or not
@@ -213,13 +213,13 @@ def test_rows_that_teach_can_be_left_out_and_sizes_cannot_change() -> None:
 def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> None:
     built(LIFT).save(tmp_path / "lift")
     built(OWN).save(tmp_path / "own")
-    told = {
+    repeated = {
         name: {m.name for m in ablations.SAME if m.missing(Budget(weights={"compact": str(tmp_path / name)}))}
         for name in ("lift", "own")
     }
     usual = {"same-inner-steps-1", "same-inner-l2", "same-newton-schulz-5", "same-strength-1", "same-no-row-tokens"}
     usual |= {"same-no-predictor"}
-    assert told["lift"] == usual and told["own"] == usual | {"same-no-drift"}
+    assert repeated["lift"] == usual and repeated["own"] == usual | {"same-no-drift"}
     budget = Budget(weights={"compact": str(tmp_path / "lift")})
     assert ROWS["same-strength-1"].missing(budget) == AS_TRAINED
     versions = {m.version(budget) for m in ablations.SAME}
@@ -230,8 +230,8 @@ def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> N
 def test_a_row_runs_end_to_end_and_differs_from_the_weights_own_settings(tmp_path: Path) -> None:
     wide_awake().save(tmp_path, dtype="float32")
     budget, case = Budget(weights={"compact": str(tmp_path)}), made(0)
-    asked = EditTask("ablate", case.asset, case.base, case.steps[0])
-    plain, still = ttt.METHODS[0].edit(asked, budget), ROWS["same-strength-0"].edit(asked, budget)
+    task = EditTask("ablate", case.asset, case.base, case.steps[0])
+    plain, still = ttt.METHODS[0].edit(task, budget), ROWS["same-strength-0"].edit(task, budget)
     assert not np.array_equal(plain.splats.means, still.splats.means) and still.keeps_rows
     assert len(still.splats) == len(plain.splats)
 
@@ -244,10 +244,10 @@ def test_separate_models_answer_for_their_own_kind_of_edit(tmp_path: Path) -> No
     assert row.missing(half).endswith("--weights global=FOLDER") and "samples.kinds.stroke 0" in row.missing(half)
     budget = Budget(weights={name: str(tmp_path / name) for name in ("local", "global")})
     assert row.missing(budget) == ""
-    for place, same in ((0, False), (1, True)):
-        case = made(place)
-        asked = EditTask("ablate", case.asset, case.base, case.steps[0])
-        ours, lifted = row.edit(asked, budget).splats, lift.edit(asked, budget).splats
+    for index, same in ((0, False), (1, True)):
+        case = made(index)
+        task = EditTask("ablate", case.asset, case.base, case.steps[0])
+        ours, lifted = row.edit(task, budget).splats, lift.edit(task, budget).splats
         assert np.array_equal(ours.sh, lifted.sh) == same
 
 

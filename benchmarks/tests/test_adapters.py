@@ -56,9 +56,9 @@ def test_voxhammer_gets_renders_pictures_and_region_and_its_mesh_comes_back_in_p
             direction[axis] = side
             target = lo + size * (0.5 + np.array([0.05, 0, 0]))
             camera = look_at(target + 4 * size * direction, target, width=9, height=9, fov=3)
-            shown = render(done.splats, camera)
-            assert abs(shown.colors[0, 4, 4] - colors.get((axis, side), (1, 0, 1))).max() < 0.03, (axis, side)
-            assert abs(shown.depths[0, 4, 4, 0] - (4 - 0.37) * size) < 0.02 * size
+            drawn = render(done.splats, camera)
+            assert abs(drawn.colors[0, 4, 4] - colors.get((axis, side), (1, 0, 1))).max() < 0.03, (axis, side)
+            assert abs(drawn.depths[0, 4, 4, 0] - (4 - 0.37) * size) < 0.02 * size
     assert "region in 3D" in done.note and done.numbers["rows"] == 6000 and done.numbers["unmasked_db"] < 30
 
 
@@ -86,8 +86,8 @@ def test_dge_gets_a_colmap_scene_and_gives_back_the_assets_frame(installed, tmp_
 def test_instruct_gs2gs_is_brought_back_from_nerfstudios_frame(installed, tmp_path, monkeypatch):
     turn = Rotation.from_euler("xyz", (70, 20, -130), degrees=True).as_matrix()
     shift, scale = np.array([0.4, -1.2, 0.3]), 0.31
-    told = {"transform": np.c_[turn, shift].astype(np.float32).tolist(), "scale": scale}
-    (tmp_path / "parser.json").write_text(json.dumps(told))
+    parser = {"transform": np.c_[turn, shift].astype(np.float32).tolist(), "scale": scale}
+    (tmp_path / "parser.json").write_text(json.dumps(parser))
     monkeypatch.setenv("PARSER", str(tmp_path / "parser.json"))
     answer(tmp_path, moved(edited(), turn, scale, scale * shift))
     plugin = f"environment = {{ PYTHONPATH = '{tmp_path / 'plugin'}' }}"
@@ -252,9 +252,9 @@ def test_a_version_changes_with_what_may_change_results(installed, tmp_path):
     (git / "HEAD").write_text("ref: refs/heads/main\n")
     (git / "refs" / "heads" / "main").write_text("7eed0bc57824\n")
     assert version(installed("dge")) != first
-    own = config.section(installed("dge").adapters, "dge")  # type: ignore[arg-type]
-    assert own is not None and config.commit(own.repository) == "7eed0bc57824"
-    assert own.instruction("stroke") == 'Paint it: "red"' and own.instruction("recolor") == "recolor"
+    section = config.section(installed("dge").adapters, "dge")  # type: ignore[arg-type]
+    assert section is not None and config.commit(section.repository) == "7eed0bc57824"
+    assert section.instruction("stroke") == 'Paint it: "red"' and section.instruction("recolor") == "recolor"
 
 
 def test_a_gpu_is_looked_for_on_the_machine(monkeypatch):

@@ -45,8 +45,8 @@ def step(truth: Splats, cameras: list[Camera], mode: Mode = "global", masks: np.
     return EditStep(mode, "relight", PosedImages(tuple(cameras), colors), everywhere if masks is None else masks)
 
 
-def work(asset: Splats, wanted: EditStep) -> EditTask:
-    return EditTask("relight", asset, wanted.edited, wanted)
+def work(asset: Splats, relit: EditStep) -> EditTask:
+    return EditTask("relight", asset, relit.edited, relit)
 
 
 def test_one_affine_map_is_found_again_and_acts_on_every_direction() -> None:
@@ -73,14 +73,14 @@ def test_a_grey_asset_has_an_answer_where_the_pictures_leave_it_open() -> None:
 
 def test_pixels_outside_the_mask_and_beside_the_asset_are_not_learnt_from() -> None:
     asset = sheet(40, half=0.6)
-    wanted = step(mapped(asset, WARM, np.ones(len(asset), bool)), [front()])
+    relit = step(mapped(asset, WARM, np.ones(len(asset), bool)), [front()])
     beside = render(asset, front()).alphas[0, ..., 0] < 0.1
     assert beside.sum() > 1000
-    wanted.edited.colors[0, beside] = (1, 0, 1)
+    relit.edited.colors[0, beside] = (1, 0, 1)
     masks = np.ones((1, 96, 96), bool)
     masks[0, 48:] = False
-    wanted.edited.colors[0, 48:] = (0, 1, 0)
-    np.testing.assert_allclose(fit_affine(view_targets(asset, replace(wanted, masks=masks))), WARM, atol=1e-3)
+    relit.edited.colors[0, 48:] = (0, 1, 0)
+    np.testing.assert_allclose(fit_affine(view_targets(asset, replace(relit, masks=masks))), WARM, atol=1e-3)
 
 
 def test_each_cluster_has_its_own_map_and_one_out_of_view_the_common_one() -> None:
@@ -143,18 +143,18 @@ def test_cluster_features_are_scaled_alike_and_undrawable_rows_are_in_the_middle
     broken = replace(asset, scales=np.where(np.arange(400)[:, None] == 7, 0, asset.scales).astype(np.float32))
     features = cluster_features(broken)
     assert (features[7] == 0).all()
-    kept = np.delete(features, 7, 0)
-    for group in (kept[:, :3], kept[:, 3:6], kept[:, 6:]):
+    rest = np.delete(features, 7, 0)
+    for group in (rest[:, :3], rest[:, 3:6], rest[:, 6:]):
         np.testing.assert_allclose((group**2).sum(1).mean(), 1, rtol=1e-3)
-    assert (kept[:, 6:8] == 0).all()  # a flat sheet faces +z or -z
+    assert (rest[:, 6:8] == 0).all()  # a flat sheet faces +z or -z
 
 
 def tiny(degree: int) -> Splats:
     """Five overlapping rows before the origin and one behind both cameras."""
     rng = np.random.default_rng(4)
     asset = None
-    for place in [(-0.3, 0, 0), (0.2, 0.1, 0.2), (0, -0.3, -0.2), (0.1, 0.3, 0.1), (-0.1, 0.1, 0.3), (0, 0, 20)]:
-        one = row(place, rng.uniform(0.15, 0.3, 3), rng.uniform(0.4, 0.6, 3), opacity=rng.uniform(0.5, 0.95), degree=1)
+    for mean in [(-0.3, 0, 0), (0.2, 0.1, 0.2), (0, -0.3, -0.2), (0.1, 0.3, 0.1), (-0.1, 0.1, 0.3), (0, 0, 20)]:
+        one = row(mean, rng.uniform(0.15, 0.3, 3), rng.uniform(0.4, 0.6, 3), opacity=rng.uniform(0.5, 0.95), degree=1)
         asset = one if asset is None else asset.append(one)
     assert asset is not None
     sh = asset.sh[:, : (degree + 1) ** 2].copy()
@@ -176,8 +176,8 @@ def test_rows_are_the_dense_least_squares_solution(degree: int, rounds: int, dam
     rng = np.random.default_rng(8)
     targets = np.clip(render(asset, cameras).colors + rng.uniform(-0.1, 0.3, (2, size, size, 3)), 0, 1)
     targets = targets.astype(np.float32)
-    wanted = EditStep("global", "relight", PosedImages(tuple(cameras), targets), np.ones((2, size, size), bool))
-    views = [replace(view, use=np.ones((size, size), bool)) for view in view_targets(asset, wanted)]
+    relit = EditStep("global", "relight", PosedImages(tuple(cameras), targets), np.ones((2, size, size), bool))
+    views = [replace(view, use=np.ones((size, size), bool)) for view in view_targets(asset, relit)]
 
     inside = asset.take(np.arange(5))
     dense = [dense_weights(inside, camera) for camera in cameras]
@@ -212,13 +212,13 @@ def test_rows_are_the_dense_least_squares_solution(degree: int, rounds: int, dam
 def test_rows_out_of_view_keep_their_bits_and_no_sh_band_beyond_the_degree_moves() -> None:
     asset = sheet(30, degree=2).append(sheet(30, z=-1.5, degree=2))
     truth = mapped(asset, WARM, np.ones(len(asset), bool))
-    wanted = step(truth, [front()])
-    fitted, seen = fit_gaussians(asset, view_targets(asset, wanted), 3, 1.0, 1)
+    relit = step(truth, [front()])
+    fitted, seen = fit_gaussians(asset, view_targets(asset, relit), 3, 1.0, 1)
     assert seen.any() and not seen.all()
     assert np.array_equal(bits(fitted.sh[~seen]), bits(asset.sh[~seen]))
     assert np.array_equal(bits(fitted.sh[:, 4:]), bits(asset.sh[:, 4:]))
     assert fitted.means is asset.means and fitted.opacities is asset.opacities
-    before, after = (db(render(s, front()).colors[0], wanted.edited.colors[0]) for s in (asset, fitted))
+    before, after = (db(render(s, front()).colors[0], relit.edited.colors[0]) for s in (asset, fitted))
     assert after > before + 10
     hidden = db(render(fitted, back()).colors[0], render(asset, back()).colors[0])
     assert hidden > 20
@@ -230,9 +230,9 @@ def test_undrawable_rows_keep_their_bits(name: str) -> None:
     sh = asset.sh.copy()
     sh[5] = np.nan
     asset = replace(asset, sh=sh)
-    kept = asset.take(np.arange(len(asset)) != 5)
-    wanted = step(mapped(kept, WARM, np.ones(len(kept), bool)), [front()])
-    done = BY_NAME[name].edit(work(asset, wanted), Budget())
+    rest = asset.take(np.arange(len(asset)) != 5)
+    relit = step(mapped(rest, WARM, np.ones(len(rest), bool)), [front()])
+    done = BY_NAME[name].edit(work(asset, relit), Budget())
     assert np.array_equal(bits(done.splats.sh[5]), bits(asset.sh[5]))
     assert np.isfinite(np.delete(done.splats.sh, 5, 0)).all()
 

@@ -34,10 +34,10 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_table_from_words_to_files(toy: Path, capfd: pytest.CaptureFixture[str]) -> None:
     words = ["bench", "toy", "--objects", "2", "--methods", "grow", "bound", "--out", str(toy), "--json"]
     assert main(words) == 1, "LPIPS is lacking"
-    told = json.loads(capfd.readouterr().out)
-    assert [row["method"] for row in told["rows"]] == ["grow", "bound"] * 2
-    assert not told["complete"] and any("LPIPS: n/a" in note for note in told["notes"])
-    assert told["sheet"] == str(toy / "toy" / "sheet.png")
+    answer = json.loads(capfd.readouterr().out)
+    assert [row["method"] for row in answer["rows"]] == ["grow", "bound"] * 2
+    assert not answer["complete"] and any("LPIPS: n/a" in note for note in answer["notes"])
+    assert answer["sheet"] == str(toy / "toy" / "sheet.png")
     there = {path.name for path in (toy / "toy").iterdir() if path.is_file()}
     assert there == {"results.csv", "summary.csv", "table.md", "table.tex", "sheet.png", "run.json", "setup.json"}
     assert main(["bench", "report", str(toy), "--out", str(toy.parent / "page")]) == 0
@@ -54,7 +54,7 @@ def test_exit_codes(toy: Path, tmp_path: Path, shared: Path, capfd: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--data", "/nowhere"], "--data: /nowhere: no such folder"),
         (["--environments", "/nowhere"], "--environments: /nowhere: no such folder"),
@@ -71,20 +71,20 @@ def test_exit_codes(toy: Path, tmp_path: Path, shared: Path, capfd: pytest.Captu
         (["--methods", "magic"], "expected --methods of grow, raising, cheating, dying, absent, bound, got 'magic'"),
     ],
 )
-def test_bad_words(words: list[str], said: str, toy: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_bad_words(words: list[str], message: str, toy: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "toy", "--out", str(toy), *words]) == 2
-    shown = capfd.readouterr()
-    assert said in shown.err and shown.err.count("\n") == 1 and shown.out == ""
+    output = capfd.readouterr()
+    assert message in output.err and output.err.count("\n") == 1 and output.out == ""
     assert not toy.exists()
 
 
 def test_report_wants_folders_of_benches(toy: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for folder, said in ((tmp_path / "gone", "no such folder"), (tmp_path, "holds no table that a bench wrote")):
+    for folder, message in ((tmp_path / "gone", "no such folder"), (tmp_path, "holds no table that a bench wrote")):
         assert main(["bench", "report", str(folder), "--out", str(tmp_path / "page")]) == 2
-        assert said in capfd.readouterr().err
+        assert message in capfd.readouterr().err
     (tmp_path / "x" / "toy" / "records").mkdir(parents=True)
-    own = tmp_path / "x" / "toy"
-    assert command.table_folders([tmp_path / "x"], "") == command.table_folders([own], "") == [own]
+    folder = tmp_path / "x" / "toy"
+    assert command.table_folders([tmp_path / "x"], "") == command.table_folders([folder], "") == [folder]
 
 
 def test_presets_give_way_to_words() -> None:

@@ -14,7 +14,7 @@ from splatbench.ground_truth import GroundTruth, changed, changes
 from splatbench.methods import EditResult
 from splatbench.objects import is_splat_folder
 from splatbench.scoring import rendered
-from splatbench.tables.creative_editing import SplatTruth, changed_gaussians, protocol, splat_names
+from splatbench.tables.creative_editing import TABLE, SplatTruth, changed_gaussians, splat_names
 
 from splatpainter.cameras import orbit
 from splatpainter.data.edits import MAX_EDIT_FRACTION, MIN_EDIT_FRACTION
@@ -23,7 +23,6 @@ from splatpainter.splats import Splats
 from tests.support.cli_scenes import ball
 
 SETUP = Setup(truth="surfels", size=48, objects=2, base_views=3, novel_views=3, rows=600, asset_steps=0, samples=4)
-TABLE = protocol()
 GREY = ground_truth.BACKGROUND
 
 

@@ -23,7 +23,7 @@ from splatpainter import io, processes
 from tests.support.systems import posix_only
 
 
-def gone(pid: int) -> bool:
+def has_ended(pid: int) -> bool:
     """Whether a process has ended (perhaps not yet collected by whoever inherited it)."""
     status = Path(f"/proc/{pid}/stat")
     return not status.exists() or status.read_text().rsplit(")", 1)[1].split()[0] == "Z"
@@ -47,7 +47,7 @@ time.sleep(60)
         with pytest.raises(ValueError, match=r"took longer than 1 s; (13% done|up) \(log"):
             run_command([sys.executable, "-c", program], tmp_path, tmp_path / "log.txt", timeout=1)
     assert time.monotonic() - start < 30
-    assert gone(int((tmp_path / "pid").read_text()))
+    assert has_ended(int((tmp_path / "pid").read_text()))
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc")
@@ -66,13 +66,13 @@ run_command([sys.executable, "-c", {program!r}], here, here / "log.txt", timeout
     while not (pid.exists() and pid.read_text()) and time.monotonic() < until:
         time.sleep(0.05)
     system = int(pid.read_text())
-    assert not gone(system)
+    assert not has_ended(system)
     parent.kill()
     assert parent.wait(30) == -9
     until = time.monotonic() + 60
-    while not gone(system) and time.monotonic() < until:
+    while not has_ended(system) and time.monotonic() < until:
         time.sleep(0.05)
-    assert gone(system)
+    assert has_ended(system)
 
 
 def test_a_call_has_the_environment_that_is_asked_for(tmp_path, monkeypatch):
@@ -90,8 +90,8 @@ def test_a_call_has_the_environment_that_is_asked_for(tmp_path, monkeypatch):
         environment={"MINE": "yes"},
         python=sys.executable,
     )
-    said = log.read_text().splitlines()[-3:]
-    assert said == [f"None yes {os.path.dirname(sys.executable)}", "''", str(tmp_path)] and 0 < seconds < 30
+    lines = log.read_text().splitlines()[-3:]
+    assert lines == [f"None yes {os.path.dirname(sys.executable)}", "''", str(tmp_path)] and 0 < seconds < 30
     with pytest.raises(ValueError, match=r"program x: cannot be started \(No such file"):
         run_command(["/no/such/program", "x"], tmp_path, log, timeout=1)
 
@@ -172,11 +172,11 @@ def test_results_are_refused_where_they_are_no_asset(tmp_path):
 
 def test_the_guide_names_every_key_and_placeholder():
     guide = (Path(__file__).parents[2] / config.GUIDE).read_text()
-    for field in dataclasses.fields(config.Section):
+    for field in dataclasses.fields(config.AdapterSection):
         assert field.name == "name" or f"`{field.name}`" in guide, field.name
     for name in systems.PLACEHOLDERS:
         assert name in ("python", "repository") or f"`{{{name}}}`" in guide, name
     for system in config.SYSTEMS:
         assert f"[{system}]" in guide or system.replace("-", "") in guide.lower().replace("-", ""), system
-    for frame in get_args(get_type_hints(config.Section)["frame"]):
+    for frame in get_args(get_type_hints(config.AdapterSection)["frame"]):
         assert frame == "" or f"| `{frame}` |" in guide, frame

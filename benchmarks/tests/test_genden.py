@@ -35,20 +35,20 @@ def wall(count: int = 12) -> Splats:
 
 
 def cameras(count: int, size: int = 40) -> tuple[Camera, ...]:
-    whole = orbit((0, 0, 0), 4.0, 4 * count, width=size, height=size)
-    near = sorted(whole, key=lambda camera: -abs(camera.forward[2]))
+    ring = orbit((0, 0, 0), 4.0, 4 * count, width=size, height=size)
+    near = sorted(ring, key=lambda camera: -abs(camera.forward[2]))
     return tuple(near[:count])
 
 
-def half_dark(splats: Splats, shown: tuple[Camera, ...], left: bool) -> PosedImages:
+def half_dark(splats: Splats, views: tuple[Camera, ...], left: bool) -> PosedImages:
     """The wall's renders with rows of one half much darker."""
     dark = splats.sh.copy()
     dark[splats.means[:, 0] < 0 if left else splats.means[:, 0] >= 0, 0] = -1.2
-    return pictures(replace(splats, sh=dark), shown)
+    return pictures(replace(splats, sh=dark), views)
 
 
-def pictures(splats: Splats, shown: tuple[Camera, ...]) -> PosedImages:
-    return PosedImages(shown, render(splats, list(shown)).colors.clip(0, 1).astype(np.float32))
+def pictures(splats: Splats, views: tuple[Camera, ...]) -> PosedImages:
+    return PosedImages(views, render(splats, list(views)).colors.clip(0, 1).astype(np.float32))
 
 
 def step(edited: PosedImages) -> EditStep:
@@ -56,8 +56,8 @@ def step(edited: PosedImages) -> EditStep:
 
 
 def work(left: bool = True) -> EditTask:
-    own = wall()
-    return EditTask("refine", own, pictures(own, cameras(3)), step(half_dark(own, cameras(1, 56), left)))
+    asset = wall()
+    return EditTask("refine", asset, pictures(asset, cameras(3)), step(half_dark(asset, cameras(1, 56), left)))
 
 
 @pytest.fixture
@@ -68,21 +68,21 @@ def budget(tmp_path: Path) -> Budget:
 
 
 def test_rows_that_the_edit_changes_are_replaced_and_the_others_stay(budget: Budget) -> None:
-    asked = work()
-    done = ROW.edit(asked, budget)
-    own, out = asked.asset, done.splats
+    task = work()
+    done = ROW.edit(task, budget)
+    asset, out = task.asset, done.splats
     # 40 rows: 8 stay whole, 64 children of which 12 stay whole (52 go on), 208 grandchildren.
     assert done.numbers == {"rows": 144 - 40 + 228, "rows_replaced": 40, "rows_generated": 228}
     assert not done.keeps_rows and done.setup_seconds == 0 and done.edit_seconds > 0
     assert done.note == "4 views; 40 of 144 rows replaced by 228; 7 training steps"
-    kept = out.take(np.arange(104))
-    rows = {tuple(mean) for mean in own.means.tolist()}
-    assert {tuple(mean) for mean in kept.means.tolist()} < rows
+    survivors = out.take(np.arange(104))
+    rows = {tuple(mean) for mean in asset.means.tolist()}
+    assert {tuple(mean) for mean in survivors.means.tolist()} < rows
     # Only the half that the close-up shows darker is pulled at: whatever went is on the left, or at its border.
-    gone = np.array(sorted(rows - {tuple(mean) for mean in kept.means.tolist()}))
-    assert len(gone) == 40 and gone[:, 0].max() < 0.3
+    removed = np.array(sorted(rows - {tuple(mean) for mean in survivors.means.tolist()}))
+    assert len(removed) == 40 and removed[:, 0].max() < 0.3
     assert all(np.isfinite(getattr(out, name)).all() for name in ATTRIBUTES)
-    before, after = (render(s, list(asked.base.cameras)).colors.astype(np.float64).clip(0, 1) for s in (own, out))
+    before, after = (render(s, list(task.base.cameras)).colors.astype(np.float64).clip(0, 1) for s in (asset, out))
     assert psnr(after[0], before[0]) > 25  # untrained: near the asset
 
 

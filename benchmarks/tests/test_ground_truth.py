@@ -173,16 +173,16 @@ def test_a_white_ball_in_even_light_has_the_tone_and_depth_of_the_formulas(sourc
     setup = replace(SMALL, truth=source)
     truth = GroundTruth.of("ball", sphere(), make_light(np.ones((8, 16, 3), np.float32)), setup)
     camera = around(truth.radius, truth.optics, 30, 20)
-    shown = truth.render([camera], "test")
+    views = truth.render([camera], "test")
     over = WHITE - 0.8  # lights.tone_map: straight up to 0.8, then s + o / (1 + o / (1 - s)); then sRGB
     linear = 0.8 + over / (1 + over / 0.2)
-    middle = shown.images.colors[0, 12:20, 12:20]
+    middle = views.images.colors[0, 12:20, 12:20]
     np.testing.assert_allclose(middle.mean((0, 1)), 1.055 * linear ** (1 / 2.4) - 0.055, atol=0.03)
-    np.testing.assert_array_equal(shown.images.colors[0, 0, 0], BACKGROUND)
-    assert shown.alphas[0, 0, 0] == 0 and shown.depths[0, 0, 0] == 0
+    np.testing.assert_array_equal(views.images.colors[0, 0, 0], BACKGROUND)
+    assert views.alphas[0, 0, 0] == 0 and views.depths[0, 0, 0] == 0
     distance = float(np.linalg.norm(camera.position))
-    assert shown.depths[0, 15:17, 15:17].mean() == pytest.approx(distance - 1, abs=0.02)
-    inside = camera.unproject(shown.depths[0])[shown.masks[0]]
+    assert views.depths[0, 15:17, 15:17].mean() == pytest.approx(distance - 1, abs=0.02)
+    inside = camera.unproject(views.depths[0])[views.masks[0]]
     assert np.median(np.linalg.norm(inside, axis=1)) == pytest.approx(1, abs=0.05)
 
 
@@ -210,13 +210,13 @@ def test_spots_lie_on_texture_and_apart() -> None:
     rng = np.random.default_rng(0)
     colors = np.full((64, 64, 3), 0.5)
     colors[:32, :32] += rng.uniform(-0.2, 0.2, (32, 32, 1))
-    shown = wall_shown(colors)
+    views = wall_shown(colors)
     for seed in range(5):
-        spots = textured_points(shown, 8, 2, np.random.default_rng(seed))
+        spots = textured_points(views, 8, 2, np.random.default_rng(seed))
         for spot in spots:
-            x, y = 32 + shown.images.cameras[0].fx * spot.position[:2] * [1, -1] / 2
+            x, y = 32 + views.images.cameras[0].fx * spot.position[:2] * [1, -1] / 2
             assert x < 33 and y < 33 and spot.contrast > 0.05
-        assert np.linalg.norm(spots[0].position - spots[1].position) > 8 * 2 / shown.images.cameras[0].fx * 0.99
+        assert np.linalg.norm(spots[0].position - spots[1].position) > 8 * 2 / views.images.cameras[0].fx * 0.99
 
 
 def test_edges_of_the_object_are_no_texture() -> None:
@@ -240,6 +240,6 @@ def test_nothing_to_see_is_an_error() -> None:
 def test_uniform_light_is_the_same_from_everywhere_for_surfels() -> None:
     truth = GroundTruth.of("ball", sphere(level=3), uniform_light(), SMALL)
     cameras = [around(1, optics(SMALL), turn, 0) for turn in (0, 90, 200)]
-    shown = truth.render(cameras, "test")
-    means = [shown.images.colors[k][shown.alphas[k] > 0.99].mean() for k in range(3)]
+    views = truth.render(cameras, "test")
+    means = [views.images.colors[k][views.alphas[k] > 0.99].mean() for k in range(3)]
     assert np.ptp(means) < 0.01

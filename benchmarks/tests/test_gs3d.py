@@ -39,9 +39,9 @@ def dab(splats: Splats, x: float, color: np.ndarray = GREEN, kind: str = "stroke
     return EditStep("local", kind, PosedImages((front(SIZE),), colors), mask[None])
 
 
-def work(step: EditStep | None = None, own: Splats | None = None, state: object = None) -> EditTask:
-    own = own or asset()
-    return EditTask("creative", own, drawn(asset(), [front(SIZE), beside(1.5)]), step or dab(own, 17), state=state)
+def work(step: EditStep | None = None, scene: Splats | None = None, state: object = None) -> EditTask:
+    scene = scene or asset()
+    return EditTask("creative", scene, drawn(asset(), [front(SIZE), beside(1.5)]), step or dab(scene, 17), state=state)
 
 
 def test_shares_are_those_of_a_dense_compositor() -> None:
@@ -75,14 +75,14 @@ def test_close_ups_contradict_the_assets_own_views_only() -> None:
 
 
 def test_earlier_edits_stay_but_for_what_a_later_one_covers() -> None:
-    own = asset()
-    first, second = dab(own, 17), dab(own, 24, np.array([0.9, 0.1, 0.1], np.float32))
+    scene = asset()
+    first, second = dab(scene, 17), dab(scene, 24, np.array([0.9, 0.1, 0.1], np.float32))
     this = work(second, state=(first,))
     views = local_views(this, (first,), None)
-    base, kept = views[0], views[2]
+    base, earlier = views[0], views[2]
     assert base.mask is not None and not base.mask[first.masks[0] | second.masks[0]].any()
-    assert np.array_equal(kept.color, first.edited.colors[0]) and kept.mask is not None
-    assert not kept.mask[second.masks[0]].any() and kept.mask[first.masks[0]].mean() > 0.2
+    assert np.array_equal(earlier.color, first.edited.colors[0]) and earlier.mask is not None
+    assert not earlier.mask[second.masks[0]].any() and earlier.mask[first.masks[0]].mean() > 0.2
 
 
 @pytest.mark.parametrize("settings", [Settings(), Settings(8)], ids=["3dgs", "with views of the asset"])
@@ -96,19 +96,19 @@ def test_it_edits_and_keeps_the_rest(settings: Settings) -> None:
     assert done.state == (this.step,) and done.edit_seconds > 0
     novel = beside(-1.0)
     far = share_of(this.asset, novel, reached(this.asset, [this.step])) < 0.01
-    kept = db(render(done.splats, novel).colors[0], render(this.asset, novel).colors[0], far)
-    assert kept > 24
+    far_db = db(render(done.splats, novel).colors[0], render(this.asset, novel).colors[0], far)
+    assert far_db > 24
 
 
 def test_sh_and_opacity_alone_leave_the_geometry_bit_for_bit() -> None:
-    own = asset()
-    relit = np.clip(drawn(own, [front(SIZE)]).colors * [1.2, 0.9, 0.6], 0, 1).astype(np.float32)
+    scene = asset()
+    relit = np.clip(drawn(scene, [front(SIZE)]).colors * [1.2, 0.9, 0.6], 0, 1).astype(np.float32)
     step = EditStep("global", "relight", PosedImages((front(SIZE),), relit), np.ones((1, SIZE, SIZE), bool))
     done = edit(Settings(appearance=True), replace(work(step), protocol="relight"), Budget(steps=40))
-    assert done.keeps_rows and len(done.splats) == len(own)
+    assert done.keeps_rows and len(done.splats) == len(scene)
     for name in ("means", "quats", "scales"):
-        assert np.array_equal(bits(getattr(done.splats, name)), bits(getattr(own, name))), name
-    old, new = (db(render(splats, front(SIZE)).colors[0], relit[0]) for splats in (own, done.splats))
+        assert np.array_equal(bits(getattr(done.splats, name)), bits(getattr(scene, name))), name
+    old, new = (db(render(splats, front(SIZE)).colors[0], relit[0]) for splats in (scene, done.splats))
     assert new > old + 2
     with pytest.raises(ValueError, match="3dgs-8: views of the asset show its old look"):
         edit(Settings(8), work(step), Budget(steps=2))

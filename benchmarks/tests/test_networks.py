@@ -37,11 +37,11 @@ def pictures(splats: Splats, cameras: tuple[Camera, ...]) -> PosedImages:
 
 
 def work(edit: Edit, mode: Mode = "local", state: object = None, splats: Splats | None = None) -> EditTask:
-    own = thing() if splats is None else splats
+    asset = thing() if splats is None else splats
     assert edit.mask is not None or mode == "global"
     mask = np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask
     step = EditStep(mode, "stroke", PosedImages((edit.camera,), edit.image[None]), mask[None])
-    return EditTask("creative", own, pictures(own, (CAMERA, REAR)), step, state=state)
+    return EditTask("creative", asset, pictures(asset, (CAMERA, REAR)), step, state=state)
 
 
 def saved(model: SplatPainterModel, folder: Path) -> str:
@@ -58,13 +58,13 @@ def same(a: Splats, b: Splats) -> bool:
 
 
 def test_the_lift_paints_what_is_seen_and_leaves_the_other_sheet_bit_for_bit() -> None:
-    own = thing()
-    paint = dab(own, RED)
+    asset = thing()
+    paint = dab(asset, RED)
     done = row_of("lift").edit(work(paint), Budget())
     assert paint.mask is not None and done.keeps_rows
-    before, after = (render(s, CAMERA).colors[0] for s in (own, done.splats))
+    before, after = (render(s, CAMERA).colors[0] for s in (asset, done.splats))
     assert db(after, paint.image, paint.mask) > db(before, paint.image, paint.mask) + 6
-    touched = changed(own, done.splats)
+    touched = changed(asset, done.splats)
     assert 0 < touched.sum() < 200
     assert not touched[900:].any()  # the sheet behind, and rows that cannot be drawn
 
@@ -78,8 +78,8 @@ def test_seconds_are_those_of_the_stages_without_the_proof() -> None:
 
 
 def test_a_second_step_starts_from_the_first() -> None:
-    own = thing()
-    first = row_of("lift").edit(work(dab(own, RED, x=20)), Budget())
+    asset = thing()
+    first = row_of("lift").edit(work(dab(asset, RED, x=20)), Budget())
     second = row_of("lift").edit(work(dab(first.splats, BLUE, x=44), state=first.state), Budget())
     assert second.setup_seconds == 0
     drawn = render(second.splats, CAMERA).colors[0]
@@ -90,8 +90,8 @@ def test_a_second_step_starts_from_the_first() -> None:
 def test_untrained_weights_on_the_lift_are_the_lift(tmp_path: Path, mode: Mode) -> None:
     budget = Budget(weights={"compact": saved(built(LIFT), tmp_path)})
     assert row_of("ttt").missing(budget) == ""
-    asked = work(dab(thing(), GREEN) if mode == "local" else grade(thing()), mode)
-    lifted, ours = (row_of(name).edit(asked, budget) for name in ("lift", "ttt"))
+    task = work(dab(thing(), GREEN) if mode == "local" else grade(thing()), mode)
+    lifted, ours = (row_of(name).edit(task, budget) for name in ("lift", "ttt"))
     assert same(lifted.splats, ours.splats) and ours.keeps_rows
     assert {"seconds_encode", "seconds_ttt"} <= set(ours.numbers)
 
@@ -104,9 +104,9 @@ def test_fast_weights_go_on_to_the_next_step_and_polish_comes_after_the_network(
     second = row_of("ttt").edit(work(again, "global", state=first.state), budget)
     assert second.setup_seconds == 0
     assert not torch.equal(second.state.encoding.state.blocks[0].w0, state.w0)
-    asked = work(dab(thing(), RED))
-    plain, polished = (row_of(name).edit(asked, budget) for name in ("ttt", "ttt-polish"))
-    errors = [db(render(d.splats, CAMERA).colors[0], asked.step.edited.colors[0]) for d in (plain, polished)]
+    task = work(dab(thing(), RED))
+    plain, polished = (row_of(name).edit(task, budget) for name in ("ttt", "ttt-polish"))
+    errors = [db(render(d.splats, CAMERA).colors[0], task.step.edited.colors[0]) for d in (plain, polished)]
     assert errors[1] > errors[0] and "polished" in polished.note
 
 
@@ -150,26 +150,26 @@ def ring(count: int, size: int = 32, background: tuple[float, float, float] = (0
 
 
 def lrm_work(base: int = 3, size: int = 32) -> EditTask:
-    own = thing()
+    asset = thing()
     near = replace(ring(1, size)[0], fx=2.0 * ring(1, size)[0].fx, fy=2.0 * ring(1, size)[0].fy)
-    step = EditStep("local", "zoom", pictures(own, (near,)), np.ones((1, size, size), bool))
-    return EditTask("refine", own, pictures(own, ring(base, size)), step)
+    step = EditStep("local", "zoom", pictures(asset, (near,)), np.ones((1, size, size), bool))
+    return EditTask("refine", asset, pictures(asset, ring(base, size)), step)
 
 
 def test_the_lrm_puts_the_pixels_of_all_views_on_the_asset(tmp_path: Path) -> None:
     model = built(SMALL)
     budget = Budget(weights={"compact": saved(model, tmp_path)})
-    asked = lrm_work()
-    done = row_of("lrm").edit(asked, budget)
-    drawn = render(asked.asset, [*asked.base.cameras, *asked.step.edited.cameras])
+    task = lrm_work()
+    done = row_of("lrm").edit(task, budget)
+    drawn = render(task.asset, [*task.base.cameras, *task.step.edited.cameras])
     assert len(done.splats) == int((drawn.alphas > 0.1).sum()) and not done.keeps_rows and done.setup_seconds == 0
     # Every Gaussian lies on its ray near the depth drawn there: on one of the two sheets, or between them.
-    slack = 2 * DEPTH_REACH * bounding_cube(asked.asset)[1] / 2
+    slack = 2 * DEPTH_REACH * bounding_cube(task.asset)[1] / 2
     assert done.splats.means[:, 2].max() < slack and done.splats.means[:, 2].min() > -0.6 - slack
     # Even an untrained head shows the input: colours are told, not guessed.
-    again = render(done.splats, asked.base.cameras[0]).colors[0]
-    solid, wanted = drawn.alphas[0, ..., 0] > 0.9, asked.base.colors[0]
-    assert db(again, wanted, solid) > db(np.full_like(wanted, 0.5), wanted, solid) + 4
+    again = render(done.splats, task.base.cameras[0]).colors[0]
+    solid, target = drawn.alphas[0, ..., 0] > 0.9, task.base.colors[0]
+    assert db(again, target, solid) > db(np.full_like(target, 0.5), target, solid) + 4
     assert "4 views of 32 px" in done.note
 
 
@@ -177,31 +177,31 @@ def test_views_of_one_focal_length_are_the_models_own_copy() -> None:
     model = built(SMALL).eval()
     views = reconstruction.all_views(model, lrm_work(), pictures(thing(), ring(2)[1:]))
     with torch.no_grad():
-        own, ours = model.copy_rows(views), reconstruction.dense(model, views)
-    assert np.array_equal(own.links.patches, ours.links.patches)
+        copied, ours = model.copy_rows(views), reconstruction.dense(model, views)
+    assert np.array_equal(copied.links.patches, ours.links.patches)
     for name in ATTRIBUTES:
-        torch.testing.assert_close(getattr(ours.gaussians, name), getattr(own.gaussians, name))
+        torch.testing.assert_close(getattr(ours.gaussians, name), getattr(copied.gaussians, name))
 
 
 def test_gaussians_of_a_close_up_are_as_small_as_its_pixels() -> None:
     model = built(SMALL).eval()
-    asked = lrm_work()
-    views = reconstruction.all_views(model, asked, asked.step.edited)
+    task = lrm_work()
+    views = reconstruction.all_views(model, task, task.step.edited)
     with torch.no_grad():
-        own, ours = model.lrm(views).splats, reconstruction.dense(model, views)
-    places = torch.from_numpy(ours.links.patches[:, 0]) >= 3 * 16  # patches of the fourth view, with twice the focal
-    close = ours.gaussians.scales[places]
+        predicted, ours = model.lrm(views).splats, reconstruction.dense(model, views)
+    finer = torch.from_numpy(ours.links.patches[:, 0]) >= 3 * 16  # patches of the fourth view, with twice the focal
+    close = ours.gaussians.scales[finer]
     assert views.alpha is not None
-    alike = own.scales[(model.lrm.config.patch**2) * 3 * 16 :]
+    alike = predicted.scales[(model.lrm.config.patch**2) * 3 * 16 :]
     alike = alike[patchify(views.alpha[3:], 8).reshape(-1) > 0.1]
     torch.testing.assert_close(2 * close, alike, rtol=1e-4, atol=0)
 
 
 def test_pictures_for_the_lrm_lie_before_black_as_in_training() -> None:
     """A pixel is surface colour + (1 - alpha) background; before black, the surface's part alone remains."""
-    asked = lrm_work()
-    views = reconstruction.all_views(built(SMALL), asked, asked.step.edited)
-    black = render(asked.asset, [replace(camera, background=(0, 0, 0)) for camera in views.cameras])
+    task = lrm_work()
+    views = reconstruction.all_views(built(SMALL), task, task.step.edited)
+    black = render(task.asset, [replace(camera, background=(0, 0, 0)) for camera in views.cameras])
     np.testing.assert_allclose(views.colors.numpy(), np.clip(black.colors, 0, 1), atol=2e-6)
 
 
@@ -235,18 +235,18 @@ def test_stage_one_keeps_a_quarter_of_every_voxel_and_later_steps_see_earlier_vi
     config = replace(with_refine(SMALL, lift_features=False), representation="copy")
     model = built(config)
     budget = Budget(weights={"copy": saved(model, tmp_path)})
-    method, asked = row_of("stage-1"), lrm_work()
-    done = method.edit(asked, budget)
-    views = reconstruction.all_views(model, asked, asked.step.edited)
+    method, task = row_of("stage-1"), lrm_work()
+    done = method.edit(task, budget)
+    views = reconstruction.all_views(model, task, task.step.edited)
     with torch.no_grad(), autocast("cpu", precision):
         rows = reconstruction.dense(model, views).gaussians.numpy()
     lo, size = bounding_cube(rows)
     cells = np.clip(np.floor((rows.means - lo) / size * config.compress.resolution), 0, config.compress.resolution - 1)
     _, counts = np.unique(cells.astype(int), axis=0, return_counts=True)
-    kept = int(np.maximum(counts // 4, 1).sum())
+    count = int(np.maximum(counts // 4, 1).sum())
     assert done.numbers["gaussians_before"] == len(rows) and done.numbers["voxels"] == len(counts)
-    assert done.numbers["gaussians_kept"] == done.numbers["latents"] == len(done.splats) == kept
-    more = replace(asked, state=done.state)
+    assert done.numbers["gaussians_kept"] == done.numbers["latents"] == len(done.splats) == count
+    more = replace(task, state=done.state)
     assert len(method.edit(more, budget).state) == 2
 
 

@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 from splatbench.report import plots
-from splatbench.report.plots import Chart, Level, Point, Series, draw
+from splatbench.report.plots import Chart, HorizontalLine, Point, Series, draw
 from splatbench.report.summary import MethodNames, summarize
 
 from benchmarks.tests.support.runs import COLUMNS, METHODS, FakeTable, record
@@ -26,7 +26,7 @@ def crowd(count: int, joined: bool) -> Chart:
         points = [Point(x, y, y - 0.5, y + 0.5, "10") for x, y in zip((1, 2, 4), 20 + rng.random(3), strict=True)]
         label = f"Method & <{k}> with a name that needs two lines"
         series.append(Series(label, k, tuple(points if joined else points[:1]), joined, k == 2))
-    return Chart("A & B", "x", "y", tuple(series), (Level("Nothing", 19.9),), log_x=not joined)
+    return Chart("A & B", "x", "y", tuple(series), (HorizontalLine("Nothing", 19.9),), log_x=not joined)
 
 
 def texts(root: ET.Element) -> list[str]:
@@ -73,7 +73,7 @@ def test_colours_know_both_grounds():
 
 def test_a_level_far_off_is_named_with_its_value_and_does_not_squeeze_the_points():
     series = tuple(Series(f"s{k}", k, (Point(1 + k, 30 + 5 * k),)) for k in range(3))
-    levels = (Level("Untouched", 100.0), Level("Near", 28.0))
+    levels = (HorizontalLine("Untouched", 100.0), HorizontalLine("Near", 28.0))
     names = texts(ET.fromstring(draw(Chart("t", "x", "y", series, levels), 720)))
     assert "Untouched: 100 ↑" in names and "Near" in names
     assert max(float(name) for name in names if name.isdigit()) == 40
@@ -127,14 +127,14 @@ def test_quality_against_seconds_has_points_curves_and_levels():
 def test_quality_against_views_is_in_order_and_apart():
     records = [record("ttt", f"{n}-{v}", 20 + v, facts={"views": v}) for n in "ab" for v in (4, 1, 2)]
     records += [record("3dgs", f"{n}-{v}", 10 + v, facts={"views": v}) for n in "ab" for v in (4, 1, 2)]
-    found = plots.charts(records, FakeTable(split_by="views"), MethodNames.of(METHODS, {"ttt", "3dgs"}))
-    assert [chart.title for chart in found] == [
+    drawn = plots.charts(records, FakeTable(split_by="views"), MethodNames.of(METHODS, {"ttt", "3dgs"}))
+    assert [chart.title for chart in drawn] == [
         "PSNR against seconds (views 4)",
         "PSNR against number of views",
     ]
-    lines = found[1].series
+    lines = drawn[1].series
     assert [[p.y for p in s.points] for s in lines] == [[21, 22, 24], [11, 12, 14]]
-    assert [value for value, _ in found[1].x_ticks] == [1, 2, 4]
+    assert [value for value, _ in drawn[1].x_ticks] == [1, 2, 4]
     assert all(abs(p.x - v) < 0.25 for s in lines for p, v in zip(s.points, (1, 2, 4), strict=True))
 
 
@@ -143,9 +143,9 @@ def test_steps_in_a_row_and_gaussians_at_each_stage():
     records = [record(method, n, 20, numbers=stages) for method in ("ttt", "3dgs") for n in "ab"]
     for k, r in enumerate(records):
         r.figures.update({f"psnr_{step}": 30.0 - step + k % 2 for step in (1, 2, 10)}, ssim_1=0.5)
-    found = {c.title: c for c in plots.charts(records, FakeTable(), MethodNames.of(METHODS, {"ttt", "3dgs"}))}
-    assert set(found) == {"PSNR against seconds", "PSNR after each step", "Gaussians at each stage"}
-    first = found["PSNR after each step"].series[0].points
+    drawn = {c.title: c for c in plots.charts(records, FakeTable(), MethodNames.of(METHODS, {"ttt", "3dgs"}))}
+    assert set(drawn) == {"PSNR against seconds", "PSNR after each step", "Gaussians at each stage"}
+    first = drawn["PSNR after each step"].series[0].points
     assert [(round(p.x), p.y) for p in first] == [(1, 29.5), (2, 28.5), (10, 20.5)]
     assert plots.charts(records[:2], FakeTable(), MethodNames.of(METHODS, {"ttt"})) == [], "one method is no comparison"
-    assert [p.y for p in found["Gaussians at each stage"].series[0].points] == [1000, 250, 100]
+    assert [p.y for p in drawn["Gaussians at each stage"].series[0].points] == [1000, 250, 100]

@@ -73,12 +73,12 @@ def test_a_refine_case_has_the_papers_parts() -> None:
 
 def test_close_ups_are_tiles_of_a_larger_picture_of_the_whole_object() -> None:
     case = refined()
-    whole = case.base.cameras[0]
+    full = case.base.cameras[0]
     for camera in case.steps[0].edited.cameras:
         assert (camera.width, camera.height) == (SETUP.size, SETUP.size)
-        assert camera.fx == pytest.approx(SETUP.detail * whole.fx)
-        assert np.linalg.norm(camera.position) == pytest.approx(np.linalg.norm(whole.position))
-        left, top = whole.cx * SETUP.detail - camera.cx, whole.cy * SETUP.detail - camera.cy
+        assert camera.fx == pytest.approx(SETUP.detail * full.fx)
+        assert np.linalg.norm(camera.position) == pytest.approx(np.linalg.norm(full.position))
+        left, top = full.cx * SETUP.detail - camera.cx, full.cy * SETUP.detail - camera.cy
         room = SETUP.size * (SETUP.detail - 1)
         assert 0 <= left <= room and 0 <= top <= room
         np.testing.assert_allclose(camera.forward, -camera.position / np.linalg.norm(camera.position), atol=1e-9)
@@ -109,15 +109,15 @@ def test_the_truth_itself_scores_far_above_the_asset_in_refine() -> None:
         one, other = best[key], nothing[key]
         assert one is not None and other is not None and one > 45 and 10 < other < one - 8
     assert best["lpips"] is None
-    shown = protocol.pictures(case, [EditResult(case.asset, 0, 0)])
-    assert list(shown)[:2] == ["result", "truth"] and shown["result"].shape == shown["truth"].shape
+    pictures = protocol.pictures(case, [EditResult(case.asset, 0, 0)])
+    assert list(pictures)[:2] == ["result", "truth"] and pictures["result"].shape == pictures["truth"].shape
 
 
 def test_a_case_survives_the_disk_and_is_made_again_alike(tmp_path: Path) -> None:
     case = refined()
     case.save(tmp_path)
-    kept = Case.load(tmp_path)
-    assert np.array_equal(object_masks(kept.after), object_masks(case.after)) and kept.facts == case.facts
+    stored = Case.load(tmp_path)
+    assert np.array_equal(object_masks(stored.after), object_masks(case.after)) and stored.facts == case.facts
     protocol = table("refine")
     assert same(protocol.make(protocol.keys(SETUP)[0], SETUP), case)
 
@@ -182,8 +182,10 @@ def test_a_relight_case_has_the_papers_parts() -> None:
     assert first.steps[0].mode == "global" and first.steps[0].masks.any()
     assert np.abs(first.after.colors - first.before.colors).mean() > 0.005
     assert [case.facts["views"] for case in cases] == [1, 2, 4] and len({c.facts["environment"] for c in cases}) == 1
-    known = {camera.position.round(6).tobytes() for p in (first.base, cases[2].steps[0].edited) for camera in p.cameras}
-    assert not known & {camera.position.round(6).tobytes() for camera in first.after.cameras}
+    input_positions = {
+        camera.position.round(6).tobytes() for p in (first.base, cases[2].steps[0].edited) for camera in p.cameras
+    }
+    assert not input_positions & {camera.position.round(6).tobytes() for camera in first.after.cameras}
 
 
 def test_the_relit_truth_scores_far_above_the_asset_in_relight() -> None:

@@ -61,7 +61,7 @@ class Page(HTMLParser):
     def all(self, tag: str) -> list[dict[str, str | None]]:
         return [attributes for name, attributes in self.elements if name == tag]
 
-    def said(self) -> str:
+    def text(self) -> str:
         return " ".join(text for tag, text in self.texts if tag not in ("script", "style"))
 
 
@@ -82,14 +82,14 @@ def test_summary_by_hand():
         record("3dgs", "cat", label="cat-1", missing="no"),
     ]
     first, other = summarize(records)
-    assert (first.method, first.state, first.cases, first.asked, first.objects) == ("ttt", "measured", 3, 4, 2)
+    assert (first.method, first.state, first.cases, first.all_cases, first.objects) == ("ttt", "measured", 3, 4, 2)
     psnr = first.figures["psnr"]
     assert psnr.mean == (21 + 25) / 2  # every object counts the same, not every case
     assert (psnr.low, psnr.high) == (21, 25)  # of two objects: each alone with probability 1/4
     assert (psnr.objects, psnr.cases) == (2, 3)
     assert (first.edit_seconds, first.rows, first.rows_equal, first.peak_mib) == (2.0, 20, 0.5, 9)
     assert first.errors == (("error: it broke", 1),)
-    assert (other.method, other.state, other.cases, other.asked) == ("3dgs", "no", 0, 4) and not other.figures
+    assert (other.method, other.state, other.cases, other.all_cases) == ("3dgs", "no", 0, 4) and not other.figures
 
 
 def test_summary_leaves_out_what_is_not_there():
@@ -192,14 +192,14 @@ def test_plots_are_described_files_of_their_own_for_both_widths(plain):
 
 def test_page_says_what_was_measured_and_what_was_not(plain):
     page, path = plain
-    said = page.said()
-    assert "Made up (Tab. 1)" in said and "3 objects, 3 cases." in said and "two cores" in said and "load" not in said
-    assert "not installed: no path in the adapters' file" in said and "3DGS (2 of 3)" in said
-    assert "3DGS: error: ValueError: no splats left (1 of 3 cases)" in said and "Ours (TTT): eight views" in said
-    assert "99.99" in said and "[22.00, 24.00]" in said  # never rounded up to 100; the interval of 22, 23, 24
+    text = page.text()
+    assert "Made up (Tab. 1)" in text and "3 objects, 3 cases." in text and "two cores" in text and "load" not in text
+    assert "not installed: no path in the adapters' file" in text and "3DGS (2 of 3)" in text
+    assert "3DGS: error: ValueError: no splats left (1 of 3 cases)" in text and "Ours (TTT): eight views" in text
+    assert "99.99" in text and "[22.00, 24.00]" in text  # never rounded up to 100; the interval of 22, 23, 24
     text = path.read_text()
     assert '<b>23.00</b><span class="unseen"> best</span>' in text  # not the upper bound's 31
-    assert "as published, other data" in said and "21.07" in said and "1.54 + 0.64" in said
+    assert "as published, other data" in text and "21.07" in text and "1.54 + 0.64" in text
     assert text.index("GenDen") > text.index("VoxHammer")  # rows that only the paper has, below the measured ones
     assert '<td class="published" data-value="">21.07</td>' in text, "the paper's figures are set apart"
 
@@ -220,7 +220,7 @@ def test_hostile_text_stays_text(tmp_path):
     page, _ = page_of(folder, tmp_path / "out", table)
     assert len(page.all("script")) == 1 and not [name for _, a in page.elements for name in a if name.startswith("on")]
     assert all((image.get("src") or "data:").startswith("data:") for image in page.all("img"))
-    assert page.said().count(evil) >= 6 and any(a.get("aria-label") == f"Table: {evil}" for _, a in page.elements)
+    assert page.text().count(evil) >= 6 and any(a.get("aria-label") == f"Table: {evil}" for _, a in page.elements)
     assert [path.name for path in (tmp_path / "out").rglob("*")] == ["index.html"]
 
 
@@ -228,7 +228,7 @@ def test_page_takes_only_what_the_last_run_asked_for(tmp_path):
     folder = write(tmp_path / "refine", [record("ttt", n, 20, fingerprint=f"{n}-x") for n in ("ant", "bee")])
     (folder / "run.json").write_text(json.dumps({"labels": ["ant"], "notes": ["a note of the run <b>"]}))
     page, _ = page_of(folder, tmp_path / "out")
-    assert "1 object, 1 case." in page.said() and "a note of the run <b>" in page.said()
+    assert "1 object, 1 case." in page.text() and "a note of the run <b>" in page.text()
     (folder / "run.json").write_text("[]")
     with pytest.raises(ValueError, match=r"run\.json: expected what `splatpainter bench` writes"):
         page_of(folder, tmp_path / "out")
@@ -246,7 +246,7 @@ def test_page_of_nothing_and_of_strangers_is_an_error(tmp_path):
 def test_a_run_without_any_figure_still_has_a_page(tmp_path):
     records = [record("ttt", "ant", error="it broke"), record("voxhammer", "ant", missing="not installed: x")]
     page, _ = page_of(write(tmp_path / "refine", records), tmp_path / "out")
-    assert "error: it broke" in page.said() and "PSNR: not measured" in page.said()
+    assert "error: it broke" in page.text() and "PSNR: not measured" in page.text()
 
 
 # ---- pictures and sheets
@@ -275,8 +275,8 @@ def test_errors_only_against_a_truth_of_the_same_size(tmp_path):
     rows = gallery.picture_rows(folder, read_run(folder).records, MethodNames.of(METHODS, {"ttt"}), FakeTable())
     tile = next(tile for tile in rows[0].tiles if tile.method)
     wrong = np.abs(gallery.read_picture(tile.path) - gallery.read_picture(rows[0].tiles[-1].path)).max(-1)
-    found = gallery.error_of(tile, gallery.read_picture(rows[0].tiles[-1].path))
-    assert found is not None and np.array_equal(found.sum(-1) == 3, wrong >= 0.25)
+    error = gallery.error_of(tile, gallery.read_picture(rows[0].tiles[-1].path))
+    assert error is not None and np.array_equal(error.sum(-1) == 3, wrong >= 0.25)
     assert gallery.error_of(tile, np.zeros((5, 5, 3), np.float32)) is None
     assert gallery.error_of(rows[0].tiles[-1], gallery.read_picture(tile.path)) is None
 

@@ -23,10 +23,10 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     with browsing() as browser:
         page = browser.new_page(viewport={"width": 1400, "height": 900}, reduced_motion="reduce")
         page.set_default_timeout(90_000)
-        page.problems, page.asked = [], []
-        page.on("console", lambda said: page.problems.append(said.text))
+        page.problems, page.requests = [], []
+        page.on("console", lambda message: page.problems.append(message.text))
         page.on("pageerror", lambda error: page.problems.append(str(error)))
-        page.on("request", lambda request: page.asked.append(request.url))
+        page.on("request", lambda request: page.requests.append(request.url))
         page.goto(path.as_uri())
         yield page
 
@@ -35,7 +35,7 @@ def test_page_is_quiet_and_stays_at_home(tab):
     tab.evaluate("document.querySelectorAll('img').forEach((i) => (i.loading = 'eager'))")
     tab.wait_for_function("[...document.images].every((i) => i.complete)")
     assert tab.evaluate("[...document.querySelectorAll('main img')].every((i) => i.naturalWidth > 0)")
-    assert not tab.problems and all(url.startswith(("file:", "data:")) for url in tab.asked)
+    assert not tab.problems and all(url.startswith(("file:", "data:")) for url in tab.requests)
 
 
 @pytest.mark.parametrize("width", [1400, 420])

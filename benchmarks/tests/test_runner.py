@@ -54,12 +54,12 @@ def ask_for(config: RunConfig, trouble: str) -> None:
     (config.out.parent / "trouble" / trouble).touch()
 
 
-def found(config: RunConfig, method: str) -> dict[str, Record]:
+def records_of(config: RunConfig, method: str) -> dict[str, Record]:
     return {r.label: r for r in records(config.out / "toy") if r.method == method}
 
 
 def sums(config: RunConfig) -> dict[str, float | None]:
-    return {label: r.figures["sum"] for label, r in found(config, "grow").items()}
+    return {label: r.figures["sum"] for label, r in records_of(config, "grow").items()}
 
 
 def table(config: RunConfig) -> str:
@@ -68,7 +68,7 @@ def table(config: RunConfig) -> str:
 
 def test_figures_seconds_rows_and_pictures(config: RunConfig) -> None:
     done = run(replace(config, methods=("grow", "bound"), budget=Budget(curve=True)))
-    grown = found(config, "grow")
+    grown = records_of(config, "grow")
     assert list(grown) == ["toy-0-1", "toy-0-2", "toy-1-1", "toy-1-2"]
     one, two = grown["toy-0-1"], grown["toy-1-2"]
     # An edit makes one of eight rows heavier by 1; the second one begins from the first one's answer and memory.
@@ -78,9 +78,9 @@ def test_figures_seconds_rows_and_pictures(config: RunConfig) -> None:
     assert (two.numbers, two.note, two.facts) == ({"edits": 2.0}, "grows", {"edits": 2, "number": 1})
     assert [(p["seconds"], p["steps"], p["sum"]) for p in two.curve] == [(0.5, 10, 1.5), (1.0, 20, 2.0)]
     assert one.peak_mib is not None and 10 < one.peak_mib < 4000
-    said = "Grow, on the way: best Sum (edits 2) 2.00 after 20 steps (1.00 s), 2.00 at the end (2.00 s)"
-    assert said in done.notes and not any("Bound, on the way" in note for note in done.notes)
-    bound = found(config, "bound")["toy-0-1"]
+    line = "Grow, on the way: best Sum (edits 2) 2.00 after 20 steps (1.00 s), 2.00 at the end (2.00 s)"
+    assert line in done.notes and not any("Bound, on the way" in note for note in done.notes)
+    bound = records_of(config, "bound")["toy-0-1"]
     assert (bound.rows, bound.rows_equal, bound.appended) == (16, None, None)
     rows = {(row.method, row.block): row for row in done.rows}
     assert rows["grow", "1"].figures["sum"].mean == 1 and rows["grow", "2"].figures["sum"].mean == 2
@@ -135,31 +135,31 @@ def test_a_method_run_alone_keeps_the_rows_of_others(config: RunConfig) -> None:
 def test_methods_files_lie_beside_the_logs(config: RunConfig) -> None:
     blank = Record("toy", "grow", "toy-0-1", "toy-0", "f")
     logs = config.out / "toy" / "logs"
-    told = {}
+    scratches = {}
     for scratch in (None, config.out / "own"):
-        own = replace(config, budget=replace(config.budget, scratch=scratch))
-        plan = runner.edit_job(own, CaseStore(own.out, "toy"), paper_stubs.METHODS[0], "1", [blank], "", False)
-        told[scratch] = jsonio.build(Budget, plan.values["budget"], "budget").scratch
+        local = replace(config, budget=replace(config.budget, scratch=scratch))
+        plan = runner.edit_job(local, CaseStore(local.out, "toy"), paper_stubs.METHODS[0], "1", [blank], "", False)
+        scratches[scratch] = jsonio.build(Budget, plan.values["budget"], "budget").scratch
         assert plan.log == logs / "grow.log"
-    assert told == {None: logs, config.out / "own": config.out / "own"}
+    assert scratches == {None: logs, config.out / "own": config.out / "own"}
 
 
 def test_errors_are_rows(config: RunConfig) -> None:
     done = run(replace(config, methods=("raising", "cheating", "dying", "absent", "grow")))
-    said = {r.method: (r.error, r.missing) for r in records(done.folder) if r.method != "grow"}
-    assert said == {
+    reasons = {r.method: (r.error, r.missing) for r in records(done.folder) if r.method != "grow"}
+    assert reasons == {
         "raising": ("RuntimeError: no such thing as two lines", ""),
         "cheating": ("cheating: wrote into the asset that it was given; its answer cannot be compared", ""),
         "dying": ("its process ended with exit code 3", ""),
         "absent": ("", "not installed: put it there"),
     }
     assert not done.complete
-    shown = {line.split("|")[1].strip(): line for line in table(config).splitlines() if line.startswith("| ")}
-    assert "| error: RuntimeError: no such thing as two lines | – |" in shown["Raising"]
-    assert "| not installed | – |" in shown["Absent"] and "| 1.00" not in shown["Absent"]
-    assert "| 2.00 " in shown["Grow"]  # the last block's
+    rows = {line.split("|")[1].strip(): line for line in table(config).splitlines() if line.startswith("| ")}
+    assert "| error: RuntimeError: no such thing as two lines | – |" in rows["Raising"]
+    assert "| not installed | – |" in rows["Absent"] and "| 1.00" not in rows["Absent"]
+    assert "| 2.00 " in rows["Grow"]  # the last block's
     assert "Raising: error in 4 of 4 cases: RuntimeError: no such thing as two lines" in done.notes
-    assert found(config, "raising")["toy-0-1"].facts == {"edits": 1, "number": 0}
+    assert records_of(config, "raising")["toy-0-1"].facts == {"edits": 1, "number": 0}
     assert "raise RuntimeError" in (done.folder / "logs" / "raising.log").read_text()
 
 
@@ -167,24 +167,24 @@ def test_errors_are_rows(config: RunConfig) -> None:
 def test_a_killed_worker_costs_the_case_in_hand(config: RunConfig) -> None:
     ask_for(config, "kill")
     done = run(config)
-    own = found(config, "grow")
-    assert own["toy-0-1"].error == "its process ended by SIGKILL; out of memory?"
-    assert [r.has_figures for r in own.values()] == [False, True, True, True]
+    after_crash = records_of(config, "grow")
+    assert after_crash["toy-0-1"].error == "its process ended by SIGKILL; out of memory?"
+    assert [r.has_figures for r in after_crash.values()] == [False, True, True, True]
     assert "| Grow (1 of 2) |" in table(config) and not done.complete
     run(config)
-    assert found(config, "grow") == own, "errors stay ..."
+    assert records_of(config, "grow") == after_crash, "errors stay ..."
     run(replace(config, redo="errors"))
-    assert all(r.has_figures for r in found(config, "grow").values()), "... until asked for anew"
+    assert all(r.has_figures for r in records_of(config, "grow").values()), "... until asked for anew"
     assert counted("grow") == 6 + 1 + 0
 
 
 def test_weights_that_change_during_a_run_mix_no_rows(config: RunConfig) -> None:
     ask_for(config, "swap")
     run(replace(config, setup=replace(config.setup, objects=1)))
-    said = "grow: its weights or settings changed since the run began; start it again"
-    assert [r.error for r in found(config, "grow").values()] == ["", said]
+    message = "grow: its weights or settings changed since the run began; start it again"
+    assert [r.error for r in records_of(config, "grow").values()] == ["", message]
     run(replace(config, setup=replace(config.setup, objects=1)))
-    assert [r.error for r in found(config, "grow").values()] == ["", ""] and counted("grow") == 1 + 3
+    assert [r.error for r in records_of(config, "grow").values()] == ["", ""] and counted("grow") == 1 + 3
 
 
 @posix_only
@@ -195,21 +195,21 @@ def test_a_broken_object_is_a_note(config: RunConfig) -> None:
     assert "left out: toy-1: a broken mesh" in done.notes
     assert "left out: toy-0: its process ended by SIGKILL; out of memory?" in done.notes
     assert "7 objects were asked for, 5 are there" in done.notes and not done.complete
-    assert sorted(found(config, "grow")) == ["toy-0-1"] + [f"toy-{k}-{e}" for k in (2, 3, 4) for e in (1, 2)]
+    assert sorted(records_of(config, "grow")) == ["toy-0-1"] + [f"toy-{k}-{e}" for k in (2, 3, 4) for e in (1, 2)]
     (config.out.parent / "trouble" / "broken-toy-1").unlink()
     done = run(replace(config, setup=replace(config.setup, objects=5)))
-    assert len(found(config, "grow")) == 10 and not any("left out" in note for note in done.notes)
+    assert len(records_of(config, "grow")) == 10 and not any("left out" in note for note in done.notes)
 
 
 def test_shards_and_processes_fill_one_folder(config: RunConfig) -> None:
     config = replace(config, setup=replace(config.setup, objects=3))
     run(replace(config, shard=(1, 2)))
-    assert sorted(found(config, "grow")) == ["toy-1-1", "toy-1-2"]
+    assert sorted(records_of(config, "grow")) == ["toy-1-1", "toy-1-2"]
     done = run(replace(config, shard=(0, 2), processes=2, methods=("grow", "bound"), parallel_methods=True))
     assert "this run did part 0 of 2; the table has what all parts have done so far" in done.notes
     assert any("side by side" in note for note in done.notes)
     assert sums(config) == {f"toy-{k}-{edits}": float(edits) for k in (0, 1, 2) for edits in (1, 2)}
-    assert len(found(config, "bound")) == 4
+    assert len(records_of(config, "bound")) == 4
     assert "| Bound (2 of 3) |" in table(config) and "Bound: 2 of 6 cases have not been run" in done.notes
 
 
@@ -234,7 +234,7 @@ def test_interrupting_and_resuming_gives_the_same_table(config: RunConfig, numbe
     parent.send_signal(number)
     assert parent.wait(20) != 0
     _wait_for(lambda: not _alive(child))
-    assert found(config, "grow") == {}, "nothing half done"
+    assert records_of(config, "grow") == {}, "nothing half done"
     done = run(config)
     assert counted("make-*") == 4 and sums(config) == {"toy-0-1": 1, "toy-0-2": 2, "toy-1-1": 1, "toy-1-2": 2}
     assert [(row.block, row.figures["sum"].mean, row.cases) for row in done.rows] == [("1", 1, 2), ("2", 2, 2)]
@@ -244,7 +244,7 @@ def test_interrupting_and_resuming_gives_the_same_table(config: RunConfig, numbe
 def test_fingerprints_and_shards() -> None:
     budget = Budget()
     first = fingerprint("d" * 16, "1", budget, False)
-    others = [
+    variants = [
         fingerprint("e" * 16, "1", budget, False),
         fingerprint("d" * 16, "2", budget, False),
         fingerprint("d" * 16, "1", replace(budget, steps=1), False),
@@ -252,7 +252,7 @@ def test_fingerprints_and_shards() -> None:
         fingerprint("d" * 16, "1", replace(budget, curve=True), False),
         fingerprint("d" * 16, "1", budget, True),
     ]
-    assert first.startswith("d" * 16) and len({first, *others}) == 7
+    assert first.startswith("d" * 16) and len({first, *variants}) == 7
     assert first == fingerprint("d" * 16, "1", replace(budget, scratch=Path("elsewhere")), False)
     keys = [CaseKey(f"{name}{k}", name, {}) for name in "abc" for k in (0, 1)]
     assert [key.label for key in runner.of_shard(keys, (0, 2))] == ["a0", "a1", "c0", "c1"]
@@ -261,12 +261,12 @@ def test_fingerprints_and_shards() -> None:
 
 def test_a_stamp_counts_files_and_not_where_they_are(tmp_path: Path) -> None:
     stamp = CaseStore(tmp_path / "out", "toy").stamp
-    for place, size in (("one", 3), ("two", 3), ("three", 4)):
-        (tmp_path / place / "a").mkdir(parents=True)
-        (tmp_path / place / "a" / "x.glb").write_bytes(bytes(size))
-        (tmp_path / place / "a" / "y.glb").write_bytes(bytes(size + 1))
+    for folder, size in (("one", 3), ("two", 3), ("three", 4)):
+        (tmp_path / folder / "a").mkdir(parents=True)
+        (tmp_path / folder / "a" / "x.glb").write_bytes(bytes(size))
+        (tmp_path / folder / "a" / "y.glb").write_bytes(bytes(size + 1))
     key = CaseKey("x-toy", "a/x", {})
-    stamps = [stamp(key, Setup(data=tmp_path / place)) for place in ("one", "two", "three")]
+    stamps = [stamp(key, Setup(data=tmp_path / folder)) for folder in ("one", "two", "three")]
     assert stamps[0] == stamps[1] != stamps[2]
     (tmp_path / "two" / "z.glb").write_bytes(b"more")
     cases._listing.cache_clear()

@@ -31,80 +31,80 @@ class Squares:
 
 
 def test_a_constant_difference_has_the_psnr_of_the_formula() -> None:
-    wanted = noise(0)
-    made = wanted + np.float32(0.1)
-    found = compared(made, wanted, None, None)
-    assert found["psnr"] == pytest.approx(20.0, abs=1e-4)  # -10 log10 of 0.01
-    assert found["lpips"] is None
+    target = noise(0)
+    made = target + np.float32(0.1)
+    figures = compared(made, target, None, None)
+    assert figures["psnr"] == pytest.approx(20.0, abs=1e-4)  # -10 log10 of 0.01
+    assert figures["lpips"] is None
 
 
 def test_means_are_over_views_not_over_pixels() -> None:
-    wanted = noise(1)
-    made = wanted + np.array([0.1, 0.01], np.float32)[:, None, None, None]
-    masks = np.zeros(wanted.shape[:3], bool)
+    target = noise(1)
+    made = target + np.array([0.1, 0.01], np.float32)[:, None, None, None]
+    masks = np.zeros(target.shape[:3], bool)
     masks[0, :30], masks[1, :3] = True, True
-    assert compared(made, wanted, masks, None)["psnr"] == pytest.approx((20 + 40) / 2, abs=1e-3)
+    assert compared(made, target, masks, None)["psnr"] == pytest.approx((20 + 40) / 2, abs=1e-3)
 
 
 def test_only_pixels_of_the_mask_count_and_views_without_any_are_left_out() -> None:
-    wanted = noise(2)
-    made = wanted.copy()
+    target = noise(2)
+    made = target.copy()
     made[0, :20] += 0.1
     made[0, 20:] = 0
     made[1] = 0
-    masks = np.zeros(wanted.shape[:3], bool)
+    masks = np.zeros(target.shape[:3], bool)
     masks[0, :20] = True
-    found = compared(made, wanted, masks, None)
-    assert found["psnr"] == pytest.approx(20.0, abs=1e-4)
-    assert found["ssim"] == pytest.approx(ssim(made[0], wanted[0], masks[0]))
+    figures = compared(made, target, masks, None)
+    assert figures["psnr"] == pytest.approx(20.0, abs=1e-4)
+    assert figures["ssim"] == pytest.approx(ssim(made[0], target[0], masks[0]))
 
 
 def test_without_any_pixel_nothing_is_scored() -> None:
-    wanted = noise(3)
-    assert compared(wanted, wanted, np.zeros(wanted.shape[:3], bool), Squares()) == dict.fromkeys(
+    target = noise(3)
+    assert compared(target, target, np.zeros(target.shape[:3], bool), Squares()) == dict.fromkeys(
         ("psnr", "ssim", "lpips")
     )
-    empty = PosedImages((), wanted[:0])
+    empty = PosedImages((), target[:0])
     assert scored(ball(10), empty, None, None) == dict.fromkeys(("psnr", "ssim", "lpips"))
 
 
 def test_equal_pictures_have_a_finite_psnr() -> None:
-    wanted = noise(4)
-    found = compared(wanted, wanted, None, None)
-    assert found["psnr"] == MAX_PSNR_DB and found["ssim"] == pytest.approx(1)
+    target = noise(4)
+    figures = compared(target, target, None, None)
+    assert figures["psnr"] == MAX_PSNR_DB and figures["ssim"] == pytest.approx(1)
 
 
 def test_too_small_pictures_have_no_ssim_and_no_lpips() -> None:
-    wanted = noise(5, size=10)
-    found = compared(wanted, wanted + np.float32(0.1), None, Squares())
-    assert found["psnr"] == pytest.approx(20, abs=1e-4)
-    assert found["ssim"] is None and found["lpips"] is None
+    target = noise(5, size=10)
+    figures = compared(target, target + np.float32(0.1), None, Squares())
+    assert figures["psnr"] == pytest.approx(20, abs=1e-4)
+    assert figures["ssim"] is None and figures["lpips"] is None
 
 
 def test_lpips_sees_the_masks_box_with_wanted_pixels_outside_the_mask() -> None:
-    wanted, made = noise(6, 1, 64), noise(7, 1, 64)
+    target, made = noise(6, 1, 64), noise(7, 1, 64)
     masks = np.zeros((1, 64, 64), bool)
     masks[0, 10:50, 20:55] = True
     masks[0, 12:20, 25:30] = False  # a hole
     network = Squares()
-    found = compared(made, wanted, masks, network)["lpips"]
+    figures = compared(made, target, masks, network)["lpips"]
     assert network.shapes == [(1, 3, 40, 35)]
-    squared = ((made - wanted) ** 2)[0] * masks[0][..., None]
-    assert found == pytest.approx(squared.sum() / (40 * 35 * 3), rel=1e-5)
+    squared = ((made - target) ** 2)[0] * masks[0][..., None]
+    assert figures == pytest.approx(squared.sum() / (40 * 35 * 3), rel=1e-5)
 
 
 @pytest.mark.parametrize(
-    ("rows", "columns", "wanted"),
+    ("rows", "columns", "expected"),
     [
         (slice(10, 45), slice(5, 60), (slice(10, 45), slice(5, 60))),  # large enough
         (slice(30, 34), slice(30, 34), (slice(16, 48), slice(16, 48))),  # grown about the middle: 14 each way
         (slice(0, 2), slice(62, 64), (slice(0, 32), slice(32, 64))),  # in the corners
     ],
 )
-def test_bounding_boxes_hold_the_mask_and_32_pixels(rows: slice, columns: slice, wanted: tuple[slice, slice]) -> None:
+def test_bounding_boxes_hold_the_mask_and_32_pixels(rows: slice, columns: slice, expected: tuple[slice, slice]) -> None:
     mask = np.zeros((64, 64), bool)
     mask[rows, columns] = True
-    assert bounding_box(mask) == wanted
+    assert bounding_box(mask) == expected
 
 
 def test_a_bounding_box_needs_a_pixel() -> None:
@@ -118,11 +118,11 @@ def test_object_masks_are_where_the_background_is_not_also_after_a_case_was_kept
     colors = np.broadcast_to(np.array(behind, np.float32), (2, 8, 8, 3)).copy()
     colors[0, 2, 3, 1] += 0.01
     colors[1, 4:6] = 0
-    wanted = np.zeros((2, 8, 8), bool)
-    wanted[0, 2, 3], wanted[1, 4:6] = True, True
-    assert np.array_equal(object_masks(PosedImages(cameras, colors)), wanted)
-    kept = colors.astype(np.float16).astype(np.float32)
-    assert np.array_equal(object_masks(PosedImages(cameras, kept)), wanted)
+    expected = np.zeros((2, 8, 8), bool)
+    expected[0, 2, 3], expected[1, 4:6] = True, True
+    assert np.array_equal(object_masks(PosedImages(cameras, colors)), expected)
+    stored = colors.astype(np.float16).astype(np.float32)
+    assert np.array_equal(object_masks(PosedImages(cameras, stored)), expected)
 
 
 def test_renders_of_an_asset_against_themselves_are_perfect() -> None:
@@ -130,7 +130,7 @@ def test_renders_of_an_asset_against_themselves_are_perfect() -> None:
     cameras = tuple(orbit([0, 0, 0], 3, 2, width=32, height=32))
     pictures = rendered(asset, cameras)
     assert pictures.dtype == np.float32 and pictures.min() >= 0 and pictures.max() <= 1
-    found = scored(asset, PosedImages(cameras, pictures), None, None)
-    assert found["psnr"] == MAX_PSNR_DB
+    figures = scored(asset, PosedImages(cameras, pictures), None, None)
+    assert figures["psnr"] == MAX_PSNR_DB
     inverse = scored(asset, PosedImages(cameras, 1 - pictures), None, None)["psnr"]
     assert inverse is not None and inverse < 30

@@ -11,7 +11,7 @@ from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
 from splatbench.ground_truth import changes
 from splatbench.methods import EditResult
 from splatbench.scoring import rendered
-from splatbench.tables.sequential_edits import MIN_OVERLAP, PARTS, protocol
+from splatbench.tables.sequential_edits import MIN_OVERLAP, PARTS, TABLE
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.metrics import psnr
@@ -19,7 +19,6 @@ from splatpainter.splats import Splats
 from tests.support.cli_scenes import ball
 
 SETUP = Setup(truth="surfels", size=48, objects=3, base_views=2, novel_views=2, rows=500, asset_steps=0, lights=1)
-TABLE = protocol()
 ASSET = ball(1500)
 CAMERAS = sorted(
     orbit([0, 0, 0], 4, 4, width=40, height=40, fov=40, background=ground_truth.BACKGROUND),
@@ -59,10 +58,10 @@ def answers(*splats: Splats) -> list[EditResult]:
 def cases() -> dict[str, Case]:
     """One of each part, and of each kind of edit in several views."""
     keys = {key.label: key for key in TABLE.keys(SETUP)}
-    wanted = ["0-views", "0-edits", "0-conflict", "1-views", "2-views"]
+    endings = ["0-views", "0-edits", "0-conflict", "1-views", "2-views"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ground_truth, "MIN_SURFELS", 5000)
-        return {w: TABLE.make(next(k for n, k in keys.items() if n.endswith(w)), SETUP) for w in wanted}
+        return {w: TABLE.make(next(k for n, k in keys.items() if n.endswith(w)), SETUP) for w in endings}
 
 
 def test_every_object_has_a_case_of_each_part() -> None:
@@ -100,8 +99,8 @@ def test_edits_are_different_and_each_builds_on_those_before(cases: dict[str, Ca
     assert 2 <= count <= 3 and len({one.kind for one in made.steps}) == count
     for k, one in enumerate(made.steps):
         assert made.after.cameras[k] is one.edited.cameras[0]
-        found = changes(made.before.colors[k : k + 1], one.edited.colors)
-        assert (found == one.masks).all()
+        changed_pixels = changes(made.before.colors[k : k + 1], one.edited.colors)
+        assert (changed_pixels == one.masks).all()
     assert (made.after.colors[count - 1] == made.steps[-1].edited.colors[0]).all()  # nothing comes after the last
     assert not made.near[:count].any() and made.near[count:].any()
 
@@ -133,16 +132,16 @@ def test_more_views_are_scored_where_the_edit_is() -> None:
     right, half = colored(ASSET, first, -1.0, 0.6), colored(ASSET, first, 0.2, 0.6)
     steps = [step(ASSET, right, first), step(ASSET, right, near)]
     before, after = pictures(ASSET, near, CAMERAS[2]), pictures(right, near, CAMERAS[2])
-    asked = case(steps, before, after, [True, False], part="views", edit="paint")
-    figures = TABLE.score(asked, answers(half, right), None)
+    sequence = case(steps, before, after, [True, False], part="views", edit="paint")
+    figures = TABLE.score(sequence, answers(half, right), None)
     mask = changes(before.colors[:1], after.colors[:1])[0]
     assert figures["first"] == pytest.approx(psnr(rendered(half, [near])[0], after.colors[0], mask), abs=1e-4)
     assert figures["last"] == figures["psnr_2"] == 100 and figures["forgetting"] is None
     assert {column.key for column in TABLE.columns} <= set(figures)
-    relit = replace(asked, near=np.zeros(2, bool), facts={"part": "views", "edit": "relight"})
+    relit = replace(sequence, near=np.zeros(2, bool), facts={"part": "views", "edit": "relight"})
     everywhere = TABLE.score(relit, answers(half, right), None)["first"]
     assert everywhere is not None and everywhere > (figures["first"] or 0)  # what did not change counts too
-    assert set(TABLE.pictures(asked, answers(half, right))) == {"result", "truth", "step 1"}
+    assert set(TABLE.pictures(sequence, answers(half, right))) == {"result", "truth", "step 1"}
 
 
 def test_what_a_later_edit_spoils_is_forgotten_and_what_it_overpaints_is_not() -> None:
@@ -151,16 +150,16 @@ def test_what_a_later_edit_spoils_is_forgotten_and_what_it_overpaints_is_not() -
     two = colored(one, b, 0.9)
     steps = [step(ASSET, one, a), step(one, two, b)]
     before, after = pictures(one, a, b), pictures(two, a, b)
-    asked = case(steps, before, after, [False, False], part="edits")
-    kept = TABLE.score(asked, answers(one, two), None)
-    assert kept["first"] == 100 and (kept["last"] or 0) > 85 and kept["forgetting"] is not None
-    assert 0 <= kept["forgetting"] < 30  # far below what can be seen: rows of the one shine through in the other's view
+    sequence = case(steps, before, after, [False, False], part="edits")
+    both = TABLE.score(sequence, answers(one, two), None)
+    assert both["first"] == 100 and (both["last"] or 0) > 85 and both["forgetting"] is not None
+    assert 0 <= both["forgetting"] < 30  # far below what can be seen: rows of the one shine through in the other's view
     lost = colored(ASSET, b, 0.9)  # the first edit is gone
-    figures = TABLE.score(asked, answers(one, lost), None)
-    gone = psnr(rendered(lost, [a])[0], steps[0].edited.colors[0], steps[0].masks[0])
-    assert figures["forgetting"] == pytest.approx(100 - gone, abs=1e-3)
-    assert figures["end_1"] == pytest.approx(gone, abs=1e-3) and figures["fresh_1"] == figures["end_2"] == 100
-    assert figures["psnr_2"] == figures["last"] == pytest.approx((gone + 100) / 2, abs=1e-3)
+    figures = TABLE.score(sequence, answers(one, lost), None)
+    final_db = psnr(rendered(lost, [a])[0], steps[0].edited.colors[0], steps[0].masks[0])
+    assert figures["forgetting"] == pytest.approx(100 - final_db, abs=1e-3)
+    assert figures["end_1"] == pytest.approx(final_db, abs=1e-3) and figures["fresh_1"] == figures["end_2"] == 100
+    assert figures["psnr_2"] == figures["last"] == pytest.approx((final_db + 100) / 2, abs=1e-3)
     wiped = colored(one, a, 0.9, 0.7)  # an edit that covers the first
     steps = [step(ASSET, one, a), step(one, wiped, a)]
     over = case(steps, pictures(one, a, a), pictures(wiped, a, a), [False, False], part="edits")
@@ -174,11 +173,11 @@ def test_the_later_of_two_views_wins_or_does_not() -> None:
     two = colored(one, a, 0.9, 0.75)
     steps = [step(ASSET, one, a), step(one, two, b)]
     assert steps[1].masks.any()
-    asked = case(steps, pictures(ASSET, a), pictures(two, a), [False], part="conflict")
-    won = TABLE.score(asked, answers(one, two), None)
+    sequence = case(steps, pictures(ASSET, a), pictures(two, a), [False], part="conflict")
+    won = TABLE.score(sequence, answers(one, two), None)
     assert won["winner"] == 100 and won["new"] == 100 and won["later"] == 100 and won["psnr_1"] == 100
-    stuck = TABLE.score(asked, answers(one, one), None)
+    stuck = TABLE.score(sequence, answers(one, one), None)
     assert stuck["winner"] == 0 and stuck["old"] == 100
     assert stuck["new"] is not None and stuck["new"] < 20
-    nothing = TABLE.score(asked, answers(ASSET, ASSET), None)
+    nothing = TABLE.score(sequence, answers(ASSET, ASSET), None)
     assert nothing["winner"] == 0  # nearest to the object without either

@@ -144,12 +144,12 @@ def test_paint_moves_with_the_camera() -> None:
     layer = scenes.stroke_layer((80, 100), np.array([[50.0, 40.0]]), 30, 4)
     wall = np.full((80, 100), 4.0)
     moved = reproject(layer, first, wall, second, wall)
-    wanted = np.roll(layer[..., 3], -shift, 1)
+    expected = np.roll(layer[..., 3], -shift, 1)
     assert abs(shift) >= 10
-    assert np.abs(moved.layer[..., 3] - wanted).max() < 0.2  # the shift is not whole
+    assert np.abs(moved.layer[..., 3] - expected).max() < 0.2  # the shift is not whole
     assert moved.painted[40, 50 - shift] and not moved.clean[40, 50 - shift]
     assert moved.clean[40, 50 - shift + 25] and moved.clean[5, 5]
-    assert not (moved.painted & (wanted < 0.1)).any()
+    assert not (moved.painted & (expected < 0.1)).any()
 
     hidden = wall.copy()
     hidden[:, :50] = 2.0  # another thing in front of the painted view's left half
@@ -201,10 +201,10 @@ def test_scenes_of_any_size_show_the_same_surface(rows: int) -> None:
 
 def test_bench_speed_writes_its_table(tmp_path: Path) -> None:
     words = ("voxel", "open PLY", "small scene")
-    said: list[str] = []
-    lines = speed.run(speed.SpeedBench(tmp_path / "out", only=words, quick=True), said.append)
+    messages: list[str] = []
+    lines = speed.run(speed.SpeedBench(tmp_path / "out", only=words, quick=True), messages.append)
     names = [line.operation for line in lines]
-    assert names[:3] == ["rays to voxels", "voxels", "open PLY"] and len(said) == len(lines)
+    assert names[:3] == ["rays to voxels", "voxels", "open PLY"] and len(messages) == len(lines)
     assert all(math.isfinite(line.milliseconds) and 0 < line.fastest <= line.milliseconds for line in lines)
     small = [line for line in lines if line.operation.startswith("small scene")]
     assert len(small) == 4 and all(line.reference_ratio is not None and line.reference_ratio > 0 for line in small)
@@ -216,7 +216,7 @@ def test_bench_speed_writes_its_table(tmp_path: Path) -> None:
 
 
 def test_bench_speed_knows_the_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from splatbench.scenes import Scene, save_scene
+    from splatbench.scenes import SavedScene, save_scene
     from splatbench.speed_cases import OPERATIONS
 
     from splatpainter.models import config
@@ -224,14 +224,14 @@ def test_bench_speed_knows_the_networks(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(config, "COMPACT", TINY)
     save_scene(tmp_path / "scene", resampled(box(), 2000, 1))
-    scene = Scene(tmp_path / "scene", 64)
-    encoded, local, whole = (
+    scene = SavedScene(tmp_path / "scene", 64)
+    encoded, local, graded = (
         OPERATIONS[name].prepare(scene)()
         for name in ("encode, compact", "local edit ttt, compact", "global edit ttt, compact")
     )
     assert encoded.encoding is not None and encoded.receipt is None
     assert (local.receipt.method, local.receipt.mode) == ("ttt", "local") and local.receipt.appended_rows > 0
-    assert (whole.receipt.method, whole.receipt.mode) == ("ttt", "global") and len(whole.receipt.touched) == 2000
+    assert (graded.receipt.method, graded.receipt.mode) == ("ttt", "global") and len(graded.receipt.touched) == 2000
     # Only on scenes that are large enough.
     folder = tmp_path / "out"
     assert not speed.run(speed.SpeedBench(folder, only=("ttt",), rows=(2000,), sizes=(64,)))
@@ -246,8 +246,8 @@ def test_bench_speed_knows_the_networks(tmp_path: Path, monkeypatch: pytest.Monk
         ({"only": ("x y",)}, "--only"),
     ],
 )
-def test_bench_speed_refuses_what_makes_no_sense(tmp_path: Path, wrong: dict, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_bench_speed_refuses_what_makes_no_sense(tmp_path: Path, wrong: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         speed.run(speed.SpeedBench(tmp_path / "out", **wrong))
     assert not (tmp_path / "out").exists()
 
@@ -259,10 +259,10 @@ def test_bench_lift_paints_scores_and_proves(tmp_path: Path) -> None:
     config = lift_bench.LiftBench((tmp_path / "box.ply",), True, tmp_path / "out", size=128, repeats=1)
     (line,) = lift_bench.run(config)
     numbers = (line.before, line.inside, line.outside, line.novel_inside, line.novel_outside, line.split_outside)
-    known = [value for value in numbers if value is not None and math.isfinite(value)]
-    assert len(known) == 6
+    finite = [value for value in numbers if value is not None and math.isfinite(value)]
+    assert len(finite) == 6
     assert line.exact and line.rows == line.touched + line.untouched == 6 * 32**2
-    assert known[1] > known[0] + 3 and 0.02 < line.painted < 0.4
+    assert finite[1] > finite[0] + 3 and 0.02 < line.painted < 0.4
     heading, *table = (tmp_path / "out" / "lift.csv").read_text().splitlines()
     (row,) = csv.DictReader(table)
     assert heading.startswith("# ") and list(row) == [field.name for field in fields(lift_bench.Lift)]
@@ -279,8 +279,8 @@ def test_bench_lift_finds_assets(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"")
     (tmp_path / "tree").mkdir()
     (tmp_path / "tree" / "meta.json").write_text("{}")
-    found = lift_bench.find_assets([tmp_path])
-    assert [path.name for path in found] == ["a.ply", "b.compressed.ply", "tree"]
+    paths = lift_bench.find_assets([tmp_path])
+    assert [path.name for path in paths] == ["a.ply", "b.compressed.ply", "tree"]
     assert lift_bench.find_assets([tmp_path / "tree"]) == [tmp_path / "tree"]
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="empty: expected splat files"):

@@ -90,13 +90,13 @@ def test_patches_are_windows_of_the_large_view() -> None:
     cut = patches(base, asset, lambda low: lanczos(low, 4), 4, 64, 5, RNG(2))
     assert len(cut) == 10
     for k, patch in enumerate(cut):
-        own = base.cameras[k // 5]
-        large = Camera(256, 256, own.fx * 4, own.fy * 4, own.cx * 4, own.cy * 4, own.world_to_camera)
+        camera = base.cameras[k // 5]
+        large = Camera(256, 256, camera.fx * 4, camera.fy * 4, camera.cx * 4, camera.cy * 4, camera.world_to_camera)
         x, y = round(large.cx - patch.camera.cx), round(large.cy - patch.camera.cy)
         assert x % 4 == y % 4 == 0 and 0 <= x <= 192 and 0 <= y <= 192
         assert patch.color.shape == (64, 64, 3) and patch.low.shape == (16, 16, 3) and patch.weight == 0.25
-        whole, window = render(asset, large), render(asset, patch.camera)
-        np.testing.assert_allclose(window.colors[0], whole.colors[0, y : y + 64, x : x + 64], atol=1e-5)
+        full, window = render(asset, large), render(asset, patch.camera)
+        np.testing.assert_allclose(window.colors[0], full.colors[0, y : y + 64, x : x + 64], atol=1e-5)
         assert window.alphas.max() > 0.05  # the asset fills a sixth of the picture: it is looked for
         np.testing.assert_array_equal(patch.low, base.colors[k // 5, y // 4 : y // 4 + 16, x // 4 : x // 4 + 16])
         np.testing.assert_allclose(means_of_blocks(patch.color, 4), patch.low, atol=2e-6)
@@ -182,10 +182,10 @@ def test_further_views_lie_evenly_around_the_asset_with_the_optics_of_the_base(u
     ring = orbit((3, 1, -2), 4.0, 9, up=up, width=40, height=40, fov=35, background=(1, 1, 1))
     base = PosedImages(tuple(ring), np.zeros((9, 40, 40, 3), np.float32))
     cameras = orbit_views(asset, base, 48)
-    places = np.array([c.position for c in cameras]) - (3, 1, -2)
-    np.testing.assert_allclose(np.linalg.norm(places, axis=1), 4, rtol=0.02)
-    assert np.abs(places.mean(0)).max() < 0.15
-    closeness = (places @ places.T / 16 - 2 * np.eye(48)).max(1)
+    offsets = np.array([c.position for c in cameras]) - (3, 1, -2)
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), 4, rtol=0.02)
+    assert np.abs(offsets.mean(0)).max() < 0.15
+    closeness = (offsets @ offsets.T / 16 - 2 * np.eye(48)).max(1)
     assert np.degrees(np.arccos(closeness.max())) > 18  # 48 even points are about 29 degrees apart
     for c in cameras:
         assert (c.width, c.height, c.background) == (40, 40, (1, 1, 1))
@@ -221,8 +221,8 @@ def test_srgs_brings_the_close_up_into_the_asset(name: str) -> None:
     method = BY_NAME[name]
     assert method.missing(Budget()) == "" and "Lanczos prior" in method.label and method.protocols == ("refine",)
     done = method.edit(work, Budget(steps=120, curve=True), asset_views=2)  # type: ignore[call-arg]
-    view, wanted = work.step.edited.cameras[0], work.step.edited.colors[0]
-    before, after = (db(render(s, view).colors[0], wanted) for s in (work.asset, done.splats))
+    view, target = work.step.edited.cameras[0], work.step.edited.colors[0]
+    before, after = (db(render(s, view).colors[0], target) for s in (work.asset, done.splats))
     assert after > before + 2
     assert not done.keeps_rows and done.setup_seconds > 0 and done.edit_seconds > 0
     assert len(done.splats) > len(work.asset) and 4 <= done.numbers["patches"] <= 8

@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from splatbench import scenes, studio
-from splatbench.studio import Line, Patch, StudioBench
+from splatbench.studio import Measurement, StrokePatch, StudioBench
 
 from splatpainter.cli import main
 from splatpainter.io import write
 from tests.support.studio_scenes import ball
 
 
-def pixels(patch: Patch) -> np.ndarray:
+def pixels(patch: StrokePatch) -> np.ndarray:
     return np.frombuffer(base64.b64decode(patch.rgba), np.uint8).reshape(patch.height, patch.width, 4)
 
 
 def test_a_line_is_judged_by_its_median() -> None:
-    assert studio.line("x", [1.0, 9.0, 2.0], target=2.0) == Line("x", None, "ms", 2.0, 9.0, 2.0, True, 3)
+    assert studio.line("x", [1.0, 9.0, 2.0], target=2.0) == Measurement("x", None, "ms", 2.0, 9.0, 2.0, True, 3)
     assert studio.line("x", [1.0, 9.0, 2.1], target=2.0).met is False
     assert studio.line("x", [1.0], "MiB").met is None
     assert studio.line("x", [float("nan")], target=2.0).met is None
@@ -43,8 +43,8 @@ def test_patches_put_together_are_the_stroke() -> None:
         canvas[patch.y : patch.y + patch.height, patch.x : patch.x + patch.width] = pixels(patch)
     first, last = 0.3 * size, 0.3 * size + (studio.STROKE_BATCHES - 1) * size / 32
     points = np.array([(first, size / 2), (last, size / 2)])
-    whole = scenes.stroke_layer((size, size), points, studio.DAB_WIDTH * size, size / 128, scenes.PALETTE[0])
-    covered = np.abs(canvas[..., 3] / 255 - whole[..., 3])
+    stroke = scenes.stroke_layer((size, size), points, studio.DAB_WIDTH * size, size / 128, scenes.PALETTE[0])
+    covered = np.abs(canvas[..., 3] / 255 - stroke[..., 3])
     # A batch holds all paint in its rectangle so far; the rim of the one before, outside of it, is not drawn again.
     assert np.quantile(covered, 0.99) < 0.01 and covered.max() < 0.6
     assert all(patch.width < 2 * studio.DAB_WIDTH * size for patch in patches)
@@ -57,11 +57,11 @@ def test_text_lies_within_its_patch() -> None:
     assert abs(patch.x + patch.width / 2 - 128) < 6 and abs(patch.y + patch.height / 2 - 128) < 6
 
 
-@pytest.mark.parametrize(("words", "said"), [(["--rows", "5"], "--rows"), (["--sizes", "9"], "--sizes")])
-def test_senseless_settings_are_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("words", "message"), [(["--rows", "5"], "--rows"), (["--sizes", "9"], "--sizes")])
+def test_senseless_settings_are_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "studio", *words]) == 2
     line = capsys.readouterr().err
-    assert said in line and line.count("\n") == 1
+    assert message in line and line.count("\n") == 1
 
 
 def test_a_studio_that_does_not_start_says_why(tmp_path: Path) -> None:

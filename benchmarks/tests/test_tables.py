@@ -20,7 +20,7 @@ COLUMNS = (Column("psnr", "PSNR", "On the object", "higher"), Column("lpips", "L
 
 
 def record(method: str, name: str, psnr: float | None, views: int = 1, **rest) -> Record:
-    whole = Record(
+    template = Record(
         protocol="relight",
         method=method,
         label=f"{name}-{views}",
@@ -36,7 +36,7 @@ def record(method: str, name: str, psnr: float | None, views: int = 1, **rest) -
         numbers={"rounds": 4.0},
         facts={"views": views},
     )
-    return replace(whole, **rest)
+    return replace(template, **rest)
 
 
 RECORDS = (

@@ -61,9 +61,9 @@ def test_a_local_fit_moves_only_colours_and_opacities_of_rows_that_the_edit_reac
     asset = two_sheets()
     truth = spotted(asset, (0.9, 0.1, 0.1))
     work = given("local", asset, truth)
-    kept = asset.sh.copy()
+    sh = asset.sh.copy()
     done = BY_NAME["oracle-fit"].edit(work, Budget(steps=100))
-    assert np.array_equal(asset.sh, kept)  # the case's own asset is not written to
+    assert np.array_equal(asset.sh, sh)  # the case's own asset is not written to
     assert done.keeps_rows and len(done.splats) == len(asset)
     for name in ("means", "quats", "scales"):
         assert np.array_equal(bits(getattr(done.splats, name)), bits(getattr(asset, name)))
@@ -101,8 +101,8 @@ def test_with_all_attributes_rows_move_and_come_and_go_and_show_what_coarse_rows
     done = BY_NAME["oracle-fit-all"].edit(work, Budget(steps=150, seed=1))
     assert not done.keeps_rows and len(done.splats) > len(asset)
     colors = BY_NAME["oracle-fit"].edit(work, Budget(steps=150, seed=1))
-    view, wanted = camera(0.5, 0.4, 2.9), render(truth, camera(0.5, 0.4, 2.9)).colors[0]
-    before, alike, finer = (db(render(s, view).colors[0], wanted) for s in (asset, colors.splats, done.splats))
+    view, target = camera(0.5, 0.4, 2.9), render(truth, camera(0.5, 0.4, 2.9)).colors[0]
+    before, alike, finer = (db(render(s, view).colors[0], target) for s in (asset, colors.splats, done.splats))
     assert finer > alike + 0.5 and alike > before
 
 

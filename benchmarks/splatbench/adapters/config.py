@@ -6,7 +6,7 @@
     timeout_seconds = 3600
     environment = { HF_HOME = "/data/huggingface" }
 
-Keys are the fields of `Section`.
+Keys are the fields of `AdapterSection`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SECRETS = re.compile(r"key|token|secret|password", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Section:
+class AdapterSection:
     """One table of the file."""
 
     name: str
@@ -97,14 +97,14 @@ def sections(path: Path) -> dict[str, dict[str, Any]]:
         raise ValueError(f"{path}: cannot be read as the adapters file ({reason}); see {GUIDE}") from None
 
 
-def section(path: Path, name: str) -> Section | None:
+def section(path: Path, name: str) -> AdapterSection | None:
     """The system's table, checked; None where the file has none. Other systems' tables are not looked at.
 
     Raises ValueError: no such file, no TOML, an unknown key, a value of the wrong kind."""
     table = sections(path).get(name)
     if table is None:
         return None
-    values = build(Section, table, f"{path}: [{name}]", what="a table of keys", base=Section(name))
+    values = build(AdapterSection, table, f"{path}: [{name}]", what="a table of keys", base=AdapterSection(name))
     folder = path.parent  # where relative paths begin; links are kept: a virtual environment's python is one
     repository = values.repository and Path(os.path.abspath(folder / values.repository.expanduser()))
     python = values.python
@@ -120,7 +120,7 @@ def absent(path: Path | None, name: str) -> str:
     return line + (f"; [{unknown[0]}] there is none of {', '.join(SYSTEMS)}" if unknown else "")
 
 
-def problem(section: Section, needs: tuple[str, ...], has_gpu: Callable[[], bool]) -> str:
+def problem(section: AdapterSection, needs: tuple[str, ...], has_gpu: Callable[[], bool]) -> str:
     """What keeps a system from being run, or "". needs: files of its checkout; (): it has no checkout."""
     name, repository = section.name, section.repository
     if repository is not None and not repository.is_dir():

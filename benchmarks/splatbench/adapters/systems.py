@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from splatbench.adapters import datasets
-from splatbench.adapters.config import GUIDE, Section
+from splatbench.adapters.config import GUIDE, AdapterSection
 from splatbench.adapters.frames import ASSET, Cube, Frame, nerfstudio_frame
 from splatbench.methods import EditTask
 from splatpainter.cameras import Camera
@@ -71,7 +71,7 @@ class Job:
     """One edit by one system."""
 
     work: EditTask
-    section: Section
+    section: AdapterSection
     folder: Path
     """Its files: in/ (for the system), work/ (where it runs), out/ (what it makes), log.txt."""
     seed: int
@@ -135,7 +135,7 @@ class System:
     """Writes what the system reads into job.inputs and job.workplace. Raises ValueError where it cannot."""
     needs: tuple[str, ...] = ()
     """Files of its checkout that must be there; (): it has none."""
-    missing: Callable[[Section], str] = lambda _: ""
+    missing: Callable[[AdapterSection], str] = lambda _: ""
     """What else it needs that is not there, or ""."""
 
 
@@ -310,7 +310,7 @@ def vinedresser(job: Job) -> Plan:
     )
 
 
-def missing_of_vinedresser(section: Section) -> str:
+def missing_of_vinedresser(section: AdapterSection) -> str:
     """It asks Google's models over the network, and its number of views is fixed."""
     if section.views not in (0, TRELLIS_VIEWS) and not section.command:
         return f"[vinedresser3d] views: its main.py reads {TRELLIS_VIEWS}, got {section.views}"
@@ -414,7 +414,7 @@ def relitlrm(job: Job) -> Plan:
     )
 
 
-def missing_of_relitlrm(section: Section) -> str:
+def missing_of_relitlrm(section: AdapterSection) -> str:
     """It has no command of its own."""
     if not section.command:
         return f"no code is public: [relitlrm] needs a `command` of your own ({GUIDE})"

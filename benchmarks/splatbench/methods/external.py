@@ -39,7 +39,7 @@ def missing(system: System, budget: Budget) -> str:
     return system.missing(section) or config.problem(section, system.needs, config.has_cuda_gpu)
 
 
-def _section(system: System, budget: Budget) -> config.Section | None:
+def _section(system: System, budget: Budget) -> config.AdapterSection | None:
     return None if budget.adapters is None else config.section(budget.adapters, system.name)
 
 
@@ -84,7 +84,7 @@ def _keep_only(log: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _edit(system: System, work: EditTask, section: config.Section, seed: int, folder: Path) -> EditResult:
+def _edit(system: System, work: EditTask, section: config.AdapterSection, seed: int, folder: Path) -> EditResult:
     start = time.perf_counter()
     job = Job(work, section, folder, seed, frames.Cube.of(work.asset))
     for path in (job.inputs, job.workplace):
@@ -133,7 +133,7 @@ def _run(commands: Commands, job: Job) -> float:
     return sum(run_command(command, job.workplace, job.folder / LOG, **limits) for command in commands)
 
 
-def _note(plan: Plan, section: config.Section) -> str:
+def _note(plan: Plan, section: config.AdapterSection) -> str:
     commit = config.commit(section.repository)
     where = f"; checkout {commit[:7]}" if commit else ""
     return f"{plan.note}{where}{'; command of the adapters file' if section.command else ''}"

@@ -91,7 +91,7 @@ def _enlarged(picture: np.ndarray, factor: int) -> np.ndarray:
     return np.stack([np.asarray(Image.fromarray(plane, "F").resize(size, resize)) for plane in planes], -1)
 
 
-def section_of(adapters: Path | None) -> config.Section | None:
+def section_of(adapters: Path | None) -> config.AdapterSection | None:
     """The program's table of the adapters file."""
     return None if adapters is None else config.section(adapters, PROGRAM)
 

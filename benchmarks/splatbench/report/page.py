@@ -29,7 +29,7 @@ from splatbench.report.plots import COLORS, MARKERS, charts, draw
 from splatbench.report.summary import (
     MethodLabel,
     MethodNames,
-    Run,
+    StoredRun,
     SummaryRow,
     TableLayout,
     method_names,
@@ -50,13 +50,13 @@ NOTES_PER_METHOD = 3
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """One table's share of a report."""
 
     name: str
     folder: Path
     table: TableLayout
-    run: Run
+    run: StoredRun
     names: MethodNames
     """Of the whole report, so that a method has one mark on all of the page."""
 
@@ -161,7 +161,7 @@ def notes(rows: Sequence[SummaryRow], table: TableLayout, names: MethodNames) ->
     for row in rows:
         block = f", {table.split_by} {row.block}" if table.split_by and row.block else ""
         for reason, count in row.errors:
-            lines.append(f"{names.labels[row.method]}{block}: {reason} ({count} of {row.asked} cases)")
+            lines.append(f"{names.labels[row.method]}{block}: {reason} ({count} of {row.all_cases} cases)")
     for row in rows:
         lines += [f"{names.labels[row.method]}: {note}" for note in row.notes[:NOTES_PER_METHOD]]
         if (further := len(row.notes) - NOTES_PER_METHOD) > 0:
@@ -172,7 +172,7 @@ def notes(rows: Sequence[SummaryRow], table: TableLayout, names: MethodNames) ->
     return list(dict.fromkeys(lines))
 
 
-def machines(sections: Sequence[Section]) -> list[str]:
+def machines(sections: Sequence[ReportSection]) -> list[str]:
     """Every machine that rows were measured on, without how busy it was."""
     lines = (r.machine for section in sections for r in section.run.records if r.has_figures and r.machine)
     return list(dict.fromkeys(SIDE_BY_SIDE.sub("", LOAD.sub("", line)) for line in lines))
@@ -182,20 +182,20 @@ def _sections(
     folders: Sequence[Path],
     tables: Mapping[str, TableLayout] | None,
     methods: Mapping[str, MethodLabel] | None,
-) -> list[Section]:
+) -> list[ReportSection]:
     runs = [(folder, table_layout(folder, tables), read_run(folder)) for folder in folders]
     runs = [(folder, table, run) for folder, table, run in runs if run.records]
     if not runs:
         listed = ", ".join(map(str, folders)) or "no folder"
         raise ValueError(f"report: expected records of `splatpainter bench` in {listed}, found none")
     names = method_names((r for _, _, run in runs for r in run.records), methods)
-    return [Section(folder.name, folder, table, run, names) for folder, table, run in runs]
+    return [ReportSection(folder.name, folder, table, run, names) for folder, table, run in runs]
 
 
 # ---- what the template shows
 
 
-def _section_view(section: Section) -> dict[str, object]:
+def _section_view(section: ReportSection) -> dict[str, object]:
     rows = picture_rows(section.folder, section.run.records, section.names, section.table)
     intervals = any(figure.low is not None for row in section.rows() for figure in row.figures.values())
     return {

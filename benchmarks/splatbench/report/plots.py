@@ -117,7 +117,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Level:
+class HorizontalLine:
     """A line across the chart."""
 
     label: str
@@ -131,7 +131,7 @@ class Chart:
     x_label: str
     y_label: str
     series: tuple[Series, ...]
-    levels: tuple[Level, ...] = ()
+    levels: tuple[HorizontalLine, ...] = ()
     log_x: bool = False
     log_y: bool = False
     x_ticks: tuple[tuple[float, str], ...] = ()
@@ -174,7 +174,7 @@ def against_seconds(
         spent = {"edits": row.edit_seconds, "set-up": row.setup_seconds}
         what = next((name for name, value in spent.items() if value is not None and value >= MIN_SECONDS), None)
         if what is None:
-            levels.append(Level(label, figure.mean, style))
+            levels.append(HorizontalLine(label, figure.mean, style))
             continue
         timed.add(what)
         end = Point(spent[what] or 0.0, figure.mean, figure.low, figure.high)
@@ -350,7 +350,7 @@ def _drawable(chart: Chart) -> Chart:
     return replace(chart, series=tuple(series), levels=levels)
 
 
-def _far(level: Level, chart: Chart) -> str:
+def _far(level: HorizontalLine, chart: Chart) -> str:
     """What the legend says of a level so far from all points that an axis with both would show neither; "": it is
     not."""
     values = [v for s in chart.series for p in s.points for v in (p.y, p.low, p.high) if v is not None]

@@ -36,7 +36,7 @@ class MethodLabel(Protocol):
 
 
 class TableLayout(Protocol):
-    """What a report needs of a table (tables.Table has it)."""
+    """What a report needs of a table (tables.BenchTable has it)."""
 
     @property
     def title(self) -> str: ...
@@ -95,7 +95,7 @@ def table_layout(folder: Path, tables: Mapping[str, TableLayout] | None = None) 
 
 
 @dataclass(frozen=True)
-class Run:
+class StoredRun:
     """One table's results."""
 
     records: tuple[Record, ...]
@@ -103,12 +103,12 @@ class Run:
     """Of the runner; None: no run has finished there yet."""
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> StoredRun:
     """What a run left in OUT/TABLE: records of cases that it asked for and that are still those on disk; all records
     before a first run has finished. Raises ValueError for files that are not the runner's."""
     stored = tuple(records(folder))
     if not (folder / RUN_FILE).is_file():
-        return Run(stored, None)
+        return StoredRun(stored, None)
     try:
         values = json.loads((folder / RUN_FILE).read_bytes())
         labels, notes = set(values["labels"]), tuple(str(note) for note in values["notes"])
@@ -116,7 +116,7 @@ def read_run(folder: Path) -> Run:
         raise ValueError(f"{folder / RUN_FILE}: expected what `splatpainter bench` writes ({error!r})") from None
     digests = {label: _case_digest(folder / "cases" / label) for label in {r.label for r in stored} & labels}
     current = (r for r in stored if r.label in labels and r.fingerprint.startswith(digests[r.label]))
-    return Run(tuple(current), notes)
+    return StoredRun(tuple(current), notes)
 
 
 def _case_digest(case: Path) -> str:
@@ -153,7 +153,7 @@ class SummaryRow:
     """"measured" where any case has figures; else why none has: "not installed: ...", "error: ..."."""
     cases: int
     """With figures."""
-    asked: int
+    all_cases: int
     """Cases of this block that any method has a record of."""
     objects: int
     """With figures."""
@@ -230,7 +230,7 @@ def best_methods(rows: Sequence[SummaryRow], column: Any, names: MethodNames) ->
     means = {
         row.method: row.figures[column.key].mean
         for row in rows
-        if column.key in row.figures and row.cases == row.asked and row.method not in names.unranked
+        if column.key in row.figures and row.cases == row.all_cases and row.method not in names.unranked
     }
     if not column.better or len(means) < 2:
         return set()
@@ -269,7 +269,7 @@ def _summary_row(method: str, block: str, cases: int, records: Sequence[Record])
         block=block,
         state=MEASURED if measured else reasons.most_common(1)[0][0],
         cases=len(measured),
-        asked=cases,
+        all_cases=cases,
         objects=len({r.name for r in measured}),
         figures=figures,
         setup_seconds=_median(r.setup_seconds for r in measured),

@@ -82,7 +82,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Line:
+class TableRow:
     """One row of the table."""
 
     label: str
@@ -99,7 +99,7 @@ class Grid:
     """A table as text, before it is Markdown, LaTeX or HTML."""
 
     heads: tuple[Head, ...]
-    blocks: tuple[tuple[str, tuple[Line, ...]], ...]
+    blocks: tuple[tuple[str, tuple[TableRow, ...]], ...]
     """(name, "" where the table is not split; its rows)."""
 
 
@@ -139,7 +139,7 @@ def grid(protocol: str, columns: Sequence, rows: Sequence[SummaryRow], names: Me
     paper_keys = list(dict.fromkeys(key for row in paper for key in row.figures))
     timed = any(row.seconds for row in paper)
     heads = [Head(c.group, c.label + ARROWS[c.better], better=c.better) for c in columns]
-    costs = {"Seconds (set-up + edit)": _seconds, "Peak MiB": _memory, "Gaussians": _gaussians, "Kept %": _kept}
+    costs = {"Seconds (set-up + edit)": _seconds, "Peak MiB": _memory, "Gaussians": _gaussians, "Kept %": _equal}
     if any(c.key == "equal" for c in columns):  # the table says it itself
         del costs["Kept %"]
     heads += [Head("", label, better="higher" if label == "Kept %" else "lower") for label in costs]
@@ -158,12 +158,12 @@ def grid(protocol: str, columns: Sequence, rows: Sequence[SummaryRow], names: Me
             cells += [cost(row) for cost in costs.values()]
             cells += _published(beside.get(row.method), paper_keys, timed)
             label = names.labels.get(row.method, row.method)
-            if 0 < row.cases < row.asked:
-                label += f" ({row.cases} of {row.asked})"
-            lines.append(Line(label, "" if row.state == MEASURED else short(row.state), tuple(cells), row.method))
+            if 0 < row.cases < row.all_cases:
+                label += f" ({row.cases} of {row.all_cases})"
+            lines.append(TableRow(label, "" if row.state == MEASURED else short(row.state), tuple(cells), row.method))
         for other in published.unmatched(protocol, methods, views):
             cells = [Cell()] * (len(columns) + len(costs)) + _published(other, paper_keys, timed)
-            lines.append(Line(other.label, NOT_RUN, tuple(cells)))
+            lines.append(TableRow(other.label, NOT_RUN, tuple(cells)))
         blocks.append((f"{split_by}: {block}" if split_by and block else "", tuple(lines)))
     return Grid(tuple(heads), tuple(blocks))
 
@@ -303,7 +303,7 @@ def _gaussians(row: SummaryRow) -> Cell:
     return Cell() if row.rows is None else Cell(f"{row.rows:,}", value=float(row.rows))
 
 
-def _kept(row: SummaryRow) -> Cell:
+def _equal(row: SummaryRow) -> Cell:
     """Percent of the Gaussians; never rounded up to all."""
     if row.rows_equal is None:
         return Cell()

@@ -23,8 +23,8 @@ MODULES = {
     "sequence": "sequential_edits",
     "ablate": "ablation",
 }
-"""Name of a table, as the command line, its folder and its records have it -> file of this folder, which has a function
-`protocol() -> Table`."""
+"""Name of a table, as the command line, its folder and its records have it -> file of this folder, which has it as
+TABLE."""
 NAMES = tuple(MODULES)
 
 
@@ -53,14 +53,14 @@ def measures(group: str = "", ending: str = "") -> tuple[Column, Column, Column]
 
 
 def beside_truth(case: Case, results: Sequence[EditResult], view: int) -> dict[str, Any]:
-    """Table.pictures of one novel view: the last answer beside its truth."""
+    """BenchTable.pictures of one novel view: the last answer beside its truth."""
     from splatbench.scoring import rendered
 
     truth = case.after.take([view])
     return {"result": rendered(results[-1].splats, truth.cameras)[0], "truth": truth.colors[0]}
 
 
-class Table(Protocol):
+class BenchTable(Protocol):
     """What the files of this folder have."""
 
     name: str
@@ -91,6 +91,6 @@ class Table(Protocol):
         ...
 
 
-def table(name: str) -> Table:
+def table(name: str) -> BenchTable:
     """The table of a name of NAMES."""
-    return import_module(f"{__name__}.{MODULES[name]}").protocol()
+    return import_module(f"{__name__}.{MODULES[name]}").TABLE

@@ -74,12 +74,11 @@ class Compression:
         copied = PosedImages(case.after.cameras, rendered(case.asset, case.after.cameras))
         figures["psnr_asset"] = scored(last.splats, copied, masks, None)["psnr"]
         counts = {name: last.numbers.get(name) for name in COUNTS}
-        before, kept = counts["gaussians_before"], counts["gaussians_kept"]
-        return figures | counts | {"share_kept": kept / before if before and kept is not None else None}
+        before, remaining = counts["gaussians_before"], counts["gaussians_kept"]
+        return figures | counts | {"share_kept": remaining / before if before and remaining is not None else None}
 
     def pictures(self, case: Case, results: Sequence[EditResult]) -> dict[str, Any]:
         return beside_truth(case, results, 0)
 
 
-def protocol() -> Compression:
-    return Compression()
+TABLE = Compression()

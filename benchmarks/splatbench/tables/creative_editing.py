@@ -109,8 +109,7 @@ class CreativeEditing:
         return beside_truth(case, results, view) | {"edited view": first}
 
 
-def protocol() -> CreativeEditing:
-    return CreativeEditing()
+TABLE = CreativeEditing()
 
 
 def changed_gaussians(asset: Splats, result: EditResult) -> dict[str, float | None]:

@@ -112,8 +112,7 @@ class LocalRefinement:
         return pictures
 
 
-def protocol() -> LocalRefinement:
-    return LocalRefinement()
+TABLE = LocalRefinement()
 
 
 def _close_up(truth: GroundTruth, point: TexturedPoint, base: Camera, rng: np.random.Generator) -> Camera:

@@ -119,8 +119,7 @@ class SequentialEdits:
         return beside_truth(case, results, view) | earlier
 
 
-def protocol() -> SequentialEdits:
-    return SequentialEdits()
+TABLE = SequentialEdits()
 
 
 # Cases.

@@ -68,8 +68,8 @@ def flat(splats: Splats) -> Splats:
 
 def moved(splats: Splats, turn: np.ndarray, scale: float, shift: np.ndarray) -> Splats:
     """x -> scale turn x + shift by scipy and by hand: SH of band 1 are a vector, (-c3, -c1, c2)."""
-    own = Rotation.from_quat(splats.quats[:, [1, 2, 3, 0]])
-    quats = (Rotation.from_matrix(turn) * own).as_quat()[:, [3, 0, 1, 2]]
+    rotations = Rotation.from_quat(splats.quats[:, [1, 2, 3, 0]])
+    quats = (Rotation.from_matrix(turn) * rotations).as_quat()[:, [3, 0, 1, 2]]
     sh = splats.sh.astype(np.float64).copy()
     if sh.shape[1] == 4:
         x, y, z = turn @ np.stack([-sh[:, 3], -sh[:, 1], sh[:, 2]], 1).transpose(1, 0, 2).reshape(3, -1)

@@ -46,10 +46,10 @@ METHODS = {
 def record(method: str, name: str, psnr: float | None = None, **more: Any) -> Record:
     """Of one case of an object; figures from psnr where there is one."""
     figures = {} if psnr is None else {"psnr": psnr, "ssim": psnr / 50, "lpips": 1 - psnr / 50}
-    told: dict[str, Any] = {"protocol": "refine", "method": method, "label": name, "name": name, "fingerprint": "f"}
+    values: dict[str, Any] = {"protocol": "refine", "method": method, "label": name, "name": name, "fingerprint": "f"}
     if psnr is not None:
-        told |= {"setup_seconds": 0.0, "edit_seconds": 1.0, "rows": 100, "peak_mib": 64.0}
-    return Record(**told | {"figures": figures, "machine": "two cores; load 0.5 at the start"} | more)
+        values |= {"setup_seconds": 0.0, "edit_seconds": 1.0, "rows": 100, "peak_mib": 64.0}
+    return Record(**values | {"figures": figures, "machine": "two cores; load 0.5 at the start"} | more)
 
 
 def write(folder: Path, records: Iterable[Record], size: int = 16, folders: dict[str, str] | None = None) -> Path:

@@ -269,8 +269,8 @@ def checkouts(folder: Path) -> dict[str, str]:
     """Stand-in checkouts of each system that has one; system -> table of the adapters file (device cpu)."""
     hammer, vine, edge, plugin = (folder / name for name in ("hammer", "vine", "dge", "plugin"))
     write(hammer / "inference.py", VOXHAMMER)
-    for place in ("voxhammer/a", "trellis/a", "assets/preset/preset_grid64.ply"):
-        write(hammer / place, "", checks=False)
+    for file in ("voxhammer/a", "trellis/a", "assets/preset/preset_grid64.ply"):
+        write(hammer / file, "", checks=False)
     write(vine / "main.py", VINEDRESSER)
     write(vine / "PartField_segmentation.py", "", checks=False)
     write(vine / "PartField" / "configs" / "demo.yaml", "", checks=False)
@@ -285,8 +285,8 @@ def checkouts(folder: Path) -> dict[str, str]:
     write(edge / "launch.py", DGE)
     write(edge / "configs" / "dge.yaml", "", checks=False)
     write(edge / "load" / "prompt_library.json", "{}", checks=False)
-    for place in ("threestudio/a", "gaussiansplatting/a"):
-        write(edge / place, "", checks=False)
+    for file in ("threestudio/a", "gaussiansplatting/a"):
+        write(edge / file, "", checks=False)
     write(plugin / "nerfstudio" / "scripts" / "train.py", TRAIN)
     write(plugin / "nerfstudio" / "scripts" / "exporter.py", EXPORT)
     head = f"python = {str(sys.executable)!r}\ndevice = 'cpu'\nsize = 48\ntimeout_seconds = 60\n"
@@ -304,10 +304,10 @@ def checkouts(folder: Path) -> dict[str, str]:
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Budget]:
     """Stand-ins of all systems; a function that writes the adapters file for one of them."""
     lo, size = bounding_cube(ASSET)
-    told = {"means": MEANS.astype("float32").tolist(), "colors": COLORS.tolist(), "painted": PAINTED}
-    told["rows"] = ASSET.means.tolist()
-    told["rows"] = ASSET.means.tolist()
-    monkeypatch.setenv("BLOBS", json.dumps(told | {"lo": lo.tolist(), "size": size}))
+    scene = {"means": MEANS.astype("float32").tolist(), "colors": COLORS.tolist(), "painted": PAINTED}
+    scene["rows"] = ASSET.means.tolist()
+    scene["rows"] = ASSET.means.tolist()
+    monkeypatch.setenv("BLOBS", json.dumps(scene | {"lo": lo.tolist(), "size": size}))
     monkeypatch.setenv("ANSWER", str(tmp_path / "answer"))
     monkeypatch.setenv("GEMINI_API_KEY", "not a real one")
     tables = checkouts(tmp_path)
