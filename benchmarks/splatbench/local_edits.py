@@ -175,7 +175,7 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         asset = painter.encode(read(ply), method)
         assert asset.grid is not None
         setup = time.perf_counter() - start
-        before = RenderedViews(asset.splats, view)
+        before = AssetViews(asset.splats, view)
         layers = painted_layers(before.images[0], before.covers[0], config)
         edited = before.images[0]
         for layer in layers:
@@ -190,11 +190,11 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         )
         painted = results[0]
         exact = _verified(painted, ply, Path(folder) / "edited.ply")
-    after = RenderedViews(painted.splats, view)
+    after = AssetViews(painted.splats, view)
     return _scored(name, asset, painted, exact, edit, layers, before, after, (setup, timing.seconds))
 
 
-class RenderedViews:
+class AssetViews:
     """The close-up of an asset and the other views, drawn."""
 
     def __init__(self, splats: Splats, view: Closeup) -> None:
@@ -242,8 +242,8 @@ def _scored(
     exact: bool,
     edit: Edit,
     layers: Sequence[np.ndarray],
-    before: RenderedViews,
-    after: RenderedViews,
+    before: AssetViews,
+    after: AssetViews,
     seconds: tuple[float, float],
 ) -> tuple[Lift, Strip]:
     receipt = painted.receipt
@@ -290,7 +290,7 @@ def _db(value: float | None) -> str:
 
 
 def _novel(
-    splats: Splats, layers: Sequence[np.ndarray], before: RenderedViews, after: RenderedViews
+    splats: Splats, layers: Sequence[np.ndarray], before: AssetViews, after: AssetViews
 ) -> tuple[list[float], list[float]]:
     """PSNR per other view: (under the paint against the expected picture, elsewhere against the render before)."""
     inside, outside = [], []

@@ -252,7 +252,7 @@ def test_a_version_changes_with_what_may_change_results(installed, tmp_path):
     (git / "HEAD").write_text("ref: refs/heads/main\n")
     (git / "refs" / "heads" / "main").write_text("7eed0bc57824\n")
     assert version(installed("dge")) != first
-    section = config.section(installed("dge").adapters, "dge")  # type: ignore[arg-type]
+    section = config.section(installed("dge").adapters, "dge")
     assert section is not None and config.commit(section.repository) == "7eed0bc57824"
     assert section.instruction("stroke") == 'Paint it: "red"' and section.instruction("recolor") == "recolor"
 

@@ -65,8 +65,8 @@ def test_operations_equal_what_torch_counts(loss: str, representation: str) -> N
 
     # Voxels of exactly four rows each.
     splats = shell(200)
-    whole = GaussianGroups.of(grid_of(splats, config))
-    groups = replace(whole, starts=np.arange(0, 201, 4), centers=np.repeat(whole.centers[:1], 50, axis=0))
+    full = GaussianGroups.of(grid_of(splats, config))
+    groups = replace(full, starts=np.arange(0, 201, 4), centers=np.repeat(full.centers[:1], 50, axis=0))
     assert isinstance(tokens, torch.Tensor)
     tied, rows = links(200, len(tokens)), splats.torch()
     total, latents = counted(lambda: model.compressor(tokens, rows, tied, groups))

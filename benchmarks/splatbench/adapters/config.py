@@ -97,12 +97,12 @@ def sections(path: Path) -> dict[str, dict[str, Any]]:
         raise ValueError(f"{path}: cannot be read as the adapters file ({reason}); see {GUIDE}") from None
 
 
-def section(path: Path, name: str) -> AdapterSection | None:
-    """The system's table, checked; None where the file has none. Other systems' tables are not looked at.
+def section(path: Path | None, name: str) -> AdapterSection | None:
+    """The system's table, checked; None where the file has none, or there is no file. Other tables are not looked at.
 
     Raises ValueError: no such file, no TOML, an unknown key, a value of the wrong kind."""
-    table = sections(path).get(name)
-    if table is None:
+    table = None if path is None else sections(path).get(name)
+    if path is None or table is None:
         return None
     values = build(AdapterSection, table, f"{path}: [{name}]", what="a table of keys", base=AdapterSection(name))
     folder = path.parent  # where relative paths begin; links are kept: a virtual environment's python is one
@@ -111,6 +111,15 @@ def section(path: Path, name: str) -> AdapterSection | None:
     if os.path.dirname(python):
         python = os.path.abspath(folder / Path(python).expanduser())
     return replace(values, name=name, repository=repository, python=python)
+
+
+def digest(path: Path | None, name: str) -> str:
+    """Of the system's table (AdapterSection.digest); "none" where there is none that can be read."""
+    try:
+        values = section(path, name)
+    except ValueError:
+        values = None
+    return "none" if values is None else values.digest()
 
 
 def absent(path: Path | None, name: str) -> str:

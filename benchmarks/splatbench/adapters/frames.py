@@ -35,10 +35,6 @@ class Frame:
         """[..., 3] asset -> system."""
         return self.scale * (points @ self.rotation.T) + np.array(self.shift)
 
-    def points_back(self, points: np.ndarray) -> np.ndarray:
-        """[..., 3] system -> asset."""
-        return (points - np.array(self.shift)) @ self.rotation / self.scale
-
     def splats_back(self, splats: Splats) -> Splats:
         """System -> asset, SH turned too. Gaussians that are in the asset's frame already keep their bits."""
         if self.scale == 1 and not any(self.shift) and np.array_equal(self.rotation, np.eye(3)):

@@ -31,7 +31,7 @@ LOG = "log.txt"
 def missing(system: System, budget: Budget) -> str:
     """Why the system is not run here, or ""."""
     try:
-        section = _section(system, budget)
+        section = config.section(budget.adapters, system.name)
         if section is None:
             return config.absent(budget.adapters, system.name)
     except ValueError as error:
@@ -39,17 +39,9 @@ def missing(system: System, budget: Budget) -> str:
     return system.missing(section) or config.problem(section, system.needs, config.has_cuda_gpu)
 
 
-def _section(system: System, budget: Budget) -> config.AdapterSection | None:
-    return None if budget.adapters is None else config.section(budget.adapters, system.name)
-
-
 def version(system: System, budget: Budget) -> str:
     """Changes with the section, the commit of the checkout, and this package's files."""
-    try:
-        section = _section(system, budget)
-    except ValueError:
-        section = None
-    return f"{VERSION}-{section.digest() if section else 'none'}"
+    return f"{VERSION}-{config.digest(budget.adapters, system.name)}"
 
 
 def edit(system: System, work: EditTask, budget: Budget) -> EditResult:
@@ -58,7 +50,7 @@ def edit(system: System, work: EditTask, budget: Budget) -> EditResult:
     why = missing(system, budget)
     if why:
         raise ValueError(why)
-    section = _section(system, budget)
+    section = config.section(budget.adapters, system.name)
     assert section is not None
     if budget.scratch is not None:
         budget.scratch.mkdir(parents=True, exist_ok=True)

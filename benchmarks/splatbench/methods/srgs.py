@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatbench.adapters import config
 from splatbench.cases import Budget
 from splatbench.methods import Curve, EditResult, EditTask, Method
 from splatbench.methods.gs3d import (
@@ -32,7 +33,7 @@ from splatbench.methods.gs3d import (
     views_of_asset,
     weights_beside,
 )
-from splatbench.methods.super_resolution import Prior, lanczos, missing_program, program, section_of
+from splatbench.methods.super_resolution import PROGRAM, Prior, lanczos, missing_program, program
 
 if TYPE_CHECKING:
     from splatpainter.fit.optimize import View
@@ -118,13 +119,7 @@ def missing(external: bool, budget: Budget) -> str:
 def version(external: bool, budget: Budget) -> str:
     """Changes with the settings and, with a program, with its table of the adapters file."""
     settings = f"2-{FACTOR}-{ASSET_VIEWS}-{MAX_PATCHES}-{PATCH_EDGE}-{EDITED_SHARE:g}"
-    if not external:
-        return settings
-    try:
-        section = section_of(budget.adapters)
-    except ValueError:
-        section = None
-    return f"{settings}-{'none' if section is None else section.digest()}"
+    return f"{settings}-{config.digest(budget.adapters, PROGRAM)}" if external else settings
 
 
 def _method(name: str, label: str, texture: float, external: bool) -> Method:

@@ -91,15 +91,10 @@ def _enlarged(picture: np.ndarray, factor: int) -> np.ndarray:
     return np.stack([np.asarray(Image.fromarray(plane, "F").resize(size, resize)) for plane in planes], -1)
 
 
-def section_of(adapters: Path | None) -> config.AdapterSection | None:
-    """The program's table of the adapters file."""
-    return None if adapters is None else config.section(adapters, PROGRAM)
-
-
 def missing_program(adapters: Path | None) -> str:
     """Why there is no program to call, or ""."""
     try:
-        section = section_of(adapters)
+        section = config.section(adapters, PROGRAM)
     except ValueError as error:
         return str(error)
     if section is None:
@@ -114,7 +109,7 @@ def program(adapters: Path | None, factor: int, folder: Path) -> Prior:
     """The user's program as a prior. folder: for its pictures and its log. Raises ValueError where it is not there
     (`missing_program`); the prior raises where it fails or leaves no picture of the right size."""
     problem = missing_program(adapters)
-    section = None if problem else section_of(adapters)
+    section = None if problem else config.section(adapters, PROGRAM)
     if section is None:
         raise ValueError(problem)
     words = [section.python if word == "{python}" else word for word in section.command]
