@@ -238,7 +238,7 @@ def test_bench_speed_knows_the_networks(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    "wrong, said",
+    "wrong, message",
     [
         ({"rows": (5,)}, "--rows"),
         ({"sizes": ()}, "--sizes"),
