@@ -53,7 +53,7 @@ class Setup:
     objects: int = 8
     """How many objects."""
     held_out: bool = True
-    """Only objects that training never sees (data.scenes.split with its defaults); False: any."""
+    """Only objects that training never sees (data.object_sources.split with its defaults); False: any."""
     size: int = 256
     """Pixels of every picture's edge; the paper: 512."""
     detail: int = 4

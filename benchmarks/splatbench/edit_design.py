@@ -16,7 +16,7 @@ from splatbench.ground_truth import GroundTruth, GroundTruthViews, changed
 from splatpainter.cameras import Camera
 from splatpainter.data import viewpoints
 from splatpainter.data.edits import MAX_EDIT_FRACTION, MIN_EDIT_FRACTION, EditDesign, layer_on_object
-from splatpainter.data.edits.layers import Canvas, EditResources, Recoloring, list_files
+from splatpainter.data.edits.content import Canvas, EditResources, Recoloring, list_files
 from splatpainter.data.edits.surface_points import (
     MIN_SOLID_ALPHA,
     MIN_VIEW_COSINE,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from splatpainter.data.edits import EditDesign
     from splatpainter.data.lights import Light
     from splatpainter.data.surfels import Surfels
-    from splatpainter.fit.optimize import View
+    from splatpainter.fit.optimize import TrainingView
     from splatpainter.splats import Splats
 
 BACKGROUND = (0.5, 0.5, 0.5)
@@ -276,14 +276,14 @@ def _fitted(base: GroundTruthViews, setup: Setup) -> Splats:
     return optimize(start, over, FitOptions(steps=setup.asset_steps, densify=False, seed=setup.seed)).splats
 
 
-def _over(base: GroundTruthViews, background: tuple[float, float, float]) -> list[View]:
+def _over(base: GroundTruthViews, background: tuple[float, float, float]) -> list[TrainingView]:
     """The base views with another background."""
-    from splatpainter.fit.optimize import View
+    from splatpainter.fit.optimize import TrainingView
 
     views = []
     for (camera, color), alpha in zip(base.images, base.alphas, strict=True):
         change = np.subtract(background, camera.background, dtype=np.float32)
-        views.append(View(replace(camera, background=background), color + (1 - alpha[..., None]) * change))
+        views.append(TrainingView(replace(camera, background=background), color + (1 - alpha[..., None]) * change))
     return views
 
 

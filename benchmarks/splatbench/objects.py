@@ -54,7 +54,7 @@ def objects(setup: Setup) -> Objects:
     """The setup's objects, fewer where there are fewer (a note says so). Cheap: of files only the first bytes are read.
     Raises ValueError: no such folder, no meshes in it, none that is held out, none that is whole."""
     if setup.data is None:
-        from splatpainter.data.scenes import ProceduralSource
+        from splatpainter.data.object_sources import ProceduralSource
 
         source = ProceduralSource(max(setup.objects, 1), PROCEDURAL_SEED + setup.seed, setup.textures)
         chosen = tuple(source.name(i) for i in range(setup.objects))
@@ -96,7 +96,7 @@ def is_splat_folder(folder: Path | None) -> bool:
     """Whether a folder holds more files that can only be splat assets than files that may be meshes (.glb may be
     either)."""
     from splatpainter.data.meshes import SUFFIXES
-    from splatpainter.data.scenes import SPLAT_SUFFIXES
+    from splatpainter.data.object_sources import SPLAT_SUFFIXES
 
     if folder is None or not folder.is_dir():
         return False
@@ -106,7 +106,7 @@ def is_splat_folder(folder: Path | None) -> bool:
 
 
 def _of_folder(setup: Setup, folder: Path) -> Objects:
-    from splatpainter.data.scenes import MeshFolder, split
+    from splatpainter.data.object_sources import MeshFolder, split
 
     meshes = MeshFolder(folder)
     files = {meshes.name(i): meshes.files[i] for i in range(len(meshes))}
@@ -190,8 +190,8 @@ def _loaded(name: str, files: dict[str, Path]) -> Mesh:
 
 
 def _procedural(name: str, textures: Path | None) -> Mesh:
+    from splatpainter.data.object_sources import object_seed
     from splatpainter.data.procedural import random_mesh
-    from splatpainter.data.scenes import object_seed
 
     _, seed, number = name.split("-")
     return random_mesh(object_seed(int(seed), int(number)), textures)

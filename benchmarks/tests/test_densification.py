@@ -19,8 +19,8 @@ from torch.nn import functional as F
 
 from splatpainter.cameras import Camera, orbit
 from splatpainter.cli import main
+from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.samples import SampleRecipe, SampleStream
-from splatpainter.data.scenes import ProceduralSource
 from splatpainter.metrics import psnr, ssim
 from splatpainter.models import checkpoint
 from splatpainter.models.model import SplatPainterModel

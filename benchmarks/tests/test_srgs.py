@@ -18,7 +18,7 @@ from splatbench.methods.srgs_patches import TrainingPatch, loss_by_torch, patche
 from splatbench.methods.super_resolution import lanczos, pooled, program
 
 from splatpainter.cameras import Camera, look_at, orbit
-from splatpainter.fit.optimize import View
+from splatpainter.fit.optimize import TrainingView
 from splatpainter.metrics import ssim
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
@@ -132,7 +132,7 @@ def test_the_loss_is_the_published_one(w: float) -> None:
     unsaid = replace(patch, low=np.full_like(low, np.nan))
     texture = 0.8 * float(np.abs(image - color).mean()) + 0.2 * (1 - ssim(image, color))
     assert float(srgs_loss(1.0, 2, given, unsaid)) == pytest.approx(texture, abs=2e-5)
-    assert float(srgs_loss(w, 2, given, View(patch.camera, color))) == pytest.approx(texture, abs=2e-5)
+    assert float(srgs_loss(w, 2, given, TrainingView(patch.camera, color))) == pytest.approx(texture, abs=2e-5)
 
 
 def test_pixels_without_weight_have_no_influence_in_either_resolution() -> None:
@@ -195,7 +195,7 @@ def test_further_views_lie_evenly_around_the_asset_with_the_optics_of_the_base(u
 
 
 def test_edited_views_get_their_share_of_the_steps() -> None:
-    views = [View(front(12), np.zeros((12, 12, 3), np.float32)) for _ in range(62)]
+    views = [TrainingView(front(12), np.zeros((12, 12, 3), np.float32)) for _ in range(62)]
     for share in (0.1, 0.25, 0.5):
         list_ = mixed(views[:2], views[2:], share)
         assert sum(v is views[0] for v in list_) / len(list_) == pytest.approx(share / 2, abs=0.01)

@@ -13,7 +13,7 @@ import pytest
 from splatpainter.data.cluster import Lost, run_here, run_in_pool, run_on_ray
 from splatpainter.data.jobs import RenderJob, render_scene
 from splatpainter.data.samples import SampleRecipe
-from splatpainter.data.shards import Scene, ShardWriter, check
+from splatpainter.data.shards import RenderedScene, ShardWriter, check
 from tests.support.data_meshes import write_box
 from tests.support.killers import Work, attempts
 
@@ -80,7 +80,7 @@ def test_ray_with_two_workers_one_killed_fills_the_shards(tmp_path: Path, local_
     work = Killed(Work(str(tmp_path / "seen"), dies_once=1), job)
     with ShardWriter(tmp_path / "ray", job.spec(), 3, 2) as writer:
         for number, scene in run_on_ray(work, writer.missing(), workers=2):
-            assert isinstance(scene, Scene), scene
+            assert isinstance(scene, RenderedScene), scene
             writer.add(number, scene)
     assert attempts(tmp_path / "seen", 1) == 2 and attempts(tmp_path / "seen", 0) == 1
     with ShardWriter(tmp_path / "alone", job.spec(), 3, 2) as writer:
@@ -98,7 +98,7 @@ class Killed:
     def __init__(self, work: Work, job: RenderJob) -> None:
         self.work, self.job = work, job
 
-    def __call__(self, number: int) -> Scene:
+    def __call__(self, number: int) -> RenderedScene:
         self.work(number)
         return render_scene(self.job, number)
 

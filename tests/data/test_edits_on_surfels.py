@@ -12,7 +12,7 @@ import torch
 from splatpainter.cameras import Camera, look_at
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.data.edits import change_masks, on_surfels
-from splatpainter.data.edits.layers import PaintCoverage
+from splatpainter.data.edits.content import PaintCoverage
 from splatpainter.rendering import render
 from splatpainter.sources import color_grading
 from splatpainter.splats import SH_C0, Splats

@@ -13,8 +13,8 @@ import torch
 
 from splatpainter.data import global_edits
 from splatpainter.data.global_edits import GlobalEdit, GlobalEditStream
+from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.samples import SampleRecipe, SampleStream
-from splatpainter.data.scenes import ProceduralSource
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.lift.global_edit import lift_global
 from splatpainter.lighting import unoccluded_transfer

@@ -11,14 +11,14 @@ import torch
 
 from splatpainter.data import edit_samples, viewpoints
 from splatpainter.data.edit_samples import SampleSpec
-from splatpainter.data.edits import MIN_EDIT_FRACTION, layers
-from splatpainter.data.edits.layers import EditResources, PaintCoverage, list_files
+from splatpainter.data.edits import MIN_EDIT_FRACTION, content
+from splatpainter.data.edits.content import EditResources, PaintCoverage, list_files
 from splatpainter.data.edits.on_surfels import display_colors
 from splatpainter.data.lit_scenes import Renders
 from splatpainter.data.materials import Material
 from splatpainter.data.meshes import Mesh
+from splatpainter.data.object_sources import SplatFolder
 from splatpainter.data.samples import GLOBAL, KINDS, LOCAL, RECIPES, Sample, SampleRecipe, SampleStream
-from splatpainter.data.scenes import SplatFolder
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 
@@ -303,9 +303,9 @@ def test_neighbours_keep_looking_at_the_target_from_the_angles_asked_for() -> No
 
 
 def test_recipes_name_the_kinds_that_there_are() -> None:
-    from splatpainter.data import recipes
+    from splatpainter.data import sample_recipes
 
-    assert tuple(layers.LAYER_MAKERS) == recipes.PAINTED
+    assert tuple(content.LAYER_MAKERS) == sample_recipes.PAINTED
     for name, recipe in RECIPES.items():
         local, whole = (sum(recipe.kinds.get(kind, 0) for kind in group) for group in (LOCAL, GLOBAL))
         wanted = {"local": (1, 0), "global": (0, 1), "unified": (1, 1), "lrm": (0, 0)}[name]

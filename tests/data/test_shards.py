@@ -16,19 +16,19 @@ import pytest
 from PIL import Image
 
 from splatpainter.data.records import decode_radiance, decode_sample, encode_sample
-from splatpainter.data.samples import Sample, Views
-from splatpainter.data.shards import INDEX, WAITING, Scene, ShardStream, ShardWriter, check, read_index
+from splatpainter.data.samples import PosedViews, Sample
+from splatpainter.data.shards import INDEX, WAITING, RenderedScene, ShardStream, ShardWriter, check, read_index
 from tests.support.data_meshes import random_sample
 
 SPEC = {"seed": 3, "recipe": {"size": 12, "share": (0.1, 0.2)}}
 
 
-def scene(number: int, count: int = 2) -> Scene:
+def scene(number: int, count: int = 2) -> RenderedScene:
     """Objects alternate between two names."""
     name = f"object{number % 2}"
     kinds = [("stroke", "text")[step % 2] for step in range(count)]
     samples = [encode_sample(random_sample(10 * number + step, name, kinds[step])) for step in range(count)]
-    return Scene(name, samples, kinds)
+    return RenderedScene(name, samples, kinds)
 
 
 def written(folder: Path, scenes: int = 5, per_shard: int = 2, order: list[int] | None = None) -> Path:
@@ -134,7 +134,7 @@ def test_the_bytes_do_not_depend_on_who_finished_first(tmp_path: Path) -> None:
 KILLED = """
 import os
 from pathlib import Path
-from splatpainter.data.shards import Scene, ShardWriter
+from splatpainter.data.shards import RenderedScene, ShardWriter
 rename, left = os.replace, {after}
 def replace(*names):
     global left
@@ -145,7 +145,7 @@ def replace(*names):
 os.replace = replace
 with ShardWriter(Path({folder!r}), {{"seed": 3}}, 5, 2) as writer:
     for number in range(5):
-        writer.add(number, Scene("thing", [{{"txt": b"%d" % number * 5000}}], ["plain"]))
+        writer.add(number, RenderedScene("thing", [{{"txt": b"%d" % number * 5000}}], ["plain"]))
 """
 
 
@@ -160,7 +160,7 @@ def test_a_killed_run_carries_on_and_ends_with_the_same_bytes(tmp_path: Path, af
     with ShardWriter(folders[0], {"seed": 3}, 5, 2) as writer:
         left = writer.missing()
         for number in left:
-            writer.add(number, Scene("thing", [{"txt": b"%d" % number * 5000}], ["plain"]))
+            writer.add(number, RenderedScene("thing", [{"txt": b"%d" % number * 5000}], ["plain"]))
     assert left == list(range(finished, 5))
     assert contents(folders[0]) == contents(folders[1])
     assert not list(folders[0].rglob(".*.part")) and check(folders[0]).complete
@@ -191,7 +191,7 @@ def test_another_run_is_refused_and_so_is_a_second_writer(tmp_path: Path) -> Non
 
 def test_skipped_scenes_and_samples_are_in_the_index(tmp_path: Path) -> None:
     with ShardWriter(tmp_path, SPEC, 3, 1) as writer:
-        writer.add(0, Scene("bad", skipped=["bad.glb: no area"]))
+        writer.add(0, RenderedScene("bad", skipped=["bad.glb: no area"]))
         writer.add(1, replace(scene(1, 1), skipped=["nothing can be seen"]))
         writer.add(2, scene(2))
     index = read_index(tmp_path)
@@ -300,7 +300,7 @@ def test_samples_are_those_that_were_written(tmp_path: Path) -> None:
         key = stream.files(i)[1]
         number, step = int(key[:6]), int(key[7:])
         same(random_sample(10 * number + step, f"object{number}", ("stroke", "text")[step]), stream[i])
-        assert isinstance(stream[i].edited, Views)
+        assert isinstance(stream[i].edited, PosedViews)
 
 
 def test_names_and_kinds_choose(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from splatpainter.cameras import look_at
 from splatpainter.data.edits import EditDesign
-from splatpainter.data.edits.layers import Recoloring
+from splatpainter.data.edits.content import Recoloring
 from splatpainter.data.edits.surface_points import MIN_VIEW_COSINE, facing_normals, interior, random_surface_point
 
 CAMERA = look_at((0.3, 0.4, 4), (0, 0, 0), width=64, height=64, fov=30)

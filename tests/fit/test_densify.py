@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 from splatpainter.cameras import look_at
 from splatpainter.fit.densify import DensityOptions, Pulls, Round, Schedule, densify, reset_opacities
 from splatpainter.fit.gradients import Pull
-from splatpainter.fit.parameters import Parameters
+from splatpainter.fit.parameters import RawGaussians
 from splatpainter.splats import Splats
 
 OPTIONS = DensityOptions()
 
 
-def parameters(scales, opacities) -> Parameters:
+def parameters(scales, opacities) -> RawGaussians:
     rng = np.random.default_rng(0)
     n = len(scales)
     own = Splats(
@@ -25,10 +25,10 @@ def parameters(scales, opacities) -> Parameters:
         opacities=np.array(opacities, np.float32),
         sh=rng.random((n, 4, 3)).astype(np.float32),
     )
-    return Parameters.of(own)
+    return RawGaussians.of(own)
 
 
-def controlled(own: Parameters, pulls, most: int = 100, prune_large: bool = False) -> Round:
+def controlled(own: RawGaussians, pulls, most: int = 100, prune_large: bool = False) -> Round:
     generator = torch.Generator().manual_seed(0)
     return densify(own, np.array(pulls, np.float32), 1.0, OPTIONS, most, prune_large, generator)
 
@@ -36,7 +36,7 @@ def controlled(own: Parameters, pulls, most: int = 100, prune_large: bool = Fals
 def test_small_rows_are_cloned_large_ones_split_faint_ones_removed() -> None:
     own = parameters([0.005, 0.05, 0.005, 0.05, 0.005], [0.9, 0.9, 0.9, 0.9, 0.001])
     done = controlled(own, [3e-4, 3e-4, 1e-4, 1e-4, 9e-4])
-    assert done.kept.tolist() == [0, 2, 3]
+    assert done.survivors.tolist() == [0, 2, 3]
     assert done.source.tolist() == [0, 2, 3, 0, 1, 1]
     new = done.parameters
     assert torch.equal(new.means[3], own.means[0]) and torch.equal(new.sh[4], own.sh[1])
@@ -67,8 +67,8 @@ def test_the_hardest_pulled_come_first_where_there_is_no_room_for_all() -> None:
 
 def test_huge_rows_go_once_opacities_were_reset() -> None:
     own = parameters([0.005, 0.2], [0.9, 0.9])
-    assert controlled(own, [0, 0]).kept.tolist() == [0, 1]
-    assert controlled(own, [0, 0], prune_large=True).kept.tolist() == [0]
+    assert controlled(own, [0, 0]).survivors.tolist() == [0, 1]
+    assert controlled(own, [0, 0], prune_large=True).survivors.tolist() == [0]
 
 
 def test_rows_that_cannot_be_drawn_stay_as_they_are() -> None:

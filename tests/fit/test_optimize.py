@@ -17,7 +17,7 @@ import torch
 
 from splatpainter.cameras import look_at
 from splatpainter.fit.densify import DensityOptions, Schedule
-from splatpainter.fit.optimize import FitOptions, Fitted, View, optimize
+from splatpainter.fit.optimize import FitOptions, Fitted, TrainingView, optimize
 from splatpainter.fit.start import from_depths
 from splatpainter.metrics import psnr
 from splatpainter.rendering import render
@@ -28,8 +28,8 @@ from tests.support.render_scenes import cameras, scene, with_odd_rows
 NO_DENSITY = FitOptions(steps=4, densify=False)
 
 
-def views_of(splats: Splats, views) -> list[View]:
-    return [View(camera, np.clip(render(splats, camera).colors[0], 0, 1)) for camera in views]
+def views_of(splats: Splats, views) -> list[TrainingView]:
+    return [TrainingView(camera, np.clip(render(splats, camera).colors[0], 0, 1)) for camera in views]
 
 
 def small(rows: int = 30, degree: int = 1) -> Splats:
@@ -39,7 +39,7 @@ def small(rows: int = 30, degree: int = 1) -> Splats:
     return replace(splats, scales=scales, opacities=np.clip(splats.opacities, 0.1, 0.9))
 
 
-def oracle(start: Splats, views: list[View], options: FitOptions, extent: float) -> list[torch.Tensor]:
+def oracle(start: Splats, views: list[TrainingView], options: FitOptions, extent: float) -> list[torch.Tensor]:
     """3DGS's step written out: reference renderer, L1 and SSIM by unfolded windows, torch.optim.Adam, float64."""
     own = start.torch(dtype=torch.float64)
     raw = [own.means, own.quats, own.scales.log(), torch.logit(own.opacities), own.sh[:, :1], own.sh[:, 1:]]
@@ -71,7 +71,7 @@ def oracle(start: Splats, views: list[View], options: FitOptions, extent: float)
 
 def test_three_steps_are_those_of_a_plain_torch_oracle() -> None:
     start, camera = small(), cameras(40, 32)[0]
-    target = [View(camera, np.random.default_rng(5).random((32, 40, 3)).astype(np.float32))]
+    target = [TrainingView(camera, np.random.default_rng(5).random((32, 40, 3)).astype(np.float32))]
     options = FitOptions(steps=3, densify=False, extent=2.0, rate_sh=2.5e-3)
     ours = optimize(start, target, options).splats
     for name, expected in zip(ATTRIBUTES, oracle(start, target, options, 2.0), strict=True):
@@ -92,7 +92,7 @@ def test_equal_arguments_give_equal_bits(monkeypatch: pytest.MonkeyPatch) -> Non
     assert np.array_equal(done[0].parents, done[1].parents)
 
 
-def toy() -> tuple[Splats, list[View]]:
+def toy() -> tuple[Splats, list[TrainingView]]:
     """A sheet whose left half is plain and whose right half is striped, and 300 rows unprojected from views of it."""
     truth = sheet(70, opacity=0.95)
     x, y = truth.means[:, :1], truth.means[:, 1:2]
@@ -104,7 +104,7 @@ def toy() -> tuple[Splats, list[View]]:
     return from_depths(around, *maps, 300, sh_degree=0, opacity=0.9), views_of(truth, around)
 
 
-def score(splats: Splats, target: list[View]) -> float:
+def score(splats: Splats, target: list[TrainingView]) -> float:
     return float(np.mean([psnr(render(splats, view.camera).colors[0], view.color) for view in target]))
 
 
@@ -156,7 +156,7 @@ def test_a_loss_of_ones_own_and_a_watcher() -> None:
     start, target = small(), views_of(small(60), cameras(40, 32, count=2))
     seen: list[tuple[int, float]] = []
 
-    def loss(image: torch.Tensor, view: View) -> torch.Tensor:
+    def loss(image: torch.Tensor, view: TrainingView) -> torch.Tensor:
         assert image.shape == (32, 40, 3)
         return (image - torch.from_numpy(view.color)).square().mean()
 
@@ -179,7 +179,7 @@ def test_masked_pixels_pull_nothing() -> None:
     camera = front(48)
     mask = np.zeros((48, 48), bool)
     mask[:, :20] = True
-    done = optimize(pair, [View(camera, np.zeros((48, 48, 3), np.float32), mask=mask)], NO_DENSITY)
+    done = optimize(pair, [TrainingView(camera, np.zeros((48, 48, 3), np.float32), mask=mask)], NO_DENSITY)
     assert differing(pair, done.splats).tolist() == [True, False]
 
 
@@ -211,13 +211,13 @@ def test_what_does_not_fit_together() -> None:
         "set densify=False": lambda: fit(FitOptions(steps=1), rows=np.arange(3)),
         "attributes of means": lambda: fit(replace(NO_DENSITY, attributes=("colour",))),
         "np.flatnonzero": lambda: fit(rows=np.ones(30, bool)),
-        r"view 0: expected colours \[32, 40, 3\]": lambda: fit(views=[View(camera, grey[:31])]),
-        "a mask": lambda: fit(views=[View(camera, grey, mask=np.ones((31, 40)))]),
-        "finite colours": lambda: fit(views=[View(camera, np.full_like(grey, np.nan))]),
-        "11x11": lambda: fit(views=[View(cameras(9, 9)[0], grey[:9, :9])]),
+        r"view 0: expected colours \[32, 40, 3\]": lambda: fit(views=[TrainingView(camera, grey[:31])]),
+        "a mask": lambda: fit(views=[TrainingView(camera, grey, mask=np.ones((31, 40)))]),
+        "finite colours": lambda: fit(views=[TrainingView(camera, np.full_like(grey, np.nan))]),
+        "11x11": lambda: fit(views=[TrainingView(cameras(9, 9)[0], grey[:9, :9])]),
         "sh_degree 0 to 4": lambda: fit(replace(NO_DENSITY, sh_degree=5)),
         "steps >= 0": lambda: fit(replace(NO_DENSITY, steps=-1)),
-        "at least one row": lambda: optimize(small().take(np.arange(0)), [View(camera, grey)], NO_DENSITY),
+        "at least one row": lambda: optimize(small().take(np.arange(0)), [TrainingView(camera, grey)], NO_DENSITY),
     }.items():
         with pytest.raises(ValueError, match=error):
             call()

@@ -170,7 +170,7 @@ def fitting(rng: np.random.Generator, dtype: type) -> None:
     """What a fit calls beside the renderer."""
     import torch
 
-    from splatpainter.fit.loss import picture_loss
+    from splatpainter.fit.image_loss import picture_loss
     from splatpainter.fit.parameters import Adam
     from splatpainter.fit.start import mean_neighbour_squares
 

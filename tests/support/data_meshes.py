@@ -10,7 +10,7 @@ import torch
 from splatpainter.cameras import orbit
 from splatpainter.data.materials import Material
 from splatpainter.data.meshes import Mesh
-from splatpainter.data.samples import Sample, Views
+from splatpainter.data.samples import PosedViews, Sample
 from tests.support.cli_scenes import ball
 
 MATT = Material(base_factor=(1.0, 1.0, 1.0), roughness=1.0)
@@ -58,12 +58,12 @@ def random_sample(seed: int, name: str = "thing", kind: str = "stroke", edited: 
     """Noise in every picture, other cameras for every seed; the asset is the same for equal names."""
     rng = np.random.default_rng(seed)
 
-    def views(count: int) -> Views:
+    def views(count: int) -> PosedViews:
         cameras = orbit([0, 0, 0], 3, count, start=seed, width=size, height=size, background=(0.5, 0.25, 0.0))
-        return Views(tuple(cameras), torch.from_numpy(rng.random((count, size, size, 3), np.float32)))
+        return PosedViews(tuple(cameras), torch.from_numpy(rng.random((count, size, size, 3), np.float32)))
 
     before = views(3)
-    after = Views(before.cameras, views(3).colors)
+    after = PosedViews(before.cameras, views(3).colors)
     masks = rng.random((edited, size, size)) < 0.3
     asset = ball(40 + len(name), degree=1)
     near = np.array([True, False, False])

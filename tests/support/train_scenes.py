@@ -9,8 +9,8 @@ from typing import Any
 
 import torch
 
+from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.samples import Sample, SampleRecipe, SampleStream
-from splatpainter.data.scenes import ProceduralSource
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.train.build import make_task

@@ -78,7 +78,7 @@ def main() -> None:
     from splatbench import timing
 
     from splatpainter.cli import main as command
-    from splatpainter.data.shards import Scene, ShardWriter
+    from splatpainter.data.shards import RenderedScene, ShardWriter
     from tests.support.cli_scenes import ball, saved
 
     asset = saved(Path("ball.ply"), ball(400))
@@ -99,7 +99,7 @@ def main() -> None:
     with sp.Session.load("ball.splatproj") as session:
         assert len(session.snapshot.splats) == 400
     with ShardWriter(Path("shards"), {"seed": 3}, 1, 1) as writer:
-        writer.add(0, Scene("thing", [{"txt": b"text"}], ["plain"]))
+        writer.add(0, RenderedScene("thing", [{"txt": b"text"}], ["plain"]))
     running = sp.studio(asset, port=0, projects="projects")
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     with opener.open(running.url, timeout=60) as page:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import torch
 
+from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.samples import SampleStream
-from splatpainter.data.scenes import ProceduralSource
 from splatpainter.metrics import psnr
 from splatpainter.models.config import PAPER, PRESETS
 from splatpainter.train import recipes
@@ -32,7 +32,7 @@ from splatpainter.train.loss import (
 )
 from splatpainter.train.optim import Average, Guard, adamw, decays, rate_at
 from splatpainter.train.prefetch import Ahead, packed, unpacked
-from splatpainter.train.report import Table
+from splatpainter.train.report import StepTable
 from splatpainter.train.training_data import Lanes, ResourceFolders, Supply, open_training_data
 from tests.support.train_scenes import RECIPE, SAMPLES, stream
 
@@ -204,11 +204,11 @@ def test_a_wrong_recipe_is_one_line(text: str, message: str) -> None:
 
 
 def test_a_table_keeps_what_was_done_and_grows_columns(tmp_path: Path) -> None:
-    table = Table(tmp_path / "log.csv", 0)
+    table = StepTable(tmp_path / "log.csv", 0)
     table.add(1, {"loss": 0.1 + 0.2})
     table.add(2, {"loss": 1.0, "other": None})
     table.add(3, {"loss": 2.0, "other": 5})
-    again = Table(tmp_path / "log.csv", 2)
+    again = StepTable(tmp_path / "log.csv", 2)
     again.add(3, {"other": 7})
     with open(tmp_path / "log.csv", newline="") as file:
         rows = list(csv.DictReader(file))

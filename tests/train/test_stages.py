@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.samples import Sample, SampleRecipe, SampleStream
-from splatpainter.data.scenes import ProceduralSource
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.encode import encode_asset
 from splatpainter.nn.precision import autocast

@@ -20,7 +20,7 @@ from torch.nn import functional as F
 from splatbench.densification.densifier import Densified, Densifier, densified
 from splatbench.densification.densify_config import PRESETS, DensifyConfig
 from splatpainter.cameras import Camera
-from splatpainter.fit.loss import TAPS, WINDOW
+from splatpainter.fit.image_loss import TAPS, WINDOW
 from splatpainter.metrics.images import C1, C2
 from splatpainter.models import checkpoint
 from splatpainter.train import recipes, state

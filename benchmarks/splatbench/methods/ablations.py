@@ -19,7 +19,7 @@ from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.lift import painted
 from splatbench.methods.ttt import refined
 from splatbench.methods.weights import SHIPPED, Weights
-from splatpainter.data import recipes
+from splatpainter.data import sample_recipes
 from splatpainter.models.config import ModelConfig
 
 if TYPE_CHECKING:
@@ -124,10 +124,10 @@ def _trained_without(kinds: tuple[str, ...]) -> str:
     return " ".join(["refine", *(f"--samples.kinds.{kind} 0" for kind in kinds)])
 
 
-LOCAL = Weights(("local",), train=_trained_without(recipes.GLOBAL))
+LOCAL = Weights(("local",), train=_trained_without(sample_recipes.GLOBAL))
 GLOBAL = Weights(
     ("global",),
-    train=f"{_trained_without(recipes.LOCAL)} --samples.kinds.relight 0.75 --samples.kinds.regrade 0.25 "
+    train=f"{_trained_without(sample_recipes.LOCAL)} --samples.kinds.relight 0.75 --samples.kinds.regrade 0.25 "
     "--model.predict.no-alone",
 )
 

@@ -29,7 +29,7 @@ from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
-    from splatpainter.fit.optimize import View  # needs torch, which no other row's process should carry
+    from splatpainter.fit.optimize import TrainingView  # needs torch, which no other row's process should carry
 
 ASSET_VIEWS = 48
 """Views of the asset before the edit."""
@@ -90,10 +90,10 @@ def edit(settings: Settings, task: EditTask, budget: Budget) -> EditResult:
     )
 
 
-def fit_views(images: PosedImages) -> list[View]:
-    from splatpainter.fit.optimize import View
+def fit_views(images: PosedImages) -> list[TrainingView]:
+    from splatpainter.fit.optimize import TrainingView
 
-    return [View(camera, color) for camera, color in images]
+    return [TrainingView(camera, color) for camera, color in images]
 
 
 def views_of_asset(task: EditTask, count: int) -> PosedImages | None:
@@ -122,11 +122,11 @@ def orbit(splats: Splats, base: PosedImages, count: int) -> tuple[Camera, ...]:
     )
 
 
-def local_views(task: EditTask, earlier: Sequence[EditStep], asset_views: PosedImages | None) -> list[View]:
+def local_views(task: EditTask, earlier: Sequence[EditStep], asset_views: PosedImages | None) -> list[TrainingView]:
     """Base views, views of the asset and of earlier edits without what contradicts them, and the edited views, which
     are repeated until they are EDITED_SHARE of all."""
     reached_now = reached(task.asset, [task.step])
-    unedited: list[View] = []
+    unedited: list[TrainingView] = []
     if task.step.kind == "zoom" and not earlier:
         unedited += fit_views(task.base)
     else:
@@ -137,7 +137,7 @@ def local_views(task: EditTask, earlier: Sequence[EditStep], asset_views: PosedI
     return mixed(fit_views(task.step.edited), unedited, EDITED_SHARE)
 
 
-def mixed(edited: Sequence[View], unedited: Sequence[View], share: float) -> list[View]:
+def mixed(edited: Sequence[TrainingView], unedited: Sequence[TrainingView], share: float) -> list[TrainingView]:
     """All views, the edited ones repeated until they are about `share` (0..1) of them: each round of training takes
     every entry once."""
     times = max(round(share * len(unedited) / ((1 - share) * len(edited))), 1)
@@ -167,7 +167,7 @@ def share_of(asset: Splats, camera: Camera, gaussians: np.ndarray) -> np.ndarray
     return frame.rasterize(np.repeat(gaussians[frame.gaussian_ids, None].astype(np.float32), 3, 1))[0][..., 0]
 
 
-def _without(asset: Splats, images: PosedImages, gaussians: np.ndarray) -> list[View]:
+def _without(asset: Splats, images: PosedImages, gaussians: np.ndarray) -> list[TrainingView]:
     """The pictures, weighted by what the Gaussians do not show of them; those that show nothing else are left out."""
     out = []
     for view, weights in zip(fit_views(images), weights_beside(asset, images, gaussians), strict=True):

@@ -168,11 +168,11 @@ def training_views(model: SplatPainterModel, task: EditTask, device: torch.devic
     it needs."""
     import torch
 
-    from splatpainter.data.samples import Sample, Views
+    from splatpainter.data.samples import PosedViews, Sample
     from splatpainter.train.stages.lrm import input_views
 
-    base = Views(task.base.cameras, torch.from_numpy(np.ascontiguousarray(task.base.colors, np.float32)))
-    none = Views((), base.colors[:0])
+    base = PosedViews(task.base.cameras, torch.from_numpy(np.ascontiguousarray(task.base.colors, np.float32)))
+    none = PosedViews((), base.colors[:0])
     nothing = np.zeros(0, bool)
     sample = Sample("", "plain", "global", task.asset, base, none, nothing, none, none, nothing)
     return input_views(model, sample, device)

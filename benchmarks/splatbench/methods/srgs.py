@@ -36,7 +36,7 @@ from splatbench.methods.gs3d import (
 from splatbench.methods.super_resolution import PROGRAM, Prior, lanczos, missing_program, program
 
 if TYPE_CHECKING:
-    from splatpainter.fit.optimize import View
+    from splatpainter.fit.optimize import TrainingView
 
 FACTOR = 4
 MAX_PATCHES = 2
@@ -94,7 +94,7 @@ def edit(
     )
 
 
-def low_views(task: EditTask, prior: Prior, budget: Budget, factor: int, asset_views: int) -> list[View]:
+def low_views(task: EditTask, prior: Prior, budget: Budget, factor: int, asset_views: int) -> list[TrainingView]:
     """Patches of base views and of views of the asset, without what the edit contradicts (gs3d.py): of the asset's
     views, and, where it is no close-up, of base views too."""
     from splatbench.methods.srgs_patches import patches
@@ -104,7 +104,7 @@ def low_views(task: EditTask, prior: Prior, budget: Budget, factor: int, asset_v
     edge = PATCH_EDGE * max(max(camera.width, camera.height) for camera in task.base.cameras)
     settings = (task.asset, prior, factor, edge, count, np.random.default_rng(budget.seed))
     weights = None if task.step.kind == "zoom" else weights_beside(task.asset, task.base, gaussians)
-    out: list[View] = [*patches(task.base, *settings, weights)]
+    out: list[TrainingView] = [*patches(task.base, *settings, weights)]
     renders = views_of_asset(task, asset_views)
     if renders is not None:
         out += patches(renders, *settings, weights_beside(task.asset, renders, gaussians))

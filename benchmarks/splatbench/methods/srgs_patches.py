@@ -12,8 +12,8 @@ from torch import Tensor
 
 from splatbench.cases import PosedImages
 from splatbench.methods.super_resolution import Prior, blocks, pooled
-from splatpainter.fit.loss import picture_loss, torch_loss
-from splatpainter.fit.optimize import View
+from splatpainter.fit.image_loss import picture_loss, torch_loss
+from splatpainter.fit.optimize import TrainingView
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 
@@ -24,7 +24,7 @@ MIN_PATCH_PX = 16
 
 
 @dataclass(frozen=True)
-class TrainingPatch(View):
+class TrainingPatch(TrainingView):
     """A window of a view in high resolution; `color` is what the prior made of it."""
 
     low: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32), repr=False)
@@ -33,7 +33,7 @@ class TrainingPatch(View):
     """[h, w] float32 weights of its pixels; `mask` is the same, factor times as large."""
 
 
-def srgs_loss(texture: float, factor: int, image: Tensor, view: View) -> Tensor:
+def srgs_loss(texture: float, factor: int, image: Tensor, view: TrainingView) -> Tensor:
     """w L_tex + (1 - w) L_sub of a patch, w = `texture` (Feng et al., "SRGS", arXiv 2404.10318): L_tex compares the
     render [H, W, 3] with what the prior made, L_sub its means over factor x factor blocks with the low-resolution
     picture: the mean of the sub-pixels must be the pixel. Views that are no patches: compared as they are."""
@@ -43,9 +43,9 @@ def srgs_loss(texture: float, factor: int, image: Tensor, view: View) -> Tensor:
     return _KnownGradient.apply(image, torch.from_numpy(slope), value)  # type: ignore[return-value]
 
 
-def loss_by_kernels(texture: float, factor: int, image: np.ndarray, view: View) -> tuple[float, np.ndarray]:
-    """(loss, gradient [H, W, 3]) with the kernels of fit/loss.py: a tenth of the time of a step goes into the loss, not
-    nine tenths as with torch on a CPU."""
+def loss_by_kernels(texture: float, factor: int, image: np.ndarray, view: TrainingView) -> tuple[float, np.ndarray]:
+    """(loss, gradient [H, W, 3]) with the kernels of fit/image_loss.py: a tenth of the time of a step goes into the
+    loss, not nine tenths as with torch on a CPU."""
     value, slope = picture_loss(image, view.color, view.mask, SSIM_SHARE)
     if not isinstance(view, TrainingPatch) or texture == 1:
         return value, slope
@@ -54,7 +54,7 @@ def loss_by_kernels(texture: float, factor: int, image: np.ndarray, view: View) 
     return texture * value + (1 - texture) * low_value, slope * np.float32(texture) + blocks(part, factor)
 
 
-def loss_by_torch(texture: float, factor: int, image: Tensor, view: View) -> Tensor:
+def loss_by_torch(texture: float, factor: int, image: Tensor, view: TrainingView) -> Tensor:
     """The same, differentiated by torch."""
 
     def part(render: Tensor, color: np.ndarray, mask: np.ndarray | None) -> Tensor:

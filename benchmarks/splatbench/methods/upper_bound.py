@@ -22,7 +22,7 @@ from splatpainter.voxels.grid import voxelize
 from splatpainter.voxels.raycast import editable_gaussians
 
 if TYPE_CHECKING:
-    from splatpainter.fit.optimize import View
+    from splatpainter.fit.optimize import TrainingView
 
 SSIM_SHARE = 0.2
 """Of 1 - SSIM in the loss; the rest is L1."""
@@ -63,7 +63,7 @@ def edit(all_attributes: bool, task: EditTask, budget: Budget) -> EditResult:
     )
 
 
-def true_views(task: EditTask) -> list[View]:
+def true_views(task: EditTask) -> list[TrainingView]:
     """The true views from around the object and the edited ones that everybody gets. Raises ValueError where there are
     none of the first."""
     if task.true_views is None:

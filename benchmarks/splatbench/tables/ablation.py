@@ -18,11 +18,11 @@ import numpy as np
 from splatbench.cases import Case, CaseKey, EditStep, PosedImages, Setup
 from splatbench.scoring import rendered
 from splatbench.tables import measures
-from splatpainter.data.recipes import SampleRecipe
+from splatpainter.data.sample_recipes import SampleRecipe
 
 if TYPE_CHECKING:
     from splatbench.methods import EditResult
-    from splatpainter.data.samples import SampleStream, Views
+    from splatpainter.data.samples import PosedViews, SampleStream
     from splatpainter.train.loss import PictureTarget
     from splatpainter.train.training_data import ResourceFolders, Supply
 
@@ -49,7 +49,7 @@ SURFELS_PER_GAUSSIAN = 8
 """Of the truth and of the asset (the training samples have 7.5)."""
 MIN_SURFELS = 60_000
 HELD_OUT_SHARE = 0.1
-"""Of the objects that training holds out (data.scenes.split's own)."""
+"""Of the objects that training holds out (data.object_sources.split's own)."""
 MIN_ASSET_ALPHA = 0.5
 """Of a pixel of the asset."""
 UNEDITED_WEIGHT = 0.25
@@ -163,7 +163,7 @@ def _of_kind(stream: SampleStream, kind: str) -> SampleStream:
     return of_kind
 
 
-def _pictures(views: Views) -> PosedImages:
+def _pictures(views: PosedViews) -> PosedImages:
     import torch
 
     return PosedImages(views.cameras, torch.as_tensor(views.colors).cpu().numpy().astype(np.float32))

@@ -239,8 +239,8 @@ class SplatTruth:
 
 
 def splat_names(setup: Setup) -> list[str]:
-    """The setup's assets, fewer where there are fewer. Raises ValueError as data.scenes.SplatFolder."""
-    from splatpainter.data.scenes import SplatFolder
+    """The setup's assets, fewer where there are fewer. Raises ValueError as data.object_sources.SplatFolder."""
+    from splatpainter.data.object_sources import SplatFolder
 
     assert setup.data is not None
     folder = SplatFolder(setup.data)
@@ -250,7 +250,7 @@ def splat_names(setup: Setup) -> list[str]:
 
 def load_splats(name: str, setup: Setup) -> SplatTruth:
     """Raises ValueError for a file that cannot be read, and one of which nothing can be drawn."""
-    from splatpainter.data.scenes import SplatFolder
+    from splatpainter.data.object_sources import SplatFolder
 
     assert setup.data is not None
     splats = SplatFolder(setup.data, [name]).splats(0).numpy()

@@ -31,7 +31,7 @@ from splatbench.tables import Column, beside_truth
 from splatpainter.cameras import Camera
 from splatpainter.data import viewpoints
 from splatpainter.data.edits import MIN_EDIT_FRACTION, EditDesign
-from splatpainter.data.edits.layers import EditResources
+from splatpainter.data.edits.content import EditResources
 from splatpainter.data.edits.surface_points import SurfacePoint
 
 if TYPE_CHECKING:

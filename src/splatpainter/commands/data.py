@@ -143,19 +143,19 @@ def render(config: RenderConfig) -> Outcome:
     """Make the scenes that are missing, and write them as they come."""
     from splatpainter.data.cluster import Lost
     from splatpainter.data.jobs import open_source
-    from splatpainter.data.shards import Scene, ShardWriter
+    from splatpainter.data.shards import RenderedScene, ShardWriter
 
     job, dark = job_of(config)
     source = open_source(job)
     check_folder(config.out)
-    wanted = len(source) if config.scenes is None else config.scenes
+    scene_count = len(source) if config.scenes is None else config.scenes
     kinds: Counter[str] = Counter()
-    with ShardWriter(config.out, job.spec(), wanted, config.per_shard) as writer:
+    with ShardWriter(config.out, job.spec(), scene_count, config.per_shard) as writer:
         missing = writer.missing()
         with closing(_results(config, job, missing)) as results:
             for number, scene in progress(results, len(missing), "scenes"):
                 if isinstance(scene, Lost):
-                    scene = Scene(source.name(number % len(source)), skipped=[scene.reason])
+                    scene = RenderedScene(source.name(number % len(source)), skipped=[scene.reason])
                 writer.add(number, scene)
                 kinds.update(scene.kinds)
         index = writer.index
@@ -184,7 +184,7 @@ def job_of(config: RenderConfig) -> tuple[RenderJob, dict[str, str]]:
     """(the job that the options ask for, environments that cannot be used: name -> why). Raises ValueError."""
     from splatpainter.data.jobs import RenderJob, open_source
     from splatpainter.data.pathtrace import PathOptions
-    from splatpainter.data.recipes import RECIPES
+    from splatpainter.data.sample_recipes import RECIPES
 
     for name, value, low in (
         ("--scenes", config.scenes or 1, 1),
@@ -267,8 +267,8 @@ def check(config: CheckConfig) -> Outcome:
 def listing(config: ListConfig) -> Outcome:
     """Read every object and say what it is."""
     from splatpainter.data.jobs import RenderJob, open_source
-    from splatpainter.data.recipes import RECIPES
-    from splatpainter.data.scenes import split
+    from splatpainter.data.object_sources import split
+    from splatpainter.data.sample_recipes import RECIPES
 
     source: Any = open_source(RenderJob(config.source, RECIPES["unified"], seed=config.seed))
     names = [source.name(i) for i in range(len(source))]

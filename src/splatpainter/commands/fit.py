@@ -149,7 +149,7 @@ def _material(config: Config) -> FitPictures:
 
 
 def _fitted(config: Config, made: FitPictures) -> Splats:
-    from splatpainter.fit.optimize import FitOptions, View, optimize
+    from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
     from splatpainter.kernels.compile import ensure_compiled
 
     ensure_compiled()
@@ -160,7 +160,7 @@ def _fitted(config: Config, made: FitPictures) -> Splats:
         most_rows=config.most_rows,
         device=config.device,
     )
-    views = [View(camera, color) for camera, color in zip(made.cameras, made.colors, strict=True)]
+    views = [TrainingView(camera, color) for camera, color in zip(made.cameras, made.colors, strict=True)]
     with _bar(config.steps) as step:
         return optimize(made.start, views, options, watch=step).splats
 

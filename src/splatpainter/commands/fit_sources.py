@@ -176,15 +176,15 @@ def _rendered(
 
 def _from_pictures(folder: Path, wish: Wish) -> FitPictures:
     table = next((folder / name for name in TRANSFORMS if (folder / name).is_file()), None)
-    shown = _by_table(table, wish) if table is not None else _by_camera(folder, wish)
-    if len(shown) < 2:
-        raise ValueError(f"{folder}: expected at least two pictures with cameras, got {len(shown)}")
-    count = min(wish.held, len(shown) // 4)
+    posed = _by_table(table, wish) if table is not None else _by_camera(folder, wish)
+    if len(posed) < 2:
+        raise ValueError(f"{folder}: expected at least two pictures with cameras, got {len(posed)}")
+    count = min(wish.held, len(posed) // 4)
     apart = (
-        np.unique(np.linspace(0, len(shown) - 1, count + 2)[1:-1].round().astype(int)) if count else np.array([], int)
+        np.unique(np.linspace(0, len(posed) - 1, count + 2)[1:-1].round().astype(int)) if count else np.array([], int)
     )
-    held = [shown[k][:2] for k in apart]
-    rest = [view for k, view in enumerate(shown) if k not in set(apart.tolist())]
+    held = [posed[k][:2] for k in apart]
+    rest = [view for k, view in enumerate(posed) if k not in set(apart.tolist())]
     start = _carved([view[0] for view in rest], [view[1] for view in rest], [view[2] for view in rest], wish)
     notes = ["no depth is known: the first rows are random points that no picture shows empty"]
     return FitPictures("pictures", [view[0] for view in rest], [view[1] for view in rest], held, start, notes)
@@ -212,8 +212,8 @@ def _by_table(table: Path, wish: Wish) -> list[PosedPicture]:
         frames = list(record["frames"])
         return [_frame(table, {**record, **frame}, wish, k) for k, frame in enumerate(frames)]
     except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        said = f"no {error}" if isinstance(error, KeyError) else reason(error)
-        raise ValueError(f"{table}: expected a NeRF-style table of frames ({said})") from None
+        problem = f"no {error}" if isinstance(error, KeyError) else reason(error)
+        raise ValueError(f"{table}: expected a NeRF-style table of frames ({problem})") from None
 
 
 def _frame(table: Path, record: dict[str, Any], wish: Wish, k: int) -> PosedPicture:

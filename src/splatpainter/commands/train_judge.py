@@ -187,7 +187,7 @@ def _supply(config: JudgeConfig, recipe: Recipe, device: str) -> Supply:
 
 def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:
     """Kind -> weight, as asked for; the recipe's otherwise."""
-    from splatpainter.data.recipes import GLOBAL, KINDS
+    from splatpainter.data.sample_recipes import GLOBAL, KINDS
 
     possible = [kind for kind in KINDS if (kind == "plain") != (recipe.stage == "refine")]
     for kind in config.kinds:

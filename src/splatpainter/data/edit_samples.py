@@ -22,11 +22,11 @@ from splatpainter.data.edits import (
     change_masks,
     layer_on_object,
 )
-from splatpainter.data.edits.layers import Canvas, EditResources, PaintCoverage, Recoloring
+from splatpainter.data.edits.content import Canvas, EditResources, PaintCoverage, Recoloring
 from splatpainter.data.edits.on_surfels import apply_paint, grade_sh, paint_coverage, view_visibility
 from splatpainter.data.lights import Light, shade
-from splatpainter.data.lit_scenes import LitScene, Renders, Views, recolored, render_views
-from splatpainter.data.recipes import SampleRecipe
+from splatpainter.data.lit_scenes import LitScene, PosedViews, Renders, recolored, render_views
+from splatpainter.data.sample_recipes import SampleRecipe
 from splatpainter.sources.color_grading import random_grade
 from splatpainter.splats import Splats
 
@@ -53,10 +53,10 @@ class SampleSpec:
 class EditSample:
     """See samples.Sample for the fields."""
 
-    edited: Views
+    edited: PosedViews
     masks: np.ndarray = field(repr=False)
-    before: Views
-    after: Views
+    before: PosedViews
+    after: PosedViews
     near: np.ndarray
 
 
@@ -82,7 +82,7 @@ def paint(
     if not MIN_EDIT_FRACTION <= parts[0] <= MAX_EDIT_FRACTION:
         return None
     ids = [k for k, part in enumerate(parts) if k == 0 or part >= MIN_FURTHER_FRACTION]
-    edited = Views(tuple(cameras[k] for k in ids), edited.colors[ids])
+    edited = PosedViews(tuple(cameras[k] for k in ids), edited.colors[ids])
     return _local_sample(scene, scene.truth, after, edited, masks[ids], target, spec, rng)
 
 
@@ -115,7 +115,7 @@ def conflict(
     parts = masks.float().mean((1, 2))
     if float(parts.min()) < MIN_EDIT_FRACTION or float(parts.max()) > MAX_EDIT_FRACTION:
         return None
-    return _local_sample(scene, scene.truth, after, Views((camera, other), colors), masks, target, spec, rng)
+    return _local_sample(scene, scene.truth, after, PosedViews((camera, other), colors), masks, target, spec, rng)
 
 
 def zoom(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSample | None:
@@ -138,7 +138,7 @@ def zoom(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSam
     ]
     if not ids:
         return None
-    edited = Views(tuple(cameras[k] for k in ids), renders.views.colors[ids])
+    edited = PosedViews(tuple(cameras[k] for k in ids), renders.views.colors[ids])
     centers = [(cameras[k], targets[k]) for k in ids]
     novel, near = _novel(scene, centers, spec, rng)
     before, after = render_views(scene.coarse, novel).views, render_views(scene.truth, novel).views
@@ -161,7 +161,7 @@ def plain(scene: LitScene, spec: SampleSpec, rng: np.random.Generator) -> EditSa
     cameras = viewpoints.ring(scene.object.radius, scene.optics, spec.recipe.novel_views, rng)
     views = render_views(scene.truth, cameras).views
     size = scene.optics.size
-    no_views = Views((), views.colors.new_zeros(0, size, size, 3))
+    no_views = PosedViews((), views.colors.new_zeros(0, size, size, 3))
     return EditSample(no_views, np.zeros((0, size, size), bool), views, views, np.zeros(len(cameras), bool))
 
 
@@ -238,7 +238,7 @@ def _local_sample(
     scene: LitScene,
     before: Splats,
     after: Splats,
-    edited: Views,
+    edited: PosedViews,
     masks: Tensor,
     target: np.ndarray,
     spec: SampleSpec,

@@ -12,21 +12,21 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from splatpainter.data.pathtrace import PathOptions
-from splatpainter.data.recipes import SampleRecipe
-from splatpainter.data.records import encode_sample
-from splatpainter.data.samples import Sample, SampleStream
-from splatpainter.data.scenes import (
+from splatpainter.data.object_sources import (
     SPLAT_SUFFIXES,
     MeshFolder,
     MeshSource,
+    ObjectSource,
     ProceduralSource,
-    Source,
     SplatFolder,
     object_seed,
     split,
 )
-from splatpainter.data.shards import Files, Scene
+from splatpainter.data.pathtrace import PathOptions
+from splatpainter.data.records import encode_sample
+from splatpainter.data.sample_recipes import SampleRecipe
+from splatpainter.data.samples import Sample, SampleStream
+from splatpainter.data.shards import Files, RenderedScene
 
 Truth = Literal["surfels", "path"]
 Part = Literal["all", "train", "validation"]
@@ -73,10 +73,10 @@ class RenderJob:
         return spec
 
 
-def open_source(job: RenderJob) -> Source:
+def open_source(job: RenderJob) -> ObjectSource:
     """The objects of a job. Raises ValueError: no such folder, nothing usable in it, a count that is none, an empty
     part."""
-    source: Source
+    source: ObjectSource
     if job.source.startswith(PROCEDURAL):
         count = job.source.removeprefix(PROCEDURAL)
         if not count.isdecimal() or int(count) < 1:
@@ -113,7 +113,7 @@ def holds_splats(folder: Path) -> bool:
     return has_gaussians
 
 
-def render_scene(job: RenderJob, number: int) -> Scene:
+def render_scene(job: RenderJob, number: int) -> RenderedScene:
     """Scene `number`: what cannot be made (a bad file, an edit that shows nowhere) is skipped, with the reason.
 
     Raises ValueError for what is no fault of the object: no Mitsuba, an unreadable light, a full disk."""
@@ -129,9 +129,9 @@ def render_scene(job: RenderJob, number: int) -> Scene:
         try:
             make = PathScene(cast(MeshSource, source), i, job.recipe, job.path, seed, environments).sample
         except ValueError as error:
-            return Scene(name, skipped=[str(error)])
+            return RenderedScene(name, skipped=[str(error)])
     else:
-        one = cast(Source, _Part(source, [i]))
+        one = cast(ObjectSource, _Part(source, [i]))
         resources = (job.decals or (), job.fonts or (), job.textures or ())
         make = SampleStream(one, job.recipe, seed, environments, *resources).__getitem__
     samples, kinds, skipped = [], [], []
@@ -140,13 +140,13 @@ def render_scene(job: RenderJob, number: int) -> Scene:
             made = make(step)
         except ValueError as error:
             if name in source.skipped:  # the object itself is bad: once is enough
-                return Scene(name, skipped=[source.skipped[name]])
+                return RenderedScene(name, skipped=[source.skipped[name]])
             skipped.append(str(error))
             continue
         kind, files = _encoded(made, job.exr)
         kinds.append(kind)
         samples.append(files)
-    return Scene(name, samples, kinds, skipped)
+    return RenderedScene(name, samples, kinds, skipped)
 
 
 def _encoded(made: Any, exr: bool) -> tuple[str, Files]:

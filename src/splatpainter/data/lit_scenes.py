@@ -16,7 +16,7 @@ from torch import Tensor
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, srgb_to_linear
 from splatpainter.data.lights import Light, shade
-from splatpainter.data.scenes import MeshSource, SplatSource
+from splatpainter.data.object_sources import MeshSource, SplatSource
 from splatpainter.data.surfels import Surfels, coarse_asset, sample_surfels, to_splats
 from splatpainter.data.viewpoints import Optics, ring
 from splatpainter.splats import Splats
@@ -24,7 +24,7 @@ from splatpainter.transforms import quat_to_matrix
 
 
 @dataclass(frozen=True)
-class Views:
+class PosedViews:
     """V pictures of one size and their cameras."""
 
     cameras: tuple[Camera, ...]
@@ -38,9 +38,9 @@ class Views:
 
 @dataclass(frozen=True)
 class Renders:
-    """What the renderer says of V views: colours as in Views, and geometry."""
+    """What the renderer says of V views: colours as in PosedViews, and geometry."""
 
-    views: Views
+    views: PosedViews
     alphas: Tensor
     """[V, H, W] 0..1."""
     depths: Tensor
@@ -80,7 +80,7 @@ class LitScene:
     """What the artist has, numpy float32."""
     coarse: Splats
     """The same as torch on the truth's device."""
-    base: Views
+    base: PosedViews
     optics: Optics
 
 
@@ -139,7 +139,7 @@ def render_views(splats: Splats, cameras: Sequence[Camera]) -> Renders:
     with torch.no_grad():
         drawn: Any = render(splats, cameras)
     colors = drawn.colors.clamp(0, 1)
-    return Renders(Views(tuple(cameras), colors), drawn.alphas[..., 0], drawn.depths[..., 0])
+    return Renders(PosedViews(tuple(cameras), colors), drawn.alphas[..., 0], drawn.depths[..., 0])
 
 
 def recolored(splats: Splats, sh: Tensor) -> Splats:

@@ -15,11 +15,11 @@ import torch
 from splatpainter.data import edit_samples
 from splatpainter.data.edit_samples import EditSample, SampleSpec
 from splatpainter.data.lights import Light, random_light
-from splatpainter.data.lit_scenes import Views, illuminate, mesh_object
+from splatpainter.data.lit_scenes import PosedViews, illuminate, mesh_object
+from splatpainter.data.object_sources import MeshSource
 from splatpainter.data.pathtrace import PathOptions, PathTraced, display, path_trace
-from splatpainter.data.recipes import GLOBAL, SampleRecipe
+from splatpainter.data.sample_recipes import GLOBAL, SampleRecipe
 from splatpainter.data.samples import MAX_TRIES, Mode, Sample
-from splatpainter.data.scenes import MeshSource
 from splatpainter.data.viewpoints import Optics
 
 PATH_KINDS = ("relight", "zoom", "plain")
@@ -103,11 +103,11 @@ class PathScene:
         exposure = {"before": float(self.light.exposure), "after": float(target.exposure)}
         return Traced(sample, radiance, exposure, repaired)
 
-    def _traced(self, views: Views, light: Light, first: int) -> tuple[Views, PathTraced]:
+    def _traced(self, views: PosedViews, light: Light, first: int) -> tuple[PosedViews, PathTraced]:
         options = replace(self.options, seed=(self.options.seed + self.seed * 7919 + first) % 2**32)
         done = path_trace(self.mesh, light.environment.cpu().numpy(), views.cameras, options)
         colors = torch.from_numpy(display(done, float(light.exposure), views.cameras))
-        return Views(views.cameras, colors), done
+        return PosedViews(views.cameras, colors), done
 
     def _generator(self, what: str, *numbers: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, *what.encode(), *numbers])

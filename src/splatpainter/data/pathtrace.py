@@ -108,11 +108,11 @@ def _developed(film: np.ndarray, views: list[Camera]) -> PathTraced:
     radiance, alphas = film[..., :3], np.clip(film[..., 3], 0, 1)
     broken = np.logical_not(np.isfinite(radiance).all(-1))
     radiance = np.where(broken[..., None], np.float32(0), radiance)
-    place = film[..., 4:7].astype(np.float64)
+    position = film[..., 4:7].astype(np.float64)
     depths = np.zeros(alphas.shape, np.float32)
     for k, view in enumerate(views):
         row = view.world_to_camera[2]
-        total = place[k] @ row[:3] + row[3] * film[k, ..., 3]
+        total = position[k] @ row[:3] + row[3] * film[k, ..., 3]
         depths[k] = np.where(alphas[k] > 0, total / np.maximum(film[k, ..., 3], 1e-12), 0)
     return PathTraced(radiance, alphas, depths, int(broken.sum()))
 

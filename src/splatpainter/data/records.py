@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from splatpainter.cameras import Camera
-from splatpainter.data.samples import Sample, Views
+from splatpainter.data.samples import PosedViews, Sample
 from splatpainter.image_files import to_uint8
 from splatpainter.io import read, write
 from splatpainter.splats import Splats
@@ -72,7 +72,7 @@ def decode_sample(files: Mapping[str, bytes], where: str, asset: Splats | None =
         base, edited = views["base"], views["edited"]
         height, width = base.colors.shape[1:3]
         if not len(edited):
-            edited = Views((), torch.zeros(0, height, width, 3))
+            edited = PosedViews((), torch.zeros(0, height, width, 3))
         masks = [_decode_png(files[f"mask_{k:02d}.png"])[..., 0] > 127 for k in range(len(edited))]
         return Sample(
             name=str(about["name"]),
@@ -109,7 +109,7 @@ def decode_radiance(files: Mapping[str, bytes], name: str, where: str) -> np.nda
     return np.stack(pictures) if pictures else np.zeros((0, 0, 0, 3), np.float32)
 
 
-def _decode_views(files: Mapping[str, bytes], name: str, cameras: list[dict[str, Any]]) -> Views:
+def _decode_views(files: Mapping[str, bytes], name: str, cameras: list[dict[str, Any]]) -> PosedViews:
     parsed = tuple(Camera.from_json(json.dumps(camera), f"{name} camera {k}") for k, camera in enumerate(cameras))
     pictures = []
     for k, camera in enumerate(parsed):
@@ -118,7 +118,7 @@ def _decode_views(files: Mapping[str, bytes], name: str, cameras: list[dict[str,
             raise ValueError(f"{name}_{k:02d}.png: expected {camera.width}x{camera.height}, got {picture.shape}")
         pictures.append(picture)
     stacked = np.stack(pictures) if pictures else np.zeros((0, 1, 1, 3), np.uint8)
-    return Views(parsed, torch.from_numpy(stacked.astype(np.float32) / np.float32(255)))
+    return PosedViews(parsed, torch.from_numpy(stacked.astype(np.float32) / np.float32(255)))
 
 
 def _encode_ply(splats: Splats) -> bytes:

@@ -20,15 +20,15 @@ import numpy as np
 
 from splatpainter.data import edit_samples
 from splatpainter.data.edit_samples import EditSample, SampleSpec
-from splatpainter.data.edits.layers import EditResources, list_files
+from splatpainter.data.edits.content import EditResources, list_files
 from splatpainter.data.lights import random_light
-from splatpainter.data.lit_scenes import LitScene, SceneObject, Views, illuminate, mesh_object, splat_object
-from splatpainter.data.recipes import GLOBAL, KINDS, LOCAL, RECIPES, SampleRecipe
-from splatpainter.data.scenes import MeshSource, Source, SplatSource
+from splatpainter.data.lit_scenes import LitScene, PosedViews, SceneObject, illuminate, mesh_object, splat_object
+from splatpainter.data.object_sources import MeshSource, ObjectSource, SplatSource
+from splatpainter.data.sample_recipes import GLOBAL, KINDS, LOCAL, RECIPES, SampleRecipe
 from splatpainter.data.viewpoints import Optics
 from splatpainter.splats import Splats
 
-__all__ = ["GLOBAL", "KINDS", "LOCAL", "RECIPES", "Sample", "SampleRecipe", "SampleStream", "Views"]
+__all__ = ["GLOBAL", "KINDS", "LOCAL", "PosedViews", "RECIPES", "Sample", "SampleRecipe", "SampleStream"]
 
 Mode = Literal["local", "global"]
 MAX_TRIES = 20
@@ -45,15 +45,15 @@ class Sample:
     mode: Mode
     asset: Splats
     """numpy float32, as an artist has it: coarse, irregular, under the source light."""
-    base: Views
+    base: PosedViews
     """The unedited truth around the object."""
-    edited: Views
+    edited: PosedViews
     """What the model is given: renders of the edited truth. In a conflict: the first view before the second edit."""
     masks: np.ndarray
     """[V, H, W] bool: what was edited; where the object is, for a zoom and for global kinds."""
-    novel_before: Views
+    novel_before: PosedViews
     """Before the edit (of a zoom: the asset itself)."""
-    novel_after: Views
+    novel_after: PosedViews
     """After it, from the same cameras."""
     near: np.ndarray
     """[W] bool: the view is near the edit."""
@@ -63,14 +63,14 @@ class SampleStream:
     """Endless samples by number; equal (source, recipe, seed, index) give equal samples on one kind of device, in any
     order of access. Not for several threads at once.
 
-    source: objects (data/scenes.py); bad ones are skipped, see `source.skipped`, and the next one serves. Splat assets
-    bring their light: the kinds "zoom" and "relight" are left out for them. environments: [h, w, 3] linear pictures for
-    lights (procedural ones without). decals, fonts, textures: files, or a folder, for stickers, text and photo patches.
-    device: where surfels live and pictures are rendered. cache_bytes: of surfels kept for objects seen lately."""
+    source: bad objects are skipped, see `source.skipped`, and the next one serves. Splat assets bring their light: the
+    kinds "zoom" and "relight" are left out for them. environments: [h, w, 3] linear pictures for lights (procedural
+    ones without). decals, fonts, textures: files, or a folder, for stickers, text and photo patches. device: where
+    surfels live and pictures are rendered. cache_bytes: of surfels kept for objects seen lately."""
 
     def __init__(
         self,
-        source: Source,
+        source: ObjectSource,
         recipe: SampleRecipe,
         seed: int = 0,
         environments: Sequence[Any] = (),

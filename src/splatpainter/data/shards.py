@@ -47,7 +47,7 @@ OPEN_SHARDS, ASSETS = 256, 4
 
 
 @dataclass(frozen=True)
-class Scene:
+class RenderedScene:
     """What became of one scene."""
 
     name: str
@@ -92,7 +92,7 @@ class ShardWriter:
         waiting = {int(path.stem) for path in self._waiting.glob("[0-9]*.tar")}
         return [scene for scene in range(self.index["done"], self.scenes) if scene not in waiting]
 
-    def add(self, number: int, scene: Scene) -> None:
+    def add(self, number: int, scene: RenderedScene) -> None:
         """Keep a finished scene, and write every shard that is full with it. Raises ValueError when the disk will not
         take it; then nothing of the scene (or of the shard) is there."""
         about = {"scene": number, "object": scene.name, "kinds": list(scene.kinds), "skipped": list(scene.skipped)}

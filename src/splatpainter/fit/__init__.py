@@ -2,7 +2,7 @@
 
     parameters.py   Gaussians as the optimiser holds them: log-scales, logit-opacities; Adam that lets them come and go
     start.py        the first ones: from coloured points, or from depth maps
-    loss.py         L1 and D-SSIM of two pictures, and their gradient
+    image_loss.py   L1 and D-SSIM of two pictures, and their gradient
     gradients.py    one view: its loss, all gradients, and how each centre pulls on the screen
     densify.py      adaptive density control: clone, split, prune, reset
     optimize.py     the loop; edited.py: the loop on edited pictures

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.fit.gradients import Pull
-from splatpainter.fit.parameters import Parameters
+from splatpainter.fit.parameters import RawGaussians
 from splatpainter.transforms import quat_to_matrix
 
 ORIGINAL_STEPS = 30_000
@@ -97,16 +97,16 @@ class Pulls:
 class Round:
     """What one round of density control made of N rows."""
 
-    parameters: Parameters
+    parameters: RawGaussians
     """Kept rows in their order, then clones, then children."""
-    kept: Tensor
-    """[M] int64 rows that were kept."""
+    survivors: Tensor
+    """[M] int64 rows that stay."""
     source: Tensor
     """[N'] int64 the old row that each new one is, or comes from."""
 
 
 def densify(
-    parameters: Parameters,
+    parameters: RawGaussians,
     pulls: np.ndarray,
     extent: float,
     options: DensityOptions,
@@ -129,21 +129,21 @@ def densify(
     large = size > options.dense * extent
     cloned = torch.nonzero(chosen & ~large)[:, 0]
     split = torch.nonzero(chosen & large)[:, 0].repeat(options.children)
-    gone = (chosen & large) | (opacity < options.faintest)
+    removed = (chosen & large) | (opacity < options.faintest)
     if prune_large:
-        gone |= size > options.largest * extent
-    kept = torch.nonzero(~gone)[:, 0]
+        removed |= size > options.largest * extent
+    survivors = torch.nonzero(~removed)[:, 0]
     children = _children(parameters.take(split), options.shrink, generator)
-    densified = parameters.take(kept).append(parameters.take(cloned), children)
-    return Round(densified, kept, torch.cat([kept, cloned, split]))
+    densified = parameters.take(survivors).append(parameters.take(cloned), children)
+    return Round(densified, survivors, torch.cat([survivors, cloned, split]))
 
 
-def reset_opacities(parameters: Parameters, value: float) -> None:
+def reset_opacities(parameters: RawGaussians, value: float) -> None:
     """Bring all opacities down to `value`, in place."""
     parameters.opacities.clamp_(max=float(np.log(value / (1 - value))))
 
 
-def _children(parents: Parameters, shrink: float, generator: torch.Generator) -> Parameters:
+def _children(parents: RawGaussians, shrink: float, generator: torch.Generator) -> RawGaussians:
     """One smaller row per parent, at a place drawn from the parent's own density."""
     drawn = torch.randn(parents.means.shape, generator=generator).to(parents.means)
     offset = drawn * parents.scales.exp()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
-from splatpainter.fit.optimize import FitOptions, View, optimize
+from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import TILE, project
 from splatpainter.splats import Splats
@@ -63,7 +63,7 @@ def fit_edited(
     return fitted.splats
 
 
-def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, rows: np.ndarray) -> View | None:
+def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, rows: np.ndarray) -> TrainingView | None:
     """An edited view around what the rows draw in it, weighted as the same part of the whole one would be; None where
     they draw nothing."""
     chosen = np.zeros(len(splats), bool)
@@ -76,10 +76,10 @@ def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, rows: np.ndarr
     bottom = min((int(ys.max()) + 1) * TILE + SSIM_MARGIN_PX, camera.height)
     share = (right - left) * (bottom - top) / (camera.width * camera.height)
     part = np.ascontiguousarray(picture[top:bottom, left:right])
-    return View(camera.cropped(left, top, right - left, bottom - top), part, weight=share)
+    return TrainingView(camera.cropped(left, top, right - left, bottom - top), part, weight=share)
 
 
-def _anchors(before: Splats, lifted: Splats, like: Camera, options: EditFitOptions) -> list[View]:
+def _anchors(before: Splats, lifted: Splats, like: Camera, options: EditFitOptions) -> list[TrainingView]:
     """The asset from around."""
     size = min(options.size, like.width, like.height)
     anchors = []
@@ -88,5 +88,5 @@ def _anchors(before: Splats, lifted: Splats, like: Camera, options: EditFitOptio
         was, now = (render(splats, cameras).colors for splats in (before, lifted))
         same = (np.abs(now - was).max(-1) < options.same)[..., None]
         pictures = np.where(same, was, now)
-        anchors += [View(c, p, weight=options.weight) for c, p in zip(cameras, pictures, strict=True)]
+        anchors += [TrainingView(c, p, weight=options.weight) for c, p in zip(cameras, pictures, strict=True)]
     return anchors

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
-from splatpainter.fit.loss import picture_loss, torch_loss
+from splatpainter.fit.image_loss import picture_loss, torch_loss
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 

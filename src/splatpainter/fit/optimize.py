@@ -17,15 +17,15 @@ from torch import Tensor
 from splatpainter.cameras import Camera
 from splatpainter.fit.densify import ORIGINAL_STEPS, DensityOptions, Pulls, Schedule, densify, reset_opacities
 from splatpainter.fit.gradients import CpuPasses, Target, torch_pass
-from splatpainter.fit.loss import WINDOW
-from splatpainter.fit.parameters import Adam, Parameters, to_raw, with_degree
+from splatpainter.fit.image_loss import WINDOW
+from splatpainter.fit.parameters import Adam, RawGaussians, to_raw, with_degree
 from splatpainter.splats import ATTRIBUTES, Splats
 
-__all__ = ["FitOptions", "Fitted", "View", "optimize"]
+__all__ = ["FitOptions", "Fitted", "TrainingView", "optimize"]
 
 
 @dataclass(frozen=True)
-class View:
+class TrainingView:
     """One picture to match."""
 
     camera: Camera
@@ -93,11 +93,11 @@ class Fitted:
 
 def optimize(
     start: Splats,
-    views: Sequence[View],
+    views: Sequence[TrainingView],
     options: FitOptions,
     *,
     rows: np.ndarray | None = None,
-    loss: Callable[[Tensor, View], Tensor] | None = None,
+    loss: Callable[[Tensor, TrainingView], Tensor] | None = None,
     watch: Callable[[int, Callable[[], Splats]], None] | None = None,
 ) -> Fitted:
     """Move rows so that renders match the views.
@@ -132,7 +132,7 @@ class _Run:
         device = options.device
         self.rows = None if rows is None else torch.as_tensor(np.asarray(rows, np.int64), device=device)
         self.full = None if rows is None else _unshared(self.start.torch(device), options.attributes)
-        self.raw = Parameters.of(self.start if rows is None else self.start.take(np.asarray(rows, np.int64)), device)
+        self.raw = RawGaussians.of(self.start if rows is None else self.start.take(np.asarray(rows, np.int64)), device)
         self.parents = torch.arange(len(start), device=device)
         self.adam = Adam({name: getattr(self.raw, name) for name in options.attributes})
         self.extent = options.extent or extent(start)
@@ -173,7 +173,7 @@ class _Run:
         reference = self.start if self.rows is not None else self.start.take(parents)
         rows = slice(None) if self.rows is None else self.rows.cpu().numpy()
         before = reference if self.rows is None else reference.take(rows)
-        first = Parameters.of(before, self.options.device)
+        first = RawGaussians.of(before, self.options.device)
         moved = self.raw.splats(self.start).numpy()
         out: dict[str, np.ndarray] = {}
         for name in self.options.attributes:
@@ -219,7 +219,7 @@ class _Run:
         done = densify(self.raw, self.pulls.mean(), self.extent, o.density, o.most_rows, self.was_reset, self.generator)
         self.raw = done.parameters
         self.parents = self.parents[done.source]
-        self.adam.select(done.kept, len(done.source) - len(done.kept))
+        self.adam.select(done.survivors, len(done.source) - len(done.survivors))
         self.pulls = Pulls(len(self.raw))
 
 
@@ -249,7 +249,7 @@ def _unshared(splats: Splats, names: tuple[str, ...]) -> Splats:
     return replace(splats, **{name: getattr(splats, name).clone() for name in names})
 
 
-def _bound(loss: Callable[[Tensor, View], Tensor], view: View) -> Callable[[Tensor], Tensor]:
+def _bound(loss: Callable[[Tensor, TrainingView], Tensor], view: TrainingView) -> Callable[[Tensor], Tensor]:
     return lambda image: loss(image, view)
 
 
@@ -260,7 +260,7 @@ def _order(views: int, options: FitOptions) -> np.ndarray:
     return np.concatenate([rng.permutation(views) for _ in range(max(rounds, 1))])[: options.steps]
 
 
-def _check(start: Splats, views: Sequence[View], options: FitOptions, rows: Any, custom_loss: bool) -> None:
+def _check(start: Splats, views: Sequence[TrainingView], options: FitOptions, rows: Any, custom_loss: bool) -> None:
     if not views:
         raise ValueError("fit: expected at least one view, got none")
     unknown = sorted(set(options.attributes) - set(ATTRIBUTES))

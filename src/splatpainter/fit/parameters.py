@@ -31,7 +31,7 @@ BLOCK = 1024
 
 
 @dataclass
-class Parameters:
+class RawGaussians:
     """N rows; the fields are named as in Splats."""
 
     means: Tensor
@@ -46,13 +46,13 @@ class Parameters:
     """[N, K, 3]"""
 
     @staticmethod
-    def of(splats: Splats, device: str = "cpu") -> Parameters:
+    def of(splats: Splats, device: str = "cpu") -> RawGaussians:
         """Copies of the rows; rows that cannot be drawn come out as NaN or infinite, and stay that way."""
         tensors = splats.torch(device)
         values: dict[str, Any] = {name: getattr(tensors, name).clone().contiguous() for name in ATTRIBUTES}
         values["scales"] = torch.where(values["scales"] > 0, values["scales"].clamp_min(MIN_SCALE), torch.nan).log()
         values["opacities"] = torch.logit(values["opacities"].clamp(MIN_OPACITY, 1 - MIN_OPACITY))
-        return Parameters(**values)
+        return RawGaussians(**values)
 
     def __len__(self) -> int:
         return int(self.means.shape[0])
@@ -63,14 +63,14 @@ class Parameters:
         values = (self.means, self.quats, scales, opacities, self.sh)
         return replace(like, **dict(zip(ATTRIBUTES, values, strict=True)), source=None, origin=None)
 
-    def take(self, rows: Tensor) -> Parameters:
+    def take(self, rows: Tensor) -> RawGaussians:
         """Copies of the given rows ([M] int64)."""
-        return Parameters(**{name: getattr(self, name)[rows] for name in ATTRIBUTES})
+        return RawGaussians(**{name: getattr(self, name)[rows] for name in ATTRIBUTES})
 
-    def append(self, *more: Parameters) -> Parameters:
+    def append(self, *more: RawGaussians) -> RawGaussians:
         """These rows followed by others."""
         parts = (self, *more)
-        return Parameters(**{name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES})
+        return RawGaussians(**{name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES})
 
 
 def to_raw(gradients: dict[str, Tensor], splats: Splats) -> None:
@@ -85,8 +85,8 @@ def with_degree(splats: Splats, degree: int | None) -> Splats:
         return splats
     count = (degree + 1) ** 2
     sh = np.zeros((len(splats), count, 3), np.float32)
-    kept = min(count, splats.sh.shape[1])
-    sh[:, :kept] = splats.sh[:, :kept]
+    bands = min(count, splats.sh.shape[1])
+    sh[:, :bands] = splats.sh[:, :bands]
     return replace(splats, sh=sh)
 
 
@@ -111,10 +111,10 @@ class Adam:
             else:
                 step_tensor(value, gradient, mean, square, rate, 1 / math.sqrt(second))
 
-    def select(self, kept: Tensor, fresh: int) -> None:
+    def select(self, survivors: Tensor, fresh: int) -> None:
         """Only the kept rows ([M] int64), followed by `fresh` rows without a past."""
         for name, pair in self.moments.items():
-            mean, square = (torch.cat([m[kept], m.new_zeros(fresh, *m.shape[1:])]) for m in pair)
+            mean, square = (torch.cat([m[survivors], m.new_zeros(fresh, *m.shape[1:])]) for m in pair)
             self.moments[name] = (mean, square)
 
     def forget(self, name: str) -> None:

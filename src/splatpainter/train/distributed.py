@@ -119,7 +119,7 @@ def quiet(task: nn.Module, last: bool) -> AbstractContextManager[Any]:
     return task.no_sync()  # type: ignore[operator]
 
 
-def whole(tensor: Tensor) -> Tensor:
+def gathered(tensor: Tensor) -> Tensor:
     """A sharded tensor gathered (all processes must call it), any other as it is; on the CPU, detached."""
     gather = getattr(tensor, "full_tensor", None)
     return (gather() if gather is not None else tensor).detach().to("cpu")

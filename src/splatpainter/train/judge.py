@@ -59,7 +59,7 @@ def trials(supply: Supply, kinds: Mapping[str, float], count: int, max_views: in
     out, or none of the kinds can be made of this data."""
     stream = _validation_stream(supply)
     if is_shards(supply.data):
-        streams = {kind: found for kind in kinds if (found := _shards_of(supply, kind)) is not None}
+        streams = {kind: stream for kind in kinds if (stream := _shards_of(supply, kind)) is not None}
     else:
         streams = {kind: _only(stream, kind, max_views) for kind in kinds if kind in stream.kinds}
     if not streams:
@@ -95,11 +95,11 @@ def first_views(sample: Sample, count: int) -> Sample:
     order, so 2 of 4 face each other, and 1 is among these 2."""
     total = len(sample.edited.cameras)
     assert 1 <= count <= total
-    kept = [k * total // count for k in range(count)]
+    indices = [k * total // count for k in range(count)]
     edited = dataclasses.replace(
-        sample.edited, cameras=tuple(sample.edited.cameras[k] for k in kept), colors=sample.edited.colors[kept]
+        sample.edited, cameras=tuple(sample.edited.cameras[k] for k in indices), colors=sample.edited.colors[indices]
     )
-    return dataclasses.replace(sample, edited=edited, masks=sample.masks[kept])
+    return dataclasses.replace(sample, edited=edited, masks=sample.masks[indices])
 
 
 def _validation_stream(supply: Supply) -> Any:
@@ -256,8 +256,8 @@ def looking_tasks(recipe: Recipe, model: SplatPainterModel, folder: Path) -> tup
     task = make_task(dataclasses.replace(recipe, perceptual=0.0), model, None)
     if not isinstance(task, HiddenColors):
         return tasks | {COPY: task}, ""
-    found = state.read_outs(folder.parent)
-    group = {name: tensor for name, tensor in found.items() if name in dict(task.named_parameters())}
+    tensors = state.read_outs(folder.parent)
+    group = {name: tensor for name, tensor in tensors.items() if name in dict(task.named_parameters())}
     if not group:
         return tasks, f"{folder}: the read-out of hidden colours is in {state.STATE}/ beside it, which is not there"
     task.load_state_dict(group, strict=False)

@@ -26,7 +26,7 @@ from splatpainter.train import state
 from splatpainter.train.distributed import Group, quiet, spread
 from splatpainter.train.optim import Average, Guard, adamw, rate_at
 from splatpainter.train.prefetch import Ahead
-from splatpainter.train.report import SHEET_CELL_PX, Board, Table
+from splatpainter.train.report import SHEET_CELL_PX, Board, StepTable
 from splatpainter.train.stages.task import Task, Verdict
 
 if TYPE_CHECKING:
@@ -103,14 +103,14 @@ class Loop:
         optimizer = adamw(task.named_parameters(), recipe.learning_rate, recipe.weight_decay)
         average = Average.of(task.named_parameters(), recipe.average)
         history = list(task.model.notes.get("history", []))
-        self.run = state.Run(task, optimizer, average, Guard(recipe.spike), state.Progress(history=history))
+        self.run = state.TrainingState(task, optimizer, average, Guard(recipe.spike), state.Progress(history=history))
         self.task, self.progress = task, self.run.progress
         self.config, self.record = task.model.config, recipe.to_dict()
         if resume:
             state.load(out, self.run, self.config, self.record, group)
         step = self.progress.step
-        self.table = Table(out / "log.csv", step) if group.first else None
-        self.figures = Table(out / "validation.csv", step) if group.first else None
+        self.table = StepTable(out / "log.csv", step) if group.first else None
+        self.figures = StepTable(out / "validation.csv", step) if group.first else None
         self.board = Board(out / "tensorboard", step) if group.first else None
         self.validation: dict[str, dict[str, float]] = {}
         self._stop, self._recent = "", list[float]()

@@ -26,7 +26,7 @@ SHEET_CELL_PX = 160
 SSIM_WINDOW_PX = 11
 
 
-class Table:
+class StepTable:
     """A CSV file with a first column `step`, appended row by row. New columns go to the right."""
 
     def __init__(self, path: Path, step: int) -> None:

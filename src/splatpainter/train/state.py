@@ -26,7 +26,7 @@ import torch
 from torch import Tensor, nn
 
 from splatpainter.models import checkpoint
-from splatpainter.train.distributed import Group, give, whole
+from splatpainter.train.distributed import Group, gathered, give
 from splatpainter.train.optim import Average, Guard
 
 STATE, MODEL = "state", "model"
@@ -56,7 +56,7 @@ class Progress:
 
 
 @dataclass
-class Run:
+class TrainingState:
     """What a training run consists of."""
 
     task: nn.Module
@@ -68,14 +68,20 @@ class Run:
 
 
 def save(
-    folder: Path, run: Run, config: checkpoint.Config, recipe: dict[str, Any], group: Group, *, compact: bool = False
+    folder: Path,
+    run: TrainingState,
+    config: checkpoint.Config,
+    recipe: dict[str, Any],
+    group: Group,
+    *,
+    compact: bool = False,
 ) -> None:
     """Write OUT/state. All processes call it; the first writes. Raises ValueError for a folder that cannot be
     written."""
     tensors: dict[str, Tensor] = {}
     frozen = hashlib.sha256()
     for name, parameter in run.task.named_parameters():
-        tensors[f"weight/{name}"] = whole(parameter)
+        tensors[f"weight/{name}"] = gathered(parameter)
         if not parameter.requires_grad:
             frozen.update(tensors[f"weight/{name}"].numpy().tobytes())
             if compact:
@@ -83,11 +89,11 @@ def save(
         held = run.optimizer.state.get(parameter, {})
         for short, key in MOMENTS.items():
             if key in held:
-                tensors[f"{short}/{name}"] = whole(held[key])
+                tensors[f"{short}/{name}"] = gathered(held[key])
         if "step" in held:
             tensors[f"count/{name}"] = held["step"].to("cpu", torch.int64)
         if name in run.average.values:
-            tensors[f"average/{name}"] = whole(run.average.values[name])
+            tensors[f"average/{name}"] = gathered(run.average.values[name])
     tensors["random"] = torch.get_rng_state()
     if not group.first:
         return
@@ -103,7 +109,7 @@ def save(
     checkpoint.save(folder / STATE, config, tensors, dtype="bfloat16" if compact else "float32", notes=notes)
 
 
-def load(folder: Path, run: Run, config: checkpoint.Config, recipe: dict[str, Any], group: Group) -> None:
+def load(folder: Path, run: TrainingState, config: checkpoint.Config, recipe: dict[str, Any], group: Group) -> None:
     """Fill a run from OUT/state, in place. Raises ValueError where there is none, where it is damaged, and where it was
     written with another recipe: the line names what differs."""
     held = checkpoint.load(folder / STATE, kind=type(config))
@@ -116,7 +122,7 @@ def load(folder: Path, run: Run, config: checkpoint.Config, recipe: dict[str, An
         if f"weight/{name}" not in tensors:
             if parameter.requires_grad:
                 raise ValueError(f"{where}: has no weight/{name}; it is of another model or stage")
-            frozen.update(whole(parameter).numpy().tobytes())
+            frozen.update(gathered(parameter).numpy().tobytes())
             continue
         value = tensors[f"weight/{name}"]
         if value.shape != parameter.shape:
@@ -138,11 +144,13 @@ def load(folder: Path, run: Run, config: checkpoint.Config, recipe: dict[str, An
             setattr(record, key, value)
 
 
-def save_model(folder: Path, run: Run, config: checkpoint.Config, group: Group, notes: dict[str, Any]) -> None:
+def save_model(
+    folder: Path, run: TrainingState, config: checkpoint.Config, group: Group, notes: dict[str, Any]
+) -> None:
     """Write OUT/model: the averaged weights of the model inside the task (the parameters below `model.`), fp16."""
     tensors = {}
     for name, parameter in run.task.named_parameters():
-        value = whole(run.average.values.get(name, parameter))
+        value = gathered(run.average.values.get(name, parameter))
         if name.startswith("model."):
             tensors[name.removeprefix("model.")] = value
     if group.first:

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from splatpainter.data.object_sources import SPLAT_SUFFIXES, MeshFolder, ProceduralSource, SplatFolder, split
 from splatpainter.data.samples import SampleRecipe, SampleStream
-from splatpainter.data.scenes import SPLAT_SUFFIXES, MeshFolder, ProceduralSource, SplatFolder, split
 from splatpainter.data.shards import INDEX, ShardStream, read_index
 from splatpainter.train.prefetch import Ahead
 

@@ -1,5 +1,5 @@
 """Edits as an artist makes them, for training and for the benchmark: a kind, a view of a surface point, and what goes
-there. layers.py draws them, surface_points.py finds where, on_surfels.py and on_mesh.py put them on an object.
+there. content.py draws them, surface_points.py finds where, on_surfels.py and on_mesh.py put them on an object.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from splatpainter.cameras import Camera
-from splatpainter.data.edits.layers import LAYER_MAKERS, Canvas, EditResources, Recoloring
+from splatpainter.data.edits.content import LAYER_MAKERS, Canvas, EditResources, Recoloring
 
 MIN_EDIT_FRACTION, MAX_EDIT_FRACTION = 0.004, 0.5
 """Part of the edited view that an edit changes."""

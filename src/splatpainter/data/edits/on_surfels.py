@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_color, srgb_to_linear
 from splatpainter.data.edits import EditDesign
-from splatpainter.data.edits.layers import PaintCoverage
+from splatpainter.data.edits.content import PaintCoverage
 from splatpainter.data.surfels import Surfels
 from splatpainter.sources.color_grading import ColorGrade, apply_grade
 

@@ -1,9 +1,9 @@
 """Stage I: rows and tokens to latents, with the LRM frozen.
 
 copy: what the kept latents decode to must look like the object (the paper's stage). native: nothing is dropped, so
-copying would be the identity. There a share of the rows lose their colours and the latents must tell them, by a linear
-map that is thrown away afterwards: so latents learn to hold what the LRM's tokens saw of a row and what its neighbours
-look like, which is what an edit has to carry over. It needs no renderer and is the cheapest stage.
+copying would be the identity. There a share of the rows lose their colours and the latents must predict them, by a
+linear map that is thrown away afterwards: so latents learn to hold what the LRM's tokens saw of a row and what its
+neighbours look like, which is what an edit has to carry over. It needs no renderer and is the cheapest stage.
 """
 
 from __future__ import annotations
@@ -63,34 +63,36 @@ class CopyTask(Task[SplatPainterModel]):
 
 
 class HiddenColors(Task[SplatPainterModel]):
-    """`native`: Stage I is trained to tell colours that it was not shown."""
+    """`native`: Stage I is trained to predict colours that it does not see."""
 
     def __init__(self, model: SplatPainterModel, objects: int = 4) -> None:
         """objects: whose tokens are kept."""
         super().__init__()
         self.model = model
         self.guess = nn.Linear(model.config.compress.dim, 3 * (model.config.sh_degree + 1) ** 2)
-        self._known: Recent[tuple[Tensor, Splats, TokenLinks, GaussianGroups]] = Recent(objects)
+        self._encoded_objects: Recent[tuple[Tensor, Splats, TokenLinks, GaussianGroups]] = Recent(objects)
         freeze(model.lrm, model.refiner, model.head, model.predictor)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
-        guessed, meant, _ = self._guess(sample, seed)
-        loss = (guessed - meant).square().mean() * SH_C0**2  # of order of squared colours
+        guessed, target, _ = self._guess(sample, seed)
+        loss = (guessed - target).square().mean() * SH_C0**2  # of order of squared colours
         return {"loss": loss}
 
     @torch.no_grad()
     def judge(self, sample: Sample) -> Verdict:
-        guessed, meant, shown = self._guess(sample, 0)
-        # Base colours; the floor is what the mean of the colours that are shown would get.
+        guessed, target, visible = self._guess(sample, 0)
+        # Base colours; the floor is what the mean of the colours of the visible rows would get.
         numbers = {
-            "mean": _decibels((shown[:, :3].mean(0) - meant[:, :3]) * SH_C0),
-            "ours": _decibels((guessed[:, :3] - meant[:, :3]) * SH_C0),
+            "mean": _decibels((visible[:, :3].mean(0) - target[:, :3]) * SH_C0),
+            "ours": _decibels((guessed[:, :3] - target[:, :3]) * SH_C0),
         }
         return Verdict("hidden colours", numbers, ())
 
     def _guess(self, sample: Sample, seed: int) -> tuple[Tensor, Tensor, Tensor]:
-        """SH [M, 3 K] of the hidden rows as guessed and as they are, and of the rows that are shown."""
-        tokens, rows, links, groups = self._known.get(sample.asset.sha256, lambda: self._know(sample.asset.numpy()))
+        """SH [M, 3 K] of the hidden rows as guessed and as they are, and of the visible rows."""
+        tokens, rows, links, groups = self._encoded_objects.get(
+            sample.asset.sha256, lambda: self._encode_object(sample.asset.numpy())
+        )
         hidden = torch.from_numpy(np.random.default_rng(seed).random(len(rows)) < HIDDEN).to(self.device)
         blind = replace(rows, sh=torch.where(hidden[:, None, None], 0, rows.sh))
         with self.arithmetic():
@@ -98,11 +100,11 @@ class HiddenColors(Task[SplatPainterModel]):
         order = torch.from_numpy(latents.groups.order).to(self.device)
         sh = rows.sh[order][:, : (self.model.config.sh_degree + 1) ** 2].flatten(1)
         sh = F.pad(sh, (0, self.guess.out_features - sh.shape[1]))
-        asked = hidden[order]
-        return self.guess(F.layer_norm(latents.values, latents.values.shape[1:]))[asked], sh[asked], sh[~asked]
+        hidden = hidden[order]
+        return self.guess(F.layer_norm(latents.values, latents.values.shape[1:]))[hidden], sh[hidden], sh[~hidden]
 
     @torch.no_grad()
-    def _know(self, splats: Splats) -> tuple[Tensor, Splats, TokenLinks, GaussianGroups]:
+    def _encode_object(self, splats: Splats) -> tuple[Tensor, Splats, TokenLinks, GaussianGroups]:
         config = self.model.config
         grid = voxelize(splats, config.compress.resolution)
         cameras = canonical_cameras(splats, config.lrm)

@@ -151,12 +151,12 @@ class RefineTask(Task[SplatPainterModel]):
             numbers |= figures(name, picture, aim, self.alex)
         if "lift" in numbers:
             numbers["gain"] = numbers["ours"] - numbers["lift"]
-        shown = int(aim.focus.flatten(1).sum(1).argmax())  # the view that shows most of the edit
+        best = int(aim.focus.flatten(1).sum(1).argmax())  # the view that shows most of the edit
         strip = [("edited view", tensor(sample.edited.colors, torch.device("cpu"))[0].numpy())]
         strip += [
-            (f"{name} {numbers.get(name, float('nan')):.2f} dB", p[shown].cpu().numpy()) for name, p in pictures.items()
+            (f"{name} {numbers.get(name, float('nan')):.2f} dB", p[best].cpu().numpy()) for name, p in pictures.items()
         ]
-        strip.append((f"truth ({sample.kind})", aim.colors[shown].cpu().numpy()))
+        strip.append((f"truth ({sample.kind})", aim.colors[best].cpu().numpy()))
         return Verdict(sample.kind, numbers, tuple(strip))
 
     def _remembered(self, sample: Sample) -> PreparedAsset:
@@ -240,23 +240,23 @@ class RefineTask(Task[SplatPainterModel]):
             _, rows, further = refine_edit(self.model, state, encoded, start, views[first:])
             return assemble(start, rows, further)
         order, views = rng.permutation(count), views[first:]
-        after, own, _ = refine_edit(self.model, state, encoded, part_of(start, order[:most]), views)
+        after, sampled, _ = refine_edit(self.model, state, encoded, part_of(start, order[:most]), views)
         if self.model.config.refine.mask_tokens:  # an edit without edited pixels adapts nothing: it only reads
             state, views = after, [replace(views[0], mask=np.zeros_like(views[0].mask))]
         with torch.no_grad():
-            _, others, _ = refine_edit(self.model, state, encoded, part_of(start, order[most:]), views)
-        both = {n: torch.cat([_louder(getattr(own, n), count / most), getattr(others, n)]) for n in ATTRIBUTES}
-        return assemble(part_of(start, order), replace(own, **both), None)
+            _, rest, _ = refine_edit(self.model, state, encoded, part_of(start, order[most:]), views)
+        both = {n: torch.cat([_louder(getattr(sampled, n), count / most), getattr(rest, n)]) for n in ATTRIBUTES}
+        return assemble(part_of(start, order), replace(sampled, **both), None)
 
     def _visible(self, start: LiftedEdit, cameras: Sequence[Camera]) -> LiftedEdit:
         """The same with only those rows to change that the views show: the others would get no gradient."""
         splats = start.splats if self.device.type == "cpu" else start.splats.torch(str(self.device))
         with torch.no_grad():
             weights = torch.as_tensor(render(splats, list(cameras), contributions=True).contributions).sum(0)
-        shown = weights.cpu().numpy()[start.ids] > MIN_VISIBLE_WEIGHT
-        if not shown.any():
+        visible = weights.cpu().numpy()[start.ids] > MIN_VISIBLE_WEIGHT
+        if not visible.any():
             raise ValueError("the chosen views show nothing of the edit")
-        return part_of(start, np.flatnonzero(shown))
+        return part_of(start, np.flatnonzero(visible))
 
     def _target(
         self, sample: Sample, prepared: PreparedAsset, views: Sequence[EditView], rng: np.random.Generator
@@ -325,6 +325,6 @@ def holding(groups: GaussianGroups, rows: np.ndarray, count: int) -> GaussianGro
     target = np.zeros(count, bool)
     target[rows] = True
     owner = np.repeat(np.arange(len(groups.lengths)), groups.lengths)
-    kept = np.bincount(owner, target[groups.order], len(groups.lengths)) > 0
-    starts = np.concatenate([[0], np.cumsum(groups.lengths[kept])]).astype(np.int64)
-    return replace(groups, order=groups.order[kept[owner]], starts=starts, centers=groups.centers[kept])
+    selected = np.bincount(owner, target[groups.order], len(groups.lengths)) > 0
+    starts = np.concatenate([[0], np.cumsum(groups.lengths[selected])]).astype(np.int64)
+    return replace(groups, order=groups.order[selected[owner]], starts=starts, centers=groups.centers[selected])

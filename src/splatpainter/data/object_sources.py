@@ -12,7 +12,7 @@ from splatpainter.splats import Splats
 
 
 @runtime_checkable
-class Source(Protocol):
+class ObjectSource(Protocol):
     """A numbered list of objects. `skipped` is filled as bad files are met: name -> the one line that says why."""
 
     skipped: dict[str, str]
@@ -25,14 +25,14 @@ class Source(Protocol):
 
 
 @runtime_checkable
-class MeshSource(Source, Protocol):
+class MeshSource(ObjectSource, Protocol):
     def mesh(self, i: int) -> Mesh:
         """Object i, normalised (data/meshes.py). Raises ValueError (and notes it in `skipped`) for a bad file."""
         ...
 
 
 @runtime_checkable
-class SplatSource(Source, Protocol):
+class SplatSource(ObjectSource, Protocol):
     def splats(self, i: int) -> Splats:
         """Asset i as read, numpy. Raises ValueError (and notes it in `skipped`) for a bad file."""
         ...

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splatpainter.data.scenes import (
+from splatpainter.data.object_sources import (
     MeshFolder,
     MeshSource,
     ProceduralSource,
