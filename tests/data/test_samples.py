@@ -112,7 +112,7 @@ def test_every_kind_has_its_shapes_and_a_mask_that_covers_something(samples: dic
 def test_masks_cover_what_differs_from_the_unedited_truth(kind: str) -> None:
     stream = SampleStream(Balls(), replace(SMALL, kinds={kind: 1.0}, views=(0.0, 1.0)), 2)
     sample = stream[0]
-    truth = next(iter(stream._scenes.values())).truth
+    truth = next(iter(stream._scenes.items.values())).truth
     before = render(truth, list(sample.edited.cameras)).colors.clamp(0, 1)
     difference = (sample.edited.colors - before).abs().amax(-1).numpy()
     if kind == "conflict":

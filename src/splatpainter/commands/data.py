@@ -187,7 +187,7 @@ def job_of(config: RenderConfig) -> tuple[RenderJob, dict[str, str]]:
     from splatpainter.data.sample_recipes import RECIPES
 
     for name, value, low in (
-        ("--scenes", config.scenes or 1, 1),
+        ("--scenes", 1 if config.scenes is None else config.scenes, 1),
         ("--workers", config.workers, 1),
         ("--per-shard", config.per_shard, 1),
         ("--bounces", config.bounces, 1),
@@ -195,8 +195,6 @@ def job_of(config: RenderConfig) -> tuple[RenderJob, dict[str, str]]:
     ):
         if value < low:
             raise ValueError(f"splatpainter data render: expected {name} of at least {low}, got {value}")
-    if config.scenes == 0:
-        raise ValueError("splatpainter data render: expected --scenes of at least 1, got 0")
     if config.ray is not None and len(config.ray) > 1:
         raise ValueError(f"splatpainter data render: expected one address behind --ray, got {len(config.ray)}")
     traced = config.truth == "path"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -89,11 +88,14 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Make the pictures, optimise, write, and judge."""
+    from splatpainter.commands.fit_sources import Wish, fit_pictures
+
     _check(config)
     entry = splat_format(config.out)
     check_target(config.out, config.overwrite, [config.source])
     clock = time.perf_counter()
-    made = _material(config)
+    wish = Wish(**{field.name: getattr(config, field.name) for field in fields(Wish)})
+    made = fit_pictures(config.source, wish)
     for note in made.notes:
         warn(note)
     start, prepared = made.start, time.perf_counter() - clock
@@ -130,25 +132,9 @@ def run(config: Config) -> Outcome:
     return Outcome(record, lines)
 
 
-def _material(config: Config) -> FitPictures:
-    from splatpainter.commands.fit_sources import Wish, material
-
-    wish = Wish(
-        config.views,
-        config.held_out,
-        config.size,
-        config.rows,
-        config.sh_degree,
-        config.seed,
-        config.truth,
-        config.environment,
-        config.surfels,
-        config.samples,
-    )
-    return material(config.source, wish)
-
-
 def _fitted(config: Config, made: FitPictures) -> Splats:
+    from tqdm import tqdm
+
     from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
     from splatpainter.kernels.compile import ensure_compiled
 
@@ -161,8 +147,10 @@ def _fitted(config: Config, made: FitPictures) -> Splats:
         device=config.device,
     )
     views = [TrainingView(camera, color) for camera, color in zip(made.cameras, made.colors, strict=True)]
-    with _bar(config.steps) as step:
-        return optimize(made.start, views, options, watch=step).splats
+    with tqdm(
+        total=config.steps, desc="fitting", delay=PATIENCE, leave=False, file=sys.stderr, disable=not watched()
+    ) as bar:
+        return optimize(made.start, views, options, watch=lambda step, _: bar.update(step - bar.n)).splats
 
 
 def _psnr(splats: Splats, pictures: list[Any]) -> float:
@@ -173,24 +161,6 @@ def _psnr(splats: Splats, pictures: list[Any]) -> float:
     from splatpainter.rendering import render
 
     return float(np.mean([psnr(np.clip(render(splats, c).colors[0], 0, 1), color) for c, color in pictures]))
-
-
-@contextmanager
-def _bar(total: int) -> Iterator[Callable[[int, Any], None] | None]:
-    """A function to call after every step; None where nobody looks."""
-    if not watched():
-        yield None
-        return
-    import sys
-
-    from tqdm import tqdm
-
-    with tqdm(total=total, desc="fitting", delay=PATIENCE, leave=False, file=sys.stderr) as bar:
-
-        def show(step: int, _: Any) -> None:
-            bar.update(step - bar.n)
-
-        yield show
 
 
 def _check(config: Config) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -39,7 +40,7 @@ class Wish:
     """What the user asked for."""
 
     views: int
-    held: int
+    held_out: int
     size: int | None
     rows: int
     sh_degree: int
@@ -63,7 +64,7 @@ class FitPictures:
     notes: list[str] = field(default_factory=list)
 
 
-def material(source: Path, wish: Wish) -> FitPictures:
+def fit_pictures(source: Path, wish: Wish) -> FitPictures:
     """Everything that a fit needs. Raises ValueError, in one line: nothing there, or nothing that can be used."""
     if not source.exists():
         raise ValueError(f"{source}: no such file or folder; expected a mesh, a splat file or a folder of pictures")
@@ -85,7 +86,6 @@ def _from_asset(source: Path, wish: Wish) -> FitPictures:
     from splatpainter.cameras import AUTO_UP, UPS, bounding_sphere
     from splatpainter.io import read
     from splatpainter.kernels.compile import ensure_compiled
-    from splatpainter.rendering import render
 
     splats = read(source)
     if not splats.drawable.any():
@@ -93,11 +93,7 @@ def _from_asset(source: Path, wish: Wish) -> FitPictures:
     ensure_compiled()
     center, radius = bounding_sphere(splats)
 
-    def render_views(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
-        drawn = render(splats, list(cameras))
-        return np.clip(drawn.colors, 0, 1), drawn.depths[..., 0], drawn.alphas[..., 0]
-
-    made = _rendered("asset", render_views, center, radius, np.array(UPS[AUTO_UP]), wish, np.eye(4))
+    made = _rendered("asset", partial(_drawn, splats), center, radius, np.array(UPS[AUTO_UP]), wish, np.eye(4))
     return replace(made, start=replace(made.start, color_space=splats.color_space))
 
 
@@ -120,17 +116,18 @@ def _surfels(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]],
     from splatpainter.data.lights import shade
     from splatpainter.data.surfels import sample_surfels, to_splats
     from splatpainter.kernels.compile import ensure_compiled
-    from splatpainter.rendering import render
 
     ensure_compiled()
     dense = sample_surfels(mesh, wish.surfels, wish.seed)
     truth = to_splats(dense, shade(dense, light, min(wish.sh_degree, 2))).numpy()
+    return partial(_drawn, truth)
 
-    def render_views(cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
-        drawn = render(truth, list(cameras))
-        return np.clip(drawn.colors, 0, 1), drawn.depths[..., 0], drawn.alphas[..., 0]
 
-    return render_views
+def _drawn(splats: Splats, cameras: Sequence[Camera]) -> tuple[np.ndarray, ...]:
+    from splatpainter.rendering import render
+
+    views = render(splats, list(cameras))
+    return np.clip(views.colors, 0, 1), views.depths[..., 0], views.alphas[..., 0]
 
 
 def _traced(mesh: Mesh, light: Any, wish: Wish) -> Callable[[Sequence[Camera]], tuple[np.ndarray, ...]]:
@@ -155,15 +152,15 @@ def _rendered(
     wish: Wish,
     frame: np.ndarray,
 ) -> FitPictures:
-    """shoot: cameras -> colours [V, H, W, 3], depths and alphas [V, H, W]. frame: [4, 4] from the asset's world to the
-    one that is shot (a half turn is its own inverse)."""
+    """render_views: cameras -> colours [V, H, W, 3], depths and alphas [V, H, W]. frame: [4, 4] from the asset's world
+    to the rendered one (a half turn is its own inverse)."""
     from splatpainter.cameras import spherical_cameras
     from splatpainter.fit.start import from_depths
 
     distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))
     kinds: dict[str, Any] = {"size": wish.size or 256, "fov": FOV, "up": up}
     cameras = spherical_cameras(center, distance, wish.views, backgrounds=BACKGROUNDS, **kinds)
-    held = spherical_cameras(center, distance, wish.held, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
+    held = spherical_cameras(center, distance, wish.held_out, backgrounds=((0.5, 0.5, 0.5),), between=True, **kinds)
     colors, depths, alphas = render_views(cameras)
     unseen = render_views(held)[0] if held else []
     cameras, held = ([replace(c, world_to_camera=c.world_to_camera @ frame) for c in some] for some in (cameras, held))
@@ -179,7 +176,7 @@ def _from_pictures(folder: Path, wish: Wish) -> FitPictures:
     posed = _by_table(table, wish) if table is not None else _by_camera(folder, wish)
     if len(posed) < 2:
         raise ValueError(f"{folder}: expected at least two pictures with cameras, got {len(posed)}")
-    count = min(wish.held, len(posed) // 4)
+    count = min(wish.held_out, len(posed) // 4)
     apart = (
         np.unique(np.linspace(0, len(posed) - 1, count + 2)[1:-1].round().astype(int)) if count else np.array([], int)
     )

@@ -4,7 +4,6 @@ distributions add. The training itself is in `train`, judging in train_judge.py.
 from __future__ import annotations
 
 import dataclasses
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import parse
+from splatpainter.commands.targets import check_folder, make_folder
 from splatpainter.jsonio import field_types
 from splatpainter.train import recipes
 from splatpainter.train.recipes import Recipe, Stage
@@ -124,7 +124,8 @@ def run(config: Config) -> Outcome:
         raise ValueError(f"{config.out}: holds a run already; go on with --resume, or choose another --out")
     if config.stage == "refine" and config.model.representation == "copy" and not (started or config.weights):
         raise ValueError("splatpainter train refine: 'copy' models start from their Stage I; give --from CHECKPOINT")
-    _writable(config.out)
+    check_folder(config.out)
+    make_folder(config.out)
     group = join(config.device)
     try:
         say = _say if group.first else lambda line: None
@@ -137,17 +138,8 @@ def run(config: Config) -> Outcome:
             data = open_training_data(supply, batch=recipe.batch, count=count, workers=recipe.workers)
         task = _task(config, recipe, group, say)
         say(_first_line(recipe, task, data, group))
-        loop = Loop(
-            task,
-            recipe,
-            data.training,
-            data.validation,
-            config.out,
-            group,
-            resume=started,
-            compact=config.compact_state,
-            say=say,
-        )
+        kind: Any = {"resume": started, "compact": config.compact_state, "say": say}
+        loop = Loop(task, recipe, data.training, data.validation, config.out, group, **kind)
         if group.first:
             (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8", newline="\n")
         result = loop(Limits(config.minutes, config.session_steps))
@@ -195,15 +187,6 @@ def _with_defaults(recipe: Recipe) -> type:
         value = getattr(recipe, name)
         space[name] = dataclasses.field(default_factory=lambda value=value: value)
     return dataclass(frozen=True)(type("Config", (Config,), space))
-
-
-def _writable(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"{folder}: the folder cannot be made ({error.strerror or error})") from None
-    if not os.access(folder, os.W_OK):
-        raise ValueError(f"{folder}: cannot be written; choose another --out")
 
 
 def _first_line(recipe: Recipe, task: Task, data: TrainingData, group: Group) -> str:

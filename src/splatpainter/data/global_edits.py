@@ -11,7 +11,6 @@ views, and added to what is true under the others.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal
@@ -24,6 +23,7 @@ from torch import Tensor
 from splatpainter.data.edits.on_surfels import grade_sh
 from splatpainter.data.lights import Light, random_light, shade, shade_all
 from splatpainter.data.lit_scenes import SceneObject, render_views
+from splatpainter.data.recent import Recent
 from splatpainter.data.samples import SampleStream
 from splatpainter.data.surfels import Surfels, to_splats
 from splatpainter.data.viewpoints import Optics, ring
@@ -109,9 +109,9 @@ class GlobalEditStream:
         weights = np.array([stream.kinds.get(kind, 0.0) for kind in ("relight", "regrade")])
         if not weights.sum() > 0:
             raise ValueError("train predict: expected --samples.kinds with relight or regrade")
-        self.stream, self.rows, self._cache_bytes = stream, rows, cache_bytes
+        self.stream, self.rows = stream, rows
         self._odds = weights / weights.sum()
-        self._objects: OrderedDict[int, _RelitObject] = OrderedDict()
+        self._objects = Recent[_RelitObject](cache_bytes, lambda item: item.nbytes)
 
     def __getitem__(self, index: int) -> GlobalEdit:
         """Raises IndexError below 0 and ValueError as SampleStream."""
@@ -172,12 +172,9 @@ class GlobalEditStream:
         count = len(self.stream.source)
         epoch, position = divmod(block, count)
         key = int(self._generator("epoch", epoch).permutation(count)[position])
-        if key not in self._objects:
-            self._objects[key] = self._prepare(self.stream.scene_object(key), self._generator("object", key))
-            while len(self._objects) > 1 and sum(k.nbytes for k in self._objects.values()) > self._cache_bytes:
-                self._objects.popitem(last=False)
-        self._objects.move_to_end(key)
-        return self._objects[key]
+        return self._objects.get(
+            key, lambda: self._prepare(self.stream.scene_object(key), self._generator("object", key))
+        )
 
     def _prepare(self, scene_object: SceneObject, rng: np.random.Generator) -> _RelitObject:
         recipe, rows = self.stream.recipe, scene_object.coarse.to("cpu")

@@ -64,7 +64,7 @@ def make_light(environment: Any, name: str = "", stops: float = 0.0) -> Light:
 def auto_exposure(coefficients: Any) -> Any:
     """[] exposure that gives WHITE to the luminance of a white diffuse sphere's brightest tenth under SH [9, 3]."""
     normals = torch.as_tensor(fibonacci_sphere(128), dtype=coefficients.dtype, device=coefficients.device)
-    luminance = irradiance(coefficients, normals) @ _luminance(coefficients)
+    luminance = irradiance(coefficients, normals) @ coefficients.new_tensor(LUMA)
     return WHITE * torch.pi / torch.quantile(luminance, 0.9).clamp_min(1e-8)
 
 
@@ -154,11 +154,6 @@ def _cosine(like: Any) -> Any:
     """[9] what a clamped cosine does to each SH coefficient."""
     a, b, c = torch.pi, 2 * torch.pi / 3, torch.pi / 4
     return torch.tensor([a, b, b, b, c, c, c, c, c], dtype=like.dtype, device=like.device)
-
-
-def _luminance(like: Any) -> Any:
-    """[3] Rec. 709 weights."""
-    return torch.tensor(LUMA, dtype=like.dtype, device=like.device)
 
 
 def random_light(rng: np.random.Generator, environments: Sequence[Any] = (), device: str = "cpu") -> Light:

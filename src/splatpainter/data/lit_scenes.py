@@ -16,7 +16,8 @@ from torch import Tensor
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, srgb_to_linear
 from splatpainter.data.lights import Light, shade
-from splatpainter.data.object_sources import MeshSource, SplatSource
+from splatpainter.data.meshes import Mesh
+from splatpainter.data.object_sources import SplatSource
 from splatpainter.data.surfels import Surfels, coarse_asset, sample_surfels, to_splats
 from splatpainter.data.viewpoints import Optics, ring
 from splatpainter.splats import Splats
@@ -85,12 +86,12 @@ class LitScene:
 
 
 def mesh_object(
-    source: MeshSource, i: int, surfels: int, gaussians: int, roughness: float, seed: int, device: str
+    name: str, mesh: Mesh, surfels: int, gaussians: int, roughness: float, seed: int, device: str
 ) -> SceneObject:
-    """Object i of a source of meshes. Raises ValueError for a bad mesh."""
-    dense = sample_surfels(source.mesh(i), surfels, seed, device)
+    """The object of a mesh. Raises ValueError for a bad mesh."""
+    dense = sample_surfels(mesh, surfels, seed, device)
     coarse = coarse_asset(dense, gaussians, seed, roughness)
-    return SceneObject(source.name(i), dense, coarse, float(dense.means.norm(dim=1).max()))
+    return SceneObject(name, dense, coarse, float(dense.means.norm(dim=1).max()))
 
 
 def splat_object(source: SplatSource, i: int, device: str) -> SceneObject:

@@ -157,6 +157,15 @@ def normalized(mesh: Mesh, extent: float = EXTENT) -> Mesh:
     return replace(mesh, vertices=scaled.astype(np.float32))
 
 
+def submesh(mesh: Mesh, faces: np.ndarray) -> Mesh:
+    """These faces ([F] bool) and the vertices that they use."""
+    used, local = np.unique(mesh.faces[faces], return_inverse=True)
+    columns = {name: getattr(mesh, name)[used] for name in ("vertices", "normals", "uvs")}
+    colors = None if mesh.colors is None else mesh.colors[used]
+    ids = mesh.material_ids[faces]
+    return replace(mesh, faces=local.reshape(-1, 3), material_ids=ids, colors=colors, **columns)
+
+
 def vertex_normals(count: int, faces: np.ndarray, cross: np.ndarray) -> np.ndarray:
     """[count, 3] float64 unit normals: faces' cross products [F, 3] (area-weighted) summed at their corners."""
     total = np.zeros((count, 3))

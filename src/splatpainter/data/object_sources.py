@@ -115,7 +115,8 @@ def split(names: Sequence[str], seed: int = 0, share: float = 0.1) -> tuple[list
     adding objects moves none; `share` of many names lands in validation."""
     if not 0 <= share < 1:
         raise ValueError(f"split: expected a share of 0 up to 1 for validation, got {share}")
-    validation = [_unit_hash(f"{seed}:{name}") < share for name in names]
+    digests = [hashlib.sha256(f"{seed}:{name}".encode()).digest() for name in names]
+    validation = [int.from_bytes(digest[:8], "little") / 2.0**64 < share for digest in digests]
     train = [name for name, out in zip(names, validation, strict=True) if not out]
     return train, [name for name, out in zip(names, validation, strict=True) if out]
 
@@ -123,10 +124,6 @@ def split(names: Sequence[str], seed: int = 0, share: float = 0.1) -> tuple[list
 def object_seed(seed: int, i: int) -> int:
     """A 63-bit seed for object i of a source: neighbouring seeds and numbers give unrelated objects."""
     return int.from_bytes(hashlib.sha256(f"object:{seed}:{i}".encode()).digest()[:8], "little") >> 1
-
-
-def _unit_hash(text: str) -> float:
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") / 2.0**64
 
 
 def _name(file: Path, folder: Path) -> str:

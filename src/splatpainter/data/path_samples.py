@@ -54,7 +54,7 @@ class PathScene:
         self.mesh = source.mesh(i)
         rng = self._generator("stage")
         sizes = (recipe.surfels, recipe.rows, float(rng.uniform(*recipe.fuzz)), int(rng.integers(1 << 31)))
-        item = mesh_object(_OneMesh(source.name(i), self.mesh), 0, *sizes, "cpu")
+        item = mesh_object(source.name(i), self.mesh, *sizes, "cpu")
         background = recipe.backgrounds[rng.integers(len(recipe.backgrounds))]
         optics = Optics(recipe.size, float(rng.uniform(*recipe.fov)), background)
         self.light = random_light(rng, environments)
@@ -120,20 +120,3 @@ def refuse_kinds(recipe: SampleRecipe) -> None:
         raise ValueError(
             f"path traced truth: expected kinds of {', '.join(PATH_KINDS)}, got {', '.join(wrong)}; others need surfels"
         )
-
-
-class _OneMesh:
-    """A source of one mesh that was read already."""
-
-    def __init__(self, name: str, mesh: Any) -> None:
-        self.skipped: dict[str, str] = {}
-        self._name, self._mesh = name, mesh
-
-    def __len__(self) -> int:
-        return 1
-
-    def name(self, i: int) -> str:
-        return self._name
-
-    def mesh(self, i: int) -> Any:
-        return self._mesh

@@ -14,7 +14,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.data.materials import SRGB_BYTES, Material
-from splatpainter.data.meshes import Mesh
+from splatpainter.data.meshes import Mesh, submesh
 from splatpainter.data.mitsuba_backend import Variant, use_mitsuba
 
 NEAR, FAR = 1e-3, 1e3
@@ -155,24 +155,9 @@ def _parts(mesh: Mesh) -> list[Mesh]:
         mirrored = _mirrored(mesh) if material.normal_map is not None else np.zeros(len(of), bool)
         for faces, kind in ((of & ~mirrored, material), (of & mirrored, _turned(material))):
             if faces.any():
-                parts.append(_with_faces(mesh, mesh.faces[faces], kind))
+                ids = np.zeros(int(faces.sum()), np.int64)
+                parts.append(replace(submesh(mesh, faces), material_ids=ids, materials=(kind,)))
     return parts
-
-
-def _with_faces(mesh: Mesh, faces: np.ndarray, material: Material) -> Mesh:
-    """These faces and the vertices that they use, in one material."""
-    used, local = np.unique(faces, return_inverse=True)
-    colors = None if mesh.colors is None else mesh.colors[used]
-    return replace(
-        mesh,
-        vertices=mesh.vertices[used],
-        faces=local.reshape(-1, 3),
-        normals=mesh.normals[used],
-        uvs=mesh.uvs[used],
-        material_ids=np.zeros(len(faces), np.int64),
-        materials=(material,),
-        colors=colors,
-    )
 
 
 def _mirrored(mesh: Mesh) -> np.ndarray:

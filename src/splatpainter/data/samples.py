@@ -10,7 +10,7 @@ and lights change their colours, and every picture is rendered from them.
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ from splatpainter.data.edits.content import EditResources, list_files
 from splatpainter.data.lights import random_light
 from splatpainter.data.lit_scenes import LitScene, PosedViews, SceneObject, illuminate, mesh_object, splat_object
 from splatpainter.data.object_sources import MeshSource, ObjectSource, SplatSource
+from splatpainter.data.recent import Recent
 from splatpainter.data.sample_recipes import GLOBAL, KINDS, LOCAL, RECIPES, SampleRecipe
 from splatpainter.data.viewpoints import Optics
 from splatpainter.splats import Splats
@@ -89,17 +90,17 @@ class SampleStream:
             raise ValueError(f"samples: none of the kinds {sorted(recipe.kinds)} can be made of splat assets")
         self.retries: Counter[str] = Counter()
         """Kind -> choices that were thrown away because they made no visible edit."""
-        self._objects: OrderedDict[int, SceneObject] = OrderedDict()
-        self._scenes: OrderedDict[int, LitScene] = OrderedDict()
+        self._objects = Recent[SceneObject](cache_bytes, lambda item: item.nbytes)
+        self._scenes = Recent[LitScene](2)
         self._bad: dict[int, str] = {}
-        self._cache_bytes = cache_bytes
 
     def __getitem__(self, index: int) -> Sample:
         """Raises ValueError, naming the object, when MAX_TRIES choices made no visible edit of it, and when the
         source has no good object at all."""
         if index < 0:
             raise IndexError(f"samples: expected an index from 0, got {index}")
-        scene = self._scene(index // self.recipe.steps_per_object)
+        block = index // self.recipe.steps_per_object
+        scene = self._scenes.get(block, lambda: self._make_scene(block))
         rng = self._generator("kind", index)
         weights = np.array(list(self.kinds.values()))
         kind = str(rng.choice(list(self.kinds), p=weights / weights.sum()))
@@ -137,20 +138,13 @@ class SampleStream:
             return edit_samples.plain(scene, spec, rng)
         return edit_samples.paint(scene, kind, spec, self.resources, rng)
 
-    def _scene(self, block: int) -> LitScene:
-        if block in self._scenes:
-            self._scenes.move_to_end(block)
-            return self._scenes[block]
+    def _make_scene(self, block: int) -> LitScene:
         item, scale = self._object(block)
         rng, r = self._generator("stage", block), self.recipe
         background = r.backgrounds[rng.integers(len(r.backgrounds))]
         optics = Optics(max(round(r.size * scale), 16), float(rng.uniform(*r.fov)), background)
         light = None if self.splats else random_light(rng, self.environments, self.device)
-        scene = illuminate(item, light, r.sh_degree, optics, r.base_views, rng)
-        self._scenes[block] = scene
-        while len(self._scenes) > 2:
-            self._scenes.popitem(last=False)
-        return scene
+        return illuminate(item, light, r.sh_degree, optics, r.base_views, rng)
 
     def _object(self, block: int) -> tuple[SceneObject, float]:
         """The object of a block and the scale of its resolution: every object once per epoch, in an order of that
@@ -163,31 +157,20 @@ class SampleStream:
             if i in self._bad:
                 continue
             try:
-                return self._cached(i), self._resolution_scale(i)
+                return self._objects.get(i, lambda i=i: self._make_object(i)), self._resolution_scale(i)
             except ValueError as error:
                 self._bad[i] = str(error)
         reason = next(iter(self._bad.values()), "the source is empty")
         raise ValueError(f"samples: none of the {count} objects can be used; the first: {reason}")
 
-    def _cached(self, i: int) -> SceneObject:
-        if i in self._objects:
-            self._objects.move_to_end(i)
-            return self._objects[i]
+    def _make_object(self, i: int) -> SceneObject:
         if self.splats:
-            item = splat_object(cast(SplatSource, self.source), i, self.device)
-        else:
-            rng, r, area = self._generator("subject", i), self.recipe, self._resolution_scale(i) ** 2
-            sizes = (
-                round(r.surfels * area),
-                round(r.rows * area),
-                float(rng.uniform(*r.fuzz)),
-                int(rng.integers(1 << 31)),
-            )
-            item = mesh_object(cast(MeshSource, self.source), i, *sizes, self.device)
-        self._objects[i] = item
-        while len(self._objects) > 1 and sum(s.nbytes for s in self._objects.values()) > self._cache_bytes:
-            self._objects.popitem(last=False)
-        return item
+            return splat_object(cast(SplatSource, self.source), i, self.device)
+        rng, r, area = self._generator("subject", i), self.recipe, self._resolution_scale(i) ** 2
+        counts = round(r.surfels * area), round(r.rows * area)
+        roughness, seed = float(rng.uniform(*r.fuzz)), int(rng.integers(1 << 31))
+        mesh = cast(MeshSource, self.source).mesh(i)
+        return mesh_object(self.source.name(i), mesh, *counts, roughness, seed, self.device)
 
     def _resolution_scale(self, i: int) -> float:
         """Of object i: 1 for splat assets, which are as they are."""

@@ -23,7 +23,6 @@ import json
 import shutil
 import tarfile
 from bisect import bisect_right
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -32,6 +31,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from splatpainter.data.recent import Recent
 from splatpainter.data.records import Files, decode_asset, decode_sample
 from splatpainter.data.samples import Sample
 from splatpainter.io import files
@@ -43,7 +43,9 @@ if TYPE_CHECKING:
 INDEX, WAITING, LOCK = "index.json", ".scenes", ".lock"
 FORMAT, VERSION = "splatpainter-shards", 1
 OPEN_SHARDS, ASSETS = 256, 4
-"""Tables of contents, and assets, that are kept."""
+"""Tables of contents, and assets, that stay in memory."""
+Contents = dict[str, dict[str, tuple[int, int]]]
+"""A shard's files: key -> name -> (offset, size)."""
 
 
 @dataclass(frozen=True)
@@ -290,8 +292,8 @@ class ShardStream:
         self._shards: list[dict[str, Any]] = self.index["shards"]
         self._scenes = _chosen(self._shards, names, kinds)
         self._ends: tuple[int, list[int], list[int]] | None = None
-        self._contents: OrderedDict[int, dict[str, dict[str, tuple[int, int]]]] = OrderedDict()
-        self._assets: OrderedDict[bytes, Splats] = OrderedDict()
+        self._contents = Recent[Contents](OPEN_SHARDS)
+        self._assets = Recent[Splats](ASSETS)
         self._total = sum(len(scene.samples) for scene in self._scenes)
         if not self._total:
             raise ValueError(f"{self.folder}: holds no samples of the objects and kinds asked for")
@@ -329,35 +331,20 @@ class ShardStream:
             self._ends = (epoch, order, list(accumulate(len(self._scenes[k].samples) for k in order)))
         return self._ends[1], self._ends[2]
 
-    def _open(self, shard: int) -> dict[str, dict[str, tuple[int, int]]] | None:
-        """Key -> name -> (offset, size) of a shard's files; None where it is damaged."""
+    def _open(self, shard: int) -> Contents | None:
+        """The table of contents of a shard; None where it is damaged."""
         entry = self._shards[shard]
         if entry["file"] in self.skipped:
             return None
-        if shard in self._contents:
-            self._contents.move_to_end(shard)
-            return self._contents[shard]
-        wrong = damage(self.folder, entry, self.checksums)
-        contents: dict[str, dict[str, tuple[int, int]]] = {}
-        if wrong is None:
-            try:
-                with tarfile.open(self.folder / entry["file"]) as tar:
-                    for member in tar:
-                        key, _, name = member.name.partition(".")
-                        contents.setdefault(key, {})[name] = (member.offset_data, member.size)
-            except (tarfile.TarError, OSError) as error:
-                wrong = f"{self.folder / entry['file']}: cannot be read as a tar file ({error})"
-        if wrong is not None:
+        try:
+            return self._contents.get(shard, lambda: _contents(self.folder, entry, self.checksums))
+        except ValueError as error:
             if self.strict:
-                raise ValueError(wrong)
-            self.skipped[entry["file"]] = wrong
+                raise
+            self.skipped[entry["file"]] = str(error)
             return None
-        self._contents[shard] = contents
-        while len(self._contents) > OPEN_SHARDS:
-            self._contents.popitem(last=False)
-        return contents
 
-    def _read(self, shard: int, key: str, contents: dict[str, dict[str, tuple[int, int]]]) -> Files:
+    def _read(self, shard: int, key: str, contents: Contents) -> Files:
         path = self.folder / self._shards[shard]["file"]
         contents_read: Files = {}
         with files.reading(path) as file:
@@ -371,15 +358,25 @@ class ShardStream:
         data = sample.get("asset.ply")
         if data is None:
             return None
-        digest = hashlib.sha256(data).digest()
-        if digest not in self._assets:
-            try:
-                self._assets[digest] = decode_asset(data)
-            except ValueError:
-                return None  # decode_sample says where
-            while len(self._assets) > ASSETS:
-                self._assets.popitem(last=False)
-        return self._assets[digest]
+        try:
+            return self._assets.get(hashlib.sha256(data).digest(), lambda: decode_asset(data))
+        except ValueError:
+            return None  # decode_sample says where
+
+
+def _contents(folder: Path, entry: Mapping[str, Any], checksums: bool) -> Contents:
+    """Of a shard of the index. Raises ValueError: what is wrong with it."""
+    if wrong := damage(folder, entry, checksums):
+        raise ValueError(wrong)
+    contents: Contents = {}
+    try:
+        with tarfile.open(folder / entry["file"]) as tar:
+            for member in tar:
+                key, _, name = member.name.partition(".")
+                contents.setdefault(key, {})[name] = (member.offset_data, member.size)
+    except (tarfile.TarError, OSError) as error:
+        raise ValueError(f"{folder / entry['file']}: cannot be read as a tar file ({error})") from None
+    return contents
 
 
 def _chosen(shards: list[dict[str, Any]], names: Sequence[str] | None, kinds: Sequence[str] | None) -> list[_SceneKeys]:

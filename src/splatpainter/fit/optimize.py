@@ -116,7 +116,7 @@ def optimize(
     losses = []
     for step in range(1, options.steps + 1):
         k = order[step - 1]
-        loss_of_view = None if loss is None else _bound(loss, views[k])
+        loss_of_view = None if loss is None else lambda image, view=views[k]: loss(image, view)
         losses.append(run.step(step, targets[k], loss_of_view))
         if watch is not None:
             watch(step, run.current)
@@ -131,7 +131,8 @@ class _Run:
         self.start = with_degree(start, options.sh_degree)
         device = options.device
         self.rows = None if rows is None else torch.as_tensor(np.asarray(rows, np.int64), device=device)
-        self.full = None if rows is None else _unshared(self.start.torch(device), options.attributes)
+        self.fixed = self.start.torch(device)
+        self.full = None if rows is None else _unshared(self.fixed, options.attributes)
         self.raw = RawGaussians.of(self.start if rows is None else self.start.take(np.asarray(rows, np.int64)), device)
         self.parents = torch.arange(len(start), device=device)
         self.adam = Adam({name: getattr(self.raw, name) for name in options.attributes})
@@ -192,16 +193,10 @@ class _Run:
         if self.full is None and len(self.options.attributes) == len(ATTRIBUTES):
             return moved
         if self.full is None:
-            fixed = self._fixed()
-            return replace(moved, **{n: getattr(fixed, n) for n in ATTRIBUTES if n not in self.options.attributes})
+            return replace(moved, **{n: getattr(self.fixed, n) for n in ATTRIBUTES if n not in self.options.attributes})
         for name in self.options.attributes:
             getattr(self.full, name)[self.rows] = getattr(moved, name)
         return replace(self.full, source=None, origin=None)
-
-    def _fixed(self) -> Splats:
-        if not hasattr(self, "_fixed_splats"):
-            self._fixed_splats = self.start.torch(self.options.device)
-        return self._fixed_splats
 
     def _rates(self, step: int) -> dict[str, Tensor]:
         o = self.options
@@ -236,21 +231,17 @@ def short_run_rate(steps: int, way: float) -> float:
 
 def extent(splats: Splats) -> float:
     """The longest side of the box around the middle 98 % of the rows that can be drawn, world units; 1 for none."""
-    loss_of_view = splats.numpy()
-    means = loss_of_view.means[splats.drawable]
+    arrays = splats.numpy()
+    means = arrays.means[splats.drawable]
     if not len(means):
         return 1.0
     low, high = np.quantile(means, [0.01, 0.99], axis=0)
-    return max(float((high - low).max()), float(np.median(loss_of_view.scales[splats.drawable].max(1))), 1e-6)
+    return max(float((high - low).max()), float(np.median(arrays.scales[splats.drawable].max(1))), 1e-6)
 
 
 def _unshared(splats: Splats, names: tuple[str, ...]) -> Splats:
     """Copies of these attributes: they are written to, and tensors share memory with the caller's arrays."""
     return replace(splats, **{name: getattr(splats, name).clone() for name in names})
-
-
-def _bound(loss: Callable[[Tensor, TrainingView], Tensor], view: TrainingView) -> Callable[[Tensor], Tensor]:
-    return lambda image: loss(image, view)
 
 
 def _order(views: int, options: FitOptions) -> np.ndarray:

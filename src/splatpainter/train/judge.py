@@ -32,7 +32,7 @@ from splatpainter.train.recipes import Recipe
 from splatpainter.train.report import SHEET_CELL_PX
 from splatpainter.train.stages.compress import HiddenColors
 from splatpainter.train.stages.lrm import LrmTask
-from splatpainter.train.stages.task import Task, Verdict
+from splatpainter.train.stages.task import Task
 from splatpainter.train.training_data import Supply, is_shards
 
 COPY, LRM, HIDDEN = "Stage I (copy)", "LRM", "Stage I (hidden colours)"
@@ -238,7 +238,8 @@ def judge_copies(tasks: Mapping[str, Task], trials: Iterable[Trial]) -> Iterator
             yield f"sample {trial.number} ({sample.name}): {error}"
             continue
         for name, verdict in verdicts.items():
-            numbers = {"reference": _reference(name, verdicts), "ours": verdict.numbers["ours"]}
+            stage, figure = {LRM: (LRM, "asset"), COPY: (LRM, "ours"), HIDDEN: (HIDDEN, "mean")}[name]
+            numbers = {"reference": verdicts[stage].numbers[figure], "ours": verdict.numbers["ours"]}
             yield Finding(trial.number, sample.name, "", name, None, numbers, verdict.strip)
 
 
@@ -311,20 +312,6 @@ def gains(rows: Sequence[EditRow]) -> dict[str, float]:
     return {row.kind: row.gain for row in rows if row.kind in ("local", "global")}
 
 
-def sheet_strips(findings: Sequence[Finding]) -> list[tuple[tuple[str, np.ndarray], ...]]:
-    """A strip per row of the table: its first finding's."""
-    first: dict[tuple[str, int | None], tuple[tuple[str, np.ndarray], ...]] = {}
-    for finding in findings:
-        first.setdefault((finding.kind, finding.views), finding.strip)
-    return list(first.values())
-
-
-def _reference(name: str, verdicts: Mapping[str, Verdict]) -> float:
-    if name == COPY:
-        return verdicts[LRM].numbers["ours"]
-    return verdicts[name].numbers["asset" if name == LRM else "mean"]
-
-
 def _edit_row(kind: str, views: int | None, group: Sequence[Finding], seed: int) -> EditRow:
     def mean(figure: str) -> float | None:
         some = [f.numbers[figure] for f in group if figure in f.numbers]
@@ -333,26 +320,10 @@ def _edit_row(kind: str, views: int | None, group: Sequence[Finding], seed: int)
     def means(ending: str) -> list[Any]:
         return [mean(f"{name}{ending}") for name in ("nothing", "lift", "ours")]
 
-    psnr, ssim, lpips = means(""), means(" SSIM"), means(" LPIPS-Alex")
+    counts = len({f.sample for f in group}), len({f.name for f in group})
+    gain = float(np.mean([f.numbers["gain"] for f in group]))
     low, high = interval([f.numbers["gain"] for f in group], [f.name for f in group], seed) or (None, None)
-    return EditRow(
-        kind=kind,
-        views=views,
-        samples=len({f.sample for f in group}),
-        objects=len({f.name for f in group}),
-        nothing=psnr[0],
-        lift=psnr[1],
-        ours=psnr[2],
-        gain=float(np.mean([f.numbers["gain"] for f in group])),
-        gain_low=low,
-        gain_high=high,
-        nothing_ssim=ssim[0],
-        lift_ssim=ssim[1],
-        ours_ssim=ssim[2],
-        nothing_lpips=lpips[0],
-        lift_lpips=lpips[1],
-        ours_lpips=lpips[2],
-    )
+    return EditRow(kind, views, *counts, *means(""), gain, low, high, *means(" SSIM"), *means(" LPIPS-Alex"))
 
 
 def table(rows: Rows) -> str:
@@ -368,10 +339,11 @@ def write_table(
     paths = [folder / f"judged.{ending}" for ending in ("csv", "md", "png")]
     write_csv(paths[0], rows, heading)
     write_markdown(paths[1], [_cells(row) for row in rows], heading, notes)
-    strips = [strip for strip in sheet_strips(findings) if strip]
+    first = {(finding.kind, finding.views): finding.strip for finding in reversed(findings)}
+    strips = [Strip("", strip) for key in dict.fromkeys((f.kind, f.views) for f in findings) if (strip := first[key])]
     if not strips:
         return paths[:2]
-    write_sheet(paths[2], sheet([Strip("", tuple(strip)) for strip in strips], SHEET_CELL_PX))
+    write_sheet(paths[2], sheet(strips, SHEET_CELL_PX))
     return paths
 
 

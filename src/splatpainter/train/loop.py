@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
+from tqdm import tqdm
 
 from splatpainter.contact_sheet import Strip, sheet, write_sheet
 from splatpainter.train import state
-from splatpainter.train.distributed import Group, quiet, spread
+from splatpainter.train.distributed import Group, gathered, quiet, spread
 from splatpainter.train.optim import Average, Guard, adamw, rate_at
 from splatpainter.train.prefetch import Ahead
 from splatpainter.train.report import SHEET_CELL_PX, Board, StepTable
@@ -121,7 +122,14 @@ class Loop:
         first, saved, ended = progress.step, time.monotonic(), "done"
         if isinstance(self.samples, Ahead):
             self.samples.expect(self._numbers())
-        with _signals(self), _bar(recipe.steps, progress.step, self.group.first) as bar:
+        bar = tqdm(
+            total=recipe.steps,
+            initial=progress.step,
+            desc="train",
+            disable=None if self.group.first else True,
+            leave=False,
+        )
+        with _signals(self), bar:
             if first == 0 and recipe.validate_every:
                 self.validate()
             while progress.step < recipe.steps:
@@ -175,9 +183,8 @@ class Loop:
         total = self.group.total(torch.tensor([float(failed), sums["loss"]], dtype=torch.float64))
         bad, loss = int(total[0]), float(total[1]) / self.group.world
         self.progress.failed += bad
-        norm = _whole_norm(
-            torch.nn.utils.clip_grad_norm_([p for p in task.parameters() if p.requires_grad], recipe.clip)
-        )
+        trained = [p for p in task.parameters() if p.requires_grad]
+        norm = float(gathered(torch.nn.utils.clip_grad_norm_(trained, recipe.clip)))
         refused = "no sample" if bad == recipe.batch else self.run.guard.admit(norm)
         if not refused:
             optimizer.step()
@@ -195,7 +202,7 @@ class Loop:
         sharded = hasattr(self.shared, "unshard")
         if self.group.first or sharded:  # sharded weights need every process
             self.task.eval()
-            with self.run.average.used_by(self.task), _gathered(self.shared):
+            with self.run.average.used_by(self.task), _unsharded(self.shared):
                 verdicts = [verdict for sample in self.held if (verdict := self._judge(sample)) is not None]
             if self.group.first:
                 self._report(verdicts)
@@ -287,12 +294,8 @@ def _seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
-def _whole_norm(norm: torch.Tensor) -> float:
-    return float(norm.full_tensor() if hasattr(norm, "full_tensor") else norm)  # type: ignore[attr-defined]
-
-
 @contextmanager
-def _gathered(shared: torch.nn.Module) -> Iterator[None]:
+def _unsharded(shared: torch.nn.Module) -> Iterator[None]:
     """Inside, weights that FSDP sharded at the root are whole."""
     if not hasattr(shared, "unshard"):
         yield
@@ -327,14 +330,3 @@ def _signals(loop: Loop) -> Iterator[None]:
     finally:
         for sign, handler in before.items():
             signal.signal(sign, handler)
-
-
-@contextmanager
-def _bar(steps: int, done: int, enabled: bool) -> Iterator[Any]:
-    from tqdm import tqdm
-
-    bar = tqdm(total=steps, initial=done, desc="train", disable=None if enabled else True, leave=False)
-    try:
-        yield bar
-    finally:
-        bar.close()

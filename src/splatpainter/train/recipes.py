@@ -100,31 +100,16 @@ class Recipe:
     """With several processes: ddp (every one holds the model) or fsdp (sharded)."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "report_every", "validation_samples"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"recipe: expected {name} of at least 1, got {getattr(self, name)}")
-        for name in (
-            "warmup",
-            "validate_every",
-            "pull_steps",
-            "workers",
-            "perceptual_views",
-            "seed",
-            "loss_views",
-            "gradient_rows",
+        zero_up = "warmup validate_every pull_steps workers perceptual_views seed loss_views gradient_rows"
+        for names_of_rule, holds, rule in (
+            ("steps batch report_every validation_samples", lambda v: v >= 1, "of at least 1"),
+            (f"{zero_up} weight_decay spike perceptual keep", lambda v: v >= 0, "of 0 or more"),
+            ("learning_rate clip save_minutes", lambda v: v > 0, "above 0"),
+            ("final_rate average sequence validation_share", lambda v: 0 <= v <= 1, "0..1"),
         ):
-            if getattr(self, name) < 0:
-                raise ValueError(f"recipe: expected {name} of 0 or more, got {getattr(self, name)}")
-        for name in ("learning_rate", "clip", "save_minutes"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"recipe: expected {name} above 0, got {getattr(self, name)}")
-        for name in ("final_rate", "average", "sequence", "validation_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"recipe: expected {name} 0..1, got {getattr(self, name)}")
-        for name in ("weight_decay", "spike", "perceptual", "keep"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"recipe: expected {name} of 0 or more, got {getattr(self, name)}")
-
+            for name in names_of_rule.split():
+                if not holds(getattr(self, name)):
+                    raise ValueError(f"recipe: expected {name} {rule}, got {getattr(self, name)}")
         # Every kind by name, so that the command line offers each, and equal recipes are equal.
         kinds = {kind: float(self.samples.kinds.get(kind, 0.0)) for kind in KINDS}
         object.__setattr__(self, "samples", dataclasses.replace(self.samples, kinds=kinds))

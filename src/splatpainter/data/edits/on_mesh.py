@@ -21,7 +21,7 @@ from splatpainter.data.edits import EditDesign
 from splatpainter.data.edits.on_surfels import FULL_PAINT_COSINE, MIN_COVERAGE, MIN_PAINT_COSINE, project_layer
 from splatpainter.data.materials import SRGB_BYTES, Material, sample_texture
 from splatpainter.data.mesh_visibility import MIN_DEPTH, projected, visible_points
-from splatpainter.data.meshes import Mesh, joined
+from splatpainter.data.meshes import Mesh, joined, submesh
 
 MAX_EDGE_PX = 1.0
 """Longest edge of a painted piece, pixels of the painting view."""
@@ -98,8 +98,8 @@ def repaint_mesh(
     cut = np.zeros(len(plain.faces), bool)
     cut[pieces.parents[covered]] = True  # the others stay whole
     rest = cut[pieces.parents] & ~covered
-    uncut = _of(plain, ~cut)
-    return joined(mesh.name, [part for part in (uncut, _of(pieces.mesh, rest), *parts) if len(part.faces)])
+    uncut = submesh(plain, ~cut)
+    return joined(mesh.name, [part for part in (uncut, submesh(pieces.mesh, rest), *parts) if len(part.faces)])
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def _coated(
         materials=(replace(material, base_color=None, base_factor=(1.0, 1.0, 1.0)),),
         colors=mixed,
     )
-    return _of(part, faces)
+    return submesh(part, faces)
 
 
 def base_colors(mesh: Mesh, vertices: np.ndarray, material: Material) -> np.ndarray:
@@ -252,15 +252,6 @@ def _toned(mesh: Mesh) -> Mesh:
             materials[k] = replace(material, base_factor=(red, green, blue))
             colors[used] = 1
     return replace(mesh, colors=colors, materials=tuple(materials))
-
-
-def _of(mesh: Mesh, faces: np.ndarray) -> Mesh:
-    """These faces [F] bool and the vertices that they use."""
-    used, local = np.unique(mesh.faces[faces], return_inverse=True)
-    fields = {name: getattr(mesh, name)[used] for name in ("vertices", "normals", "uvs")}
-    colors = None if mesh.colors is None else mesh.colors[used]
-    ids = mesh.material_ids[faces]
-    return replace(mesh, faces=local.reshape(-1, 3), material_ids=ids, colors=colors, **fields)
 
 
 def _unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:

@@ -16,13 +16,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from splatpainter.models.encode import asset_views, canonical_cameras
-from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks, links_from_views
+from splatpainter.data.recent import Recent
+from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.train.loss import PictureLoss
-from splatpainter.train.stages.lrm import input_views, judged, truth
-from splatpainter.train.stages.task import Recent, Task, Verdict, draw, freeze
+from splatpainter.train.stages.lrm import asset_tokens, input_views, judged, truth
+from splatpainter.train.stages.task import Task, Verdict, draw, freeze
 from splatpainter.voxels.grid import voxelize
 
 if TYPE_CHECKING:
@@ -105,14 +105,9 @@ class HiddenColors(Task[SplatPainterModel]):
 
     @torch.no_grad()
     def _encode_object(self, splats: Splats) -> tuple[Tensor, Splats, TokenLinks, GaussianGroups]:
-        config = self.model.config
-        grid = voxelize(splats, config.compress.resolution)
-        cameras = canonical_cameras(splats, config.lrm)
-        rows = splats.torch(str(self.device))
-        views, seen = asset_views(rows, cameras, grid)
-        with self.arithmetic():
-            tokens = self.model.encode_views(views)
-        return tokens, rows, links_from_views(splats.means, cameras, seen, config.lrm.patch), self.model.groups(grid)
+        grid = voxelize(splats, self.model.config.compress.resolution)
+        tokens, links = asset_tokens(self, splats, grid)
+        return tokens, splats.torch(str(self.device)), links, self.model.groups(grid)
 
 
 def _decibels(difference: Tensor) -> float:

@@ -14,12 +14,13 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.models.encode import asset_views, canonical_cameras
+from splatpainter.models.gaussian_groups import TokenLinks, links_from_views
 from splatpainter.models.lrm import AssetViews
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.splats import Splats
 from splatpainter.train.loss import PictureLoss, PictureTarget, global_target, masked_psnr, scattered_depth
 from splatpainter.train.stages.task import Task, Verdict, draw, freeze, tensor
-from splatpainter.voxels.grid import voxelize
+from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
@@ -90,6 +91,16 @@ def input_views(model: SplatPainterModel, sample: Sample, device: torch.device) 
         )
     colors = tensor(sample.base.colors, device)[: config.views]
     return AssetViews(cameras, colors, center=grid.min_corner + grid.extent / 2, half_extent=grid.extent / 2)
+
+
+def asset_tokens(task: Task[SplatPainterModel], splats: Splats, grid: VoxelGrid) -> tuple[Tensor, TokenLinks]:
+    """What the task's LRM sees of an asset in its canonical views, and which token shows which Gaussian."""
+    config = task.model.config.lrm
+    cameras = canonical_cameras(splats, config)
+    views, seen = asset_views(splats.torch(str(task.device)), cameras, grid)
+    with task.arithmetic():
+        tokens = task.model.encode_views(views)
+    return tokens, links_from_views(splats.means, cameras, seen, config.patch)
 
 
 def truth(sample: Sample, device: torch.device) -> tuple[list[Camera], PictureTarget]:

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from splatpainter.cameras import Camera
+from splatpainter.data.recent import Recent
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit, lift_global_views, lift_local_views
 from splatpainter.lift.global_edit import Predict
@@ -23,15 +24,16 @@ from splatpainter.lift.surface import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit
-from splatpainter.models.encode import Encoded, asset_views, canonical_cameras, encode_asset
-from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks, links_from_views
+from splatpainter.models.encode import Encoded, encode_asset
+from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.models.predictor import predicting
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.train.loss import PictureLoss, PictureTarget, global_target, joined, local_target
 from splatpainter.train.report import figures
-from splatpainter.train.stages.task import Recent, Task, Verdict, draw, freeze, tensor
+from splatpainter.train.stages.lrm import asset_tokens
+from splatpainter.train.stages.task import Task, Verdict, draw, freeze, tensor
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 if TYPE_CHECKING:
@@ -175,19 +177,7 @@ class RefineTask(Task[SplatPainterModel]):
             return PreparedAsset(splats, grid, *self._aside(splats), encoded, None, None)
         if self.options.train_encoder == "all":
             return PreparedAsset(splats, grid, *self._aside(splats), None, None, None)
-        config = self.model.config.lrm
-        cameras = canonical_cameras(splats, config)
-        views, seen = asset_views(splats.torch(str(self.device)), cameras, grid)
-        with self.arithmetic():
-            tokens = self.model.encode_views(views)
-        return PreparedAsset(
-            splats,
-            grid,
-            *self._aside(splats),
-            None,
-            tokens,
-            links_from_views(splats.means, cameras, seen, config.patch),
-        )
+        return PreparedAsset(splats, grid, *self._aside(splats), None, *asset_tokens(self, splats, grid))
 
     def _aside(self, splats: Splats) -> tuple[np.ndarray, Predict | None]:
         normals = outward_normals(splats)

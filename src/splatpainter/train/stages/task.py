@@ -1,12 +1,11 @@
 """What the loop knows of a stage: `forward` gives a sample's losses, `judge` what validation says about it.
 
-Also here: what all stages do alike, such as drawing views and remembering what was computed of an object.
+Also here: what all stages do alike, such as drawing views.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -22,8 +21,6 @@ from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
-
-_Item = TypeVar("_Item")
 
 
 class Model(Protocol):
@@ -95,22 +92,6 @@ class Task(nn.Module, Generic[_Model]):
     def arithmetic(self) -> torch.autocast:
         """The context that the networks run in."""
         return autocast(self.device, self.precision)
-
-
-class Recent(Generic[_Item]):
-    """The last few things computed of objects, by key."""
-
-    def __init__(self, most: int) -> None:
-        self.most, self._items = most, OrderedDict[Any, _Item]()
-
-    def get(self, key: Any, make: Callable[[], _Item]) -> _Item:
-        """The item of the key, made now if it is not there."""
-        if key not in self._items:
-            self._items[key] = make()
-            while len(self._items) > self.most:
-                self._items.popitem(last=False)
-        self._items.move_to_end(key)
-        return self._items[key]
 
 
 def draw(splats: Splats, cameras: Sequence[Camera], device: torch.device) -> tuple[Tensor, Tensor]:
