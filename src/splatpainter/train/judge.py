@@ -323,7 +323,8 @@ def _edit_row(kind: str, views: int | None, group: Sequence[Finding], seed: int)
     counts = len({f.sample for f in group}), len({f.name for f in group})
     gain = float(np.mean([f.numbers["gain"] for f in group]))
     low, high = interval([f.numbers["gain"] for f in group], [f.name for f in group], seed) or (None, None)
-    return EditRow(kind, views, *counts, *means(""), gain, low, high, *means(" SSIM"), *means(" LPIPS-Alex"))
+    figures: list[Any] = [*means(""), gain, low, high, *means(" SSIM"), *means(" LPIPS-Alex")]
+    return EditRow(kind, views, *counts, *figures)
 
 
 def table(rows: Rows) -> str:
