@@ -98,7 +98,7 @@ def optimize(
     *,
     rows: np.ndarray | None = None,
     loss: Callable[[Tensor, TrainingView], Tensor] | None = None,
-    watch: Callable[[int, Callable[[], Splats]], None] | None = None,
+    watch: Callable[[int, Callable[[], Splats]], object] | None = None,
 ) -> Fitted:
     """Move rows so that renders match the views.
 
