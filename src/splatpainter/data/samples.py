@@ -99,8 +99,7 @@ class SampleStream:
         source has no good object at all."""
         if index < 0:
             raise IndexError(f"samples: expected an index from 0, got {index}")
-        block = index // self.recipe.steps_per_object
-        scene = self._scenes.get(block, lambda: self._make_scene(block))
+        scene = self._scene(index // self.recipe.steps_per_object)
         rng = self._generator("kind", index)
         weights = np.array(list(self.kinds.values()))
         kind = str(rng.choice(list(self.kinds), p=weights / weights.sum()))
@@ -137,6 +136,9 @@ class SampleStream:
         if kind == "plain":
             return edit_samples.plain(scene, spec, rng)
         return edit_samples.paint(scene, kind, spec, self.resources, rng)
+
+    def _scene(self, block: int) -> LitScene:
+        return self._scenes.get(block, lambda: self._make_scene(block))
 
     def _make_scene(self, block: int) -> LitScene:
         item, scale = self._object(block)
