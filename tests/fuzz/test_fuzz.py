@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from fuzz import mutations
-from fuzz.specimens import BAD_SEED
-from fuzz.supervisor import Plan, faults, run, summary
-from fuzz.target import make_target, names, refusal, rng_of
-from fuzz.worker import FIELDS, attempt, scratch_root
+from tests.fuzz import mutations
+from tests.fuzz.specimens import BAD_SEED
+from tests.fuzz.supervisor import Plan, faults, run, summary
+from tests.fuzz.target import make_target, names, refusal, rng_of
+from tests.fuzz.worker import FIELDS, attempt, scratch_root
 
 COUNTS = {"ply": 250, "text-ply": 250, "compressed-ply": 200, "splat": 250, "ksplat": 250, "spz": 150, "glb": 200}
 COUNTS |= {"sog": 120, "sog-folder": 80, "picture": 120, "project": 25, "verify": 150, "studio": 6}

@@ -479,7 +479,7 @@ def test_the_next_studio_sweeps_what_a_killed_one_left(tmp_path: Path, monkeypat
     first.blobs._scratch._lock._connection.close()  # type: ignore[union-attr]
     first.scratch._lock._connection.close()  # type: ignore[union-attr]
     first.session._project._db.close()
-    first.session._project._hold._connection.close()  # type: ignore[union-attr]
+    first.session._project._lock._connection.close()  # type: ignore[union-attr]
     (shared / ".x.splatproj.part").write_bytes(b"")
     (tmp_path / "own.splatproj").rename(tmp_path / "first.splatproj")
     second = make_studio(tmp_path, shared=shared)
