@@ -39,7 +39,7 @@ quick: .venv/installed-dev
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile -m 'not slow' $(QUICK)
-QUICK := tests/test_imports.py tests/test_docs.py tests/test_splats.py tests/test_cameras.py tests/io tests/rendering tests/lift tests/nn tests/voxels tests/session
+QUICK := tests/test_imports.py tests/test_names.py tests/test_docs.py tests/test_splats.py tests/test_cameras.py tests/test_transforms.py tests/test_color.py tests/lift tests/nn tests/voxels tests/session/test_layers.py
 
 docs: .venv/installed-dev
 	scripts/docs
