@@ -1,0 +1,148 @@
+"""An asset's Gaussians as samples of its surface, in a grid of several levels in which their neighbours are found.
+
+A Gaussian is a patch, not a point: its level is chosen by its length, so that a cell is at least twice as wide as the
+patches in it, and a query visits a few cells of every level whatever mixture of sizes the asset has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from splatpainter.splats import Splats
+from splatpainter.transforms import quat_to_matrix
+
+MIN_OPACITY = 0.02
+"""Fainter Gaussians say nothing about the surface."""
+MIN_FLATNESS_SCALE = 1e-3
+"""Shortest axis over longest, at least: flatter Gaussians count as this flat."""
+MAX_LEVELS = 24
+"""Cell sizes double from level to level: a range of 16 million."""
+CELL_BITS = 20
+"""Bits of a cell's index along each axis."""
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """M samples, sorted by (level, cell)."""
+
+    gaussian_ids: np.ndarray = field(repr=False)
+    """[M] int64 the asset's Gaussian that each is."""
+    means: np.ndarray = field(repr=False)
+    """[M, 3] float32, world units."""
+    axes: np.ndarray = field(repr=False)
+    """[M, 3, 3] float32 unit axes as rows, the longest first, the last one the (unsigned) normal."""
+    scales: np.ndarray = field(repr=False)
+    """[M, 3] float32 standard deviations along them, world units."""
+    opacities: np.ndarray = field(repr=False)
+    """[M] float32."""
+    keys: np.ndarray = field(repr=False)
+    """[M] int64 cell of each, ascending within a level: x, y, z of CELL_BITS bits each."""
+    level_starts: np.ndarray = field(repr=False)
+    """[L + 1] int64: samples of level l are level_starts[l] .. level_starts[l + 1]."""
+    cell_sizes: np.ndarray = field(repr=False)
+    """[L] float64 edges of the cells, world units."""
+    reaches: np.ndarray = field(repr=False)
+    """[L] float64 largest standard deviation in each level."""
+    min_corner: np.ndarray = field(repr=False)
+    """[3] float64."""
+
+    @staticmethod
+    def of(splats: Splats) -> SurfaceSamples:
+        """Of the Gaussians that can be drawn and are not nearly transparent. splats: numpy, float32."""
+        arrays = splats.numpy()
+        ids = np.flatnonzero(splats.drawable & (arrays.opacities >= MIN_OPACITY))
+        means = arrays.means[ids].astype(np.float32)
+        order = np.argsort(-arrays.scales[ids], axis=1, kind="stable")
+        scales = np.take_along_axis(arrays.scales[ids], order, 1).astype(np.float32)
+        scales = np.maximum(scales, np.maximum(MIN_FLATNESS_SCALE * scales[:, :1], np.float32(1e-30)))
+        axes = np.take_along_axis(quat_to_matrix(arrays.quats[ids]), order[:, None, :], 2).transpose(0, 2, 1)
+        if not len(ids):
+            none = np.zeros(0, np.int64)
+            return SurfaceSamples(
+                ids, means, np.ascontiguousarray(axes, np.float32), scales, np.zeros(0, np.float32), none,
+                np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros(3),
+            )  # fmt: skip
+        smallest = 2 * float(np.quantile(scales[:, 0], 0.1))
+        level = np.ceil(np.log2(np.maximum(2 * scales[:, 0].astype(np.float64) / smallest, 1)) - 1e-9)
+        level = np.clip(level, 0, MAX_LEVELS - 1).astype(np.int64)
+        # Far outliers share the outermost cells: indices are clamped, which finds a few neighbours too many there.
+        corner = np.quantile(means, 0.001, axis=0).astype(np.float64)
+        corner -= smallest * (1 << (CELL_BITS - 2))
+        cells = np.floor((means.astype(np.float64) - corner) / (smallest * 2.0**level)[:, None])
+        cells = np.clip(cells, 0, (1 << CELL_BITS) - 1).astype(np.int64)
+        keys = (cells[:, 0] << 2 * CELL_BITS) | (cells[:, 1] << CELL_BITS) | cells[:, 2]
+        rank = np.lexsort((keys, level))
+        level, scales = level[rank], scales[rank]
+        present = np.unique(level)
+        starts = np.append(np.searchsorted(level, present), len(level))
+        return SurfaceSamples(
+            gaussian_ids=ids[rank],
+            means=means[rank],
+            axes=np.ascontiguousarray(axes[rank], np.float32),
+            scales=scales,
+            opacities=arrays.opacities[ids][rank].astype(np.float32),
+            keys=keys[rank],
+            level_starts=starts.astype(np.int64),
+            cell_sizes=smallest * 2.0**present,
+            reaches=np.maximum.reduceat(scales[:, 0], starts[:-1]).astype(np.float64),
+            min_corner=corner,
+        )
+
+    def __len__(self) -> int:
+        return len(self.gaussian_ids)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def first_not_below(keys, low, high, key):
+    """Index of the first of keys[low:high] (ascending) that is >= key; `high` where none is."""
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def cell_range(position, radius, corner, size):
+    """First and last cell index along one axis within `radius` of a position, clamped to what keys can hold."""
+    top = float((1 << 20) - 1)
+    low = (position - radius - corner) / size
+    high = (position + radius - corner) / size
+    low = min(max(low, 0.0), top) if low == low else 0.0
+    high = min(max(high, 0.0), top) if high == high else 0.0
+    return int(low), int(high)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def gather(keys, level_starts, cell_sizes, reaches, corner, means, scales, point, window, sigmas, out):
+    """Indices of samples whose patch, widened by `window` (world units), reaches a point [3] within `sigmas` standard
+    deviations of its longest axis, into `out`; returns their number, or len(out) + 1 where they do not fit."""
+    count = 0
+    for level in range(cell_sizes.shape[0]):
+        size = cell_sizes[level]
+        radius = sigmas * (reaches[level] ** 2 + window * window) ** 0.5
+        x0, x1 = cell_range(point[0], radius, corner[0], size)
+        y0, y1 = cell_range(point[1], radius, corner[1], size)
+        z0, z1 = cell_range(point[2], radius, corner[2], size)
+        for x in range(x0, x1 + 1):
+            for y in range(y0, y1 + 1):
+                row = (x << 40) | (y << 20)
+                i = first_not_below(keys, level_starts[level], level_starts[level + 1], row | z0)
+                last = row | z1
+                while i < level_starts[level + 1] and keys[i] <= last:
+                    dx = float(means[i, 0]) - point[0]
+                    dy = float(means[i, 1]) - point[1]
+                    dz = float(means[i, 2]) - point[2]
+                    reach = float(scales[i, 0])
+                    if dx * dx + dy * dy + dz * dz < sigmas * sigmas * (reach * reach + window * window):
+                        if count == out.shape[0]:
+                            return count + 1
+                        out[count] = i
+                        count += 1
+                    i += 1
+    return count

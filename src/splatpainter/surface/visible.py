@@ -1,0 +1,263 @@
+"""The surface that one view sees: depth, normal and trust at any pixel, from planes on a lattice of pixels.
+
+Knows the asset's surface and one projected view; no picture and no paint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from splatpainter.cameras import Camera
+from splatpainter.kernels.parallel import run
+from splatpainter.rendering.cpu.geometry import (
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    EXTENT_X,
+    EXTENT_Y,
+    MEAN_X,
+    MEAN_Y,
+    OPACITY,
+)
+from splatpainter.rendering.cpu.projected_view import ProjectedView
+from splatpainter.splats import Splats
+from splatpainter.surface.estimate import Surface
+from splatpainter.transforms import quat_to_matrix
+
+STOPPED_LIGHT = 0.5
+"""A line of sight meets the surface where this much of its light has been stopped."""
+MAX_STEP_PX = 4
+"""Largest spacing of the lattice, pixels."""
+STEP_WIDTHS = 0.7
+"""Spacing of the lattice in widths of the Gaussians that are seen."""
+WINDOW_WIDTHS = 1.3
+"""First window in widths of the Gaussian that is seen."""
+MIN_WINDOW_PX = 1.5
+"""... and in pixels, at least."""
+MAX_RESIDUAL = 0.45
+"""rms distance of patches from the surface, in windows, from which it is not trusted."""
+MIN_PATCHES = 3.0
+"""Effective number of patches from which it is."""
+MAX_DISAGREEMENT = 0.6
+"""Distance between a plane and its neighbour's, in windows, up to which both are one surface."""
+MIN_AGREEING = 3
+"""Of a lattice point's eight neighbours: those that must lie on its plane."""
+
+
+@dataclass(frozen=True)
+class VisibleSurface:
+    """Planes at L lattice points of a view, in its camera space."""
+
+    camera: Camera
+    step: int
+    """Pixels between lattice points."""
+    index: np.ndarray = field(repr=False)
+    """[LH, LW] int32 plane of each block of step x step pixels, -1: none."""
+    points: np.ndarray = field(repr=False)
+    """[L, 3] float64 on the surface, camera space."""
+    normals: np.ndarray = field(repr=False)
+    """[L, 3] float64 unit, towards the camera."""
+    windows: np.ndarray = field(repr=False)
+    """[L] float64 world units."""
+    residuals: np.ndarray = field(repr=False)
+    """[L] float64 in windows."""
+    trusted: np.ndarray = field(repr=False)
+    """[L] bool: enough patches, close to one surface that neighbours share."""
+
+    def at(self, pixels: np.ndarray) -> PixelSurface:
+        """At Q places of the picture. pixels: [Q, 2] float64 x, y (centres at .5)."""
+        out = np.zeros((len(pixels), 6))
+        rays = np.stack(
+            [(pixels[:, 0] - self.camera.cx) / self.camera.fx, (pixels[:, 1] - self.camera.cy) / self.camera.fy], 1
+        )
+        planes = (self.index, self.step, self.points, self.normals, self.windows, self.residuals, self.trusted)
+        if len(pixels) and len(self.points):
+            run(_interpolate, *planes, np.ascontiguousarray(pixels, np.float64), rays, out)
+        return PixelSurface(out[:, 0], out[:, 1:4], out[:, 4], out[:, 5])
+
+
+@dataclass(frozen=True)
+class PixelSurface:
+    """Of Q pixels."""
+
+    depth: np.ndarray = field(repr=False)
+    """[Q] float64 z, 0 where no trusted surface is."""
+    normals: np.ndarray = field(repr=False)
+    """[Q, 3] float64 unit, camera space."""
+    windows: np.ndarray = field(repr=False)
+    """[Q] float64 world units."""
+    residuals: np.ndarray = field(repr=False)
+    """[Q] float64 world units."""
+
+
+def visible_surface(surface: Surface, splats: Splats, view: ProjectedView, pixels: np.ndarray) -> VisibleSurface:
+    """What a view sees of the surface at some pixels ([H, W] bool, of drawn tiles). splats: what the view was projected
+    from (edited or not); surface: of the original."""
+    camera = view.camera
+    entry = np.full(pixels.shape, -1, np.int32)
+    lists = (view.projected, view.flatten_ids, view.tile_ids, view.isect_offsets)
+    run(_front_entries, *lists, np.ascontiguousarray(pixels), np.float32(STOPPED_LIGHT), entry)
+    step = _lattice_step(splats, view, entry)
+    xs, ys, index = _lattice(entry, step)
+    ids = view.gaussian_ids[entry[ys, xs]]
+    pixel = np.stack([xs, ys], 1) + 0.5
+    rays = np.stack([(pixel[:, 0] - camera.cx) / camera.fx, (pixel[:, 1] - camera.cy) / camera.fy, np.ones(len(xs))], 1)
+    depth, width = _front_depths(splats.take(ids), camera, rays)
+    rotation, position = camera.world_to_camera[:3, :3], camera.position
+    starts = (rays * depth[:, None] - camera.world_to_camera[:3, 3]) @ rotation
+    lengths = np.linalg.norm(rays, axis=1)
+    directions = (rays / lengths[:, None]) @ rotation
+    window = np.maximum(WINDOW_WIDTHS * width, MIN_WINDOW_PX * depth / camera.fx)
+    # An edited Gaussian may be far smaller than the surface's own patches; those decide.
+    window = np.maximum(window, 0.25 * surface.typical_width)
+    result = surface.at(starts, directions, window)
+    local = result.points @ rotation.T + camera.world_to_camera[:3, 3]
+    normals = result.normals @ rotation.T
+    moved = np.abs(((result.points - starts) * directions).sum(1))
+    sound = (
+        (result.patches >= MIN_PATCHES)
+        & (result.residuals < MAX_RESIDUAL)
+        & (local[:, 2] > 0)
+        & (moved < 2.5 * result.windows)
+    )
+    trusted = sound & (_agreeing(index, local, normals, result.windows, sound) >= MIN_AGREEING)
+    del position
+    return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted)
+
+
+def _lattice_step(splats: Splats, view: ProjectedView, entry: np.ndarray) -> int:
+    seen = np.unique(entry[entry >= 0])
+    if not len(seen):
+        return 1
+    scales = np.sort(splats.scales[view.gaussian_ids[seen]], 1)
+    widths = np.sqrt(scales[:, 1] * scales[:, 2]) * view.camera.fx / np.maximum(view.depths[seen], 1e-9)
+    return int(np.clip(STEP_WIDTHS * np.median(widths), 1, MAX_STEP_PX))
+
+
+def _lattice(entry: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(xs [L], ys [L] one pixel with a surface per block, the one nearest to its centre; index [LH, LW] int32)."""
+    height, width = entry.shape
+    rows, columns = -(-height // step), -(-width // step)
+    padded = np.full((rows * step, columns * step), -1, np.int32)
+    padded[:height, :width] = entry
+    blocks = padded.reshape(rows, step, columns, step).transpose(0, 2, 1, 3).reshape(rows, columns, step * step)
+    dy, dx = np.divmod(np.arange(step * step), step)
+    order = np.argsort((dy - (step - 1) / 2) ** 2 + (dx - (step - 1) / 2) ** 2, kind="stable")
+    valid = blocks[..., order] >= 0
+    first = order[valid.argmax(-1)]
+    y, x = np.nonzero(valid.any(-1))
+    index = np.full((rows, columns), -1, np.int32)
+    index[y, x] = np.arange(len(y))
+    return x * step + dx[first[y, x]], y * step + dy[first[y, x]], index
+
+
+def _front_depths(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """([Q] z-depth at which each Gaussian is densest along its ray, [Q] its width sqrt(s1 s2), world units)."""
+    turn = camera.world_to_camera[:3, :3]
+    mean = splats.means.astype(np.float64) @ turn.T + camera.world_to_camera[:3, 3]
+    axes = np.einsum("ij,njk->nik", turn, quat_to_matrix(splats.quats.astype(np.float64)))  # columns
+    scales = splats.scales.astype(np.float64)
+    scales = np.maximum(scales, 1e-3 * scales.max(1, keepdims=True))
+    along = np.einsum("nik,ni->nk", axes, rays) / scales
+    offset = np.einsum("nik,ni->nk", axes, mean) / scales
+    depth = (along * offset).sum(1) / np.maximum((along**2).sum(1), 1e-300)
+    reach = 2 * scales.max(1)
+    ordered = np.sort(scales, 1)
+    return np.clip(depth, mean[:, 2] - reach, mean[:, 2] + reach), np.sqrt(ordered[:, 1] * ordered[:, 2])
+
+
+def _agreeing(index, points, normals, windows, sound) -> np.ndarray:
+    """[L] int how many of a lattice point's eight neighbours lie on its plane, as it lies on theirs."""
+    out = np.zeros(len(points), int)
+    height, width = index.shape
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            if not (dy or dx):
+                continue
+            here = index[max(dy, 0) : height + min(dy, 0), max(dx, 0) : width + min(dx, 0)]
+            there = index[max(-dy, 0) : height + min(-dy, 0), max(-dx, 0) : width + min(-dx, 0)]
+            pair = (here >= 0) & (there >= 0)
+            a, b = here[pair], there[pair]
+            way = points[b] - points[a]
+            limit = MAX_DISAGREEMENT * np.minimum(windows[a], windows[b])
+            close = (np.abs((way * normals[a]).sum(1)) < limit) & (np.abs((way * normals[b]).sum(1)) < limit)
+            out[a] += close & sound[b]
+    return out
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _front_entries(projected, flatten_ids, tile_ids, isect_offsets, pixels, share, entry, thread, threads):
+    """Walk each pixel's Gaussians front to back until `share` of the light is stopped; note the one that stops it."""
+    height, width = pixels.shape
+    across = (width + 15) // 16
+    for k in range(thread, tile_ids.shape[0], threads):
+        y0, x0 = (tile_ids[k] // across) * 16, (tile_ids[k] % across) * 16
+        for y in range(y0, min(y0 + 16, height)):
+            for x in range(x0, min(x0 + 16, width)):
+                if not pixels[y, x]:
+                    continue
+                clear = np.float32(1)
+                for p in range(isect_offsets[k], isect_offsets[k + 1]):
+                    i = flatten_ids[p]
+                    dx = projected[i, MEAN_X] - (np.float32(x) + np.float32(0.5))
+                    dy = projected[i, MEAN_Y] - (np.float32(y) + np.float32(0.5))
+                    if abs(dy) > projected[i, EXTENT_Y] or abs(dx) > projected[i, EXTENT_X]:
+                        continue
+                    sigma = projected[i, CONIC_A] * dx * dx + projected[i, CONIC_C] * dy * dy
+                    sigma = np.float32(0.5) * sigma + projected[i, CONIC_B] * dx * dy
+                    alpha = min(np.float32(0.999), projected[i, OPACITY] * np.exp(-max(sigma, np.float32(0))))
+                    if alpha < np.float32(1 / 255):
+                        continue
+                    clear -= alpha * clear
+                    if 1 - clear >= share:
+                        entry[y, x] = i
+                        break
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _interpolate(index, step, points, normals, windows, residuals, trusted, pixels, rays, out, thread, threads):
+    """Depths and normals of the planes around each pixel, by distance in the picture, of those that agree."""
+    height, width = index.shape
+    for q in range(thread, pixels.shape[0], threads):
+        px, py = pixels[q, 0] / step, pixels[q, 1] / step
+        bx, by = int(min(max(px, 0.0), width - 1.0)), int(min(max(py, 0.0), height - 1.0))
+        anchor = index[by, bx]
+        if anchor < 0 or not trusted[anchor]:
+            continue
+        z0, h0 = 0.0, windows[anchor]
+        for turn in range(2):
+            total, z, nx, ny, nz, h, r = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for y in range(max(by - 1, 0), min(by + 2, height)):
+                for x in range(max(bx - 1, 0), min(bx + 2, width)):
+                    k = index[y, x]
+                    if k < 0 or not trusted[k] or (turn == 0 and k != anchor):
+                        continue
+                    slope = rays[q, 0] * normals[k, 0] + rays[q, 1] * normals[k, 1] + normals[k, 2]
+                    if not slope < -0.05:
+                        continue
+                    depth = points[k, 0] * normals[k, 0] + points[k, 1] * normals[k, 1] + points[k, 2] * normals[k, 2]
+                    depth /= slope
+                    if not abs(depth - points[k, 2]) < 3.0 * windows[k]:
+                        continue
+                    if turn == 1 and not abs(depth - z0) * -slope < 0.5 * h0:
+                        continue
+                    dx, dy = x + 0.5 - px, y + 0.5 - py
+                    w = np.exp(-(dx * dx + dy * dy) / 0.7)
+                    total += w
+                    z += w * depth
+                    nx += w * normals[k, 0]
+                    ny += w * normals[k, 1]
+                    nz += w * normals[k, 2]
+                    h += w * windows[k]
+                    r += w * residuals[k] * windows[k]
+            if not total > 0.0:
+                break
+            z0 = z / total
+            if turn == 1:
+                scale = 1.0 / max((nx * nx + ny * ny + nz * nz) ** 0.5, 1e-30)
+                out[q, 0] = z0
+                out[q, 1], out[q, 2], out[q, 3] = nx * scale, ny * scale, nz * scale
+                out[q, 4], out[q, 5] = h / total, r / total
