@@ -6,6 +6,9 @@ light. In the pictures of that side and its two neighbours, square windows of a 
 of Gaussians, height, and how squarely the surface faces the camera; the camera moves up to the best ones along the same
 line of sight, and the view with the best rating times the fourth power of its filled part is taken. Nothing is random:
 the same asset gives the same view.
+
+A grazing close-up, where edits are hardest, is one of these windows with the camera walked around it until most of the
+surface in the picture's middle is seen at 60 to 75 degrees from its normal.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from splatpainter.cameras import Camera, look_at, orbit
@@ -32,6 +36,18 @@ UPPER_PART_HEIGHT = 0.12
 """What counts as the upper part: above the bounding cube's middle by this share of its edge."""
 WINDOWS_PER_SIDE = 8
 """Windows of each size that are tried as close-ups."""
+GRAZING_DEGREES = (60.0, 75.0)
+"""Between line of sight and normal of what a grazing close-up shows: from, to."""
+GRAZING_TURNS = (15.0, 30.0, 45.0, 60.0, 75.0)
+"""Degrees by which the camera walks around a window, to either side, in looking for a grazing one."""
+GRAZING_WINDOWS = 3
+"""Windows of each size that are tried so."""
+MIN_GRAZING_FILLED = 0.5
+"""Part of a grazing close-up's middle that is surface, and of the middle of that which is seen at this angle."""
+MAX_TARGET_OFFSET = 0.1
+"""Between the depth of a window's middle and that of the surface that is seen there, of that depth."""
+DEPTH_MEDIAN_PX = 5
+"""Takes single Gaussians out of the depth from which normals are read."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +61,8 @@ class Closeup:
     """[3] unit vector that points up in the picture."""
     filled: float
     """Part of the picture that the surface covers, 0..1."""
+    front_turn: float = -1.0
+    """Sign of the azimuth in which the surface turns to the camera; -1, left, where it faces it already."""
 
     def turned(self, azimuth: float, elevation: float = 0.0) -> Camera:
         """The target seen from another side at the same distance; degrees about and above it."""
@@ -65,23 +83,98 @@ def closeup(
     """The best-rated close-up, size x size pixels. up: [3], by default `default_up`. Raises ValueError when no part of
     the asset is opaque enough to paint on."""
     axis = default_up(splats) if up is None else np.asarray(up, np.float64)
+    best, best_rating = None, 0.0
+    for window in _best_windows(splats, axis, WINDOWS_PER_SIDE):
+        camera = _aimed(window.target + window.eye, window.target, axis, OVERVIEW_PX, background)
+        filled = _filled(splats, camera)
+        rating = window.score * filled**4
+        if rating > best_rating:
+            best, best_rating = Closeup(camera.resized(size, size), window.target, axis, filled), rating
+    if best is not None:
+        return best
+    raise ValueError("closeup: found no part of the asset that fills a view; it is too small or too transparent")
+
+
+def grazing_closeup(
+    splats: Splats,
+    size: int = 512,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    up: np.ndarray | None = None,
+) -> Closeup:
+    """The close-up whose middle shows most surface at GRAZING_DEGREES, by the same windows as `closeup`; arguments as
+    there. Raises ValueError when no view shows enough of it so."""
+    axis = default_up(splats) if up is None else np.asarray(up, np.float64)
+    best, best_rating = None, 0.0
+    for window in _best_windows(splats, axis, GRAZING_WINDOWS):
+        start = Closeup(
+            _aimed(window.target + window.eye, window.target, axis, OVERVIEW_PX, background), window.target, axis, 1.0
+        )
+        for turn in (sign * degrees for degrees in GRAZING_TURNS for sign in (-1, 1)):
+            camera = start.turned(turn)
+            filled, grazing = _grazing_share(splats, camera, window.target)
+            rating = window.score * grazing**2
+            if filled >= MIN_GRAZING_FILLED and rating > best_rating:
+                best_rating = rating
+                best = Closeup(camera.resized(size, size), window.target, axis, filled, -float(np.sign(turn)))
+    if best is not None:
+        return best
+    raise ValueError("closeup: no view shows enough of the asset at a grazing angle")
+
+
+@dataclass(frozen=True)
+class ViewAngles:
+    """How a view sees the surface, H x W pixels."""
+
+    degrees: np.ndarray
+    """[H, W] between the line of sight and the normal, from smoothed depth."""
+    valid: np.ndarray
+    """[H, W] bool: opaque, with opaque neighbours."""
+    depth: np.ndarray
+    """[H, W] smoothed z-depth, world units."""
+
+    @staticmethod
+    def of(splats: Splats, camera: Camera) -> ViewAngles:
+        from splatpainter.rendering.cpu.projected_view import project
+
+        _, alpha, expected = project(splats, camera).rasterize()
+        depth = ndimage.median_filter(expected, DEPTH_MEDIAN_PX, mode="nearest")
+        points = camera.unproject(depth)
+        normals = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+        normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+        sight = points - camera.position
+        sight /= np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-12)
+        degrees = np.degrees(np.arccos(np.clip(np.abs((normals * sight).sum(-1)), 0, 1)))
+        return ViewAngles(degrees, ndimage.minimum_filter(alpha > 0.9, 3), depth)
+
+
+def _grazing_share(splats: Splats, camera: Camera, target: np.ndarray) -> tuple[float, float]:
+    """(part of the picture's middle half, each way, that is surface; part of it seen at GRAZING_DEGREES); zeros where
+    something hides the target [3], the middle of the picture, or the surface just there is seen otherwise."""
+    angles = ViewAngles.of(splats, camera)
+    half, quarter = camera.height // 2, camera.height // 4
+    if abs(angles.depth[half, half] / camera.to_camera(target)[2] - 1) > MAX_TARGET_OFFSET:
+        return 0.0, 0.0
+    middle = (slice(quarter, camera.height - quarter),) * 2
+    core = (slice(half - quarter // 2, half + quarter // 2),) * 2
+    low, high = GRAZING_DEGREES
+    grazing = angles.valid & (angles.degrees >= low) & (angles.degrees <= high)
+    if grazing[core].mean() < MIN_GRAZING_FILLED:
+        return 0.0, 0.0
+    return float(angles.valid[middle].mean()), float(grazing[middle].mean())
+
+
+def _best_windows(splats: Splats, axis: np.ndarray, count: int) -> list[_Window]:
+    """`count` of each size, best first, of the asset's front and the two sides beside it."""
     ring = [_Overview(splats, camera, axis) for camera in _ring(splats, axis, ELEVATIONS[0])]
     front = int(np.argmax([overview.richness for overview in ring]))
     near = [(front + step) % AZIMUTHS for step in (0, 1, -1)]
     high = _ring(splats, axis, ELEVATIONS[1])
     chosen = [ring[k] for k in near] + [_Overview(splats, high[k], axis) for k in near]
-    best, best_rating = None, 0.0
+    best = []
     for part in WINDOW_SIDES:  # some of each size: the largest would crowd out what fits a narrow asset
         windows = [window for overview in chosen for window in overview.windows(part)]
-        for window in sorted(windows, key=lambda window: -window.score)[:WINDOWS_PER_SIDE]:
-            camera = _aimed(window.target + window.eye, window.target, axis, OVERVIEW_PX, background)
-            filled = _filled(splats, camera)
-            rating = window.score * filled**4
-            if rating > best_rating:
-                best, best_rating = Closeup(camera.resized(size, size), window.target, axis, filled), rating
-    if best is not None:
-        return best
-    raise ValueError("closeup: found no part of the asset that fills a view; it is too small or too transparent")
+        best += sorted(windows, key=lambda window: -window.score)[:count]
+    return best
 
 
 def default_up(splats: Splats) -> np.ndarray:

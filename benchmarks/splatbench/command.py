@@ -21,6 +21,7 @@ from splatpainter.commands.terminal import PROGRAM, complain, watched
 MEASUREMENTS = {
     "speed": "time and peak memory of every stage, on scenes of several sizes",
     "lift": "quality of local edits on given assets, with a contact sheet",
+    "painted": "quality of paint on held-out meshes, in novel views, against the painted surface",
     "studio": "what an artist waits for in the studio, and its server's memory",
 }
 TABLES = {
@@ -194,12 +195,13 @@ class JsonOption:
 
 
 def measure(name: str, words: Sequence[str]) -> Outcome:
-    """speed, lift or studio. Raises ValueError for words and files that make no sense."""
+    """speed, lift, painted or studio. Raises ValueError for words and files that make no sense."""
     from splatpainter.text_tables import markdown
 
     module_name, options_name = {
         "speed": ("speed", "SpeedBench"),
         "lift": ("local_edits", "LiftBench"),
+        "painted": ("painted", "PaintedBench"),
         "studio": ("studio", "StudioBench"),
     }[name]
     try:

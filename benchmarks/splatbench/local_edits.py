@@ -1,7 +1,8 @@
 """`bench lift`: local edits on real assets, as a person would make them: how well, how cleanly, how fast, and proven.
 
 Every asset is converted to PLY, seen close up (closeups.py), painted with text and a brush stroke, and edited through
-`Painter.apply`; the result is written, read again and verified against the original.
+`Painter.apply`; the result is written, read again and verified against the original. The same paint is put a second
+time where the surface is seen at a grazing angle, the hardest place for an edit.
 """
 
 from __future__ import annotations
@@ -11,27 +12,30 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from tyro.conf import Positional, arg
 
 from splatbench import scenes
-from splatbench.closeups import Closeup, closeup
+from splatbench.closeups import Closeup, closeup, grazing_closeup
 from splatbench.reprojection import reproject, surface_depth
 from splatbench.timing import machine, measure
 from splatpainter import text_tables as tables
 from splatpainter.cameras import Camera
 from splatpainter.contact_sheet import Strip, error_map, sheet, write_sheet
 from splatpainter.image_files import to_uint8
-from splatpainter.painter import Asset, Edit, Painter
+from splatpainter.painter import Asset, Edit, Method, Painter
 from splatpainter.receipts import score
 from splatpainter.sources.drawing import over, solid_layer
 from splatpainter.splats import Splats
 
 BACKGROUND = (0.33, 0.35, 0.37)
 OTHER_VIEWS = (("20° left", -20.0, 0.0), ("40° right", 40.0, 0.0), ("15° higher", 0.0, 15.0))
-"""(label, azimuth, elevation) of the other views."""
+"""(label, azimuth, elevation) of the other views that are scored."""
+SHEET_TURNS = (20.0, 40.0, 60.0)
+"""Degrees to the left (of grazing close-ups: to the side on which the surface turns to the camera) of the views that
+are shown."""
 GOALS = "Goals: inside at least 28 dB, outside at least 38 dB, every untouched Gaussian exact."
 NOTES = (
     GOALS,
@@ -40,7 +44,9 @@ NOTES = (
     "right and 15° higher (mean, and worst), against the paint moved there through the surface's depth. `split inside` "
     "and `split outside`: Gaussians split as for the edit but no colour changed, after against before. `exact`: the "
     "edited PLY was read again, and every Gaussian that the receipt does not list has its bytes. Setup: reading the "
-    "PLY and making the voxel grid; edit: the whole of `Painter.apply`, median.",
+    "PLY and making the voxel grid; edit: the whole of `Painter.apply`, median. `grazing inside` and `grazing novel`: "
+    "the same paint where the surface is seen at 60 to 75 degrees from its normal, there and 20°, 40° and 60° to the "
+    "side on which it turns to the camera (mean).",
 )
 
 
@@ -68,6 +74,8 @@ class LiftBench:
     """Edits that are timed, for the median."""
     preset: str = "lift"
     """The painter: "lift", or a preset or folder of weights to compare with it (method ttt)."""
+    method: Literal["auto", "lift", "fit", "ttt"] | None = None
+    """Of the edits; none: lift, with a preset of weights ttt."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +102,8 @@ class Lift:
     exact: bool
     setup_seconds: float
     edit_seconds: float
+    grazing_inside: float | None
+    grazing_novel: float | None
 
 
 def run(config: LiftBench, report: Callable[[str], None] | None = None) -> list[Lift]:
@@ -111,14 +121,15 @@ def run(config: LiftBench, report: Callable[[str], None] | None = None) -> list[
     where = machine()
     ensure_compiled()
     config.out.mkdir(parents=True, exist_ok=True)
-    lines, strips = [], []
+    lines: list[Lift] = []
+    strips: list[Strip] = []
     for path, name in zip(paths, _names(paths), strict=True):
-        line, strip = measure_asset(path, name, config)
+        line, pictures = measure_asset(path, name, config)
         lines.append(line)
-        strips.append(strip)
-        write_sheet(config.out / f"{line.asset}.png", sheet([strip], config.size))
+        strips += pictures
+        write_sheet(config.out / f"{line.asset}.png", sheet(pictures, config.size))
         if report:
-            report(strip.caption)
+            report(pictures[0].caption)
     write_sheet(config.out / "sheet.png", sheet(strips, min(config.size, 288), where))
     tables.write_csv(config.out / "lift.csv", lines, where)
     tables.write_markdown(config.out / "lift.md", lines, where, NOTES)
@@ -159,8 +170,8 @@ def _names(paths: Sequence[Path | None]) -> list[str]:
     return [stem if path is None or stems.count(stem) == 1 else path.name for path, stem in pairs]
 
 
-def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift, Strip]:
-    """Paint, edit, score and verify one asset; None: the demo asset."""
+def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift, list[Strip]]:
+    """Paint, edit, score and verify one asset; None: the demo asset. Strips: the close-up's, the grazing one's."""
     from splatpainter.demo_asset import demo_asset
     from splatpainter.io import read, write
 
@@ -170,17 +181,13 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         ply = Path(folder) / "original.ply"
         write(ply, source)
         painter = Painter.load(config.preset)
-        method = "lift" if painter.model is None else "ttt"
+        method = config.method or ("lift" if painter.model is None else "ttt")
         start = time.perf_counter()
         asset = painter.encode(read(ply), method)
         assert asset.grid is not None
         setup = time.perf_counter() - start
         before = AssetViews(asset.splats, view)
-        layers = painted_layers(before.images[0], before.covers[0], config)
-        edited = before.images[0]
-        for layer in layers:
-            edited = over(edited, layer)
-        edit = Edit(to_uint8(edited), view.camera)
+        edit, layers = painted_edit(before, config)
         results: list[Asset] = []
         timing = measure(
             lambda: results.append(painter.apply(asset, [edit], method=method)),
@@ -190,23 +197,79 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
         )
         painted = results[0]
         exact = _verified(painted, ply, Path(folder) / "edited.ply")
-    after = AssetViews(painted.splats, view)
-    return _scored(name, asset, painted, exact, edit, layers, before, after, (setup, timing.seconds))
+    grazing = _grazing(source, asset, painter, method, config)
+    line = _scored(name, asset, painted, exact, edit, layers, before, view, (setup, timing.seconds), grazing)
+    strips = [Strip(_caption(line, method), _cells(edit, painted.splats, view))]
+    if grazing.cells:
+        strips.append(Strip(f"{name}, grazing: {_grazing_caption(line)}", grazing.cells))
+    return line, strips
 
 
 class AssetViews:
     """The close-up of an asset and the other views, drawn."""
 
-    def __init__(self, splats: Splats, view: Closeup) -> None:
+    def __init__(self, splats: Splats, view: Closeup, others: Sequence[tuple[float, float]] | None = None) -> None:
+        """others: (azimuth, elevation), by default OTHER_VIEWS."""
         from splatpainter.rendering import render
 
-        self.cameras: list[Camera] = [view.camera, *(view.turned(azimuth, rise) for _, azimuth, rise in OTHER_VIEWS)]
+        turns = [other[1:] for other in OTHER_VIEWS] if others is None else others
+        self.cameras: list[Camera] = [view.camera, *(view.turned(azimuth, rise) for azimuth, rise in turns)]
         self.filled = view.filled
         renders = render(splats, self.cameras)
         self.images = np.clip(renders.colors, 0, 1)
         """[C, H, W, 3]"""
         self.covers = renders.alphas[..., 0]
         """[C, H, W]"""
+
+
+@dataclass(frozen=True)
+class Grazing:
+    """The edit of the grazing close-up."""
+
+    inside: float | None = None
+    novel: float | None = None
+    cells: tuple[tuple[str, np.ndarray], ...] = ()
+    """Empty: the asset has no such view."""
+
+
+def _grazing(source: Splats, asset: Asset, painter: Painter, method: Method, config: LiftBench) -> Grazing:
+    try:
+        view = grazing_closeup(source, config.size, BACKGROUND)
+    except ValueError:
+        return Grazing()
+    turns = _sheet_turns(view)
+    before = AssetViews(asset.splats, view, turns)
+    edit, layers = painted_edit(before, config)
+    try:
+        painted = painter.apply(asset, [edit], method=method)
+    except ValueError:  # too little of it is solid
+        return Grazing()
+    assert painted.receipt is not None
+    inside, _ = _novel(asset.splats, layers, before, AssetViews(painted.splats, view, turns))
+    cells = _cells(edit, painted.splats, view)
+    return Grazing(painted.receipt.views[0].psnr_after, float(np.mean(inside)) if inside else None, cells)
+
+
+def _sheet_turns(view: Closeup) -> list[tuple[float, float]]:
+    return [(view.front_turn * degrees, 0.0) for degrees in SHEET_TURNS]
+
+
+def painted_edit(before: AssetViews, config: LiftBench) -> tuple[Edit, list[np.ndarray]]:
+    """The close-up with paint on it, and the layers of the paint."""
+    layers = painted_layers(before.images[0], before.covers[0], config)
+    edited = before.images[0]
+    for layer in layers:
+        edited = over(edited, layer)
+    return Edit(to_uint8(edited), before.cameras[0]), layers
+
+
+def _cells(edit: Edit, painted: Splats, view: Closeup) -> tuple[tuple[str, np.ndarray], ...]:
+    """The edited picture, the edited asset from there and from SHEET_TURNS, and the error."""
+    after = AssetViews(painted, view, _sheet_turns(view))
+    way = "left" if view.front_turn < 0 else "right"
+    labels = ["after", *(f"after, {degrees:.0f}° {way}" for degrees in SHEET_TURNS)]
+    error = ("error (white: 0.25)", error_map(after.images[0], edit.image))
+    return (("edited picture", edit.image), *zip(labels, after.images, strict=True), error)
 
 
 def painted_layers(image: np.ndarray, cover: np.ndarray, config: LiftBench) -> list[np.ndarray]:
@@ -243,14 +306,15 @@ def _scored(
     edit: Edit,
     layers: Sequence[np.ndarray],
     before: AssetViews,
-    after: AssetViews,
+    closeup_view: Closeup,
     seconds: tuple[float, float],
-) -> tuple[Lift, Strip]:
+    grazing: Grazing,
+) -> Lift:
     receipt = painted.receipt
     assert receipt is not None
     view = receipt.views[0]
-    inside, outside = _novel(asset.splats, layers, before, after)
-    line = Lift(
+    inside, outside = _novel(asset.splats, layers, before, AssetViews(painted.splats, closeup_view))
+    return Lift(
         asset=name,
         rows=len(asset.splats),
         sh_degree=asset.splats.sh_degree,
@@ -268,17 +332,19 @@ def _scored(
         exact=exact,
         setup_seconds=seconds[0],
         edit_seconds=seconds[1],
+        grazing_inside=grazing.inside,
+        grazing_novel=grazing.novel,
     )
-    cells = [("view", before.images[0]), ("edited picture", edit.image), ("after", after.images[0])]
-    cells += [(f"after, {label}", after.images[k + 1]) for k, (label, _, _) in enumerate(OTHER_VIEWS)]
-    cells.append(("error (white: 0.25)", error_map(after.images[0], edit.image)))
-    return line, Strip(_caption(line), tuple(cells))
 
 
-def _caption(line: Lift) -> str:
+def _grazing_caption(line: Lift) -> str:
+    return f"inside {_db(line.grazing_inside)}, other views {_db(line.grazing_novel)} dB"
+
+
+def _caption(line: Lift, method: Method) -> str:
     proof = "the rest exact" if line.exact else "UNTOUCHED GAUSSIANS DIFFER"
     return (
-        f"{line.asset}, {line.rows:,} Gaussians: inside {_db(line.before)} -> {_db(line.inside)} dB, outside "
+        f"{line.asset}, {line.rows:,} Gaussians, {method}: inside {_db(line.before)} -> {_db(line.inside)} dB, outside "
         f"{_db(line.outside)}, other views {_db(line.novel_inside)} / {_db(line.novel_outside)}, splitting alone "
         f"{_db(line.split_inside)} / {_db(line.split_outside)}; {line.touched:,} touched, {line.appended:,} "
         f"appended, {proof}; {line.edit_seconds:.2f} s"

@@ -27,16 +27,16 @@ def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
     signed = np.clip(edited, 0, 1) - before
     signed[np.abs(signed) < 0.51 / 255] = 0  # what rounding to 8 bits leaves
     difference = _largest(np.abs(signed))
-    near, contrast = _mean(difference, 1), _contrast(before)
+    near, contrast = box_mean(difference, 1), _contrast(before)
     detailed = contrast > 0.5 / 255
     if not detailed.any() or np.quantile(near[detailed], 0.05) <= MAX_LOSSLESS:
         core = near > MAX_ROUNDING
     else:
-        shift = _largest(np.abs(_mean(signed, 2)))
-        noise = _noise(shift, _mean(contrast, 8))  # 17 x 17: the reach of JPEG's blocks
+        shift = _largest(np.abs(box_mean(signed, 2)))
+        noise = _noise(shift, box_mean(contrast, 8))  # 17 x 17: the reach of JPEG's blocks
         core = (shift > np.clip(MAX_ROUNDING + 6 * noise, MAX_ROUNDING, MAX_NOISE)) | (near > MAX_NOISE)
-    core &= _mean(core, 1) > 3.5 / 9
-    return (_mean(core, 1) > 0.5 / 9) & (difference > MAX_ROUNDING)
+    core &= box_mean(core, 1) > 3.5 / 9
+    return (box_mean(core, 1) > 0.5 / 9) & (difference > MAX_ROUNDING)
 
 
 def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
@@ -72,7 +72,7 @@ def _noise(values: np.ndarray, detail: np.ndarray) -> np.ndarray:
     return np.array(levels)[label]
 
 
-def _mean(values: np.ndarray, radius: int) -> np.ndarray:
+def box_mean(values: np.ndarray, radius: int) -> np.ndarray:
     """[H, W, ...] float32 mean over the square of 2 radius + 1 around each pixel; edges are repeated."""
     (height, width), size = values.shape[:2], 2 * radius + 1
     padded = np.pad(values.astype(np.float32), [(radius, radius)] * 2 + [(0, 0)] * (values.ndim - 2), mode="edge")

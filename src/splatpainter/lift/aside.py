@@ -1,0 +1,205 @@
+"""How an edit looks from the side: the edited asset from four views about the paint, each against the painted picture
+moved there over the asset's own surface.
+
+An edit is given in one view and judged there; whether the paint lies on the surface only other views tell, and nobody
+has a picture of them. The nearest to one is the painted picture reprojected: where the surface of the asset *before*
+the edit is seen in both views, the side view should change by what the picture changes. Changes are compared and not
+colours, so that an asset that looks different from its sides is not blamed on the edit. Small and quick: at most
+MAX_SIDE_PX a view.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splatpainter.cameras import Camera, look_at
+from splatpainter.lift.edit_views import EditView
+from splatpainter.lift.masks import box_mean, dilated
+from splatpainter.lift.surface import surface
+from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.splats import Splats
+
+SIDE_DEGREES = 35.0
+"""Between the edited view and those from the side: left, right, above, below."""
+MAX_SIDE_PX = 256
+"""Pixels of a side view's edge."""
+MARGIN_PX = 8
+"""Of the edited picture, around the mask."""
+MAX_DEPTH_DIFFERENCE = 0.02
+"""Between a point's depth and that of the surface which a view shows there, of that depth: else something hides it."""
+MIN_ALPHA = 0.5
+"""Pixels that the asset covers by less have no surface."""
+MIN_EDITED = 0.25
+"""Share of a small pixel that was edited, to count as painted: less than a half, so that thin strokes do."""
+SOFT_PX = 2
+"""Reach of each of the two box means by which errors are blurred, pixels: together a standard deviation of 2, as in the
+benches' soft figures."""
+SPILL_PX = 3
+"""Around the painted pixels: where they should end is compared too."""
+MAX_DB = 60.0
+"""Of a score: renders that agree better agree."""
+
+
+@dataclass(frozen=True)
+class AsideScore:
+    """An edit from the side."""
+
+    psnr: float | None
+    """dB of the painted pixels and their rim in all side views together, after a blur of 2 px; None where none can be
+    compared."""
+    covered: float
+    """Share of the painted pixels that a side view can check, mean over the views, 0..1."""
+
+
+def aside_score(before: Splats, after: Splats, view: EditView) -> AsideScore:
+    """before, after: numpy, the asset without and with the edit of `view`.
+
+    On paint over 24 meshes that training never saw, three methods (`splatpainter bench painted`), the score ranks edits
+    as the true novel views do: Spearman 0.86 with their PSNR, 0.85 with that after a blur; among the methods on one
+    object 0.83 and 0.81. Without blur and rim 0.89 and 0.78; 0.75 and 0.77."""
+    pairs = side_views(before, after, view)
+    covered = float(np.mean([pair.covered for pair in pairs])) if pairs else 0.0
+    errors = np.concatenate([np.zeros((0, 3)), *(pair.soft_errors for pair in pairs)])
+    if not len(errors):
+        return AsideScore(None, covered)
+    return AsideScore(min(-10 * math.log10(max(float((errors**2).mean()), 1e-12)), MAX_DB), covered)
+
+
+@dataclass(frozen=True)
+class SideView:
+    """One view from the side, H x W pixels."""
+
+    expected: np.ndarray
+    """[H, W, 3] what it should show."""
+    image: np.ndarray
+    """[H, W, 3] what it shows."""
+    unpainted: np.ndarray
+    """[H, W, 3] what the asset without the edit shows."""
+    painted: np.ndarray
+    """[H, W] bool painted pixels that both views see."""
+    covered: float
+    """Share of the painted pixels of the edited view that this one sees."""
+
+    @property
+    def soft_errors(self) -> np.ndarray:
+        """[K, 3] blurred difference of `image` and `expected`, of the painted pixels and SPILL_PX around them."""
+        soft = box_mean(box_mean(self.image - self.expected, SOFT_PX), SOFT_PX)
+        return soft[dilated(self.painted, SPILL_PX)]
+
+
+def side_views(before: Splats, after: Splats, view: EditView) -> list[SideView]:
+    """From SIDE_DEGREES left, right, above and below; none where no edited pixel has a surface."""
+    window = _Window.of(before, view)
+    if window is None:
+        return []
+    cameras = [window.turned(*turn) for turn in ((-1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0))]
+    return [window.seen_from(before, after, camera) for camera in cameras]
+
+
+@dataclass(frozen=True)
+class _Window:
+    """The part of the edited picture around the mask, small."""
+
+    camera: Camera
+    change: np.ndarray
+    """[h, w, 3] edited - before, 0 outside the mask."""
+    mask: np.ndarray
+    """[h, w] float32 share of the pixel that was edited and has a surface."""
+    depth: np.ndarray
+    """[h, w] z-depth of the surface, 0 for none."""
+    center: np.ndarray
+    """[3] of the painted surface."""
+
+    @staticmethod
+    def of(splats: Splats, view: EditView) -> _Window | None:
+        """None where no edited pixel has a surface."""
+        rows, columns = (np.flatnonzero(view.mask.any(axis)) for axis in (1, 0))
+        top, left = max(int(rows[0]) - MARGIN_PX, 0), max(int(columns[0]) - MARGIN_PX, 0)
+        height = min(int(rows[-1]) + 1 + MARGIN_PX, view.camera.height) - top
+        width = min(int(columns[-1]) + 1 + MARGIN_PX, view.camera.width) - left
+        part = (slice(top, top + height), slice(left, left + width))
+        mask = view.mask[part].astype(np.float32)
+        change = (view.edited[part] - view.before[part]) * mask[..., None]
+        factor = -(-max(height, width) // MAX_SIDE_PX)
+        mask, change = _shrunk(mask, factor), _shrunk(change, factor)
+        height, width = mask.shape
+        camera = view.camera.cropped(left, top, width * factor, height * factor).resized(width, height)
+        alpha, depth = _surface(splats, camera)
+        mask = mask * (depth > 0) * (alpha > MIN_ALPHA)
+        if not (mask > MIN_EDITED).any():
+            return None
+        center = np.median(camera.unproject(depth)[mask > MIN_EDITED], axis=0)
+        return _Window(camera, change, mask, depth, center)
+
+    def turned(self, right: float, up: float) -> Camera:
+        """The painted part from another side at the same distance; turns in SIDE_DEGREES."""
+        axes = self.camera.world_to_camera[:3, :3]
+        offset = self.camera.position - self.center
+        towards = math.sin(math.radians(SIDE_DEGREES)) * (right * axes[0] - up * axes[1])
+        distance = float(np.linalg.norm(offset))
+        eye = math.cos(math.radians(SIDE_DEGREES)) * offset / distance + towards
+        size = max(self.camera.width, self.camera.height)
+        fov = math.degrees(2 * math.atan(size / 2 / self.camera.fy))
+        upwards = -axes[1] if not up else -axes[1] - up * self.camera.forward
+        background = self.camera.background
+        eye = self.center + distance * eye / np.linalg.norm(eye)
+        return look_at(eye, self.center, upwards, width=size, height=size, fov=fov, background=background)
+
+    def seen_from(self, before: Splats, after: Splats, camera: Camera) -> SideView:
+        """What should be seen from there, and what is."""
+        view = project(before, camera)
+        unpainted, alpha, _ = view.rasterize()
+        depth, _ = surface(view, np.ones(alpha.shape, bool))
+        depth = np.where(alpha > MIN_ALPHA, depth, 0)
+        visible = _visible(self.camera, self.depth, camera, depth)
+        pixels, _ = self.camera.project(camera.unproject(np.where(depth > 0, depth, 1)))
+        moved = _bilinear(np.concatenate([self.change, self.mask[..., None]], -1), pixels)
+        moved *= visible[..., None]
+        painted = moved[..., 3] > MIN_EDITED
+        image = project(after, camera).rasterize()[0]
+        seen = _visible(camera, depth, self.camera, self.depth) & (self.mask > MIN_EDITED)
+        covered = float(seen.sum() / (self.mask > MIN_EDITED).sum())
+        return SideView(unpainted + moved[..., :3], image, unpainted, painted, covered)
+
+
+def _surface(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """([h, w] alpha, [h, w] z-depth of the visible surface, 0 for none)."""
+    view = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+    alpha = view.rasterize()[1]
+    return alpha, surface(view, np.ones(alpha.shape, bool))[0]
+
+
+def _visible(first: Camera, first_depth: np.ndarray, other: Camera, other_depth: np.ndarray) -> np.ndarray:
+    """[H, W] of `other`: the surface that it shows (z-depths, 0 for none) is the one that `first` shows there."""
+    pixels, z = first.project(other.unproject(np.where(other_depth > 0, other_depth, 1)))
+    height, width = first_depth.shape
+    x, y = (np.floor(np.nan_to_num(pixels[..., k], nan=-1, posinf=-1, neginf=-1)).astype(int) for k in (0, 1))
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z > 0) & (other_depth > 0)
+    there = first_depth[y.clip(0, height - 1), x.clip(0, width - 1)]
+    return inside & (there > 0) & (np.abs(there - z) < MAX_DEPTH_DIFFERENCE * z)
+
+
+def _bilinear(values: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """[..., C] of pictures [h, w, C] at pixel positions [..., 2] (centres at +0.5), 0 outside."""
+    height, width = values.shape[:2]
+    padded = np.pad(values, ((1, 1), (1, 1), (0, 0)))
+    x = np.clip(np.nan_to_num(pixels[..., 0]) + 0.5, 0, width + 0.999)
+    y = np.clip(np.nan_to_num(pixels[..., 1]) + 0.5, 0, height + 0.999)
+    left, top = x.astype(int), y.astype(int)
+    fx, fy = (x - left)[..., None], (y - top)[..., None]
+    upper = padded[top, left] * (1 - fx) + padded[top, left + 1] * fx
+    lower = padded[top + 1, left] * (1 - fx) + padded[top + 1, left + 1] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+def _shrunk(values: np.ndarray, factor: int) -> np.ndarray:
+    """[h, w, ...] means of factor x factor blocks of [H, W, ...]; beyond the edges there are zeros."""
+    if factor == 1:
+        return values
+    rest = [(0, -n % factor) for n in values.shape[:2]]
+    values = np.pad(values, [*rest, *[(0, 0)] * (values.ndim - 2)])
+    height, width = (n // factor for n in values.shape[:2])
+    return values.reshape(height, factor, width, factor, *values.shape[2:]).mean((1, 3))
