@@ -131,6 +131,11 @@ def test_the_bytes_do_not_depend_on_who_finished_first(tmp_path: Path) -> None:
     assert not (one / WAITING).exists()
 
 
+def plain_scene(number: int) -> RenderedScene:
+    """As the writer that is killed makes it."""
+    return RenderedScene("thing", [{"txt": b"%d" % number * 5000}], ["plain"])
+
+
 KILLED = """
 import os
 from pathlib import Path
@@ -153,17 +158,18 @@ with ShardWriter(Path({folder!r}), {{"seed": 3}}, 5, 2) as writer:
 def test_a_killed_run_carries_on_and_ends_with_the_same_bytes(tmp_path: Path, after: int, finished: int) -> None:
     """Killed (SIGKILL) before one of its renames, the only moments that count. They are: the index; then scene, scene,
     shard, index, again and again."""
-    folders = [tmp_path / "killed", tmp_path / "whole"]
-    scripts = [KILLED.format(after=n, folder=str(folder)) for n, folder in zip((after, 1000), folders, strict=True)]
-    codes = [subprocess.run([sys.executable, "-c", script], check=False).returncode for script in scripts]
-    assert codes == [9 if sys.platform == "win32" else -9, 0]
-    with ShardWriter(folders[0], {"seed": 3}, 5, 2) as writer:
-        left = writer.missing()
-        for number in left:
-            writer.add(number, RenderedScene("thing", [{"txt": b"%d" % number * 5000}], ["plain"]))
-    assert left == list(range(finished, 5))
-    assert contents(folders[0]) == contents(folders[1])
-    assert not list(folders[0].rglob(".*.part")) and check(folders[0]).complete
+    killed, uninterrupted = tmp_path / "killed", tmp_path / "uninterrupted"
+    script = KILLED.format(after=after, folder=str(killed))
+    code = subprocess.run([sys.executable, "-c", script], check=False).returncode
+    assert code == (9 if sys.platform == "win32" else -9)
+    for folder, expected in ((killed, range(finished, 5)), (uninterrupted, range(5))):
+        with ShardWriter(folder, {"seed": 3}, 5, 2) as writer:
+            left = writer.missing()
+            for number in left:
+                writer.add(number, plain_scene(number))
+        assert left == list(expected)
+    assert contents(killed) == contents(uninterrupted)
+    assert not list(killed.rglob(".*.part")) and check(killed).complete
 
 
 def test_a_finished_set_can_be_made_longer(tmp_path: Path) -> None:

@@ -10,15 +10,19 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from splatpainter.splats import Frame
 
 NODE = Path(__file__).resolve().parent / "node"
+PATIENCE_SECONDS = 120
+"""For one answer."""
 
 
 def _absent(reason: str) -> None:
@@ -43,46 +47,111 @@ def node_modules() -> Path:
     return NODE / "node_modules"
 
 
+class Server:
+    """A Node program that answers one line of JSON with one line of JSON: Node, and 6 MB of script, start once."""
+
+    def __init__(self, script: Path, *arguments: object) -> None:
+        command = ["node", str(script), *map(str, arguments)]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def ask(self, question: object) -> Any:
+        """The answer. Fails the test where the program has ended, or does not answer in time."""
+        assert self.process.stdin is not None and self.process.stdout is not None
+        patience = threading.Timer(PATIENCE_SECONDS, self.process.kill)
+        patience.start()
+        try:
+            self.process.stdin.write(json.dumps(question) + "\n")
+            self.process.stdin.flush()
+            answer = self.process.stdout.readline()
+        finally:
+            patience.cancel()
+        assert answer, f"Node oracle: no answer to {question}; exit code {self.process.poll()}"
+        return json.loads(answer)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
 @dataclass(frozen=True)
 class SplatTransform:
     """run(*arguments) -> standard output of splat-transform, called with -q -w; an error of its fails the test."""
 
-    package: Path
+    server: Server
     spz_frame: Frame
     """Axes of the numbers in the SPZ files that it reads and writes; they do not say."""
 
     def __call__(self, *arguments: object) -> str:
-        command = ["node", str(self.package / "bin" / "cli.mjs"), "-q", "-w", *map(str, arguments)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, f"splat-transform {command[4:]}: {done.stderr or done.stdout}"
-        return done.stdout
+        words = [str(word) for word in arguments]
+        answer = self.server.ask(words)
+        assert answer["code"] == 0, f"splat-transform {words}: {answer['errors'] or answer['out']}"
+        return answer["out"]
 
 
 @pytest.fixture(scope="session", params=["2", "3"])
-def splat_transform(request: pytest.FixtureRequest, node_modules: Path) -> SplatTransform:
+def splat_transform(
+    request: pytest.FixtureRequest, node_modules: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[SplatTransform]:
     """Version 2 turns SPZ files to right-up-back, as the format has it; version 3 leaves them right-down-front."""
-    if request.param == "2":
-        return SplatTransform(node_modules / "@playcanvas" / "splat-transform", "rub")
-    return SplatTransform(node_modules / "splat-transform-3", "rdf")
+    packages: dict[str, tuple[str, Frame]]
+    packages = {"2": ("@playcanvas/splat-transform", "rub"), "3": ("splat-transform-3", "rdf")}
+    name, frame = packages[request.param]
+    script = tmp_path_factory.mktemp("splat-transform") / "serve.mjs"
+    script.write_text(_SERVE)
+    server = Server(script, (node_modules / name / "dist" / "cli.mjs").as_uri())
+    yield SplatTransform(server, frame)
+    server.close()
+
+
+# Its command line ends by process.exit, also where all is well: here that ends one answer. Each has words of its own.
+_SERVE = """
+import { createInterface } from "node:readline";
+import { syncBuiltinESMExports } from "node:module";
+import process from "node:process";
+
+const exit = process.exit.bind(process);
+const answer = process.stdout.write.bind(process.stdout);
+let code, out, errors;
+process.exit = (status) => {
+  code ??= status ?? 0;
+  throw new Error("process.exit");
+};
+process.stdout.write = (text) => { out += text; return true; };
+process.stderr.write = (text) => { errors += text; return true; };
+syncBuiltinESMExports();
+const { main } = await import(process.argv[2]);
+for await (const line of createInterface({ input: process.stdin })) {
+  [code, out, errors] = [undefined, "", ""];
+  process.argv.splice(2, Infinity, "-q", "-w", ...JSON.parse(line));
+  try {
+    await main();
+  } catch (error) {
+    if (code === undefined) [code, errors] = [1, errors + error.stack];
+  }
+  for (const event of ["uncaughtException", "unhandledRejection"]) process.removeAllListeners(event);
+  answer(JSON.stringify({ code: code ?? 0, out, errors }) + "\\n");
+}
+exit(0);
+"""
 
 
 @pytest.fixture(scope="session")
-def gltf_validator(node_modules: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], list[dict]]:
+def gltf_validator(
+    node_modules: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[[Path], list[dict]]]:
     """run(file) -> messages of the Khronos validator: code, message, severity, pointer."""
     script = tmp_path_factory.mktemp("validator") / "validate.cjs"
     script.write_text(_VALIDATE)
-
-    def run(path: Path) -> list[dict]:
-        command = ["node", str(script), str(node_modules / "gltf-validator"), str(path)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stderr or done.stdout
-        return json.loads(done.stdout)
-
-    return run
+    server = Server(script, node_modules / "gltf-validator")
+    yield lambda path: server.ask(str(path))
+    server.close()
 
 
 _VALIDATE = """
+const { readFileSync } = require("fs");
 const validator = require(process.argv[2]);
-const bytes = new Uint8Array(require("fs").readFileSync(process.argv[3]));
-validator.validateBytes(bytes, { maxIssues: 0 }).then((report) => console.log(JSON.stringify(report.issues.messages)));
+require("readline").createInterface({ input: process.stdin }).on("line", async (line) => {
+  const report = await validator.validateBytes(new Uint8Array(readFileSync(JSON.parse(line))), { maxIssues: 0 });
+  console.log(JSON.stringify(report.issues.messages));
+});
 """
