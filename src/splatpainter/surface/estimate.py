@@ -7,6 +7,9 @@ patches that face elsewhere, lose their vote in a few reweighted rounds (as in O
 thin wall stay apart and creases stay sharp. On a curved surface a plane through the centres lies inside and the
 patches' own tangent planes lie outside; the offset along the mean of both normals is right to second order.
 
+Centres are the surface of clean assets. Optimised ones show the front of a cloud of Gaussians whose centres lie half a
+width behind it: where centres scatter about their plane, the height is where rays along the normal lose their light.
+
 Nothing depends on the order of samples or on the number of threads: every query is computed alone.
 """
 
@@ -39,6 +42,15 @@ MIN_SLANT = 0.15
 """Cosine between normal and line of sight below which the step along the latter is bounded."""
 QUERY_BLOCK = 64
 """Queries that a thread takes at a time."""
+PRECISE_RESIDUAL, CLOUDY_RESIDUAL = 0.12, 0.27
+"""rms distance of the patches' centres from their plane, in windows, up to which they lie on the surface, and from which
+they are a cloud behind it (an optimised asset shows the front of its Gaussians, not their centres): there the surface
+is where light stops. Between the two the height is a mixture."""
+RAY_SHARE = 0.25
+"""Of the light that has been stopped at the surface of a cloud. On objects fitted from points with noise (density
+control, 700 steps) the median error of height is 0.66 widths by centres alone, 0.44, 0.30, 0.28 with 0.5, 0.3, 0.25."""
+RAY_RADIUS = 0.5
+"""Distance from the query of the six rays around it, in windows."""
 
 
 @dataclass(frozen=True)
@@ -284,11 +296,74 @@ def _estimate(
                 tau = min(max(2.0 * residual, 0.25), 1.0)
             if not s0 > 0.0:
                 continue
+            if residual > PRECISE_RESIDUAL:
+                share = min((residual - PRECISE_RESIDUAL) / (CLOUDY_RESIDUAL - PRECISE_RESIDUAL), 1.0)
+                share = share * share * (3.0 - 2.0 * share)
+                front = _front_height(near, count, means, axes, scales, opacities, point, n, h)
+                step = -share * front / max(-(n[0] * dx + n[1] * dy + n[2] * dz), MIN_SLANT)
+                step = min(max(step, -h), h)
+                point[0] += step * dx
+                point[1] += step * dy
+                point[2] += step * dz
             for j in range(3):
                 out[q, j] = point[j]
                 out[q, 3 + j] = n[j]
             out[q, 6], out[q, 7], out[q, 8] = h, residual, thickness
             out[q, 9], out[q, 10] = effective, agreement
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _front_height(near, count, means, axes, scales, opacities, point, n, h):
+    """Mean height over the plane (point, n), world units, at which rays against n have lost RAY_SHARE of their light to
+    the patches near[:count], composited as a renderer does: by the order of their centres, each at the depth where it
+    is densest along the ray."""
+    # Two axes across n.
+    if abs(n[0]) < 0.6:
+        ax, ay, az = 0.0, n[2], -n[1]
+    else:
+        ax, ay, az = -n[2], 0.0, n[0]
+    scale = 1.0 / math.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax * scale, ay * scale, az * scale
+    bx, by, bz = n[1] * az - n[2] * ay, n[2] * ax - n[0] * az, n[0] * ay - n[1] * ax
+    centers = np.empty(count)
+    for k in range(count):
+        i = near[k]
+        x, y, z = means[i, 0] - point[0], means[i, 1] - point[1], means[i, 2] - point[2]
+        centers[k] = -(x * n[0] + y * n[1] + z * n[2])
+    order = np.argsort(centers)
+    total, heights = 0.0, 0.0
+    for ray in range(7):
+        # The hexagon's first corner lies along the first axis.
+        angle = math.pi / 3.0 * ray
+        u = RAY_RADIUS * h * math.cos(angle) if ray < 6 else 0.0
+        v = RAY_RADIUS * h * math.sin(angle) if ray < 6 else 0.0
+        ox, oy, oz = point[0] + u * ax + v * bx, point[1] + u * ay + v * by, point[2] + u * az + v * bz
+        clear, last = 1.0, 0.0
+        for m in range(count):
+            k = order[m]
+            i = near[k]
+            along, across, dot = 0.0, 0.0, 0.0
+            for a in range(3):
+                s = 1.0 / float(scales[i, a])
+                c = axes[i, a, 0] * n[0] + axes[i, a, 1] * n[1] + axes[i, a, 2] * n[2]
+                d = axes[i, a, 0] * (means[i, 0] - ox) + axes[i, a, 1] * (means[i, 1] - oy)
+                d += axes[i, a, 2] * (means[i, 2] - oz)
+                c *= s
+                d *= s
+                along += c * c
+                across += d * d
+                dot += c * d
+            exponent = across - dot * dot / along
+            if exponent > 9.0:
+                continue
+            last = dot / along
+            alpha = opacities[i] * math.exp(-0.5 * exponent)
+            clear *= 1.0 - min(alpha, 0.999)
+            if 1.0 - clear >= RAY_SHARE:
+                heights += min(max(last, -h), h)
+                total += 1.0
+                break
+    return heights / total if total > 0.0 else 0.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
