@@ -1,8 +1,8 @@
-"""Fit src/splatpainter/lift/split_table.json: the peaks of the five rows that stand in for one that is halved.
+"""Fit src/splatpainter/lift/split_table.json: the peaks of the five Gaussians that stand in for one that is halved.
 
 For a unit Gaussian of peak alpha o, children half as wide along x, as wide across, on sites SPACING / 2 apart, get
 symmetric peaks p_j such that 1 - prod_j(1 - a_j) equals the parent's alpha in the plane (least squares). Alpha
-compositing is not additive; what the fit leaves is printed (1.4 % of the parent for faint rows, 6.6 % for opaque).
+compositing is not additive; what the fit leaves is printed (1.4 % of the parent for faint Gaussians, 6.6 % for opaque).
 
 Run: python scripts/fit_split_table.py (a few seconds; needs scipy).
 """
@@ -29,15 +29,15 @@ def residual(logits: np.ndarray, opacity: float) -> np.ndarray:
 
 
 def main() -> None:
-    start, rows = np.full(REACH + 1, -5.0), []
+    start, peaks = np.full(REACH + 1, -5.0), []
     for opacity in OPACITIES:
         fit = least_squares(residual, np.clip(start, -8, 6.9), args=(opacity,))
         start = fit.x
-        rows.append([round(float(v), 5) for v in 1 / (1 + np.exp(-fit.x))])
+        peaks.append([round(float(v), 5) for v in 1 / (1 + np.exp(-fit.x))])
         error = np.sqrt((fit.fun**2).sum() / ((opacity * np.exp(-(X**2 + Y**2) / 2)) ** 2).sum())
-        print(f"opacity {opacity}: peaks {rows[-1]}, relative rms error of alpha {error:.3f}")
+        print(f"opacity {opacity}: peaks {peaks[-1]}, relative rms error of alpha {error:.3f}")
     target = Path(__file__).parents[1] / "src/splatpainter/lift/split_table.json"
-    target.write_bytes(json.dumps({"opacities": OPACITIES, "peaks": rows}).encode() + b"\n")
+    target.write_bytes(json.dumps({"opacities": OPACITIES, "peaks": peaks}).encode() + b"\n")
 
 
 if __name__ == "__main__":

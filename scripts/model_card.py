@@ -84,13 +84,15 @@ def card(
 
 def _head(config: ModelConfig, weights: Mapping[str, int]) -> str:
     sizes = ", ".join(f"{NETWORKS.get(n, n)} {count / 1e6:.1f}" for n, count in weights.items())
-    base = "adds its change to the analytic lift" if config.refine.base == "lift" else "changes the asset's own rows"
+    base = (
+        "adds its change to the analytic lift" if config.refine.base == "lift" else "changes the asset's own Gaussians"
+    )
     alone = ALONE if config.predictor_only else ""
     return f"""
 # Model card: {config.preset}
 
 Weights of SplatPainter's `{config.preset}` preset: they turn edited pictures of a 3D Gaussian asset into a change of
-its rows, in one pass, by test-time training of small fast weights (after arXiv 2512.05354). The network {base}.
+its Gaussians, in one pass, by test-time training of small fast weights (after arXiv 2512.05354). The network {base}.
 {alone}{sum(weights.values()) / 1e6:.1f} million weights in half precision (millions: {sizes}).
 Representation `{config.representation}`.
 """
@@ -214,9 +216,9 @@ def _listed(lines: Sequence[str]) -> str:
 
 
 ALONE = """\
-Global edits are a second, small network's alone: it describes every row, and an edit solves a ridge regression on these
-descriptions exactly, in place of the lift's fixed ones: what a picture says about sides that it does not show. They
-need no encoding.
+Global edits are a second, small network's alone: it describes every Gaussian, and an edit solves a ridge regression on
+these descriptions exactly, in place of the lift's fixed ones: what a picture says about sides that it does not show.
+They need no encoding.
 """
 SHORT = "More steps, larger pictures and more objects are the first things to try."
 FAILURES = (
@@ -224,7 +226,7 @@ FAILURES = (
     "Captures, with fog, floaters and baked-in light, were neither trained on nor measured: every asset is a mesh's.",
     "Relighting from one view: sides that it does not show are guessed from colours, normals and what light can reach.",
     "The truth is shaded surfels: soft shadows, one blurred highlight; no mirrors, no glass, no light between parts.",
-    "The network adds no rows of its own: detail finer than the asset comes from the lift's splitting alone.",
+    "The network adds no Gaussians of its own: detail finer than the asset comes from the lift's splitting alone.",
     "Edits that contradict each other in different views: the later view is meant to win; borders can blur.",
 )
 PROCEDURAL = "All objects are procedural (composed primitives with made-up textures); no one else's data was used."

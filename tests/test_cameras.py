@@ -158,11 +158,11 @@ def test_rays_project_back_to_the_pixel_centres():
     homogeneous = camera.world_to_camera @ np.append(origin.astype(np.float64), 1)
     np.testing.assert_allclose(homogeneous, [0, 0, 0, 1], atol=1e-5)
     for length in (0.5, 7.0):
-        found = project(camera, camera.position + length * directions.astype(np.float64))
+        projected = project(camera, camera.position + length * directions.astype(np.float64))
         v, u = np.mgrid[:48, :64] + 0.5
-        np.testing.assert_allclose(found[..., 0], u, atol=1e-3)
-        np.testing.assert_allclose(found[..., 1], v, atol=1e-3)
-        assert (found[..., 2] > 0).all()
+        np.testing.assert_allclose(projected[..., 0], u, atol=1e-3)
+        np.testing.assert_allclose(projected[..., 1], v, atol=1e-3)
+        assert (projected[..., 2] > 0).all()
 
 
 def test_resized_and_cropped_keep_world_points_on_their_pixels():
@@ -280,11 +280,11 @@ def picture() -> np.ndarray:
 def png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
     """(type, content) of every chunk, by the PNG specification."""
     assert data[:8] == b"\x89PNG\r\n\x1a\n"
-    out, place = [], 8
-    while place < len(data):
-        length, kind = struct.unpack_from(">I4s", data, place)
-        out.append((kind, data[place + 8 : place + 8 + length]))
-        place += 12 + length
+    out, offset = [], 8
+    while offset < len(data):
+        length, kind = struct.unpack_from(">I4s", data, offset)
+        out.append((kind, data[offset + 8 : offset + 8 + length]))
+        offset += 12 + length
     return out
 
 
@@ -298,8 +298,8 @@ def test_a_written_picture_carries_its_camera_in_a_text_chunk(tmp_path):
     with Image.open(path) as image:
         assert image.mode == "RGB" and image.size == (64, 48)
         pixels = np.asarray(image)
-    wanted = np.floor(np.clip(picture(), 0, 1) * 255 + 0.5).astype(np.uint8)
-    np.testing.assert_array_equal(pixels, wanted)
+    expected = np.floor(np.clip(picture(), 0, 1) * 255 + 0.5).astype(np.uint8)
+    np.testing.assert_array_equal(pixels, expected)
     assert same(find_camera(path), camera)
     assert [file.name for file in tmp_path.iterdir()] == ["view.png"]
 

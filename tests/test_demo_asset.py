@@ -35,14 +35,14 @@ def matrices(quats: np.ndarray) -> np.ndarray:
 
 
 def colours(splats: Splats, eye: np.ndarray) -> np.ndarray:
-    """[N, 3] what the rows show towards `eye`."""
+    """[N, 3] what the Gaussians show towards `eye`."""
     away = splats.means - eye
     basis = harmonics(torch.from_numpy(away / np.linalg.norm(away, axis=1, keepdims=True)), 16).numpy()
     return np.maximum(0.5 + np.einsum("nk,nkc->nc", basis, splats.sh), 0)
 
 
 def glazed(splats: Splats) -> np.ndarray:
-    """[N] bool: rows on the pot's belly, lid and knob (its axis stands at x = 0, z = -0.14)."""
+    """[N] bool: Gaussians on the pot's belly, lid and knob (its axis stands at x = 0, z = -0.14)."""
     radius = np.hypot(splats.means[:, 0], splats.means[:, 2] + 0.14)
     return (splats.means[:, 1] > 0.1 - LIFT) & (radius < 0.52)
 
@@ -70,21 +70,21 @@ def test_it_is_unpacked_bit_for_bit_without_torch_or_numba() -> None:
     assert answer.split(maxsplit=1) == [SHA256, "[]\n"]
 
 
-def test_rows_are_flat_and_lie_in_the_surface(splats: Splats) -> None:
+def test_gaussians_are_flat_and_lie_in_the_surface(splats: Splats) -> None:
     assert (splats.scales.argmin(1) == 2).all()
     np.testing.assert_allclose(splats.scales[:, 2] / splats.scales[:, :2].min(1), 0.1, rtol=1e-4)
-    # Oracle for the normal: the plane through each row's neighbours, on the belly away from spout and handle.
+    # Oracle for the normal: the plane through each Gaussian's neighbours, on the belly away from spout and handle.
     belly = glazed(splats) & (np.abs(splats.means[:, 1] + 0.1) < 0.1) & (np.abs(splats.means[:, 0]) < 0.3)
-    rows = np.nonzero(belly)[0]
-    near = splats.means[rows][KDTree(splats.means[rows]).query(splats.means[rows], k=12)[1]]
+    ids = np.nonzero(belly)[0]
+    near = splats.means[ids][KDTree(splats.means[ids]).query(splats.means[ids], k=12)[1]]
     plane = np.linalg.svd(near - near.mean(1, keepdims=True))[2][:, 2]
-    short = matrices(splats.quats[rows])[:, :, 2]
+    short = matrices(splats.quats[ids])[:, :, 2]
     assert np.quantile(np.abs(np.einsum("ni,ni->n", plane, short)), 0.01) > 0.97
-    outwards = splats.means[rows] - [0, splats.means[rows, 1].mean(), -0.14]
+    outwards = splats.means[ids] - [0, splats.means[ids, 1].mean(), -0.14]
     assert (np.einsum("ni,ni->n", outwards, short) > 0).mean() > 0.99
 
 
-def test_no_row_is_far_from_its_neighbours(splats: Splats) -> None:
+def test_no_gaussian_is_far_from_its_neighbours(splats: Splats) -> None:
     gap = KDTree(splats.means).query(splats.means, k=4)[0][:, 3]
     assert (gap / splats.scales[:, :2].max(1)).max() < 4
 
@@ -107,8 +107,8 @@ def test_colours_stay_sane_from_every_side(splats: Splats) -> None:
     normals = matrices(splats.quats)[:, :, 2]
     for camera in orbit((0, 0, 0), 3.7, 6, elevation=20):
         front = np.einsum("ni,ni->n", normals, camera.position - splats.means) > 0
-        shown = colours(splats, camera.position)[front]
-        assert np.quantile(shown, 0.001) >= 0 and np.quantile(shown, 0.999) < 1.35
+        visible = colours(splats, camera.position)[front]
+        assert np.quantile(visible, 0.001) >= 0 and np.quantile(visible, 0.999) < 1.35
 
 
 def test_the_pot_is_closed_and_its_belly_calm_in_the_recommended_view(splats: Splats) -> None:

@@ -33,13 +33,13 @@ def png_by_hand(levels: np.ndarray) -> bytes:
 
 def levels_by_hand(data: bytes) -> np.ndarray:
     """[H, W, C] levels of a 16-bit PNG, its filters undone byte by byte (PNG specification, section 9)."""
-    place, packed, header = 8, b"", (0, 0, 0, 0)
-    while place < len(data):
-        length, kind = struct.unpack_from(">I4s", data, place)
-        part = data[place + 8 : place + 8 + length]
+    offset, packed, header = 8, b"", (0, 0, 0, 0)
+    while offset < len(data):
+        length, kind = struct.unpack_from(">I4s", data, offset)
+        part = data[offset + 8 : offset + 8 + length]
         header = struct.unpack(">IIBB", part[:10]) if kind == b"IHDR" else header
         packed += part if kind == b"IDAT" else b""
-        place += 12 + length
+        offset += 12 + length
     width, height, bits, color = header
     assert bits == 16
     channels = {0: 1, 4: 2, 2: 3, 6: 4}[color]
@@ -129,9 +129,9 @@ def test_sixteen_bit_tiff_and_its_turns(tmp_path: Path) -> None:
         upper = Image.fromarray((levels >> 8).astype(np.uint8))
         names = dict(enumerate("FLIP_LEFT_RIGHT ROTATE_180 FLIP_TOP_BOTTOM TRANSPOSE ROTATE_270 TRANSVERSE".split(), 2))
         names[8] = "ROTATE_90"
-        shown = upper if turn == 1 else upper.transpose(Image.Transpose[names[turn]])
+        upright = upper if turn == 1 else upper.transpose(Image.Transpose[names[turn]])
         picture = read_picture(path)
-        assert np.array_equal((picture.colors * 65535 + 0.5).astype(np.uint16) >> 8, np.asarray(shown)), turn
+        assert np.array_equal((picture.colors * 65535 + 0.5).astype(np.uint16) >> 8, np.asarray(upright)), turn
         assert len(np.unique(picture.colors)) > 80, "all bits, not the upper eight"
 
 
@@ -178,9 +178,9 @@ def test_the_data_window_of_an_exr_is_put_in_its_place(tmp_path: Path) -> None:
     out = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
     assert out is not None and out.open(str(tmp_path / "a.exr"), spec) and out.write_image(samples) and out.close()
     values = read_deep(tmp_path / "a.exr", 100).values
-    wanted = np.zeros((5, 8, 3), np.float32)
-    wanted[0, 2:5] = samples[1]
-    assert np.array_equal(values, wanted)
+    expected = np.zeros((5, 8, 3), np.float32)
+    expected[0, 2:5] = samples[1]
+    assert np.array_equal(values, expected)
 
 
 @deep

@@ -38,7 +38,7 @@ def test_what_lies_between_two_plates_sees_less() -> None:
     assert under[len(floor) :, 9][middle].min() > 0.95
 
 
-def test_rows_without_a_normal_count_for_nothing() -> None:
+def test_gaussians_without_a_normal_count_for_nothing() -> None:
     splats = ball(500)
     normals = outward_normals(splats)
     odd = np.concatenate([splats.means, np.full((2, 3), np.nan, np.float32)])

@@ -129,7 +129,7 @@ def test_copy_is_the_most_opaque_rows_of_what_the_lrm_saw(precision: str) -> Non
     with torch.no_grad(), autocast("cpu", precision):
         encoded = encode_asset(model, SPLATS)
         views, _ = asset_views(SPLATS, canonical_cameras(SPLATS, COPY.lrm), voxelize(SPLATS, 4))
-        seen = model.copy_rows(views).gaussians
+        seen = model.copied_gaussians(views).gaussians
     # Rounded to 8 bits, hundreds of opacities would be equal, and the order of the rows would decide in their place.
     assert len(np.unique(seen.opacities.numpy())) > 0.95 * len(seen)
     assert same_bits(asset.splats, encoded.gaussians.numpy())  # test_encode.py says which rows these are

@@ -240,8 +240,8 @@ def test_processors_are_those_that_this_process_may_use(monkeypatch: pytest.Monk
 
 def test_scripts_of_the_page_are_scripts_whatever_the_registry_says(tmp_path: Path) -> None:
     mimetypes.add_type("text/plain", ".js")  # as some programs leave the registry of Windows
-    with live(make_studio(tmp_path)) as own:
-        answer = own.http.get("/studio.js")
+    with live(make_studio(tmp_path)) as studio:
+        answer = studio.http.get("/studio.js")
     assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/javascript")
 
 

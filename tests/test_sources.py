@@ -153,8 +153,8 @@ def test_embedded_profiles_become_srgb(tmp_path: Path) -> None:
 def test_srgb_profiles_and_broken_ones_leave_colours_alone(tmp_path: Path) -> None:
     from PIL import ImageCms
 
-    own = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    plain = read_picture(save(tmp_path / "s.png", COLORS, icc_profile=own))
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    plain = read_picture(save(tmp_path / "s.png", COLORS, icc_profile=profile))
     assert np.array_equal(np.round(plain.colors * 255), COLORS) and plain.notes == ()
     broken = read_picture(save(tmp_path / "x.png", COLORS, icc_profile=b"no profile at all"))
     assert np.array_equal(np.round(broken.colors * 255), COLORS) and "cannot be used" in broken.notes[0]
@@ -168,19 +168,19 @@ def test_cmyk_is_shown_in_rgb(tmp_path: Path) -> None:
 
 
 def test_masks(tmp_path: Path) -> None:
-    wanted = np.zeros((12, 16), bool)
-    wanted[3:7, 4:9] = True
-    faint = np.where(wanted, 1, 0).astype(np.uint8)
-    assert np.array_equal(read_mask(save(tmp_path / "l.png", faint)), wanted), "any pixel that is not black"
+    expected = np.zeros((12, 16), bool)
+    expected[3:7, 4:9] = True
+    faint = np.where(expected, 1, 0).astype(np.uint8)
+    assert np.array_equal(read_mask(save(tmp_path / "l.png", faint)), expected), "any pixel that is not black"
     color = np.zeros((12, 16, 3), np.uint8)
-    color[wanted] = (0, 0, 255)
-    assert np.array_equal(read_mask(save(tmp_path / "c.png", color)), wanted)
+    color[expected] = (0, 0, 255)
+    assert np.array_equal(read_mask(save(tmp_path / "c.png", color)), expected)
     layer = np.zeros((12, 16, 4), np.uint8)
-    layer[wanted] = (0, 0, 0, 255)
-    assert np.array_equal(read_mask(save(tmp_path / "a.png", layer)), wanted), "a black stroke on a clear layer"
-    noisy = np.kron(np.where(wanted, 255, 0), np.ones((8, 8))).astype(np.uint8)
+    layer[expected] = (0, 0, 0, 255)
+    assert np.array_equal(read_mask(save(tmp_path / "a.png", layer)), expected), "a black stroke on a clear layer"
+    noisy = np.kron(np.where(expected, 255, 0), np.ones((8, 8))).astype(np.uint8)
     read = read_mask(save(tmp_path / "n.jpg", noisy, quality=60))
-    assert (read[np.kron(~wanted, np.ones((8, 8), bool))]).mean() < 0.02, "what JPEG leaves on black is no mask"
+    assert (read[np.kron(~expected, np.ones((8, 8), bool))]).mean() < 0.02, "what JPEG leaves on black is no mask"
 
 
 def test_resampling_keeps_flat_colours_and_means() -> None:
@@ -247,8 +247,8 @@ def test_transparent_pixels_mean_unchanged(view: Path, tmp_path: Path, camera: C
     assert np.allclose(edit.image[20:28, 28:36], (250 / 255, 0, 0))
     half = 128 / 255
     assert np.allclose(edit.image[20:28, 36:40], half * np.array([250 / 255, 0, 0]) + (1 - half) * before[20:28, 36:40])
-    whole = edit_from_files(tmp_path / "layer.png", view).edit(splats, "global")
-    assert whole.mask is not None and np.array_equal(whole.mask, layer[..., 3] > 0)
+    complete = edit_from_files(tmp_path / "layer.png", view).edit(splats, "global")
+    assert complete.mask is not None and np.array_equal(complete.mask, layer[..., 3] > 0)
     Image.fromarray(layer).resize((128, 96), Image.Resampling.NEAREST).save(tmp_path / "large.png")
     mask = edit_from_files(tmp_path / "large.png", view).edit(splats).mask
     assert mask is not None and mask[21:27, 29:39].all()

@@ -17,55 +17,55 @@ from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Source, Splats, rows_sha2
 from tests.support.lift_scenes import bits, same_bits
 
 
-def splats(rows: int = 6, degree: int = 1, seed: int = 0, dtype: DTypeLike = np.float32) -> Splats:
+def splats(count: int = 6, degree: int = 1, seed: int = 0, dtype: DTypeLike = np.float32) -> Splats:
     rng = np.random.default_rng(seed)
     return Splats(
-        means=rng.normal(0, 1, (rows, 3)).astype(dtype),
-        quats=rng.normal(0, 1, (rows, 4)).astype(dtype),
-        scales=np.exp(rng.normal(-3, 1, (rows, 3))).astype(dtype),
-        opacities=rng.uniform(0, 1, rows).astype(dtype),
-        sh=rng.normal(0, 0.3, (rows, (degree + 1) ** 2, 3)).astype(dtype),
+        means=rng.normal(0, 1, (count, 3)).astype(dtype),
+        quats=rng.normal(0, 1, (count, 4)).astype(dtype),
+        scales=np.exp(rng.normal(-3, 1, (count, 3))).astype(dtype),
+        opacities=rng.uniform(0, 1, count).astype(dtype),
+        sh=rng.normal(0, 0.3, (count, (degree + 1) ** 2, 3)).astype(dtype),
     )
 
 
-def from_file(rows: int = 6, seed: int = 0) -> Splats:
+def from_file(count: int = 6, seed: int = 0) -> Splats:
     """As a reader returns them."""
-    own = splats(rows, seed=seed)
-    return replace(own, source=Source(f"{seed}.ply", "ply", own, f"{seed:064x}"), origin=np.arange(rows))
+    values = splats(count, seed=seed)
+    return replace(values, source=Source(f"{seed}.ply", "ply", values, f"{seed:064x}"), origin=np.arange(count))
 
 
 @pytest.mark.parametrize(
-    "rows", [[4, 1, 1, 5], [True, False, False, True, True, False], []], ids=["rows", "mask", "none"]
+    "selection", [[4, 1, 1, 5], [True, False, False, True, True, False], []], ids=["selection", "mask", "none"]
 )
-def test_take(rows):
-    own, chosen = from_file(), np.array(rows, bool if rows[:1] == [True] else np.int64)
-    some = own.take(chosen)
+def test_take(selection):
+    asset, chosen = from_file(), np.array(selection, bool if selection[:1] == [True] else np.int64)
+    some = asset.take(chosen)
     order = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
     assert len(some) == len(order) and some.sh_degree == 1
     for name in ATTRIBUTES:
         np.testing.assert_array_equal(
-            getattr(some, name), np.array([getattr(own, name)[k] for k in order]).reshape(getattr(some, name).shape)
+            getattr(some, name), np.array([getattr(asset, name)[k] for k in order]).reshape(getattr(some, name).shape)
         )
     assert some.origin is not None and some.origin.tolist() == list(order)
-    assert some.source is own.source
+    assert some.source is asset.source
     assert splats().take(chosen).origin is None
 
 
-def test_children_carry_their_parents_origin_and_new_rows_none():
-    own = from_file()
-    children = own.take(np.array([5, 5, 2]))
-    grown = own.append(children).append(splats(2, seed=9))
+def test_children_carry_their_parents_origin_and_new_gaussians_none():
+    asset = from_file()
+    children = asset.take(np.array([5, 5, 2]))
+    grown = asset.append(children).append(splats(2, seed=9))
     assert grown.origin is not None
     assert grown.origin.tolist() == [0, 1, 2, 3, 4, 5, 5, 5, 2, -1, -1]
-    assert same_bits(grown.take(np.arange(6)), own)
+    assert same_bits(grown.take(np.arange(6)), asset)
     assert same_bits(grown.take(np.arange(6, 9)), children)
     assert same_bits(grown.take(np.arange(9, 11)), splats(2, seed=9))
-    assert len(own) == 6 and own.origin is not None and len(own.origin) == 6
+    assert len(asset) == 6 and asset.origin is not None and len(asset.origin) == 6
     # Without a source there are no origins, whatever is appended.
-    assert splats().append(own).origin is None
+    assert splats().append(asset).origin is None
 
 
-def test_rows_of_another_file_do_not_claim_rows_of_this_one():
+def test_gaussians_of_another_file_do_not_claim_gaussians_of_this_one():
     grown = from_file(4).append(from_file(6, seed=1))
     assert grown.origin is not None and grown.origin.tolist() == [0, 1, 2, 3] + [-1] * 6
     assert grown.source is not None and grown.source.path == "0.ply"
@@ -82,7 +82,7 @@ def test_degrees():
         assert splats(2, degree).sh_degree == degree
 
 
-def test_rows_are_frozen():
+def test_gaussians_are_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         splats().means = np.zeros((6, 3))  # type: ignore[misc]
 
@@ -110,25 +110,25 @@ ODD = {
 
 @pytest.mark.parametrize("case", ODD)
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
-def test_rows_that_cannot_be_drawn(case, kind):
-    name, place, value = ODD[case]
-    own = splats()
-    getattr(own, name)[(2, *place) if isinstance(place, tuple) else 2] = value
-    own = own if kind == "numpy" else own.torch()
-    assert own.drawable.tolist() == [True, True, False, True, True, True]
+def test_gaussians_that_cannot_be_drawn(case, kind):
+    name, index, value = ODD[case]
+    asset = splats()
+    getattr(asset, name)[(2, *index) if isinstance(index, tuple) else 2] = value
+    asset = asset if kind == "numpy" else asset.torch()
+    assert asset.drawable.tolist() == [True, True, False, True, True, True]
 
 
-def test_tiny_rows_and_unnormalised_rotations_can_be_drawn():
-    own = splats()
-    own.quats[0] *= 1e-12
-    own.scales[1] = 1e-30
-    own.opacities[2:4] = 0, 1
-    own.means[4], own.scales[4], own.sh[4] = 1e15, 1e15, -1e13
-    assert own.drawable.all()
+def test_tiny_gaussians_and_unnormalised_rotations_can_be_drawn():
+    asset = splats()
+    asset.quats[0] *= 1e-12
+    asset.scales[1] = 1e-30
+    asset.opacities[2:4] = 0, 1
+    asset.means[4], asset.scales[4], asset.sh[4] = 1e15, 1e15, -1e13
+    assert asset.drawable.all()
 
 
 def test_the_hash_is_that_of_the_values_one_attribute_after_the_other():
-    own = Splats(
+    asset = Splats(
         np.array([[1, 2, 3], [4, 5, 6]], np.float32),
         np.array([[1, 0, 0, 0], [0, 1, 0, 0]], np.float32),
         np.array([[0.5, 0.25, 1], [2, 2, 2]], np.float32),
@@ -139,64 +139,64 @@ def test_the_hash_is_that_of_the_values_one_attribute_after_the_other():
     first += struct.pack("<f", 0.125), struct.pack("<3f", 7, 8, 9)
     second = struct.pack("<3f", 4, 5, 6), struct.pack("<4f", 0, 1, 0, 0), struct.pack("<3f", 2, 2, 2)
     second += struct.pack("<f", 1), struct.pack("<2f", -1, -0.0) + b"\x00\x00\xc0\x7f"
-    whole = hashlib.sha256(b"".join(a + b for a, b in zip(first, second, strict=True))).hexdigest()
-    assert rows_sha256(own) == own.sha256 == whole
-    assert rows_sha256(own.torch()) == whole
-    assert rows_sha256(own, np.array([1])) == hashlib.sha256(b"".join(second)).hexdigest()
-    assert rows_sha256(own, np.array([True, False])) == hashlib.sha256(b"".join(first)).hexdigest()
+    digest = hashlib.sha256(b"".join(a + b for a, b in zip(first, second, strict=True))).hexdigest()
+    assert rows_sha256(asset) == asset.sha256 == digest
+    assert rows_sha256(asset.torch()) == digest
+    assert rows_sha256(asset, np.array([1])) == hashlib.sha256(b"".join(second)).hexdigest()
+    assert rows_sha256(asset, np.array([True, False])) == hashlib.sha256(b"".join(first)).hexdigest()
     swapped = hashlib.sha256(b"".join(b + a for a, b in zip(first, second, strict=True))).hexdigest()
-    assert rows_sha256(own, np.array([1, 0])) == swapped
-    assert rows_sha256(own, np.zeros(0, np.int64)) == hashlib.sha256(b"").hexdigest()
-    big = replace(own, **{name: getattr(own, name).astype(">f4") for name in ATTRIBUTES})
-    assert rows_sha256(big) == whole
+    assert rows_sha256(asset, np.array([1, 0])) == swapped
+    assert rows_sha256(asset, np.zeros(0, np.int64)) == hashlib.sha256(b"").hexdigest()
+    big = replace(asset, **{name: getattr(asset, name).astype(">f4") for name in ATTRIBUTES})
+    assert rows_sha256(big) == digest
 
 
-def test_sha256_is_the_files_until_a_row_changes(tmp_path):
+def test_sha256_is_the_files_until_a_gaussian_changes(tmp_path):
     path = tmp_path / "a.ply"
     sp.write(path, splats())
-    own = sp.read(path)
-    assert own.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    sh = own.sh.copy()
+    asset = sp.read(path)
+    assert asset.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    sh = asset.sh.copy()
     sh[3, 0, 1] += 1
-    edited = replace(own, sh=sh)
-    assert edited.sha256 == rows_sha256(edited) != own.sha256
-    assert own.append(own.take(np.array([0]))).sha256 != own.sha256
+    edited = replace(asset, sh=sh)
+    assert edited.sha256 == rows_sha256(edited) != asset.sha256
+    assert asset.append(asset.take(np.array([0]))).sha256 != asset.sha256
 
 
 def test_torch_and_numpy_hold_the_same_bits():
-    own = splats(degree=2)
+    asset = splats(degree=2)
     patterns = np.array([0x7FC00001, 0xFFC12345, 0x00000001, 0x80000000, 0x7F800000, 0x00800000], np.uint32)
-    own.opacities[:] = patterns.view(np.float32)  # NaN with payload, denormal, -0.0, infinity
-    there = own.torch()
+    asset.opacities[:] = patterns.view(np.float32)  # NaN with payload, denormal, -0.0, infinity
+    there = asset.torch()
     assert all(getattr(there, name).dtype == torch.float32 for name in ATTRIBUTES)
     back = there.numpy()
     for name in ATTRIBUTES:
-        np.testing.assert_array_equal(bits(getattr(back, name)), bits(getattr(own, name)), err_msg=name)
-    assert own.numpy() is own
+        np.testing.assert_array_equal(bits(getattr(back, name)), bits(getattr(asset, name)), err_msg=name)
+    assert asset.numpy() is asset
     assert len(there) == 6 and there.sh_degree == 2
-    assert there.take(torch.tensor([1, 0])).means.tolist() == own.means[[1, 0]].tolist()
+    assert there.take(torch.tensor([1, 0])).means.tolist() == asset.means[[1, 0]].tolist()
     assert there.append(there.take(torch.tensor([5]))).opacities.shape == (7,)
 
 
 def test_torch_shares_memory_and_numpy_leaves_the_graph():
-    own = splats()
-    assert own.torch().means.data_ptr() == own.means.ctypes.data
-    own.sh.flags.writeable = False  # tensors can be written to, so they may not share this one
-    apart = own.torch().sh
+    asset = splats()
+    assert asset.torch().means.data_ptr() == asset.means.ctypes.data
+    asset.sh.flags.writeable = False  # tensors can be written to, so they may not share this one
+    apart = asset.torch().sh
     apart[0] = 7
-    assert (own.sh != 7).all() and (apart[0] == 7).all()
-    double = own.torch(dtype=torch.float64)
+    assert (asset.sh != 7).all() and (apart[0] == 7).all()
+    double = asset.torch(dtype=torch.float64)
     assert double.means.dtype == torch.float64
     graph = replace(double, means=double.means.requires_grad_(True))
-    np.testing.assert_array_equal(graph.numpy().means, own.means)
+    np.testing.assert_array_equal(graph.numpy().means, asset.means)
     assert graph.numpy().sh.dtype == np.float32
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".splat"])
-def test_rows_of_a_file_become_tensors_without_a_warning(tmp_path, suffix):
+def test_gaussians_of_a_file_become_tensors_without_a_warning(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     sp.write(path, splats(degree=0))
-    own = sp.read(path)
-    there = own.torch()
-    assert there.source is own.source
-    np.testing.assert_array_equal(there.means.numpy(), own.means)
+    asset = sp.read(path)
+    there = asset.torch()
+    assert there.source is asset.source
+    np.testing.assert_array_equal(there.means.numpy(), asset.means)

@@ -24,19 +24,20 @@ from splatpainter.sources.picture_reader import read_picture
 from splatpainter.splats import Splats
 from splatpainter.view_files import PictureOptions, draw_passes, normals_of, view_files
 from tests.support.cli_scenes import BOX, Capture, ball, run, saved
-from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
+from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_gaussians
 
 deep = pytest.mark.skipif(not image_files.can_do_deep(), reason="OpenImageIO is not installed (extra pictures)")
 SCENES = {
     "small": (scene(40, 1, 1), cameras(37, 29)),
-    "odd rows": (with_odd_rows(scene(30, 1, 7)), cameras(35, 31, count=2)),
+    "odd Gaussians": (with_odd_gaussians(scene(30, 1, 7)), cameras(35, 31, count=2)),
     "opaque": (opaque_stack(), cameras(32, 32)),
-    "no rows": (scene(0, 1), cameras(17, 5)),
+    "no Gaussians": (scene(0, 1), cameras(17, 5)),
 }
 
 
 def weights(splats: Splats, camera: Camera, profile: str) -> tuple[np.ndarray, np.ndarray]:
-    """(w_ip [V, P], rows [V]) by the definition of a profile in plain torch, every row against every pixel."""
+    """(w_ip [V, P], Gaussians [V]) by the definition of a profile in plain torch, every Gaussian against every
+    pixel."""
     alpha, _, _, rows = reference.project(splats.torch(dtype=torch.float64), camera)
     if profile == "inria":
         weight, _ = reference.composite(alpha)
@@ -46,7 +47,7 @@ def weights(splats: Splats, camera: Camera, profile: str) -> tuple[np.ndarray, n
     alpha = torch.where(alpha >= 1 / 255, alpha, 0)
     before = torch.ones(alpha.shape[1], dtype=torch.float64)
     out = torch.zeros_like(alpha)
-    for k in range(len(alpha)):  # one row after the other, as the profile is defined
+    for k in range(len(alpha)):  # one Gaussian after the other, as the profile is defined
         out[k] = torch.where(before >= 1e-4, alpha[k] * before, 0)
         before = before - out[k]
     return out.numpy(), rows.numpy()
@@ -77,15 +78,15 @@ def test_the_row_with_the_largest_weight(name: str, profile: str) -> None:
         top = weight.max(0)
         flat = ids.reshape(-1)
         assert np.array_equal(flat == -1, top == 0)
-        place = np.full(len(splats) + 1, -1)
-        place[rows] = np.arange(len(rows))
+        position = np.full(len(splats) + 1, -1)
+        position[rows] = np.arange(len(rows))
         drawn = np.flatnonzero(flat >= 0)
-        assert np.allclose(weight[place[flat[drawn]], drawn], top[drawn], rtol=1e-9, atol=1e-12)
+        assert np.allclose(weight[position[flat[drawn]], drawn], top[drawn], rtol=1e-9, atol=1e-12)
 
 
 def test_passes_are_weighted_means() -> None:
     """Depth, normals and coverage by their definition, from the reference's weights."""
-    splats, (camera, *_) = SCENES["odd rows"]
+    splats, (camera, *_) = SCENES["odd Gaussians"]
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(len(splats), 3))
     kinds = rng.integers(0, 3, len(splats))
@@ -128,7 +129,7 @@ def test_normals_of_a_ball_point_at_the_viewer_in_world_axes() -> None:
 
 
 def soft() -> Splats:
-    """Half-transparent rows with colours well inside 0..1."""
+    """Half-transparent Gaussians with colours well inside 0..1."""
     asset = ball(400)
     return replace(asset, opacities=np.full(400, 0.4, np.float32), scales=asset.scales * 1.5)
 
@@ -234,7 +235,7 @@ def test_png_aovs_read_as_the_sidecar_says(tmp_path: Path) -> None:
 
 
 def test_options_that_do_not_go_together() -> None:
-    for fields, said in (
+    for fields, pattern in (
         ({"format": "jpg"}, "expected the format png or exr, got 'jpg'"),
         ({"bits": 32}, "expected 8 or 16 bits of PNG, got 32"),
         ({"format": "exr", "bits": 8}, "expected 16 or 32 bits of EXR, got 8"),
@@ -245,7 +246,7 @@ def test_options_that_do_not_go_together() -> None:
     ):
         with pytest.raises(ValueError, match="^picture: ") as error:
             PictureOptions(**fields)  # type: ignore[arg-type]
-        assert said in str(error.value) and "\n" not in str(error.value)
+        assert pattern in str(error.value) and "\n" not in str(error.value)
     with pytest.raises(ValueError, match="expected views of 1 to"):
         view_files(ball(8), look_at([0, 0, 3], [0, 0, 0], width=9000, height=2), "v")
 
@@ -295,13 +296,13 @@ def test_paint_on_a_sixteen_bit_transparent_picture_is_written_onto_the_asset(tm
     assert done.code == 0
     after = sp.read(tmp_path / "out.ply")
     camera = find_camera(path)
-    shown = sp.render(after, camera).colors[0]
-    inside = shown[top + 2 : bottom - 1, left + 2 : right - 1]
+    rendered = sp.render(after, camera).colors[0]
+    inside = rendered[top + 2 : bottom - 1, left + 2 : right - 1]
     assert np.abs(inside - np.array([0.08, 0.64, 0.16])).mean() < 0.05
     before = sp.render(sp.read(asset), camera).colors[0]
     outside = np.ones((96, 96), bool)
     outside[top - 4 : bottom + 5, left - 4 : right + 5] = False
-    assert np.abs(shown - before)[outside].max() < 0.02, "the soft rim of the asset stayed as it was"
+    assert np.abs(rendered - before)[outside].max() < 0.02, "the soft rim of the asset stayed as it was"
 
 
 def test_what_lies_behind_a_cut_out() -> None:
@@ -341,7 +342,7 @@ def test_render_gives_what_its_options_say(tmp_path: Path, capfd: Capture) -> No
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "pattern"),
     [
         (["--aov", "depths"], "got 'depths'"),
         (["--aov", "coverage"], "only a session knows"),
@@ -355,9 +356,9 @@ def test_render_gives_what_its_options_say(tmp_path: Path, capfd: Capture) -> No
         (["--profile", "unreal"], "unreal"),
     ],
 )
-def test_wrong_options_of_render(words: list[str], said: str, tmp_path: Path, capfd: Capture) -> None:
+def test_wrong_options_of_render(words: list[str], pattern: str, tmp_path: Path, capfd: Capture) -> None:
     line = run(capfd, "render", saved(tmp_path / "ball.ply"), "--out", tmp_path / "v", *words).error
-    assert said in line and not (tmp_path / "v").exists()
+    assert pattern in line and not (tmp_path / "v").exists()
 
 
 def test_without_the_extra_nothing_is_rendered(tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

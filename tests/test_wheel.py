@@ -61,9 +61,9 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def command(installed: Path) -> str:
     """The program that pip made."""
-    found = shutil.which("splatpainter", path=os.pathsep.join([str(installed / "bin"), str(installed / "Scripts")]))
-    assert found is not None, sorted(installed.iterdir())
-    return found
+    program = shutil.which("splatpainter", path=os.pathsep.join([str(installed / "bin"), str(installed / "Scripts")]))
+    assert program is not None, sorted(installed.iterdir())
+    return program
 
 
 def surroundings(installed: Path, home: Path) -> dict[str, str]:
@@ -91,10 +91,10 @@ def test_the_wheel_has_what_the_package_needs_and_nothing_else(wheel: Path) -> N
 
 def test_the_demo_runs_in_an_empty_folder(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    asked = "import splatpainter, sys; print(splatpainter.__file__, 'torch' in sys.modules)"
+    program = "import splatpainter, sys; print(splatpainter.__file__, 'torch' in sys.modules)"
     variables = surroundings(installed, tmp_path)
     where = subprocess.run(
-        [sys.executable, "-c", asked], cwd=tmp_path, env=variables, capture_output=True, encoding="utf-8"
+        [sys.executable, "-c", program], cwd=tmp_path, env=variables, capture_output=True, encoding="utf-8"
     )
     assert where.stdout.startswith(str(installed)), where
     done = subprocess.run(
@@ -124,13 +124,13 @@ def test_the_studio_serves_its_page(installed: Path, tmp_path: Path) -> None:
     )
     assert server.stderr is not None
     try:
-        said: list[bytes] = []
+        output: list[bytes] = []
         url = None
         for line in server.stderr:
-            said.append(line)
+            output.append(line)
             if url := re.search(rb"http://\S+/", line):
                 break
-        assert url is not None, said
+        assert url is not None, output
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         for path, kind in (("", "text/html"), ("studio.js", "text/javascript"), ("api/state", "application/json")):
             with opener.open(url.group().decode() + path, timeout=60) as answer:

@@ -51,7 +51,7 @@ QUICK: dict[str, Any] = {
 }
 """--quick: enough that every number is there. Its seconds mean nothing, so that methods may share the machine."""
 QUICK_OF: dict[str, dict[str, Any]] = {"ablate": {"objects": 1}}
-"""Of single tables: ablate has two cases for each object asked for, and the most rows."""
+"""Of single tables: ablate has two cases for each object asked for, and the most methods."""
 FULL: dict[str, Any] = {
     "objects": 370,
     "size": 512,

@@ -1,8 +1,8 @@
-"""How large the model is and what it costs: parameters and floating-point operations per stage, row and view
+"""How large the model is and what it costs: parameters and floating-point operations per stage, Gaussian and view
 (`python -m splatbench.model_costs` prints them for both presets).
 
 Counts matrix products only (2 per multiply-add), which is what the time goes into. D width of a latent, F hidden width
-of the fast network, T tokens, G rows per voxel.
+of the fast network, T tokens, G Gaussians per voxel.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class ParameterCounts:
     decode: int
     """The decoder."""
     predict: int
-    """The predictor of unseen rows."""
+    """The predictor of unseen Gaussians."""
 
     @property
     def total(self) -> int:
@@ -41,8 +41,8 @@ class Flops:
 
     view: float
     """LRM, per canonical view, with config.lrm.views of them (attention grows with their number)."""
-    row: float
-    """Stage I, per row of the asset (before the choice by opacity)."""
+    gaussian: float
+    """Stage I, per Gaussian of the asset (before the choice by opacity)."""
     picture: float
     """Stage II, per edited picture of config.lrm.image_size pixels: adapting, without what an edit costs anyway."""
     edit: float
@@ -65,9 +65,9 @@ def parameters(config: ModelConfig) -> ParameterCounts:
     return ParameterCounts(*(sum(p.numel() for p in part.parameters()) if part else 0 for part in parts))
 
 
-def flops(config: ModelConfig, rows_per_voxel: float = 8.0, views: int | None = None) -> Flops:
-    """rows_per_voxel: mean length of the groups of Stage I (a row meets this many); views: canonical views, by default
-    config.lrm.views. The mixer must be "ttt"."""
+def flops(config: ModelConfig, gaussians_per_voxel: float = 8.0, views: int | None = None) -> Flops:
+    """gaussians_per_voxel: mean length of the groups of Stage I (a Gaussian meets this many); views: canonical views,
+    by default config.lrm.views. The mixer must be "ttt"."""
     if config.refine.mixer != "ttt":
         raise ValueError(f"count: expected mixer 'ttt', got '{config.refine.mixer}': its cost depends on past edits")
     native = config.representation == "native"
@@ -77,7 +77,7 @@ def flops(config: ModelConfig, rows_per_voxel: float = 8.0, views: int | None = 
     decode = 2 * dim * output_count(config.sh_degree)
     return Flops(
         view=_lrm(config.lrm, views or config.lrm.views, head=not native),
-        row=_compress(config.compress, config.sh_degree, rows_per_voxel, keep),
+        gaussian=_compress(config.compress, config.sh_degree, gaussians_per_voxel, keep),
         picture=tokens * _adapt(config.refine, dim),
         edit=config.refine.blocks * _orthogonalise(config.refine, dim)
         + config.refine.row_tokens * _teach(config.refine, dim),
@@ -94,7 +94,7 @@ def table(config: ModelConfig) -> str:
             f"preset {config.preset}: {size.total / 1e6:.2f} M parameters, {2 * size.total / 1e6:.1f} MB as float16",
             f"  LRM      {size.lrm / 1e6:8.2f} M   {cost.view / 1e9:10.1f} GFLOP per view ({config.lrm.views} views of"
             f" {config.lrm.image_size} px)",
-            f"  Stage I  {size.compress / 1e6:8.2f} M   {cost.row / 1e6:10.2f} MFLOP per row",
+            f"  Stage I  {size.compress / 1e6:8.2f} M   {cost.gaussian / 1e6:10.2f} MFLOP per Gaussian",
             f"  Stage II {size.refine / 1e6:8.2f} M   {cost.picture / 1e9:10.1f} GFLOP per picture"
             f" + {cost.edit / 1e9:.1f} GFLOP per edit",
             f"  decoder  {size.decode / 1e6:8.2f} M   {cost.latent / 1e6:10.2f} MFLOP per latent (with Stage II)"
@@ -117,7 +117,7 @@ def _lrm(config: LrmConfig, views: int, head: bool) -> float:
 
 
 def _compress(config: CompressConfig, degree: int, group: float, keep: float) -> float:
-    """Per row, without the projection of the LRM's tokens (per patch). The mean of N_k^2 is taken as group^2."""
+    """Per Gaussian, without the projection of the LRM's tokens (per patch). The mean of N_k^2 is taken as group^2."""
     dim = config.dim
     linear = 2 * (4 * dim**2 + 3 * dim * config.hidden)
     inputs = 2 * feature_count(degree) * dim
@@ -165,7 +165,7 @@ def _input_features(config: RefineConfig, dim: int) -> int:
 
 
 def _teach(config: RefineConfig, dim: int) -> int:
-    """Per row that teaches along: like a latent up to the last block, and as much as a picture token in each."""
+    """Per Gaussian that teaches along: like a latent up to the last block, and as much as a picture token in each."""
     blocks = (config.blocks - 1) * _read_block(config, dim) + config.blocks * _learn(config, dim)
     return _input_features(config, dim) + blocks
 

@@ -105,7 +105,7 @@ def _setup(state: RunState) -> str:
     count = len({r.name for r in state.records})
     return (
         f"{count} objects, pictures of {setup.size} px, truth {truth}; assets from {setup.base_views} views, at most "
-        f"{setup.rows:,} rows, {setup.asset_steps:,} steps; {budget.steps:,} steps for methods that optimise; "
+        f"{setup.rows:,} Gaussians, {setup.asset_steps:,} steps; {budget.steps:,} steps for methods that optimise; "
         f"{budget.device}; seed {setup.seed}"
     )
 

@@ -347,7 +347,7 @@ def edited(case: Case, method: Method, budget: Budget) -> tuple[list[EditResult]
         )
         result = method.edit(task, budget)
         if rows_sha256(asset) != before:
-            raise ValueError(f"{method.name}: wrote into the asset that it was given; its answer cannot be compared")
+            raise ValueError(f"{method.name}: changed the asset in place; its answer cannot be compared")
         result = replace(result, splats=result.splats.numpy())
         results.append(result)
         asset, state = result.splats, result.state
@@ -358,7 +358,7 @@ def measured(
     record: Record, table: BenchTable, case: Case, results: Sequence[EditResult], perceptual: Any | None, peak: float
 ) -> Record:
     """The record with all its figures. Seconds of set-up and of edits are sums over the steps."""
-    keeps = all(result.keeps_rows for result in results)
+    keeps = all(result.keeps_gaussians for result in results)
     last = results[-1]
     numbers = {key: value for result in results for key, value in result.numbers.items()}
     points = []
@@ -384,7 +384,7 @@ def share_equal(before: Splats, after: Splats) -> float:
     """Share of the Gaussians of `before` whose every attribute kept its bits in the same one of `after`, which has at
     least as many. Raises ValueError where it has fewer."""
     if len(after) < len(before):
-        raise ValueError(f"rows equal: an answer that keeps rows has {len(after)} of the asset's {len(before)}")
+        raise ValueError(f"rows equal: an answer that keeps Gaussians has {len(after)} of {len(before)}")
     return 1.0 - float(changed(before, after).mean()) if len(before) else 1.0
 
 

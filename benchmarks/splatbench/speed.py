@@ -1,4 +1,4 @@
-"""`bench speed`: seconds, rows per second and peak memory of every stage, on the demo asset's surface."""
+"""`bench speed`: seconds, Gaussians per second and peak memory of every stage, on the demo asset's surface."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NOTES = (
     "holds the interpreter, the kernels and the scene. `local edit` is the whole of `Painter.apply`: mask, lift, and "
     "receipt with hashes and scores; the voxel grid, made once per asset, is the line `voxels`. The dab is a disc of "
     "64 pixels and the letters are 90 pixels high at 512 pixels, and as large a part of other sizes. Scenes: the demo "
-    "asset with its rows thinned and enlarged, or replaced by smaller ones. `ttt`: the preset `compact` with untrained "
+    "asset with Gaussians thinned and enlarged, or replaced by smaller ones. `ttt`: the preset `compact`, untrained "
     "weights (they cost what trained ones do), a painted disc of 67 pixels at 256; `encode` is once per asset.",
     "`small scene`: our kernels and the plain-torch reference (the specification, not a competitor) in turn in "
     "one process; `reference ratio` is the reference's seconds divided by the line's. `from start to end`: a fresh "
@@ -115,8 +115,8 @@ def run(config: SpeedBench, report: Report | None = None) -> list[Speed]:
     with tempfile.TemporaryDirectory(prefix="splatpainter-bench-") as temporary:
         folder = Path(temporary)
         scenes = _scenes(config, folder)
-        for rows, scene in scenes.items():
-            add(_stages(config, rows, scene))
+        for gaussians, scene in scenes.items():
+            add(_stages(config, gaussians, scene))
         add(_against_reference(config, folder))
         add(_programs(config, max(scenes), scenes[max(scenes)], folder))
     config.out.mkdir(parents=True, exist_ok=True)
@@ -145,22 +145,22 @@ def _scenes(config: SpeedBench, folder: Path) -> dict[int, Path]:
     from splatpainter.demo_asset import demo_asset
 
     base, out = demo_asset(), {}
-    for rows in sorted({*config.rows, REFERENCE_GAUSSIANS}):
-        save_scene(folder / str(rows), resampled(base, rows, config.sh_degree))
-        out[rows] = folder / str(rows)
+    for gaussians in sorted({*config.rows, REFERENCE_GAUSSIANS}):
+        save_scene(folder / str(gaussians), resampled(base, gaussians, config.sh_degree))
+        out[gaussians] = folder / str(gaussians)
     if REFERENCE_GAUSSIANS not in config.rows:
         del out[REFERENCE_GAUSSIANS]
     return out
 
 
-def _stages(config: SpeedBench, rows: int, scene: Path) -> Iterator[Speed]:
+def _stages(config: SpeedBench, gaussians: int, scene: Path) -> Iterator[Speed]:
     """Lines of every operation that fits the scene."""
     repeats, budget = (2, 0.2) if config.quick else (15, 1.0)
     for name, operation in OPERATIONS.items():
-        if not config.wants(name) or rows < operation.min_gaussians:
+        if not config.wants(name) or gaussians < operation.min_gaussians:
             continue
         sizes = config.sizes if operation.views else config.sizes[:1]
-        if rows >= LARGE_SCENE:
+        if gaussians >= LARGE_SCENE:
             if not operation.large:
                 continue
             sizes = [size for size in sizes if size == LARGE_PX] or sizes[:1]
@@ -171,12 +171,12 @@ def _stages(config: SpeedBench, rows: int, scene: Path) -> Iterator[Speed]:
             kind = {"name": name, "folder": str(scene), "size": size, "repeats": repeats, "budget": budget}
             fresh = in_fresh_process("splatbench.speed_cases:run_operation", kind)
             edge = size if operation.views else None
-            yield _line(name, rows, edge, fresh.result, peak=fresh.peak_mib, throughput=operation.throughput)
+            yield _line(name, gaussians, edge, fresh.result, peak=fresh.peak_mib, throughput=operation.throughput)
 
 
 def _line(
     name: str,
-    rows: int | None,
+    gaussians: int | None,
     size: int | None,
     timing: dict[str, Any],
     *,
@@ -186,10 +186,12 @@ def _line(
 ) -> Speed:
     """timing: a Timing as a dict."""
     seconds, rate = timing["seconds"], None
-    if throughput and rows is not None:
-        rate = rows / seconds
+    if throughput and gaussians is not None:
+        rate = gaussians / seconds
     memory = None if math.isnan(peak) else peak
-    return Speed(name, rows, size, 1000 * seconds, 1000 * timing["fastest"], rate, memory, timing["repeats"], ratio)
+    return Speed(
+        name, gaussians, size, 1000 * seconds, 1000 * timing["fastest"], rate, memory, timing["repeats"], ratio
+    )
 
 
 def _against_reference(config: SpeedBench, folder: Path) -> Iterator[Speed]:
@@ -205,7 +207,7 @@ def _against_reference(config: SpeedBench, folder: Path) -> Iterator[Speed]:
             yield _line(label, REFERENCE_GAUSSIANS, REFERENCE_PX, pair[who], throughput=True, ratio=share)
 
 
-def _programs(config: SpeedBench, rows: int, scene: Path, folder: Path) -> Iterator[Speed]:
+def _programs(config: SpeedBench, gaussians: int, scene: Path, folder: Path) -> Iterator[Speed]:
     """Fresh processes from start to end, as a user's shell sees them."""
     repeats = 1 if config.quick else 3
     ply = scene / "scene.ply"
@@ -219,13 +221,13 @@ def _programs(config: SpeedBench, rows: int, scene: Path, folder: Path) -> Itera
             times = sorted(run.result[name] if name else run.seconds for run in runs)
             timing = asdict(Timing(statistics.median(times), times[0], repeats))
             peak = math.nan if name else max(run.peak_mib for run in runs)
-            yield _line(f"within it: {name}" if name else EDIT_FILE, rows, size, timing, peak=peak)
+            yield _line(f"within it: {name}" if name else EDIT_FILE, gaussians, size, timing, peak=peak)
     if config.wants(INFO):
         command = [sys.executable, "-m", "splatpainter", "info", str(ply)]
         timing = measure(
             partial(subprocess.run, command, check=True, capture_output=True), repeats=repeats + 2, budget=30
         )
-        yield _line(INFO, rows, None, asdict(timing))
+        yield _line(INFO, gaussians, None, asdict(timing))
     if config.wants(COMPILE) and not config.quick:
         seconds, peak = _compile(folder / "cache")
         yield _line(COMPILE, None, None, asdict(Timing(seconds, seconds, 1)), peak=peak)

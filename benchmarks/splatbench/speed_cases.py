@@ -36,7 +36,7 @@ class Operation:
     min_px: int = 0
     """Least picture size that it makes sense for, pixels."""
     throughput: bool = True
-    """Whether it works on all Gaussians, so that rows per second mean something."""
+    """Whether it works on all Gaussians, so that Gaussians per second mean something."""
     min_gaussians: int = 0
     """Scenes with fewer are left out."""
     max_px: int = 1 << 20

@@ -153,14 +153,14 @@ def _checked(config: StudioBench) -> StudioBench:
     return config
 
 
-def _scene(config: StudioBench, folder: Path, rows: int) -> Path:
+def _scene(config: StudioBench, folder: Path, gaussians: int) -> Path:
     """A PLY of so many Gaussians."""
     from splatpainter.demo_asset import demo_asset
     from splatpainter.io import read, write
 
-    path = folder / f"{rows}.ply"
+    path = folder / f"{gaussians}.ply"
     if not path.exists():
-        write(path, resampled(demo_asset() if config.asset is None else read(config.asset), rows, 1))
+        write(path, resampled(demo_asset() if config.asset is None else read(config.asset), gaussians, 1))
     return path
 
 

@@ -59,7 +59,7 @@ class Mirror:
         if frame.flags & frames.SNAPSHOT:
             self.columns = {name: value.copy() for name, value in values.items()}
         elif frame.version_from != self.version:
-            raise RuntimeError(f"studio: gap in versions: has {self.version}, got rows from {frame.version_from} on")
+            raise RuntimeError(f"studio: gap in versions: has {self.version}, got some from {frame.version_from} on")
         else:
             if frame.flags & frames.PACKED:
                 values = {"sh": values["sh"]}
@@ -79,7 +79,7 @@ class Mirror:
         self.version, self.total = frame.version_to, frame.total
 
     def agrees(self, splats: Splats) -> bool:
-        """Whether every row is what the session shows, bit for bit (rotations: up to their length)."""
+        """Whether every Gaussian is what the session shows, bit for bit (rotations: up to their length)."""
         unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
         same = [np.array_equal(self.columns[k], getattr(splats, k)) for k in COLUMNS if k != "quats"]
         return self.total == len(splats) and all(same) and np.allclose(self.columns["quats"], unit, atol=1e-6)

@@ -232,7 +232,7 @@ def test_a_row_runs_end_to_end_and_differs_from_the_weights_own_settings(tmp_pat
     budget, case = Budget(weights={"compact": str(tmp_path)}), made(0)
     task = EditTask("ablate", case.asset, case.base, case.steps[0])
     plain, still = ttt.METHODS[0].edit(task, budget), ROWS["same-strength-0"].edit(task, budget)
-    assert not np.array_equal(plain.splats.means, still.splats.means) and still.keeps_rows
+    assert not np.array_equal(plain.splats.means, still.splats.means) and still.keeps_gaussians
     assert len(still.splats) == len(plain.splats)
 
 

@@ -49,7 +49,7 @@ def test_voxhammer_gets_renders_pictures_and_region_and_its_mesh_comes_back_in_p
     (tmp_path / "answer").write_bytes(scene.export(file_type="glb"))  # type: ignore[arg-type]
 
     done = METHODS["voxhammer"].edit(work(), installed("voxhammer"))
-    assert len(done.splats) == 6000 and not done.keeps_rows and done.edit_seconds > 0 and done.setup_seconds > 0
+    assert len(done.splats) == 6000 and not done.keeps_gaussians and done.edit_seconds > 0 and done.setup_seconds > 0
     for axis in range(3):
         for side in (1, -1):
             direction = np.zeros(3)
@@ -93,7 +93,7 @@ def test_instruct_gs2gs_is_brought_back_from_nerfstudios_frame(installed, tmp_pa
     plugin = f"environment = {{ PYTHONPATH = '{tmp_path / 'plugin'}' }}"
     done = METHODS["instruct-gs2gs"].edit(work(), installed("instruct-gs2gs", more=plugin))
     assert same(done.splats, edited()) > 60
-    assert abs(done.splats.sh - edited().sh).max() < 1e-4, "view dependence turns with the rows"
+    assert abs(done.splats.sh - edited().sh).max() < 1e-4, "view dependence turns with the Gaussians"
     assert done.setup_seconds > 0 and done.edit_seconds > 0
 
     monkeypatch.setenv("STEPS", "0")
@@ -143,7 +143,7 @@ def test_a_users_command_may_answer_in_another_frame(installed, tmp_path):
     [
         ("raise RuntimeError('CUDA out of memory')", r"status 1; RuntimeError: CUDA out of memory \(log: .*log\.txt\)"),
         ("import sys; sys.exit(3)", r"ended with status 3; it said nothing \(log"),
-        ("pass", r"ended well but left no dge/edit/save/last\.ply in"),
+        ("pass", r"ended without an error but wrote no dge/edit/save/last\.ply in"),
         ("answer(Path(words['exp_root_dir']) / 'dge/edit/save/last.ply')", r"last\.ply.*(PLY|ply|header)"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended by signal 9"),
     ],

@@ -30,10 +30,10 @@ WARM = np.array([[0.8, 0.1, 0.0], [0.05, 0.7, 0.1], [-0.1, 0.0, 0.6], [0.12, 0.0
 COLD = np.array([[0.5, 0.0, 0.1], [0.0, 0.6, 0.2], [0.1, 0.1, 0.9], [0.02, 0.05, 0.1]])
 
 
-def mapped(splats: Splats, map: np.ndarray, rows: np.ndarray) -> Splats:
-    """Written out anew: every row's colour c(d) = 0.5 + sum_k Y_k(d) sh_k becomes (c, 1) @ map, for all d."""
+def mapped(splats: Splats, map: np.ndarray, chosen: np.ndarray) -> Splats:
+    """Written out anew: every Gaussian's colour c(d) = 0.5 + sum_k Y_k(d) sh_k becomes (c, 1) @ map, for all d."""
     sh = splats.sh.astype(np.float64)
-    for n in np.flatnonzero(rows):
+    for n in np.flatnonzero(chosen):
         sh[n] = sh[n] @ map[:3]
         sh[n, 0] += (0.5 * map[:3].sum(0) + map[3] - 0.5) / SH_C0
     return replace(splats, sh=sh.astype(np.float32))
@@ -61,7 +61,7 @@ def test_one_affine_map_is_found_again_and_acts_on_every_direction() -> None:
     other = look_at((-1.5, 1, 2), (0, 0, 0), width=64, height=64)
     seen, new = (project(splats, other) for splats in (asset, done.splats))
     np.testing.assert_allclose(new.unclamped_colors, seen.unclamped_colors @ WARM[:3] + WARM[3], atol=2e-3)
-    assert done.setup_seconds == 0 and done.edit_seconds > 0 and done.keeps_rows
+    assert done.setup_seconds == 0 and done.edit_seconds > 0 and done.keeps_gaussians
 
 
 def test_a_grey_asset_has_an_answer_where_the_pictures_leave_it_open() -> None:
@@ -150,7 +150,7 @@ def test_cluster_features_are_scaled_alike_and_undrawable_rows_are_in_the_middle
 
 
 def tiny(degree: int) -> Splats:
-    """Five overlapping rows before the origin and one behind both cameras."""
+    """Five overlapping Gaussians before the origin and one behind both cameras."""
     rng = np.random.default_rng(4)
     asset = None
     for mean in [(-0.3, 0, 0), (0.2, 0.1, 0.2), (0, -0.3, -0.2), (0.1, 0.3, 0.1), (-0.1, 0.1, 0.3), (0, 0, 20)]:

@@ -53,7 +53,7 @@ def test_scores_are_against_the_truth_and_against_the_asset() -> None:
     assert figures["psnr_asset"] == 100.0 and figures["lpips"] is None  # its own render
     assert figures["ssim"] is not None and 0.5 < figures["ssim"] < 1
     assert {name: figures[name] for name in numbers} == numbers and figures["share_kept"] == 0.25
-    # Colours that are 0.1 brighter where rows are opaque: the truth is met, the asset no longer.
+    # Colours that are 0.1 brighter where Gaussians are opaque: the truth is met, the asset no longer.
     sh = sheet_case.asset.sh.copy()
     sh[:, 0] += np.float32(0.1 / SH_C0)
     brighter = TABLE.score(sheet_case, [EditResult(replace(sheet_case.asset, sh=sh), 0, 0)], None)
@@ -85,7 +85,7 @@ def test_each_grouping_keeps_a_quarter_of_each_voxel(tmp_path: Path, name: str) 
     assert row.missing(budget) == ""
     done = row.edit(work(case()), budget)
     before, count, voxels = (done.numbers[n] for n in ("gaussians_before", "gaussians_kept", "voxels"))
-    assert len(done.splats) == count == done.numbers["latents"] and not done.keeps_rows
+    assert len(done.splats) == count == done.numbers["latents"] and not done.keeps_gaussians
     assert voxels <= count <= max(before / 4 + voxels, voxels) < before  # max(floor(N / 4), 1) of each
     assert done.edit_seconds == 0 < done.setup_seconds
     assert done.note == f"from 2 canonical renders of 32 px; weights '{name}'"
@@ -96,9 +96,9 @@ def test_before_compression_is_the_lrm_of_the_rows_beside_it(tmp_path: Path) -> 
     folder = weights(tmp_path, config)
     before = ROWS["stage1-before"].edit(work(case()), Budget(weights={"feats-query": folder}))
     after = ROWS["stage1-feats-query"].edit(work(case()), Budget(weights={"feats-query": folder}))
-    # An untrained residual decoder leaves the kept rows as they are: the most opaque of each voxel.
-    rows = {row.tobytes() for row in before.splats.means}
-    unchanged = [row.tobytes() in rows for row in after.splats.means]
+    # An untrained residual decoder leaves the kept Gaussians as they are: the most opaque of each voxel.
+    means = {mean.tobytes() for mean in before.splats.means}
+    unchanged = [mean.tobytes() in means for mean in after.splats.means]
     faint = float(after.splats.opacities.max())
     assert np.mean(unchanged) > 0.9 and faint == pytest.approx(float(before.splats.opacities.max()))
     assert before.numbers["gaussians_before"] == before.numbers["gaussians_kept"] == len(before.splats)

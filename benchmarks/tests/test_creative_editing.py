@@ -46,9 +46,9 @@ def truth(few: object, made: Case) -> GroundTruth:
     return GroundTruth.load(key.name, key.settings["light"], SETUP)
 
 
-def colored(splats: Splats, rows: np.ndarray, level: float) -> Splats:
+def colored(splats: Splats, chosen: np.ndarray, level: float) -> Splats:
     sh = splats.sh.copy()
-    sh[rows] = level
+    sh[chosen] = level
     return replace(splats, sh=sh)
 
 
@@ -184,7 +184,7 @@ def test_figures_of_answers_known_by_hand() -> None:
     assert none["psnr"] == pytest.approx(-10 * np.log10(error), abs=1e-4)
 
     everything = colored(asset, np.arange(1500), -1.0)
-    spoiled = TABLE.score(case, [EditResult(everything, 0, 0, keeps_rows=False)], None)
+    spoiled = TABLE.score(case, [EditResult(everything, 0, 0, keeps_gaussians=False)], None)
     assert spoiled["psnr_outside"] is not None and spoiled["psnr_outside"] < 20
     assert spoiled["touched"] is None and spoiled["equal"] is None
     assert TABLE.pictures(case, [EditResult(edited, 0, 0)])["truth"].shape == (48, 48, 3)

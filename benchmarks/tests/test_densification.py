@@ -51,7 +51,7 @@ def sphere(count: int = 300, seed: int = 0) -> Splats:
 
 
 def views(splats: Splats, count: int = 3) -> tuple[list[Camera], list[np.ndarray]]:
-    """Pictures that differ from the renders: darker, so that every row is pulled at."""
+    """Pictures that differ from the renders: darker, so that every Gaussian is pulled at."""
     cameras = orbit((0, 0, 0), 4.0, count, width=48, height=48)
     return cameras, [0.6 * picture.clip(0, 1) for picture in render(splats, cameras).colors]
 
@@ -93,19 +93,19 @@ def test_pull_grows_where_the_picture_differs_and_the_hardest_are_chosen() -> No
     asset = replace(asset, means=means, scales=np.full((4, 3), 0.08, np.float32), opacities=np.full(4, 0.8, np.float32))
     picture = render(asset, CAMERA).colors[0].clip(0, 1)
     changed = picture.copy()
-    changed[:, 32:] = 1 - changed[:, 32:]  # around rows 1 and 2 alone
+    changed[:, 32:] = 1 - changed[:, 32:]  # around Gaussians 1 and 2 alone
     measured = view_features.measure_views(asset, [CAMERA], [changed])
     assert measured.pull[[1, 2]].min() > 10 * measured.pull[[0, 3]].max()
     assert measured.coverage.shape == (1, 4) and measured.coverage.min() > 1
     assert np.allclose(measured.renders[0], picture, atol=1e-6)
     pull = np.array([3.0, 5.0, 0.0, 5.0], np.float32)
     assert view_features.choose(asset, pull, replace(SMALL, most=2)).tolist() == [1, 3]
-    assert view_features.choose(asset, pull, SMALL).tolist() == [0, 1, 3]  # nothing pulls at row 2
+    assert view_features.choose(asset, pull, SMALL).tolist() == [0, 1, 3]  # nothing pulls at Gaussian 2
     faint = replace(asset, opacities=np.array([0.8, 0.005, 0.8, 0.006], np.float32))
     assert view_features.choose(faint, pull, SMALL).tolist() == [0, 3]
 
 
-def test_pictures_are_sampled_where_rows_lie() -> None:
+def test_pictures_are_sampled_where_gaussians_lie() -> None:
     point = np.array([[0.3, -0.2, 2.0], [0, 0, -1.0]])
     at = view_features.project(point, CAMERA)
     assert np.allclose(at[0], [80 * 0.15 + 32, 80 * -0.1 + 32]) and at[1].max() < 0
@@ -129,10 +129,10 @@ def test_features_say_what_was_put_in() -> None:
     inputs = view_features.gather(asset, gaussian_ids, measured, cameras, colors, SMALL)
     assert inputs.features.shape == (100, view_features.feature_count(SMALL)) and torch.isfinite(inputs.features).all()
     assert inputs.features.abs().max() < 8
-    sigma = inputs.rows.scales.gather(1, inputs.ranks)
+    sigma = inputs.gaussians.scales.gather(1, inputs.ranks)
     assert (sigma[:, 0] >= sigma[:, 1]).all() and (sigma[:, 1] >= sigma[:, 2]).all()
-    # Axes: the covariance R S^2 R^T, from the row's own quaternion by hand, has them as eigenvectors.
-    w, x, y, z = F.normalize(inputs.rows.quats, dim=1).double().unbind(1)
+    # Axes: the covariance R S^2 R^T, from the Gaussian's own quaternion by hand, has them as eigenvectors.
+    w, x, y, z = F.normalize(inputs.gaussians.quats, dim=1).double().unbind(1)
     first = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], 1)  # image of the x axis
     k = (inputs.ranks == 0).nonzero()[:, 1]
     assert torch.allclose(inputs.axes[torch.arange(100), k].double(), first, atol=1e-5)
@@ -183,7 +183,7 @@ def test_masks_codes_and_even_splits_by_hand() -> None:
 
 
 @pytest.mark.parametrize("count", [2, 4])
-def test_a_split_row_looks_like_its_parent(count: int) -> None:
+def test_a_split_gaussian_looks_like_its_parent(count: int) -> None:
     """Composited alpha over the plane of the two long axes, integrated numerically."""
     line = torch.linspace(-4, 4, 161, dtype=torch.float64)
     x, y = torch.meshgrid(line, line, indexing="ij")
@@ -210,7 +210,7 @@ def test_an_untrained_densifier_stays_near_the_asset_and_keeps_what_it_does_not_
     for name in ATTRIBUTES:
         assert np.array_equal(getattr(out, name)[:200], getattr(asset, name)[stay])
     assert set(made.parents.tolist()) == set(made.chosen.tolist())
-    # New rows lie within their parents, and colours are the parents' own.
+    # New Gaussians lie within their parents, and colours are the parents' own.
     assert (
         np.linalg.norm(out.means[200:] - asset.means[made.parents], axis=1) < asset.scales[made.parents].max(1) * 2
     ).all()
@@ -223,8 +223,8 @@ def test_an_untrained_densifier_stays_near_the_asset_and_keeps_what_it_does_not_
     assert torch.allclose(new, torch.full_like(new, 1 / (1 + math.exp(2.1792))), atol=0.05)
 
 
-def test_the_order_of_rows_does_not_matter() -> None:
-    """The network is equivariant: what a row becomes does not depend on where in the list it stands."""
+def test_the_order_of_gaussians_does_not_matter() -> None:
+    """The network is equivariant: what a Gaussian becomes does not depend on where in the list it stands."""
     asset, (cameras, colors) = sphere(), views(sphere())
     net = model(awake=0.3)
     order = np.random.default_rng(3).permutation(300)
@@ -232,8 +232,8 @@ def test_the_order_of_rows_does_not_matter() -> None:
     assert set(order[there.chosen].tolist()) == set(here.chosen.tolist())
 
     def sorted_rows(splats: Splats) -> np.ndarray:
-        rows = np.concatenate([splats.means, splats.scales, splats.sh.reshape(len(splats), -1)], 1)
-        return rows[np.lexsort(rows[:, :3].round(3).T)]
+        values = np.concatenate([splats.means, splats.scales, splats.sh.reshape(len(splats), -1)], 1)
+        return values[np.lexsort(values[:, :3].round(3).T)]
 
     assert np.allclose(sorted_rows(here.splats.numpy()), sorted_rows(there.splats.numpy()), atol=2e-3)
 
@@ -298,7 +298,7 @@ def test_bad_input_is_one_line() -> None:
         prepared(SMALL, asset, cameras, colors[:2])
     with pytest.raises(ValueError, match=r"expected 48x48 RGB pictures, got \[24, 24, 3\]"):
         prepared(SMALL, asset, cameras, [picture[:24, :24] for picture in colors])
-    with pytest.raises(ValueError, match="at least 16 rows that the views show, got 8"):
+    with pytest.raises(ValueError, match="views that show at least 16 Gaussians, got 8"):
         prepared(replace(SMALL, most=8), asset, cameras, colors)
 
 

@@ -159,16 +159,16 @@ def test_an_edit_that_reaches_nothing_has_no_region():
 
 
 def test_results_are_refused_where_they_are_no_asset(tmp_path):
-    with pytest.raises(ValueError, match="the system left no such file"):
+    with pytest.raises(ValueError, match="the system wrote no such file"):
         frames.read_result(tmp_path / "none.ply", ASSET_FRAME)
     broken = replace(ASSET, means=np.full_like(ASSET.means, np.nan))
     io.write(tmp_path / "nan.ply", broken)
     with pytest.raises(ValueError, match="holds nothing that can be drawn"):
         frames.read_result(tmp_path / "nan.ply", ASSET_FRAME)
-    # A GLB of rows keeps its file's own axes, as meshes do.
+    # A GLB of Gaussians keeps its file's own axes, as meshes do.
     io.write(tmp_path / "rows.glb", ASSET)
-    rows = frames.read_result(tmp_path / "rows.glb", ASSET_FRAME)
-    assert abs(rows.means - ASSET.means * [-1, -1, 1]).max() < 1e-6
+    result = frames.read_result(tmp_path / "rows.glb", ASSET_FRAME)
+    assert abs(result.means - ASSET.means * [-1, -1, 1]).max() < 1e-6
 
 
 def test_the_guide_names_every_key_and_placeholder():

@@ -25,7 +25,7 @@ ROW = genden.METHODS[0]
 
 
 def wall(count: int = 12) -> Splats:
-    """Grey rows on a square, facing the cameras below."""
+    """Grey Gaussians on a square, facing the cameras below."""
     u, v = np.meshgrid(*[np.linspace(-1, 1, count)] * 2)
     means = np.stack([u, v, 0 * u], -1).reshape(-1, 3)
     size = np.tile(np.array([0.1, 0.1, 0.02]), (len(means), 1))
@@ -41,7 +41,7 @@ def cameras(count: int, size: int = 40) -> tuple[Camera, ...]:
 
 
 def half_dark(splats: Splats, views: tuple[Camera, ...], left: bool) -> PosedImages:
-    """The wall's renders with rows of one half much darker."""
+    """The wall's renders with Gaussians of one half much darker."""
     dark = splats.sh.copy()
     dark[splats.means[:, 0] < 0 if left else splats.means[:, 0] >= 0, 0] = -1.2
     return pictures(replace(splats, sh=dark), views)
@@ -67,19 +67,19 @@ def budget(tmp_path: Path) -> Budget:
     return Budget(weights={"genden": str(tmp_path / "w")})
 
 
-def test_rows_that_the_edit_changes_are_replaced_and_the_others_stay(budget: Budget) -> None:
+def test_gaussians_that_the_edit_changes_are_replaced_and_the_others_stay(budget: Budget) -> None:
     task = work()
     done = ROW.edit(task, budget)
     asset, out = task.asset, done.splats
     # 40 rows: 8 stay whole, 64 children of which 12 stay whole (52 go on), 208 grandchildren.
     assert done.numbers == {"rows": 144 - 40 + 228, "rows_replaced": 40, "rows_generated": 228}
-    assert not done.keeps_rows and done.setup_seconds == 0 and done.edit_seconds > 0
-    assert done.note == "4 views; 40 of 144 rows replaced by 228; 7 training steps"
+    assert not done.keeps_gaussians and done.setup_seconds == 0 and done.edit_seconds > 0
+    assert done.note == "4 views; 40 of 144 Gaussians replaced by 228; 7 training steps"
     survivors = out.take(np.arange(104))
-    rows = {tuple(mean) for mean in asset.means.tolist()}
-    assert {tuple(mean) for mean in survivors.means.tolist()} < rows
+    means = {tuple(mean) for mean in asset.means.tolist()}
+    assert {tuple(mean) for mean in survivors.means.tolist()} < means
     # Only the half that the close-up shows darker is pulled at: whatever went is on the left, or at its border.
-    removed = np.array(sorted(rows - {tuple(mean) for mean in survivors.means.tolist()}))
+    removed = np.array(sorted(means - {tuple(mean) for mean in survivors.means.tolist()}))
     assert len(removed) == 40 and removed[:, 0].max() < 0.3
     assert all(np.isfinite(getattr(out, name)).all() for name in ATTRIBUTES)
     before, after = (render(s, list(task.base.cameras)).colors.astype(np.float64).clip(0, 1) for s in (asset, out))
@@ -94,7 +94,7 @@ def test_a_second_step_knows_the_first_and_starts_from_the_same_asset(budget: Bu
         work().step.edited.cameras + right.cameras, np.concatenate([work().step.edited.colors, right.colors])
     )
     at_once = ROW.edit(replace(work(), step=step(both)), budget)
-    assert second.note.startswith("5 views; 40 of 144 rows")
+    assert second.note.startswith("5 views; 40 of 144 Gaussians")
     for name in ATTRIBUTES:
         assert np.array_equal(getattr(second.splats, name), getattr(at_once.splats, name))
 

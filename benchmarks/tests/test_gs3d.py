@@ -46,11 +46,11 @@ def work(step: EditStep | None = None, scene: Splats | None = None, state: objec
 
 def test_shares_are_those_of_a_dense_compositor() -> None:
     splats, camera = asset(), front(SIZE)
-    rows = np.random.default_rng(0).random(len(splats)) < 0.3
+    chosen = np.random.default_rng(0).random(len(splats)) < 0.3
     weights, _ = dense_weights(splats, camera)
-    expected = weights[rows].sum(0).reshape(SIZE, SIZE)
+    expected = weights[chosen].sum(0).reshape(SIZE, SIZE)
     np.testing.assert_allclose(
-        share_of(splats, camera, rows), expected, atol=3e-3
+        share_of(splats, camera, chosen), expected, atol=3e-3
     )  # ours stops at 1e-4 of transmittance
 
 
@@ -92,7 +92,7 @@ def test_it_edits_and_keeps_the_rest(settings: Settings) -> None:
     done = edit(settings, this, Budget(steps=120))
     after = render(done.splats, front(SIZE)).colors[0]
     assert db(after, this.step.edited.colors[0], mask) > db(before, this.step.edited.colors[0], mask) + 4
-    assert not done.keeps_rows and done.numbers["steps"] == 120 and done.curve == ()
+    assert not done.keeps_gaussians and done.numbers["steps"] == 120 and done.curve == ()
     assert done.state == (this.step,) and done.edit_seconds > 0
     novel = beside(-1.0)
     far = share_of(this.asset, novel, reached(this.asset, [this.step])) < 0.01
@@ -105,12 +105,12 @@ def test_sh_and_opacity_alone_leave_the_geometry_bit_for_bit() -> None:
     relit = np.clip(drawn(scene, [front(SIZE)]).colors * [1.2, 0.9, 0.6], 0, 1).astype(np.float32)
     step = EditStep("global", "relight", PosedImages((front(SIZE),), relit), np.ones((1, SIZE, SIZE), bool))
     done = edit(Settings(appearance=True), replace(work(step), protocol="relight"), Budget(steps=40))
-    assert done.keeps_rows and len(done.splats) == len(scene)
+    assert done.keeps_gaussians and len(done.splats) == len(scene)
     for name in ("means", "quats", "scales"):
         assert np.array_equal(bits(getattr(done.splats, name)), bits(getattr(scene, name))), name
     old, new = (db(render(splats, front(SIZE)).colors[0], relit[0]) for splats in (scene, done.splats))
     assert new > old + 2
-    with pytest.raises(ValueError, match="3dgs-8: views of the asset show its old look"):
+    with pytest.raises(ValueError, match="3dgs-8: views of the asset show it without the edit"):
         edit(Settings(8), work(step), Budget(steps=2))
 
 

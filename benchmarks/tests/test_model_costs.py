@@ -38,7 +38,7 @@ def test_the_paper_has_300_million_in_the_lrm_and_about_100_in_the_rest() -> Non
 def test_compact_ships_within_its_budget() -> None:
     size = parameters(PRESETS["compact"])
     assert size.total <= 12_000_000 and 2 * size.total <= 25_000_000
-    assert flops(PRESETS["compact"]).latent <= 8e6  # design: about 8 MFLOP per row in Stage II
+    assert flops(PRESETS["compact"]).latent <= 8e6  # design: about 8 MFLOP per Gaussian in Stage II
 
 
 @pytest.mark.parametrize("loss", ["dot", "l2"])
@@ -50,7 +50,7 @@ def test_operations_equal_what_torch_counts(loss: str, representation: str) -> N
     )
     torch.manual_seed(0)
     model = SplatPainterModel(config).eval()
-    cost = flops(config, rows_per_voxel=4.0)
+    cost = flops(config, gaussians_per_voxel=4.0)
     views = asset_views(config)
 
     def counted(call) -> tuple[float, object]:  # noqa: ANN001
@@ -63,17 +63,17 @@ def test_operations_equal_what_torch_counts(loss: str, representation: str) -> N
     total, tokens = counted(lambda: model.encode_views(views) if native else model.lrm(views).tokens)
     assert total == pytest.approx(2 * cost.view, rel=1e-6)
 
-    # Voxels of exactly four rows each.
+    # Voxels of exactly four Gaussians each.
     splats = shell(200)
     full = GaussianGroups.of(grid_of(splats, config))
     groups = replace(full, starts=np.arange(0, 201, 4), centers=np.repeat(full.centers[:1], 50, axis=0))
     assert isinstance(tokens, torch.Tensor)
-    tied, rows = links(200, len(tokens)), splats.torch()
-    total, latents = counted(lambda: model.compressor(tokens, rows, tied, groups))
+    tied, gaussians = links(200, len(tokens)), splats.torch()
+    total, latents = counted(lambda: model.compressor(tokens, gaussians, tied, groups))
     projection = 2 * len(tokens) * config.lrm.dim * config.compress.dim
-    # A kept row alone in its group needs no products for its attention.
+    # A kept Gaussian alone in its group needs no products for its attention.
     alone = 0 if native else config.compress.decoder_layers * 0.25 * 4 * config.compress.dim
-    assert total == pytest.approx(200 * (cost.row - alone) + projection, rel=1e-6)
+    assert total == pytest.approx(200 * (cost.gaussian - alone) + projection, rel=1e-6)
 
     edit = tokenize(pictures(2), groups, config.refine)
     total, state = counted(lambda: model.refiner.adapt(model.initial_state(), edit))

@@ -61,12 +61,12 @@ def test_the_lift_paints_what_is_seen_and_leaves_the_other_sheet_bit_for_bit() -
     asset = thing()
     paint = dab(asset, RED)
     done = row_of("lift").edit(work(paint), Budget())
-    assert paint.mask is not None and done.keeps_rows
+    assert paint.mask is not None and done.keeps_gaussians
     before, after = (render(s, CAMERA).colors[0] for s in (asset, done.splats))
     assert db(after, paint.image, paint.mask) > db(before, paint.image, paint.mask) + 6
     touched = changed(asset, done.splats)
     assert 0 < touched.sum() < 200
-    assert not touched[900:].any()  # the sheet behind, and rows that cannot be drawn
+    assert not touched[900:].any()  # the sheet behind, and Gaussians that cannot be drawn
 
 
 def test_seconds_are_those_of_the_stages_without_the_proof() -> None:
@@ -92,7 +92,7 @@ def test_untrained_weights_on_the_lift_are_the_lift(tmp_path: Path, mode: Mode) 
     assert row_of("ttt").missing(budget) == ""
     task = work(dab(thing(), GREEN) if mode == "local" else grade(thing()), mode)
     lifted, ours = (row_of(name).edit(task, budget) for name in ("lift", "ttt"))
-    assert same(lifted.splats, ours.splats) and ours.keeps_rows
+    assert same(lifted.splats, ours.splats) and ours.keeps_gaussians
     assert {"seconds_encode", "seconds_ttt"} <= set(ours.numbers)
 
 
@@ -162,7 +162,7 @@ def test_the_lrm_puts_the_pixels_of_all_views_on_the_asset(tmp_path: Path) -> No
     task = lrm_work()
     done = row_of("lrm").edit(task, budget)
     drawn = render(task.asset, [*task.base.cameras, *task.step.edited.cameras])
-    assert len(done.splats) == int((drawn.alphas > 0.1).sum()) and not done.keeps_rows and done.setup_seconds == 0
+    assert len(done.splats) == int((drawn.alphas > 0.1).sum()) and not done.keeps_gaussians and done.setup_seconds == 0
     # Every Gaussian lies on its ray near the depth drawn there: on one of the two sheets, or between them.
     slack = 2 * DEPTH_REACH * bounding_cube(task.asset)[1] / 2
     assert done.splats.means[:, 2].max() < slack and done.splats.means[:, 2].min() > -0.6 - slack
@@ -177,7 +177,7 @@ def test_views_of_one_focal_length_are_the_models_own_copy() -> None:
     model = built(SMALL).eval()
     views = reconstruction.all_views(model, lrm_work(), pictures(thing(), ring(2)[1:]))
     with torch.no_grad():
-        copied, ours = model.copy_rows(views), reconstruction.dense(model, views)
+        copied, ours = model.copied_gaussians(views), reconstruction.dense(model, views)
     assert np.array_equal(copied.links.patches, ours.links.patches)
     for name in ATTRIBUTES:
         torch.testing.assert_close(getattr(ours.gaussians, name), getattr(copied.gaussians, name))
@@ -239,12 +239,14 @@ def test_stage_one_keeps_a_quarter_of_every_voxel_and_later_steps_see_earlier_vi
     done = method.edit(task, budget)
     views = reconstruction.all_views(model, task, task.step.edited)
     with torch.no_grad(), autocast("cpu", precision):
-        rows = reconstruction.dense(model, views).gaussians.numpy()
-    lo, size = bounding_cube(rows)
-    cells = np.clip(np.floor((rows.means - lo) / size * config.compress.resolution), 0, config.compress.resolution - 1)
+        gaussians = reconstruction.dense(model, views).gaussians.numpy()
+    lo, size = bounding_cube(gaussians)
+    cells = np.clip(
+        np.floor((gaussians.means - lo) / size * config.compress.resolution), 0, config.compress.resolution - 1
+    )
     _, counts = np.unique(cells.astype(int), axis=0, return_counts=True)
     count = int(np.maximum(counts // 4, 1).sum())
-    assert done.numbers["gaussians_before"] == len(rows) and done.numbers["voxels"] == len(counts)
+    assert done.numbers["gaussians_before"] == len(gaussians) and done.numbers["voxels"] == len(counts)
     assert done.numbers["gaussians_kept"] == done.numbers["latents"] == len(done.splats) == count
     more = replace(task, state=done.state)
     assert len(method.edit(more, budget).state) == 2

@@ -149,7 +149,7 @@ def test_errors_are_rows(config: RunConfig) -> None:
     reasons = {r.method: (r.error, r.missing) for r in records(done.folder) if r.method != "grow"}
     assert reasons == {
         "raising": ("RuntimeError: no such thing as two lines", ""),
-        "cheating": ("cheating: wrote into the asset that it was given; its answer cannot be compared", ""),
+        "cheating": ("cheating: changed the asset in place; its answer cannot be compared", ""),
         "dying": ("its process ended with exit code 3", ""),
         "absent": ("", "not installed: put it there"),
     }

@@ -153,7 +153,7 @@ def test_what_a_later_edit_spoils_is_forgotten_and_what_it_overpaints_is_not() -
     sequence = case(steps, before, after, [False, False], part="edits")
     both = TABLE.score(sequence, answers(one, two), None)
     assert both["first"] == 100 and (both["last"] or 0) > 85 and both["forgetting"] is not None
-    assert 0 <= both["forgetting"] < 30  # far below what can be seen: rows of the one shine through in the other's view
+    assert 0 <= both["forgetting"] < 30  # invisible: Gaussians of the one shine through in the other's view
     lost = colored(ASSET, b, 0.9)  # the first edit is gone
     figures = TABLE.score(sequence, answers(one, lost), None)
     final_db = psnr(rendered(lost, [a])[0], steps[0].edited.colors[0], steps[0].masks[0])

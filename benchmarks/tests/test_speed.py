@@ -28,13 +28,14 @@ from splatpainter.splats import SH_C0, Splats
 
 
 def box(per_side: int = 24) -> Splats:
-    """A cube of edge 2 around the origin, opaque dull flat rows; only the upper half of +x is bright and checked."""
+    """A cube of edge 2 around the origin, opaque dull flat Gaussians; only the upper half of +x is bright and
+    checked."""
     steps = (np.arange(per_side) + 0.5) / per_side * 2 - 1
     a, b = (part.ravel() for part in np.meshgrid(steps, steps))
     one, spacing = np.ones_like(a), 2 / per_side
     half = math.sqrt(0.5)
     sides = {
-        (half, 0, half, 0): [(one, a, b), (-one, a, b)],  # z of the row along world x
+        (half, 0, half, 0): [(one, a, b), (-one, a, b)],  # z of the Gaussian along world x
         (half, half, 0, 0): [(a, one, b), (a, -one, b)],
         (1, 0, 0, 0): [(a, b, one), (a, b, -one)],
     }
@@ -208,14 +209,14 @@ def test_the_grazing_closeup_sees_a_side_of_the_box_at_its_angle() -> None:
         grazing_closeup(replace(splats, opacities=splats.opacities * 0.1))
 
 
-@pytest.mark.parametrize("rows", [500, 3456, 9000])
-def test_scenes_of_any_size_show_the_same_surface(rows: int) -> None:
+@pytest.mark.parametrize("count", [500, 3456, 9000])
+def test_scenes_of_any_size_show_the_same_surface(count: int) -> None:
     from splatpainter.metrics import psnr
     from splatpainter.rendering import render
 
     splats = box()
-    other = resampled(splats, rows, 0)
-    assert len(other) == rows and other.sh.shape == (rows, 1, 3)
+    other = resampled(splats, count, 0)
+    assert len(other) == count and other.sh.shape == (count, 1, 3)
     camera = look_at((5, 1.5, 2), (0, 0, 0), width=64, height=64)
     area = [(s.scales[:, 0] * s.scales[:, 1]).sum() for s in (splats, other)]
     assert area[1] == pytest.approx(area[0], rel=1e-3)

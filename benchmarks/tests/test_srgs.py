@@ -203,7 +203,7 @@ def test_edited_views_get_their_share_of_the_steps() -> None:
 
 
 def case() -> tuple[EditTask, Splats]:
-    """A sheet of coarse rows, and a close-up of a finer one."""
+    """A sheet of coarse Gaussians, and a close-up of a finer one."""
     truth, asset = sheet(44), sheet(14)
     x, y = truth.means[:, 0], truth.means[:, 1]
     sh = truth.sh.copy()
@@ -224,7 +224,7 @@ def test_srgs_brings_the_close_up_into_the_asset(name: str) -> None:
     view, target = work.step.edited.cameras[0], work.step.edited.colors[0]
     before, after = (db(render(s, view).colors[0], target) for s in (work.asset, done.splats))
     assert after > before + 2
-    assert not done.keeps_rows and done.setup_seconds > 0 and done.edit_seconds > 0
+    assert not done.keeps_gaussians and done.setup_seconds > 0 and done.edit_seconds > 0
     assert len(done.splats) > len(work.asset) and 4 <= done.numbers["patches"] <= 8
     assert ("0.4 L_tex + 0.6 L_sub" in done.note) == (name == "srgs")
     assert [steps for _, steps, _ in done.curve] == [10, 30, 100]
@@ -290,5 +290,5 @@ def test_a_program_that_is_missing_or_fails_is_said_in_one_line(tmp_path: Path) 
         program(adapters(tmp_path, "--scale", "2"), 4, tmp_path)(picture)
     quiet = tmp_path / "quiet.toml"
     quiet.write_text("[super-resolution]\ncommand = ['true']\ndevice = 'cpu'\n")
-    with pytest.raises(ValueError, match="ended well but wrote no"):
+    with pytest.raises(ValueError, match="ended without an error but wrote no"):
         program(quiet, 4, tmp_path)(picture)

@@ -33,7 +33,7 @@ def two_sheets() -> Splats:
 
 
 def spotted(splats: Splats, color: tuple[float, float, float]) -> Splats:
-    """The truth: rows of the front sheet near its middle in one colour."""
+    """The truth: Gaussians of the front sheet near its middle in one colour."""
     sh = splats.sh.copy()
     inside = (np.hypot(splats.means[:, 0], splats.means[:, 1]) < 0.45) & (splats.means[:, 2] > -0.4)
     sh[inside, 0] = (np.array(color) - 0.5) / SH_C0
@@ -64,7 +64,7 @@ def test_a_local_fit_moves_only_colours_and_opacities_of_rows_that_the_edit_reac
     sh = asset.sh.copy()
     done = BY_NAME["oracle-fit"].edit(work, Budget(steps=100))
     assert np.array_equal(asset.sh, sh)  # the case's own asset is not written to
-    assert done.keeps_rows and len(done.splats) == len(asset)
+    assert done.keeps_gaussians and len(done.splats) == len(asset)
     for name in ("means", "quats", "scales"):
         assert np.array_equal(bits(getattr(done.splats, name)), bits(getattr(asset, name)))
     moved = (bits(done.splats.sh) != bits(asset.sh)).reshape(len(asset), -1).any(1)
@@ -99,7 +99,7 @@ def test_with_all_attributes_rows_move_and_come_and_go_and_show_what_coarse_rows
     truth = replace(truth, sh=(truth.sh + checks[:, None]).astype(np.float32))
     work = given("local", asset, truth)
     done = BY_NAME["oracle-fit-all"].edit(work, Budget(steps=150, seed=1))
-    assert not done.keeps_rows and len(done.splats) > len(asset)
+    assert not done.keeps_gaussians and len(done.splats) > len(asset)
     colors = BY_NAME["oracle-fit"].edit(work, Budget(steps=150, seed=1))
     view, target = camera(0.5, 0.4, 2.9), render(truth, camera(0.5, 0.4, 2.9)).colors[0]
     before, alike, finer = (db(render(s, view).colors[0], target) for s in (asset, colors.splats, done.splats))

@@ -16,19 +16,20 @@ from splatpainter.demo_asset import FILE, demo_asset
 from splatpainter.splats import ATTRIBUTES, Splats, rows_sha256
 
 FLATNESS = 0.1
-"""Thickness of a row along the normal, of its smaller tangent size."""
+"""Thickness of a Gaussian along the normal, of its smaller tangent size."""
 LIFT = 0.45
 """The scene is built standing on y = 0 and lowered by this, so that it turns about the origin."""
 
 
 def make(seed: int = 0) -> Splats:
-    """The still life as `demo_asset` gives it. seed: jitter and opacities of the rows; the scene itself is fixed."""
+    """The still life as `demo_asset` gives it. seed: jitter and opacities of the Gaussians; the scene itself is
+    fixed."""
     rng = np.random.default_rng(seed)
-    rows, sh = still_life(rng)
-    axes = np.stack([rows.tangents, np.cross(rows.normals, rows.tangents), rows.normals], 2)
-    scales = np.concatenate([rows.sizes, FLATNESS * rows.sizes.min(1, keepdims=True)], 1)
+    gaussians, sh = still_life(rng)
+    axes = np.stack([gaussians.tangents, np.cross(gaussians.normals, gaussians.tangents), gaussians.normals], 2)
+    scales = np.concatenate([gaussians.sizes, FLATNESS * gaussians.sizes.min(1, keepdims=True)], 1)
     opacities = rng.uniform(0.88, 0.97, len(sh))
-    arrays = (rows.points - [0, LIFT, 0], quaternions(axes), scales, opacities, sh)
+    arrays = (gaussians.points - [0, LIFT, 0], quaternions(axes), scales, opacities, sh)
     means, quats, scales, opacities, sh = (np.ascontiguousarray(array, np.float32) for array in arrays)
     return Splats(means, quats, scales, opacities, sh)
 
@@ -54,8 +55,8 @@ def main() -> int:
 def quaternions(m: np.ndarray) -> np.ndarray:
     """[N, 4] unit quaternions w, x, y, z of the rotation matrices [N, 3, 3].
 
-    The outer product 4 q q^T is linear in the matrix; its row with the largest diagonal gives q without cancellation
-    (Shepperd 1978).
+    The outer product 4 q q^T is linear in the matrix; its row with the largest diagonal gives q without
+    cancellation (Shepperd 1978).
     """
     outer = np.empty((len(m), 4, 4))
     for i, signs in enumerate(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))):

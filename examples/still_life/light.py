@@ -1,7 +1,7 @@
 """Light of the still life: shadows and ambient occlusion through a distance field, a glaze that mirrors a studio, and
 the spherical harmonics that carry what depends on the view. Knows surfaces as points, normals, albedo and gloss only.
 
-Everything is computed in linear light and fitted as display sRGB, which is what the rows store.
+Everything is computed in linear light and fitted as display sRGB, which is what the Gaussians store.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def linear(srgb: np.ndarray) -> np.ndarray:
 
 def sh_basis(directions: np.ndarray) -> np.ndarray:
     """[..., 16] real spherical harmonics of degree 0-3 with INRIA's signs and order. directions [..., 3]: unit vectors
-    from the camera to the row, as 3D Gaussian Splatting defines them."""
+    from the camera to the Gaussian, as 3D Gaussian Splatting defines them."""
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
     xx, yy, zz = x * x, y * y, z * z
     terms = [
@@ -184,11 +184,11 @@ def viewpoints(count: int) -> np.ndarray:
 def fit_sh(
     normals: np.ndarray, diffuse: np.ndarray, gloss: np.ndarray, openness: np.ndarray, count: int = 80
 ) -> np.ndarray:
-    """[N, 16, 3] degree-3 SH of what each row shows, by weighted least squares over `count` viewpoints.
+    """[N, 16, 3] degree-3 SH of what each Gaussian shows, by weighted least squares over `count` viewpoints.
 
     normals [N, 3]; diffuse [N, 3] linear light that leaves equally in all directions; gloss [N] 0 matt .. 1 glazed;
-    openness [N] 0..1 scales reflections. Only viewpoints on the row's own side count (a row is not seen from behind),
-    which leaves the coefficients free to draw a tighter highlight than a fit over the whole sphere could.
+    openness [N] 0..1 scales reflections. Only viewpoints on the Gaussian's own side count (a Gaussian is not seen from
+    behind), which leaves the coefficients free to draw a tighter highlight than a fit over the whole sphere could.
     """
     views = viewpoints(count)
     basis = sh_basis(-views).astype(np.float32)
@@ -202,8 +202,8 @@ def fit_sh(
         facing = n @ views.T
         cosine = np.maximum(facing, 0.02)
         fresnel = 0.045 + 0.60 * (1 - cosine) ** 5
-        shown = (fresnel * shine * openness[part, None])[..., None] * mirrored(n, views, cosine, 1 - shine[:, 0])
-        seen = display(diffuse[part, None] + shown) - 0.5
+        reflected = (fresnel * shine * openness[part, None])[..., None] * mirrored(n, views, cosine, 1 - shine[:, 0])
+        seen = display(diffuse[part, None] + reflected) - 0.5
         weight = np.clip((facing + 0.05) / 0.25, 0.004, 1)
         left = (weight @ pairs).reshape(-1, size, size) / count + ridge
         right = basis.T @ (weight[..., None] * seen) / count

@@ -1,4 +1,5 @@
-"""Lofted surfaces, evenly scattered rows on them, and their signed distances. Knows no colour, no light and no Splats.
+"""Lofted surfaces, evenly scattered Gaussians on them, and their signed distances. Knows no colour, no light and no
+Splats.
 
 A loft is a chain of ellipses: a body of revolution has its centres on a straight axis, a handle or spout has them on a
 bent path. Parameters: u runs along the chain (arc length of the outline, world units), v around it (radians).
@@ -120,7 +121,7 @@ def scatter(
     loft: Loft, spacing: Callable[[np.ndarray], np.ndarray], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(u, v, spacing), each [N]: a golden-angle lattice, `spacing(u)` world units apart, slightly jittered so that no
-    regular pattern shows. Rows are finer where the outline bends more sharply than the spacing could follow."""
+    regular pattern shows. Gaussians are finer where the outline bends more sharply than the spacing could follow."""
     fine = np.linspace(0, loft.length, 4000)
     outline = np.stack([loft.centres[:, 0], loft.centres[:, 1], loft.radii[:, 0]], 1)
     slope = _smooth(np.gradient(outline, loft.u, axis=0), 5)
@@ -140,8 +141,8 @@ def scatter(
 def quarter(
     loft: Loft, u: np.ndarray, v: np.ndarray, size: np.ndarray, apart: float = 0.5
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(u, v, size), each [4 N]: every row's cell as four of half the size, those of a row next to each other. apart:
-    distance between their centres, in sizes (0.5 tiles the cell)."""
+    """(u, v, size), each [4 N]: every Gaussian's cell as four of half the size, those of a Gaussian next to each other.
+    apart: distance between their centres, in sizes (0.5 tiles the cell)."""
     step = 0.5 * apart * size[:, None]
     u4 = np.clip(u[:, None] + np.array([-1, -1, 1, 1]) * step, 0, loft.length)
     around = np.maximum(loft.radius(u), size / 2)[:, None]

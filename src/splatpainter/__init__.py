@@ -1,4 +1,4 @@
-"""SplatPainter: edit a picture of a 3D Gaussian asset, and the asset changes; untouched rows stay bit for bit the same.
+"""SplatPainter: edit a picture of a 3D Gaussian asset, and the asset changes; untouched Gaussians keep every bit.
 
 Names are imported on first use, so `import splatpainter` costs nothing and needs no torch.
 """

@@ -97,7 +97,7 @@ def _help() -> str:
         [
             f"usage: {PROGRAM} COMMAND ...",
             "",
-            "Edit a picture of a 3D Gaussian asset, and the asset changes; untouched rows stay bit for bit the same.",
+            "Edit a picture of a 3D Gaussian asset, and the asset changes; untouched Gaussians keep every bit.",
             "",
             "commands:",
             *rows,
@@ -132,7 +132,7 @@ def _write_what_the_terminal_can() -> None:
 
 def _one_line(error: Exception) -> str:
     if isinstance(error, MemoryError):
-        return "out of memory; use a smaller --size, or an asset with fewer rows"
+        return "out of memory; use a smaller --size, or an asset with fewer Gaussians"
     if isinstance(error, OSError):
         return reason(error) if error.filename is None else f"{error.filename}: {reason(error)}"
     return str(error)

@@ -79,7 +79,7 @@ def visibility(points: np.ndarray, normals: np.ndarray, spacing: float, directio
     other = np.cross(towards, side).astype(np.float32)
     span = float(np.linalg.norm(np.ptp(points, axis=0)))
     if not np.isfinite(span):
-        raise ValueError("visibility: expected finite points within float32's squares, got others")
+        raise ValueError("visibility: expected finite points whose squares are finite in float32, got others")
     pixel = np.float32(max(1.25 * spacing, span / 900))  # a map of at most 900 pixels a side
     center = ((points.min(0) + points.max(0)) / 2).astype(np.float32)
     size = int(np.ceil(span / pixel)) + 8

@@ -37,7 +37,7 @@ PictureFormat = Literal["png", "exr"]
 BITS: dict[PictureFormat, tuple[int, ...]] = {"png": (8, 16), "exr": (16, 32)}
 """Bits of a sample that each format can have, the default first."""
 MAX_PNG_IDS = (1 << 24) - 1
-"""Rows that three 8-bit channels can name."""
+"""Gaussians that three 8-bit channels can name."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,14 @@ class Passes:
     normal: np.ndarray | None = None
     """[H, W, 3] float32 sum_i w_i n_i, made unit length: outward normals in world axes; 0 where nothing is drawn."""
     gaussian_ids: np.ndarray | None = None
-    """[H, W] int64 the row with the largest w_i; -1 where nothing is drawn."""
+    """[H, W] int64 the Gaussian with the largest w_i; -1 where nothing is drawn."""
     coverage: np.ndarray | None = None
-    """[H, W, 3] float32 parts of alpha: rows predicted and not seen, rows seen by edited views, rows as they were."""
+    """[H, W, 3] float32 parts of alpha: Gaussians predicted and not seen, Gaussians seen by edited views, Gaussians as
+    they were."""
 
 
 def normals_of(splats: Splats) -> np.ndarray:
-    """[N, 3] float32 outward unit normals; zeros for rows that cannot be drawn."""
+    """[N, 3] float32 outward unit normals; zeros for Gaussians that cannot be drawn."""
     return outward_normals(splats) if splats.drawable.any() else np.zeros((len(splats), 3), np.float32)
 
 
@@ -75,13 +76,16 @@ def draw_passes(
     """Draw colours, alpha, depth, and what `aovs` names besides.
 
     splats: numpy attributes. profile: as in `render`. normals: [N, 3] of `normals_of`, computed where they are
-    wanted and not given (the same for all views of an asset). coverage: [N] bool rows predicted and [N] bool rows seen,
-    both False for rows as they were. Raises ValueError as `render`, and for "coverage" without one."""
+    wanted and not given (the same for all views of an asset). coverage: [N] bool Gaussians predicted and [N] bool
+    Gaussians seen, both False for Gaussians as they were. Raises ValueError as `render`, and for "coverage" without
+    one."""
     from splatpainter.rendering import render
     from splatpainter.rendering.cpu.projected_view import project
 
     if "coverage" in aovs and coverage is None:
-        raise ValueError("coverage: only a session knows which rows its edits saw; export the view from a session")
+        raise ValueError(
+            "coverage: only a session records which Gaussians its edits saw; export the view from a session"
+        )
     drawn = render(splats, camera, profile=profile)
     colors, alpha, depth = drawn.colors[0], drawn.alphas[0, ..., 0], drawn.depths[0, ..., 0]
     if not {"normal", "gaussian-ids", "coverage"} & {*aovs}:
@@ -167,14 +171,17 @@ def view_files(
     coverage: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> dict[str, bytes]:
     """Render a view: file name -> its bytes, in the order of `options.file_names(stem)`. Arguments and errors besides
-    as `draw_passes`; ValueError also where a library is missing or a PNG cannot number so many rows.
+    as `draw_passes`; ValueError also where a library is missing or a PNG cannot number so many Gaussians.
 
     AOVs. alpha: 0..1. depth: z in world units, in PNG as 16-bit grey, 0 nothing and 1..65535 from `near` to `far`.
-    normal: world axes, in PNG 0.5 + 0.5 n. gaussian-ids: row + 1, 0 nothing; in PNG R + 256 G + 65536 B, in OpenEXR an
-    unsigned channel "id". coverage: R predicted, G seen by an edited view, B as it was; their sum is alpha."""
+    normal: world axes, in PNG 0.5 + 0.5 n. gaussian-ids: index + 1, 0 nothing; in PNG R + 256 G + 65536 B, in
+    OpenEXR an unsigned channel "id". coverage: R predicted, G seen by an edited view, B as it was; their sum is
+    alpha."""
     options.check_installed()
     if options.format == "png" and "gaussian-ids" in options.aovs and len(splats) > MAX_PNG_IDS:
-        raise ValueError(f"gaussian-ids: a PNG numbers {MAX_PNG_IDS:,} rows, got {len(splats):,}; use --format exr")
+        raise ValueError(
+            f"gaussian-ids: a PNG numbers {MAX_PNG_IDS:,} Gaussians, got {len(splats):,}; use --format exr"
+        )
     passes = draw_passes(splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage)
     record: dict[str, Any] = json.loads(camera.to_json())
     if options.transparent:

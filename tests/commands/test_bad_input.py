@@ -77,7 +77,7 @@ BROKEN: dict[str, tuple[str, bytes, str]] = {
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_files_that_are_not_what_they_say(case: str, tmp_path: Path, capfd: Capture) -> None:
-    name, data, said = BROKEN[case]
+    name, data, pattern = BROKEN[case]
     path = tmp_path / name
     path.write_bytes(data)
     before = listing(tmp_path)
@@ -93,7 +93,7 @@ def test_files_that_are_not_what_they_say(case: str, tmp_path: Path, capfd: Capt
     finally:
         tracemalloc.stop()
     for line in lines:
-        assert str(path) in line and re.search(said, line), line
+        assert str(path) in line and re.search(pattern, line), line
         assert len(line) < 400
     assert peak < 64 << 20, "nothing is allocated before a count is checked"
     assert listing(tmp_path) == before and not (tmp_path / "views").exists()
@@ -108,7 +108,7 @@ def test_missing_words(words: list[str], capfd: Capture) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "pattern"),
     [
         (["inof", "X"], "did you mean info?"),
         (["polish"], "expected a command"),
@@ -135,10 +135,10 @@ def test_missing_words(words: list[str], capfd: Capture) -> None:
     ],
 )
 def test_wrong_options(
-    words: list[str], said: str, tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
+    words: list[str], pattern: str, tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert said in run(capfd, *words).error
+    assert pattern in run(capfd, *words).error
     assert listing(tmp_path) == {}
 
 
@@ -259,7 +259,7 @@ def test_a_picture_without_an_edit(view: Path, capfd: Capture) -> None:
     assert str(same) in line and "does not differ" in line
 
 
-def test_an_edit_that_hits_no_row(view: Path, capfd: Capture) -> None:
+def test_an_edit_that_hits_no_gaussian(view: Path, capfd: Capture) -> None:
     """Paint in the empty corner, with and without a mask, by every method that edits locally."""
     beside = paint(view.parent / "views" / "view_000.png", view.with_name("beside.png"), (1, 1, 8, 8))
     mask = view.with_name("mask.png")
@@ -279,8 +279,8 @@ def test_a_view_from_inside(view: Path, capfd: Capture) -> None:
     line = refused(capfd, view.parent, view, "--camera", inside)
     assert str(view) in line and "inside" in line
     second = without_camera(view, view.with_name("second.png"))
-    own = view.parent / "views" / "view_000.json"
-    line = refused(capfd, view.parent, view, second, "--camera", own, inside)
+    recorded = view.parent / "views" / "view_000.json"
+    line = refused(capfd, view.parent, view, second, "--camera", recorded, inside)
     assert str(second) in line and "inside" in line
 
 
@@ -311,8 +311,8 @@ def test_pictures_of_impossible_size(size: tuple[int, int], view: Path, capfd: C
 
 def test_pictures_that_are_none(view: Path, capfd: Capture) -> None:
     folder = view.parent
-    whole = view.read_bytes()
-    (folder / "half.png").write_bytes(whole[: len(whole) // 2])
+    complete = view.read_bytes()
+    (folder / "half.png").write_bytes(complete[: len(complete) // 2])
     (folder / "text.png").write_text("hello")
     (folder / "empty.png").write_bytes(b"")
     buffer = io.BytesIO()
@@ -342,7 +342,7 @@ def test_a_receipt_that_is_none(view: Path, capfd: Capture) -> None:
 
 
 def test_nothing_to_draw(tmp_path: Path, capfd: Capture) -> None:
-    """No rows at all, and none that can be drawn: rendered as background, refused by edit."""
+    """No Gaussians at all, and none that can be drawn: rendered as background, refused by edit."""
     for name, splats in (
         ("none", ball(10).take(np.zeros(0, np.int64))),
         ("nan", replace(ball(10), means=np.full((10, 3), np.nan, np.float32))),

@@ -15,7 +15,18 @@ from PIL import Image
 
 from splatpainter import cli
 from splatpainter.commands import SUMMARIES
-from tests.support.cli_scenes import BOX, Ran, ball, listing, paint, rows_of, run, saved, with_bad_rows, without_camera
+from tests.support.cli_scenes import (
+    BOX,
+    Ran,
+    ball,
+    listing,
+    paint,
+    rows_of,
+    run,
+    saved,
+    with_bad_gaussians,
+    without_camera,
+)
 
 
 @pytest.fixture()
@@ -41,23 +52,23 @@ def process(*words: object, **options) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("name", SUMMARIES)
 def test_help_says_what_and_how(name: str, capfd: pytest.CaptureFixture[str]) -> None:
-    shown = run(capfd, name, "--help")
-    assert (shown.code, shown.err) == (0, "")
-    assert f"usage: splatpainter {name}" in shown.out
-    assert f"example:\n  splatpainter {name}" in shown.out
+    output = run(capfd, name, "--help")
+    assert (output.code, output.err) == (0, "")
+    assert f"usage: splatpainter {name}" in output.out
+    assert f"example:\n  splatpainter {name}" in output.out
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
 def test_the_list_of_commands(words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
-    shown = run(capfd, *words)
-    assert (shown.code, shown.err) == (0, "")
-    assert all(re.search(rf"^  {name} +{re.escape(line)}$", shown.out, re.M) for name, line in SUMMARIES.items())
+    output = run(capfd, *words)
+    assert (output.code, output.err) == (0, "")
+    assert all(re.search(rf"^  {name} +{re.escape(line)}$", output.out, re.M) for name, line in SUMMARIES.items())
 
 
 def test_version_and_module_entry() -> None:
-    shown = process("--version")
-    assert (shown.returncode, shown.stderr) == (0, "")
-    assert re.fullmatch(r"splatpainter \d+\.\d+\.\d+\n", shown.stdout)
+    output = process("--version")
+    assert (output.returncode, output.stderr) == (0, "")
+    assert re.fullmatch(r"splatpainter \d+\.\d+\.\d+\n", output.stdout)
 
 
 @pytest.mark.parametrize("words", [["--help"], ["info"], ["info", "--json"], ["convert"], ["verify"]])
@@ -76,8 +87,8 @@ def test_light_commands_load_neither_torch_nor_numba(words: list[str], tmp_path:
 # info and convert
 
 
-def test_info_counts_rows_that_cannot_be_drawn(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    asset = saved(tmp_path / "odd.ply", with_bad_rows(ball(500)))
+def test_info_counts_gaussians_that_cannot_be_drawn(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    asset = saved(tmp_path / "odd.ply", with_bad_gaussians(ball(500)))
     record = run(capfd, "info", asset, "--json").json
     assert (record["rows"], record["rows_not_drawn"], record["sh_degree"]) == (500, 4, 1)
     assert (record["format"], record["color_space"], record["antialiased"]) == ("ply", "srgb", False)
@@ -89,7 +100,7 @@ def test_info_counts_rows_that_cannot_be_drawn(tmp_path: Path, capfd: pytest.Cap
     finite = stored[np.isfinite(stored).all(1)]
     assert np.array_equal(record["bounds"], [finite.min(0), finite.max(0)])
     text = run(capfd, "info", asset)
-    assert "500 rows, of which 4 cannot be drawn" in text.out and text.err == ""
+    assert "500 Gaussians, of which 4 cannot be drawn" in text.out and text.err == ""
     assert sum(line.startswith("problem") for line in text.out.splitlines()) == len(record["problems"]) > 0
 
 
@@ -119,13 +130,13 @@ def test_convert_says_what_is_lost(tmp_path: Path, capfd: pytest.CaptureFixture[
 
 def test_pictures_carry_their_camera(view: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with Image.open(view) as picture:
-        told = json.loads(picture.text["splatpainter"])  # type: ignore[attr-defined]
+        stored = json.loads(picture.text["splatpainter"])  # type: ignore[attr-defined]
         assert picture.size == (96, 96)
-    assert told == json.loads(view.with_suffix(".json").read_text())
-    assert told["version"] == 1 and (told["width"], told["height"]) == (96, 96)
+    assert stored == json.loads(view.with_suffix(".json").read_text())
+    assert stored["version"] == 1 and (stored["width"], stored["height"]) == (96, 96)
     asset = view.parent.parent / "ball.ply"
     record = run(capfd, "info", asset, "--json").json
-    assert told["asset_sha256"] == record["sha256"]
+    assert stored["asset_sha256"] == record["sha256"]
     again = asset.parent / "again"
     for camera in (view.with_suffix(".json"), view):
         done = run(capfd, "render", asset, "--out", again, "--camera", camera, "--overwrite", "--json").json
@@ -134,7 +145,7 @@ def test_pictures_carry_their_camera(view: Path, capfd: pytest.CaptureFixture[st
 
 
 def test_the_default_ring_frames_the_asset_upright(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Also when a fifth of the rows are floaters a hundred sizes away and another fifth is haze."""
+    """Also when a fifth of the Gaussians are floaters a hundred sizes away and another fifth is haze."""
     core, some = ball(), ball(1000)
     far = replace(some, means=100 * some.means)
     haze = replace(some, means=30 * some.means, opacities=np.full(1000, 0.01, np.float32))
@@ -177,9 +188,11 @@ def test_linear_assets_are_shown_in_display_colours(tmp_path: Path, capfd: pytes
     assert np.abs(np.median(after[46:52, 42:54], (0, 1)) - (128, 60, 60)).max() < 20, "50 off without the way back"
 
 
-def test_rows_that_cannot_be_drawn_do_not_poison_pictures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    whole, odd = ball(), with_bad_rows(ball())
-    for name, splats in (("whole", whole.take(odd.drawable)), ("odd", odd)):
+def test_gaussians_that_cannot_be_drawn_do_not_poison_pictures(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    sound, odd = ball(), with_bad_gaussians(ball())
+    for name, splats in (("whole", sound.take(odd.drawable)), ("odd", odd)):
         asset = saved(tmp_path / f"{name}.ply", splats)
         camera = ["--camera", tmp_path / "whole" / "view_000.json"] if name == "odd" else ["--views", 1, "--size", 64]
         assert run(capfd, "render", asset, "--out", tmp_path / name, *camera).code == 0
@@ -206,7 +219,7 @@ def test_paint_edit_verify_tamper(view: Path, capfd: pytest.CaptureFixture[str])
     touched = np.concatenate([np.arange(first, first + count) for first, count in receipt["touched_runs"]])
     assert set(np.flatnonzero(~same)) <= set(touched) and len(touched) == receipt["touched_rows"]
     assert len(after) == len(before) + receipt["appended_rows"] == receipt["output"]["rows"]
-    assert f"{same.sum():,} of {len(before):,} rows byte-identical, verified" in done.out
+    assert f"{same.sum():,} of {len(before):,} Gaussians byte-identical, verified" in done.out
     assert receipt["views"][0]["psnr_after"] > receipt["views"][0]["psnr_before"] + 10
     assert {"read", "prepare", "lift", "write", "verify"} <= set(receipt["seconds"])
 
@@ -232,8 +245,8 @@ def test_verify_without_a_receipt_counts(view: Path, capfd: pytest.CaptureFixtur
     folder = view.parent.parent
     edited(view, capfd)
     (folder / "out.ply.receipt.json").unlink()
-    found = run(capfd, "verify", folder / "ball.ply", folder / "out.ply", "--json")
-    assert found.code == 0 and found.json["receipt"] is None and found.json["changed"] > 0
+    verified = run(capfd, "verify", folder / "ball.ply", folder / "out.ply", "--json")
+    assert verified.code == 0 and verified.json["receipt"] is None and verified.json["changed"] > 0
     backwards = run(capfd, "verify", folder / "out.ply", folder / "ball.ply")
     assert backwards.code == 1 and "rows are missing" in backwards.out
 
@@ -243,11 +256,11 @@ def test_json_is_all_there_is_on_stdout(view: Path, capfd: pytest.CaptureFixture
     assert done.err == ""
     receipt = json.loads((view.parent.parent / "r.json").read_text())
     assert done.json["receipt"] == receipt and done.json["verified"] is True
-    wanted = {
+    expected = {
         "asset", "output", "mode", "method", "preset", "touched_rows", "appended_rows", "removed_rows",
         "untouched_sha256_before", "untouched_sha256_after", "views", "seconds",
     }  # fmt: skip
-    assert wanted <= set(receipt)
+    assert expected <= set(receipt)
     assert receipt["untouched_sha256_before"] == receipt["untouched_sha256_after"]
 
 
@@ -258,11 +271,11 @@ def test_formats_that_round_say_so_and_still_verify(name: str, view: Path, capfd
     receipt = done.json["receipt"]
     assert "compared with the original converted to" in receipt["note"]
     again = "rounded anew" in receipt["note"]
-    assert again == (receipt["touched_rows"] > 300), "rows that the format rounds anew are listed and explained"
+    assert again == (receipt["touched_rows"] > 300), "Gaussians that the format rounds anew are listed and explained"
     folder = view.parent.parent
-    found = run(capfd, "verify", folder / "ball.ply", folder / name, "--json")
-    assert found.code == 0 and found.json["ok"] and found.json["receipt"] is not None
-    assert found.json["same"] == done.json["same_rows"] >= 3000 - receipt["touched_rows"]
+    verified = run(capfd, "verify", folder / "ball.ply", folder / name, "--json")
+    assert verified.code == 0 and verified.json["ok"] and verified.json["receipt"] is not None
+    assert verified.json["same"] == done.json["same_rows"] >= 3000 - receipt["touched_rows"]
 
 
 def test_in_place_only_with_overwrite(view: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -272,8 +285,8 @@ def test_in_place_only_with_overwrite(view: Path, capfd: pytest.CaptureFixture[s
     assert (folder / "ball.ply").read_bytes() == original
     assert edited(view, capfd, "--overwrite", out="ball.ply").code == 0
     (folder / "kept.ply").write_bytes(original)
-    found = run(capfd, "verify", folder / "kept.ply", folder / "ball.ply", "--json").json
-    assert found["ok"] and found["changed"] > 0 and found["receipt"] is not None
+    verified = run(capfd, "verify", folder / "kept.ply", folder / "ball.ply", "--json").json
+    assert verified["ok"] and verified["changed"] > 0 and verified["receipt"] is not None
 
 
 def test_a_camera_of_another_asset_warns(view: Path, capfd: pytest.CaptureFixture[str]) -> None:

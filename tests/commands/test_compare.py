@@ -47,9 +47,9 @@ def test_decibels_and_pictures(pair: tuple[Path, Path], profile: str, tmp_path: 
         assert 0.2 < view["differing"] < 0.9
         with Image.open(view["file"]) as image:
             pixels = np.asarray(image).astype(int)
-        shown = [pixels[-170 - 12 : -12, 6 + k * 176 : 176 + k * 176] for k in range(3)]
-        wanted = [a, b, np.clip(5 * np.abs(a - b), 0, 1)]
-        for stored, picture in zip(shown, wanted, strict=True):
+        panels = [pixels[-170 - 12 : -12, 6 + k * 176 : 176 + k * 176] for k in range(3)]
+        expected = [a, b, np.clip(5 * np.abs(a - b), 0, 1)]
+        for stored, picture in zip(panels, expected, strict=True):
             assert np.abs(stored - picture * 255).max() <= 0.51
         assert (pixels[:20] < 80).any(), "a caption stands above"
     assert record["psnr"] == pytest.approx(-10 * math.log10(np.mean(errors)), abs=1e-3)
@@ -95,7 +95,7 @@ def test_given_cameras_and_many_views(pair: tuple[Path, Path], tmp_path: Path, c
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "pattern"),
     [
         (["--size", "9"], "--size from 16"),
         (["--size", "4096"], "--size from 16 to 2730"),
@@ -107,9 +107,9 @@ def test_given_cameras_and_many_views(pair: tuple[Path, Path], tmp_path: Path, c
         (["--profile", "unreal"], "unreal"),
     ],
 )
-def test_wrong_options(pair: tuple[Path, Path], words: list[str], said: str, tmp_path: Path, capfd: Capture) -> None:
+def test_wrong_options(pair: tuple[Path, Path], words: list[str], pattern: str, tmp_path: Path, capfd: Capture) -> None:
     line = run(capfd, "compare", *pair, "--out", tmp_path / "out", *words).error
-    assert said in line and not (tmp_path / "out").exists()
+    assert pattern in line and not (tmp_path / "out").exists()
 
 
 def test_existing_files_and_inputs_are_not_written_over(

@@ -28,8 +28,8 @@ def meshes(tmp_path: Path) -> Path:
 
 
 def test_the_list_of_commands(capfd: Capture) -> None:
-    shown = run(capfd, "data")
-    assert shown.code == 0 and all(f"{name:<7} {line}" in shown.out for name, line in SUMMARIES.items())
+    output = run(capfd, "data")
+    assert output.code == 0 and all(f"{name:<7} {line}" in output.out for name, line in SUMMARIES.items())
     assert all(
         run(capfd, "data", name, "--help").out.startswith(f"usage: splatpainter data {name}") for name in SUMMARIES
     )
@@ -71,8 +71,8 @@ def test_check_says_what_is_damaged_and_what_is_missing(meshes: Path, tmp_path: 
     assert run(capfd, "data", "render", meshes, "--out", out, *SMALL).code == 0
     shard = out / "shard-00000.tar"
     shard.write_bytes(shard.read_bytes()[:-1])
-    found = run(capfd, "data", "check", out)
-    assert found.code == 1 and f"problem  {shard}: has" in found.out and "cut short" in found.out
+    checked = run(capfd, "data", "check", out)
+    assert checked.code == 1 and f"problem  {shard}: has" in checked.out and "cut short" in checked.out
 
 
 def test_path_traced_truth(meshes: Path, tmp_path: Path, capfd: Capture) -> None:
@@ -91,9 +91,9 @@ def test_path_traced_truth(meshes: Path, tmp_path: Path, capfd: Capture) -> None
     import json
 
     light = decode_radiance(files, "after", key)
-    shown = tone_map(light, json.loads(files["json"])["exposure"]["after"])
+    displayed = tone_map(light, json.loads(files["json"])["exposure"]["after"])
     inside = light.sum(-1) > 0.01
-    close = np.abs(shown - sample.novel_after.colors.numpy()).max(-1) < 0.01
+    close = np.abs(displayed - sample.novel_after.colors.numpy()).max(-1) < 0.01
     assert close[inside].mean() > 0.6  # all but the rim, which shows the background too
 
 

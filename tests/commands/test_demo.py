@@ -64,8 +64,8 @@ def test_the_demo_makes_everything_it_promises(
     with Image.open(out / "turntable.webp") as film:
         assert (film.n_frames, film.size) == (5, (80, 80))  # type: ignore[attr-defined]
     with Image.open(out / "edited.png") as picture:
-        told = json.loads(picture.text["splatpainter"])  # type: ignore[attr-defined]
-    assert told["asset_sha256"] == json.loads((out / "painted.ply.receipt.json").read_text())["asset"]["sha256"]
+        stored = json.loads(picture.text["splatpainter"])  # type: ignore[attr-defined]
+    assert stored["asset_sha256"] == json.loads((out / "painted.ply.receipt.json").read_text())["asset"]["sha256"]
     assert pixels(out / "overview.png").shape[1] == 1600
 
 
@@ -74,12 +74,12 @@ def test_the_asset_stands_upright_for_every_other_program(tmp_path: Path, capfd:
     from splatpainter.cameras import orbit
     from splatpainter.demo_asset import demo_view
 
-    mine, theirs = demo.view(0, 0, 64, (0, 0, 0)), demo_view(64)
+    ours, theirs = demo.view(0, 0, 64, (0, 0, 0)), demo_view(64)
     turned = theirs.world_to_camera @ np.diag([-1, -1, 1, 1])
-    assert np.allclose(mine.world_to_camera, turned, atol=1e-9)
-    right = demo.view(30, 0, 64, (0, 0, 0)).position - mine.position
-    assert right @ mine.world_to_camera[0, :3] > 0, "a positive azimuth moves the camera to the right"
-    assert demo.view(0, 20, 64, (0, 0, 0)).position[1] < mine.position[1], "and a positive elevation up (y down)"
+    assert np.allclose(ours.world_to_camera, turned, atol=1e-9)
+    right = demo.view(30, 0, 64, (0, 0, 0)).position - ours.position
+    assert right @ ours.world_to_camera[0, :3] > 0, "a positive azimuth moves the camera to the right"
+    assert demo.view(0, 20, 64, (0, 0, 0)).position[1] < ours.position[1], "and a positive elevation up (y down)"
     ring = orbit((0, 0, 0), 3, 1, up=(0, -1, 0))[0]
     assert ring.world_to_camera[1, :3] @ (0, 1, 0) > 0
 

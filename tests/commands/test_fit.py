@@ -42,18 +42,18 @@ def pictures(folder: Path, count: int = 10) -> list:
 
 def upper_cap_is_red(path: Path) -> bool:
     """As on the ball: around -y, and nowhere else."""
-    rows = read(path)
-    red = rows.sh[:, 0, 0] - rows.sh[:, 0, 1] > 0.5
-    return bool(red.any()) and rows.means[red & (rows.opacities > 0.3), 1].max() < -0.3
+    splats = read(path)
+    red = splats.sh[:, 0, 0] - splats.sh[:, 0, 1] > 0.5
+    return bool(red.any()) and splats.means[red & (splats.opacities > 0.3), 1].max() < -0.3
 
 
 def test_an_asset_is_fitted_to_its_own_renders(tmp_path: Path, capfd: Capture) -> None:
     asset = saved(tmp_path / "ball.ply")
     done = run(capfd, "fit", asset, "--out", tmp_path / "again.ply", *FEW).json
     assert done["source"]["kind"] == "asset" and done["views"] == {"training": 6, "held_out": 2}
-    assert done["psnr"]["training"] > 16 and done["psnr"]["held_out"] > 19  # the first rows: 14.1 and 17
-    rows = read(tmp_path / "again.ply")
-    assert len(rows) == done["output"]["rows"] and done["output"]["first_rows"] == 400 and rows.sh_degree == 0
+    assert done["psnr"]["training"] > 16 and done["psnr"]["held_out"] > 19  # the first Gaussians: 14.1 and 17
+    splats = read(tmp_path / "again.ply")
+    assert len(splats) == done["output"]["rows"] and done["output"]["first_rows"] == 400 and splats.sh_degree == 0
     assert upper_cap_is_red(tmp_path / "again.ply")
     fixed = run(capfd, "fit", asset, "--out", tmp_path / "fixed.splat", *FEW, "--fixed").json
     assert fixed["output"]["rows"] == 400 and fixed["output"]["format"] == "splat"
@@ -113,7 +113,7 @@ def test_people_get_lines(tmp_path: Path, capfd: Capture) -> None:
     words = [word for word in FEW if word != "--json"]
     done = run(capfd, "fit", asset, "--out", tmp_path / "again.spz", *words)
     assert (done.code, done.err) == (0, "")
-    assert "rows from 400" in done.out and "training views" in done.out and "held-out views" in done.out
+    assert "Gaussians from 400" in done.out and "training views" in done.out and "held-out views" in done.out
 
 
 def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, capfd: Capture) -> None:
@@ -141,7 +141,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, capfd: Capture
     wide.mkdir()
     write_png(wide / "a.png", np.zeros((40, 60, 3)), cameras[0])
     before = listing(tmp_path)
-    for source, more, said in (
+    for source, more, pattern in (
         ("nothing.glb", (), "no such file or folder"),
         ("empty", (), "expected pictures with cameras"),
         ("text.obj", (), "text.obj"),
@@ -158,7 +158,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path: Path, capfd: Capture
         ("ball.ply", ("--size", 8), "--size from 16"),
         ("ball.ply", ("--most-rows", 100), "--most-rows of at least"),
     ):
-        assert said in run(capfd, "fit", tmp_path / source, "--out", tmp_path / "out.ply", *more).error, source
+        assert pattern in run(capfd, "fit", tmp_path / source, "--out", tmp_path / "out.ply", *more).error, source
     assert "already exists" in run(capfd, "fit", tmp_path / "views", "--out", asset).error
     assert "unknown format" in run(capfd, "fit", asset, "--out", tmp_path / "out.txt").error
     assert listing(tmp_path) == before

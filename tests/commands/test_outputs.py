@@ -43,15 +43,15 @@ def test_outputs_that_cannot_be(view: Path, capfd: Capture) -> None:
     folder = view.parent
     before = listing(folder)
     asset = folder / "ball.ply"
-    for out, said in (
+    for out, pattern in (
         (folder / "no" / "out.ply", "no such folder"),
         (asset / "out.ply", "ball.ply"),
         (folder / "views.ply", "is a folder"),
     ):
         if out.name == "views.ply":
             out.mkdir()
-        assert said in run(capfd, "edit", asset, view, "--out", out, "--overwrite").error
-        assert said in run(capfd, "convert", asset, out, "--overwrite").error
+        assert pattern in run(capfd, "edit", asset, view, "--out", out, "--overwrite").error
+        assert pattern in run(capfd, "convert", asset, out, "--overwrite").error
     assert "is a file" in run(capfd, "render", asset, "--out", asset).error
     assert "is a file" in run(capfd, "render", asset, "--out", asset / "below").error
     assert "is a file" in run(capfd, "demo", "--out", asset).error

@@ -58,8 +58,8 @@ def test_method_ttt_alone_takes_the_packaged_weights(
     receipt = done["receipt"]
     assert (receipt["method"], receipt["preset"], receipt["precision"]) == ("ttt", "compact", precision)
     assert done["verified"] and "encode" in receipt["seconds"]
-    said = run(capfd, *words, "--out", view.parent / "said.ply", "--precision", "float32", "--polish").out
-    assert "method ttt with preset compact, mode local, in float32" in said and "note: polished" in said
+    output = run(capfd, *words, "--out", view.parent / "said.ply", "--precision", "float32", "--polish").out
+    assert "method ttt with preset compact, mode local, in float32" in output and "note: polished" in output
 
 
 def test_a_precision_that_there_is_not_is_refused(view: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +101,7 @@ def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, cap
         (["--preset", copy], "representation copy"),
         (["--preset", "lift", "--method", "ttt"], "trained weights"),
         (["--method", "ttt"], "trained weights"),
-        (["--polish"], "--polish is for the networks"),
+        (["--polish"], "--polish is for method ttt"),
     ]
     for words, pattern in cases:
         assert pattern in refused(capfd, here, view, *words), words

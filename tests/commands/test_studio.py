@@ -44,9 +44,9 @@ def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
         assert process.stderr is not None and process.stdout is not None
         url = None
         for line in process.stderr:
-            found = re.search(r"http://\S+", line)
-            if found:
-                url = found.group()
+            address = re.search(r"http://\S+", line)
+            if address:
+                url = address.group()
                 break
         assert url is not None and url.startswith("http://127.0.0.1:")
         state = httpx.get(f"{url}api/state", timeout=30).json()
@@ -59,7 +59,7 @@ def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "pattern"),
     [
         (["missing.ply"], "no such file"),
         (["--port", "70000"], "--port"),
@@ -69,7 +69,7 @@ def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
     ],
 )
 def test_bad_options_are_one_line(
-    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: list[str], pattern: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -77,7 +77,7 @@ def test_bad_options_are_one_line(
     given = [str(tmp_path / "ball.ply") if word == "FILE" else word for word in words]
     assert main(["studio", "--no-browser", *given]) == 2
     line = capsys.readouterr().err
-    assert said in line and line.count("\n") == 1
+    assert pattern in line and line.count("\n") == 1
 
 
 def test_the_demo_asset_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

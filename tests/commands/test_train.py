@@ -38,14 +38,14 @@ def test_three_stages_one_after_the_other(
     plain += ["--session-steps", "1"]
     lrm, refine = tmp_path / "lrm", tmp_path / "refine"
     assert run("lrm", "--recipe", recipe, *WORDS, *plain, "--out", lrm, "--perceptual", 0.5) == 0
-    shown = capsys.readouterr()
-    assert "step 1 of 4 (session steps)" in shown.out and "--resume" in shown.out
-    assert "the perceptual term is dropped" in shown.err and "validation reconstruction: asset" in shown.err
+    output = capsys.readouterr()
+    assert "step 1 of 4 (session steps)" in output.out and "--resume" in output.out
+    assert "the perceptual term is dropped" in output.err and "validation reconstruction: asset" in output.err
     assert run("refine", "--recipe", recipe, *WORDS, "--out", refine, "--from", lrm / "model", "--json") == 0
-    shown = capsys.readouterr()
-    record = json.loads(shown.out)
+    output = capsys.readouterr()
+    record = json.loads(output.out)
     assert record["step"] == 4 and record["ended"] == "done" and record["validation"]["all"]["lift"] > 0
-    assert "lrm as trained by stage lrm" in shown.err
+    assert "lrm as trained by stage lrm" in output.err
     names = {p.relative_to(refine).as_posix() for p in refine.rglob("*") if p.is_file()}
     assert {"recipe.json", "log.csv", "validation.csv", "model/model.json", "state/model.json"} <= names
     assert {f"sheets/step_000000{k}.png" for k in (0, 2, 4)} <= names and any("tfevents" in name for name in names)
@@ -96,8 +96,8 @@ def test_wrong_words_are_one_line(
 ) -> None:
     out = [] if len(words) < 2 or "--data" not in words else ["--out", str(tmp_path / "run"), "--validate-every", "0"]
     assert run(*words, *out) == 2
-    said = capsys.readouterr().err.strip().splitlines()
-    assert message in said[-1] and said[-1].startswith("splatpainter")
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert message in lines[-1] and lines[-1].startswith("splatpainter")
     assert not list(tmp_path.rglob("*.json"))
 
 
@@ -113,6 +113,6 @@ def test_a_stage_of_another_distribution_says_what_brings_it(
 def test_help_shows_the_recipes_own_values(capsys: pytest.CaptureFixture[str]) -> None:
     assert run() == 0 and "stages:" in capsys.readouterr().out
     assert run("refine", "--recipe", "paper", "--help") == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    assert "Optimiser steps; the learning rate's cosine ends there. (default: 200000)" in shown
-    assert "--model.refine.base" in shown and SMALL.preset not in shown
+    output = " ".join(capsys.readouterr().out.split())
+    assert "Optimiser steps; the learning rate's cosine ends there. (default: 200000)" in output
+    assert "--model.refine.base" in output and SMALL.preset not in output

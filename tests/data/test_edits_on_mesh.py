@@ -121,8 +121,8 @@ def test_vertices_have_the_layer_mixed_with_the_texture_by_hand() -> None:
     camera = view((0, 0, 4))
     painted = paint_layer(mesh, layer, camera)
     assert painted.colors is not None
-    places = projected(painted.vertices, camera)
-    inside = np.all(np.abs(places[:, :2] - 20) < 8, axis=1)
+    points = projected(painted.vertices, camera)
+    inside = np.all(np.abs(points[:, :2] - 20) < 8, axis=1)
     inside[np.unique(painted.faces[~painted_faces(mesh, painted)])] = False
     assert inside.any()
     expected = 0.75 * 128 / 255 + 0.25 * np.array([0.8, 0.2, 0.0])
@@ -143,8 +143,8 @@ def test_vertex_colours_under_a_texture_stay_what_the_path_tracer_makes_of_them(
     mesh = quad(Material(base_color=TEXTURE))
     colored = replace(mesh, colors=np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], np.float32))
     painted = paint_layer(colored, checks(), view())
-    kept = painted.material_ids[~painted_faces(colored, painted)]
-    factors = [painted.materials[k].base_factor for k in np.unique(kept)]
+    unpainted = painted.material_ids[~painted_faces(colored, painted)]
+    factors = [painted.materials[k].base_factor for k in np.unique(unpainted)]
     assert np.allclose(factors, 0.5) and painted.colors is not None  # the mean of the four
 
 

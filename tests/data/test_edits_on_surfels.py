@@ -1,4 +1,4 @@
-"""Edits on dense rows: a sphere of known normals, formulas in float64, and renders of what was painted."""
+"""Edits on dense Gaussians: a sphere of known normals, formulas in float64, and renders of what was painted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from splatpainter.splats import SH_C0, Splats
 
 
 def sphere(count: int = 6000, radius: float = 0.5, middle: tuple[float, float, float] = (0, 0, 0)) -> Splats:
-    """Flat rows evenly on a sphere, grey. Their normals: (means - middle) / radius."""
+    """Flat Gaussians evenly on a sphere, grey. Their normals: (means - middle) / radius."""
     k = np.arange(count) + 0.5
     z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
     normals = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], 1)
@@ -27,8 +27,8 @@ def sphere(count: int = 6000, radius: float = 0.5, middle: tuple[float, float, f
     w = np.sqrt(np.maximum((1 + normals[:, 2]) / 2, 1e-9))  # the shortest turn from z to the normal
     quats = np.stack([w, -normals[:, 1] / (2 * w), normals[:, 0] / (2 * w), np.zeros(count)], 1)
     scales = np.tile([size, size, size / 20], (count, 1))
-    rows = (normals * radius + middle, quats, scales, np.full(count, 0.98), np.zeros((count, 4, 3)))
-    return Splats(*rows).torch()
+    attributes = (normals * radius + middle, quats, scales, np.full(count, 0.98), np.zeros((count, 4, 3)))
+    return Splats(*attributes).torch()
 
 
 def camera(eye: tuple[float, float, float] = (0, 0, 3), size: int = 96) -> Camera:
@@ -73,7 +73,7 @@ def test_without_normals_depth_alone_decides() -> None:
     assert (seen[ball.means[:, 2] > 0.25] == 1).all() and (seen[ball.means[:, 2] < -0.15] == 0).all()
 
 
-def test_rows_outside_the_picture_or_behind_the_camera_are_not_seen() -> None:
+def test_gaussians_outside_the_picture_or_behind_the_camera_are_not_seen() -> None:
     view = camera()
     means = torch.tensor([[0.0, 0, 5], [3, 0, 0], [0, 0, 0], [float("nan"), 0, 0]])
     surface, solid = torch.full((96, 96), 3.0), torch.ones(96, 96)
@@ -87,10 +87,10 @@ def test_a_layer_is_carried_to_projections_as_bilinear_sampling_says() -> None:
     means = np.concatenate([rng.uniform(-0.5, 0.5, (200, 3)), [[9, 0, 0], [0, 0, 9]]])
     colors, coverage = on_surfels.project_layer(torch.from_numpy(layer), view, torch.from_numpy(means))
     local = means @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
-    place = view.fx * local[:, :2] / local[:, 2:] + 48 - 0.5
+    pixel = view.fx * local[:, :2] / local[:, 2:] + 48 - 0.5
     packed = np.concatenate([layer[..., :3] * layer[..., 3:], layer[..., 3:]], -1)
     for i in range(200):
-        (x, y), (left, top) = place[i], np.floor(place[i]).astype(int)
+        (x, y), (left, top) = pixel[i], np.floor(pixel[i]).astype(int)
         corners = [(u, v) for u in (left, left + 1) for v in (top, top + 1)]
         mixed = np.sum([(1 - abs(x - u)) * (1 - abs(y - v)) * packed[v, u] for u, v in corners], 0)
         np.testing.assert_allclose(coverage[i], mixed[3], atol=1e-6)
@@ -98,7 +98,7 @@ def test_a_layer_is_carried_to_projections_as_bilinear_sampling_says() -> None:
     assert (coverage[200:] == 0).all()
 
 
-def test_paint_covers_in_every_direction_and_leaves_other_rows_their_bits() -> None:
+def test_paint_covers_in_every_direction_and_leaves_other_gaussians_their_bits() -> None:
     sh = torch.randn(50, 4, 3)
     before = sh.clone()
     coverage = torch.tensor([0.0] * 20 + [on_surfels.MIN_COVERAGE / 2] * 10 + [0.5] * 10 + [1.0] * 10)
@@ -112,7 +112,7 @@ def test_paint_covers_in_every_direction_and_leaves_other_rows_their_bits() -> N
     assert after[40:, 1:].abs().max() < 1e-6
 
 
-def test_the_render_of_painted_rows_is_the_picture_with_the_layer() -> None:
+def test_the_render_of_painted_gaussians_is_the_picture_with_the_layer() -> None:
     ball, view = sphere(20000), camera()
     before, depth, alpha = shot(ball, view)
     layer = torch.zeros(96, 96, 4)
@@ -135,14 +135,14 @@ def test_the_render_of_painted_rows_is_the_picture_with_the_layer() -> None:
 def test_lit_paint_is_as_bright_as_the_light_on_the_surface() -> None:
     albedo = torch.rand(40, 3) * 0.8 + 0.1
     light = torch.linspace(0.1, 1, 40)[:, None]
-    own = linear_to_srgb(albedo * light)
-    sh = ((own - 0.5) / SH_C0)[:, None]
+    reflected = linear_to_srgb(albedo * light)
+    sh = ((reflected - 0.5) / SH_C0)[:, None]
     paint = torch.rand(40, 3)
-    wanted = linear_to_srgb(srgb_to_linear(paint) * light)
-    np.testing.assert_allclose(on_surfels.shade_paint(paint, sh, albedo), wanted, atol=1e-4)
+    expected = linear_to_srgb(srgb_to_linear(paint) * light)
+    np.testing.assert_allclose(on_surfels.shade_paint(paint, sh, albedo), expected, atol=1e-4)
 
 
-def test_a_regrade_of_matt_rows_is_the_look_of_their_colours() -> None:
+def test_a_regrade_of_matt_gaussians_is_the_look_of_their_colours() -> None:
     look = color_grading.random_grade(np.random.default_rng(1))
     colors = torch.rand(60, 3)
     out = on_surfels.grade_sh(((colors - 0.5) / SH_C0)[:, None], look)
@@ -158,10 +158,10 @@ def test_a_regrade_of_a_small_lobe_is_the_look_of_what_each_direction_shows() ->
     c1 = 0.4886025119029199
     for x, y, z in ((0.0, 0.0, 1.0), (0.6, -0.8, 0.0)):
         basis = torch.tensor([SH_C0, -c1 * y, c1 * z, -c1 * x], dtype=torch.float64)[:, None]
-        wanted = color_grading.apply_grade(0.5 + (basis * sh).sum(1), look)
-        inner = ((wanted > 0.04) & (wanted < 0.96)).all(1)  # a lobe that clips has no derivative
+        expected = color_grading.apply_grade(0.5 + (basis * sh).sum(1), look)
+        inner = ((expected > 0.04) & (expected < 0.96)).all(1)  # a lobe that clips has no derivative
         assert inner.sum() > 100
-        np.testing.assert_allclose((0.5 + (basis * out).sum(1))[inner], wanted[inner], atol=5e-4)
+        np.testing.assert_allclose((0.5 + (basis * out).sum(1))[inner], expected[inner], atol=5e-4)
 
 
 def test_masks_hold_what_differs_without_lone_pixels() -> None:
@@ -171,17 +171,17 @@ def test_masks_hold_what_differs_without_lone_pixels() -> None:
     after[0, 15, 15] += 0.3  # one pixel
     after[1, 3:6, 3:6] += 0.015  # too little
     masks = change_masks(before, after)
-    wanted = torch.zeros(20, 20, dtype=torch.bool)
-    wanted[4:10, 4:10] = True
-    assert (masks[0] == wanted).all() and not masks[1].any()
+    expected = torch.zeros(20, 20, dtype=torch.bool)
+    expected[4:10, 4:10] = True
+    assert (masks[0] == expected).all() and not masks[1].any()
 
 
-@pytest.mark.parametrize(("close", "whole"), [(0, False), (2, True)])
-def test_masks_can_close_gaps(close: int, whole: bool) -> None:
+@pytest.mark.parametrize(("close", "closed"), [(0, False), (2, True)])
+def test_masks_can_close_gaps(close: int, closed: bool) -> None:
     before = torch.full((1, 30, 30, 3), 0.5)
     after = before.clone()
     after[0, 10:20, 5:12] += 0.2
     after[0, 10:20, 16:24] += 0.2
     mask = change_masks(before, after, grow_px=0, close_px=close)[0]
-    assert bool(mask[10:20, 5:24].all()) == whole
+    assert bool(mask[10:20, 5:24].all()) == closed
     assert not mask[:9].any() and not mask[:, :4].any()

@@ -1,4 +1,4 @@
-"""Global edits of rows without pictures, and the stage that is trained on them."""
+"""Global edits of Gaussians without pictures, and the stage that is trained on them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from splatpainter.train.build import make_task, start
 from splatpainter.train.recipes import Recipe
 from splatpainter.train.stages.predict import PredictTask
 from splatpainter.train.training_data import ResourceFolders, Supply, open_global_edits
-from tests.support.train_scenes import LIFT, Kept, loop, model
+from tests.support.train_scenes import LIFT, FixedSamples, loop, model
 
 SAMPLES = SampleRecipe(
     {"relight": 0.7, "regrade": 0.3}, size=48, rows=400, surfels=4000, base_views=2, novel_views=2, steps_per_object=1
@@ -54,7 +54,7 @@ def few_lights() -> Iterator[None]:
 
 @cache
 def stream() -> GlobalEditStream:
-    return GlobalEditStream(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1), rows=300)
+    return GlobalEditStream(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1), gaussians=300)
 
 
 @cache
@@ -70,7 +70,7 @@ def same(one: GlobalEdit, other: GlobalEdit) -> bool:
 
 def test_edits_depend_on_their_number_alone() -> None:
     forth = [stream()[i] for i in range(4)]
-    other = GlobalEditStream(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1), rows=300)
+    other = GlobalEditStream(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1), gaussians=300)
     assert all(same(forth[i], other[i]) for i in (3, 1, 0))
     assert {forth[0].name, forth[1].name} == {forth[2].name, forth[3].name} and forth[0].name != forth[1].name
     assert not any(same(one, other) for one in forth[:2] for other in forth[2:])
@@ -101,11 +101,11 @@ def test_what_they_hold() -> None:
 
 def test_what_is_observed_is_what_the_lift_sees_of_a_real_picture() -> None:
     """The error that is added was measured; under the light of that measurement, the lift is what is observed."""
-    known = stream()._object(0)
-    assert known.visible_px.shape[:2] == (3, 4) and known.errors.shape[:2] == (3, 3)
-    unseen = known.visible_px[0][0] <= 0.05  # by the first view of the ring, which one view alone is
-    assert unseen.any() and not known.errors[0][0][unseen].any()
-    assert 0.005 < np.abs(known.errors[known.errors != 0]).mean() < 0.15
+    prepared = stream()._object(0)
+    assert prepared.visible_px.shape[:2] == (3, 4) and prepared.errors.shape[:2] == (3, 3)
+    unseen = prepared.visible_px[0][0] <= 0.05  # by the first view of the ring, which one view alone is
+    assert unseen.any() and not prepared.errors[0][0][unseen].any()
+    assert 0.005 < np.abs(prepared.errors[prepared.errors != 0]).mean() < 0.15
 
 
 def test_bad_sources() -> None:
@@ -119,7 +119,7 @@ def test_bad_sources() -> None:
 
 
 def test_the_stage_trains_the_predictor_alone_and_learns(tmp_path: Path) -> None:
-    run = loop(RECIPE, tmp_path / "run", samples=Kept(stream()), held=held())
+    run = loop(RECIPE, tmp_path / "run", samples=FixedSamples(stream()), held=held())
     assert {name.split(".")[1] for name, p in run.task.named_parameters() if p.requires_grad} == {"predictor"}
     before = run.validate()["all"]
     run()
@@ -158,8 +158,8 @@ def test_what_it_calls_the_lift_is_the_lift() -> None:
     moved = regressed(assets[0], normals, change, weight)
     lifted = lift_global(assets[0], views, GlobalOptions(last_rounds=0), normals)
     old_colors = 0.5 + SH_C0 * assets[0].sh[:, 0]
-    wanted = np.clip(old_colors + moved, np.minimum(old_colors, 0), np.maximum(old_colors, MAX_COLOR))
-    np.testing.assert_allclose(0.5 + SH_C0 * lifted.splats.sh[:, 0], wanted, atol=1e-4)
+    expected = np.clip(old_colors + moved, np.minimum(old_colors, 0), np.maximum(old_colors, MAX_COLOR))
+    np.testing.assert_allclose(0.5 + SH_C0 * lifted.splats.sh[:, 0], expected, atol=1e-4)
 
 
 def _uniform():  # noqa: ANN202
@@ -196,9 +196,9 @@ def test_training_it_keeps_the_rest_and_later_stages_keep_it(tmp_path: Path) -> 
     # Whether it works alone is a setting: no weight depends on it, and none is lost.
     other = replace(SEEING, predict=replace(SEEING.predict, alone=True))
     for stage in ("refine", "predict"):
-        kept = start(replace(RECIPE, stage=stage, model=other), tmp_path / "predicting", lambda line: None)
-        assert kept.predictor is not None and kept.config.predictor_only
-        assert torch.equal(kept.predictor.expected.weight, begun.predictor.expected.weight)
+        resumed = start(replace(RECIPE, stage=stage, model=other), tmp_path / "predicting", lambda line: None)
+        assert resumed.predictor is not None and resumed.config.predictor_only
+        assert torch.equal(resumed.predictor.expected.weight, begun.predictor.expected.weight)
     compress = start(replace(RECIPE, stage="compress"), tmp_path / "predicting", lambda line: None)
     assert torch.equal(compress.lrm.patches.weight, held.lrm.patches.weight)
     assert not torch.equal(compress.compressor.attribute.weight, held.compressor.attribute.weight)

@@ -54,7 +54,7 @@ def surfels(normals: torch.Tensor, **values: float) -> Surfels:
 
 
 def seen(sh: torch.Tensor, towards: torch.Tensor) -> torch.Tensor:
-    """[N, 3] colour in directions [N, 3] from the camera to the row, as the renderer computes it."""
+    """[N, 3] colour in directions [N, 3] from the camera to the Gaussian, as the renderer computes it."""
     return 0.5 + torch.einsum("nkc,nk->nc", sh, sh_basis(towards.float(), 2)[:, : sh.shape[1]])
 
 

@@ -96,8 +96,8 @@ def test_a_broken_texture_gives_way_to_the_factor(tmp_path: Path) -> None:
     buffer = io.BytesIO()
     textured().export(buffer, file_type="glb")
     data = buffer.getvalue()
-    place = data.index(b"\x89PNG")
-    (tmp_path / "broken.glb").write_bytes(data[: place + 30] + bytes(len(data) - place - 30))
+    offset = data.index(b"\x89PNG")
+    (tmp_path / "broken.glb").write_bytes(data[: offset + 30] + bytes(len(data) - offset - 30))
     mesh = load_mesh(tmp_path / "broken.glb")
     assert len(mesh.faces) == 2 and mesh.materials[0].base_color is None
 

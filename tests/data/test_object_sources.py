@@ -68,14 +68,14 @@ def test_a_folder_of_splats_reads_assets(tmp_path: Path) -> None:
     from splatpainter.io import write
     from splatpainter.splats import Splats
 
-    rows = Splats(
+    splats = Splats(
         np.zeros((2, 3), np.float32),
         np.tile(np.array([1, 0, 0, 0], np.float32), (2, 1)),
         np.full((2, 3), 0.1, np.float32),
         np.full(2, 0.5, np.float32),
         np.zeros((2, 1, 3), np.float32),
     )
-    write(tmp_path / "two.ply", rows)
+    write(tmp_path / "two.ply", splats)
     (tmp_path / "bad.ply").write_bytes(b"ply\n")
     source = SplatFolder(tmp_path)
     assert isinstance(source, SplatSource) and not isinstance(source, MeshSource)

@@ -126,8 +126,10 @@ def test_silhouette_and_depth_are_those_of_the_camera(shift: tuple[float, float]
     assert np.abs(np.mean((done.depths[0] - depth)[inner])) < 0.002
     ours = render(ball(20_000), camera)
     assert (ours.alphas[0, ..., 0][inner] > 0.95).all()
-    places = [np.array([np.average(grid, weights=alpha) for grid in np.mgrid[:40, :48]]) for alpha in both(done, ours)]
-    assert np.abs(places[0] - places[1]).max() < 0.1  # pixels, between the two silhouettes' centres
+    centroids = [
+        np.array([np.average(grid, weights=alpha) for grid in np.mgrid[:40, :48]]) for alpha in both(done, ours)
+    ]
+    assert np.abs(centroids[0] - centroids[1]).max() < 0.1  # pixels, between the two silhouettes' centres
     assert np.abs(done.depths[0] - ours.depths[0, ..., 0])[inner].mean() < 0.05
     assert (done.depths[0][done.alphas[0] == 0] == 0).all()
 
@@ -201,9 +203,11 @@ def test_display_is_the_shared_tone_map_over_the_background() -> None:
     radiance = np.array([[[[0.2, 0.1, 0.05], [4.0, 1.0, 0.5]]]], np.float32)
     done = PathTraced(radiance, np.array([[[0.5, 1.0]]], np.float32), np.zeros((1, 1, 2), np.float32))
     camera = look_at([0, 0, 4], [0, 0, 0], width=2, height=1, background=(1, 0, 0))
-    shown = display(done, 0.5, [camera])[0, 0]
-    assert np.allclose(shown[0], 0.5 * tone_map(radiance[0, 0, 0] / 0.5, 0.5) + 0.5 * np.array([1, 0, 0]), atol=1e-6)
-    assert np.allclose(shown[1], tone_map(radiance[0, 0, 1], 0.5), atol=1e-6)
+    displayed = display(done, 0.5, [camera])[0, 0]
+    assert np.allclose(
+        displayed[0], 0.5 * tone_map(radiance[0, 0, 0] / 0.5, 0.5) + 0.5 * np.array([1, 0, 0]), atol=1e-6
+    )
+    assert np.allclose(displayed[1], tone_map(radiance[0, 0, 1], 0.5), atol=1e-6)
 
 
 def test_exr_keeps_eleven_bits_of_any_light() -> None:

@@ -25,8 +25,8 @@ def volume(solid: shapes.Solid) -> float:
 
 def open_edges(solid: shapes.Solid) -> int:
     """Directed edges (by place) without their opposite: 0 for a closed, consistently oriented surface."""
-    _, place = np.unique(np.round(solid.vertices, 6), axis=0, return_inverse=True)
-    faces = place.ravel()[solid.faces]
+    _, vertex = np.unique(np.round(solid.vertices, 6), axis=0, return_inverse=True)
+    faces = vertex.ravel()[solid.faces]
     edges = [(int(f[i]), int(f[(i + 1) % 3])) for f in faces for i in range(3) if f[i] != f[(i + 1) % 3]]
     return sum((b, a) not in set_edges for set_edges in [set(edges)] for a, b in edges)
 

@@ -78,11 +78,11 @@ def equal(a: Sample, b: Sample) -> bool:
         )
         for x, y in views
     )
-    rows = all(
+    arrays = all(
         (getattr(a.asset, n) == getattr(b.asset, n)).all() for n in ("means", "quats", "scales", "opacities", "sh")
     )
-    kept = (a.name, a.kind, a.mode) == (b.name, b.kind, b.mode)
-    return same and rows and kept and (a.masks == b.masks).all() and bool((a.near == b.near).all())
+    labels = (a.name, a.kind, a.mode) == (b.name, b.kind, b.mode)
+    return same and arrays and labels and (a.masks == b.masks).all() and bool((a.near == b.near).all())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -198,14 +198,14 @@ def test_equal_numbers_give_equal_samples_in_any_order() -> None:
     assert len({sample.kind for sample in forward}) > 3
 
 
-def test_detail_is_drawn_per_object_and_scales_pixels_rows_and_surfels_alike() -> None:
+def test_detail_is_drawn_per_object_and_scales_pixels_gaussians_and_surfels_alike() -> None:
     recipe = replace(SMALL, kinds={"plain": 1.0}, detail=(1.0, 3.0), steps_per_object=1)
     stream = SampleStream(Balls(()), recipe, 3)
-    shown = {sample.name: sample for sample in (stream[i] for i in range(6))}
-    assert len(shown) == 3
-    factors = {name: sample.base.colors.shape[1] / 48 for name, sample in shown.items()}
+    by_name = {sample.name: sample for sample in (stream[i] for i in range(6))}
+    assert len(by_name) == 3
+    factors = {name: sample.base.colors.shape[1] / 48 for name, sample in by_name.items()}
     assert len(set(factors.values())) == 3 and all(1 <= f <= 3 for f in factors.values())
-    for name, sample in shown.items():
+    for name, sample in by_name.items():
         assert len(sample.asset) == pytest.approx(200 * factors[name] ** 2, rel=0.08)
     assert equal(stream[4], SampleStream(Balls(()), recipe, 3)[4])
 
@@ -265,16 +265,16 @@ def test_a_splat_asset_is_its_own_truth(tmp_path: Path) -> None:
     from splatpainter.io import write
 
     stream = SampleStream(Balls(), replace(SMALL, kinds={"plain": 1.0}))
-    whole = stream._scene(0).truth.numpy()
+    truth = stream._scene(0).truth.numpy()
     turned = replace(
-        whole,
-        means=whole.means * np.array([3, -3, -3], np.float32) + np.array([5, 0, 1], np.float32),
-        scales=3 * whole.scales,
+        truth,
+        means=truth.means * np.array([3, -3, -3], np.float32) + np.array([5, 0, 1], np.float32),
+        scales=3 * truth.scales,
     )
     write(tmp_path / "ball.ply", turned)
     splats = SampleStream(SplatFolder(tmp_path), replace(SMALL, kinds={"stroke": 1.0, "relight": 9.0, "zoom": 9.0}), 1)
     sample = splats[0]
-    assert sample.kind == "stroke" and len(sample.asset) == len(whole) and sample.masks.any()
+    assert sample.kind == "stroke" and len(sample.asset) == len(truth) and sample.masks.any()
     assert np.abs(sample.asset.means).max() < 1.1
     with pytest.raises(ValueError, match="can be made of splat assets"):
         SampleStream(SplatFolder(tmp_path), replace(SMALL, kinds={"relight": 1.0}))
@@ -307,6 +307,6 @@ def test_recipes_name_the_kinds_that_there_are() -> None:
 
     assert tuple(content.LAYER_MAKERS) == sample_recipes.PAINTED
     for name, recipe in RECIPES.items():
-        local, whole = (sum(recipe.kinds.get(kind, 0) for kind in group) for group in (LOCAL, GLOBAL))
-        wanted = {"local": (1, 0), "global": (0, 1), "unified": (1, 1), "lrm": (0, 0)}[name]
-        assert np.allclose((local, whole), wanted)
+        local_share, global_share = (sum(recipe.kinds.get(kind, 0) for kind in group) for group in (LOCAL, GLOBAL))
+        expected = {"local": (1, 0), "global": (0, 1), "unified": (1, 1), "lrm": (0, 0)}[name]
+        assert np.allclose((local_share, global_share), expected)

@@ -113,9 +113,9 @@ def test_plain_webdataset_reads_the_shards(tmp_path: Path) -> None:
     webdataset = pytest.importorskip("webdataset")
     folder = written(tmp_path / "shards")
     urls = [str(path) for path in sorted(folder.glob("*.tar"))]
-    found = list(webdataset.WebDataset(urls, shardshuffle=False, empty_check=False))
-    assert [item["__key__"] for item in found] == [f"{n:06d}_{step:02d}" for n in range(5) for step in range(2)]
-    for k, item in enumerate(found):
+    records = list(webdataset.WebDataset(urls, shardshuffle=False, empty_check=False))
+    assert [item["__key__"] for item in records] == [f"{n:06d}_{step:02d}" for n in range(5) for step in range(2)]
+    for k, item in enumerate(records):
         sample = random_sample(10 * (k // 2) + k % 2, f"object{k // 2 % 2}", ("stroke", "text")[k % 2])
         assert json.loads(item["json"])["kind"] == sample.kind
         picture = np.asarray(Image.open(io.BytesIO(item["after_02.png"]))) / 255
@@ -277,7 +277,7 @@ def test_a_stray_tar_and_a_broken_index_are_problems(tmp_path: Path) -> None:
 def test_no_whole_shard_at_all_is_an_error(tmp_path: Path) -> None:
     folder = written(tmp_path / "shards", scenes=2)
     flip(folder / "shard-00000.tar", 900)
-    with pytest.raises(ValueError, match="no shard is whole; the first: .*another checksum"):
+    with pytest.raises(ValueError, match="no shard is complete; the first: .*another checksum"):
         ShardStream(folder)[0]
     assert isinstance(ShardStream(folder, checksums=False)[0], Sample)  # sizes alone do not tell
 

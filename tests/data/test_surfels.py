@@ -51,19 +51,19 @@ def dense() -> Surfels:
 
 
 def test_surfels_are_even_and_lie_on_the_surface_facing_out() -> None:
-    own = sample_surfels(ball(), 5000)
-    points = own.means.numpy()
-    assert len(own) == 5000
+    surfels = sample_surfels(ball(), 5000)
+    points = surfels.means.numpy()
+    assert len(surfels) == 5000
     radius = np.linalg.norm(points, axis=1)
     assert (np.abs(radius - 1) < 0.02).all()  # a fine triangle mesh of the unit ball
-    np.testing.assert_allclose(own.normals.numpy(), points / radius[:, None], atol=0.1)
+    np.testing.assert_allclose(surfels.normals.numpy(), points / radius[:, None], atol=0.1)
     step = np.sqrt(4 * np.pi / 5000)
     gap = KDTree(points).query(points, 2)[0][:, 1] / step
     # Random points: mean 0.5, deviation 0.26. A triangular lattice: 1.07 and 0.
     assert gap.mean() > 0.7 and gap.std() < 0.12 and gap.min() > 0.4
-    third = Rotation.from_quat(own.quats.numpy()[:, [1, 2, 3, 0]]).as_matrix()[:, :, 2]
+    third = Rotation.from_quat(surfels.quats.numpy()[:, [1, 2, 3, 0]]).as_matrix()[:, :, 2]
     assert ((third * points).sum(1) > 0.98).all()
-    assert (own.scales[:, 2] < 0.3 * own.scales[:, 0]).all()
+    assert (surfels.scales[:, 2] < 0.3 * surfels.scales[:, 0]).all()
 
 
 def test_sampling_repeats_from_the_seed() -> None:
@@ -73,9 +73,9 @@ def test_sampling_repeats_from_the_seed() -> None:
 
 
 def test_no_holes_at_256_pixels() -> None:
-    own = sample_surfels(ball(), 60000)
+    surfels = sample_surfels(ball(), 60000)
     view = orbit((0, 0, 0), 2.7, 1, width=256, height=256)[0]
-    alpha = render(to_splats(own, torch.zeros(len(own), 1, 3)), view).alphas[0, :, :, 0].numpy()
+    alpha = render(to_splats(surfels, torch.zeros(len(surfels), 1, 3)), view).alphas[0, :, :, 0].numpy()
     away = np.hypot(*(np.mgrid[0:256, 0:256] + 0.5 - 128))
     rim = np.tan(np.arcsin(1 / 2.7)) * view.fx
     assert alpha[away < rim - 2].min() > 0.97
@@ -86,13 +86,13 @@ def test_albedo_is_the_texture_in_linear_light_times_the_factor() -> None:
     pixels = np.zeros((64, 64, 3), np.uint8)
     pixels[:, :32], pixels[:, 32:] = [255, 0, 128], [0, 188, 0]
     look = Material(pixels, (0.5, 1.0, 1.0), metallic=0.3, roughness=0.4)
-    own = sample_surfels(mesh_of(quad(0.9), look), 3000)
-    x = own.means[:, 0].numpy()
-    left, right = own.albedo.numpy()[x < -0.15], own.albedo.numpy()[(x > 0.15) & (x < 0.8)]
+    surfels = sample_surfels(mesh_of(quad(0.9), look), 3000)
+    x = surfels.means[:, 0].numpy()
+    left, right = surfels.albedo.numpy()[x < -0.15], surfels.albedo.numpy()[(x > 0.15) & (x < 0.8)]
     np.testing.assert_allclose(left[left[:, 0] > 0.4].mean(0), [0.5, 0, 0.2159], atol=0.01)  # sRGB 128 is 0.2159
     np.testing.assert_allclose(right.mean(0), [0, 0.5029, 0], atol=0.01)
-    np.testing.assert_allclose(own.metallic, 0.3, atol=1e-6)
-    np.testing.assert_allclose(own.roughness, 0.4, atol=1e-6)
+    np.testing.assert_allclose(surfels.metallic, 0.3, atol=1e-6)
+    np.testing.assert_allclose(surfels.roughness, 0.4, atol=1e-6)
 
 
 def test_textures_are_interpolated_and_repeat() -> None:
@@ -106,44 +106,45 @@ def test_textures_are_interpolated_and_repeat() -> None:
 
 def test_normal_maps_bend_normals_along_u_and_v() -> None:
     tilted = np.full((4, 4, 3), [218, 128, 218], np.uint8)  # (0.71, 0, 0.71): towards +u
-    own = sample_surfels(mesh_of(quad(0.9), Material(normal_map=tilted)), 500)
-    np.testing.assert_allclose(own.normals.numpy(), np.tile([0.707, 0.0, 0.707], (500, 1)), atol=0.02)
+    surfels = sample_surfels(mesh_of(quad(0.9), Material(normal_map=tilted)), 500)
+    np.testing.assert_allclose(surfels.normals.numpy(), np.tile([0.707, 0.0, 0.707], (500, 1)), atol=0.02)
     tilted = np.full((4, 4, 3), [128, 218, 218], np.uint8)  # towards +v
-    own = sample_surfels(mesh_of(quad(0.9), Material(normal_map=tilted)), 500)
-    np.testing.assert_allclose(own.normals.numpy(), np.tile([0.0, 0.707, 0.707], (500, 1)), atol=0.02)
+    surfels = sample_surfels(mesh_of(quad(0.9), Material(normal_map=tilted)), 500)
+    np.testing.assert_allclose(surfels.normals.numpy(), np.tile([0.0, 0.707, 0.707], (500, 1)), atol=0.02)
 
 
 def test_what_is_closed_in_is_left_out_and_inward_faces_are_turned() -> None:
     outer = shapes.primitive("box", np.random.default_rng(0))
     inner = outer.moved(0.4 * np.eye(3), np.zeros(3))
-    own = sample_surfels(mesh_of(shapes.joined([outer, inner])), 4000)
-    assert (np.abs(own.means.numpy()).max(1) < 0.95).mean() < 0.002  # light finds a pinhole now and then
+    surfels = sample_surfels(mesh_of(shapes.joined([outer, inner])), 4000)
+    assert (np.abs(surfels.means.numpy()).max(1) < 0.95).mean() < 0.002  # light finds a pinhole now and then
     flipped = shapes.Solid(outer.vertices, outer.faces[:, ::-1], outer.uvs, -outer.normals)
-    own = sample_surfels(mesh_of(flipped), 2000)
-    assert ((own.normals * own.means).sum(1) > 0).float().mean() > 0.99  # at the edges light leaks in
+    surfels = sample_surfels(mesh_of(flipped), 2000)
+    assert ((surfels.normals * surfels.means).sum(1) > 0).float().mean() > 0.99  # at the edges light leaks in
 
 
 def test_cut_out_alpha_makes_holes() -> None:
     alpha = np.zeros((8, 8), np.uint8)
     alpha[:, 4:] = 255
-    own = sample_surfels(mesh_of(quad(0.9), Material(alpha=alpha)), 500)
-    assert own.means[:, 0].min() > -0.1
+    surfels = sample_surfels(mesh_of(quad(0.9), Material(alpha=alpha)), 500)
+    assert surfels.means[:, 0].min() > -0.1
     with pytest.raises(ValueError, match="transparent everywhere"):
         sample_surfels(mesh_of(quad(0.9), Material(alpha=0 * alpha)), 500)
 
 
 def test_open_surfaces_see_everything_and_transfer_is_the_cosine_lobe() -> None:
-    own = sample_surfels(ball(), 4000)
-    assert own.occlusion.min() > 0.97
+    surfels = sample_surfels(ball(), 4000)
+    assert surfels.occlusion.min() > 0.97
     towards, area = equirectangular(64, 128, dtype=torch.float64)
-    normals = own.normals[:5].double()
+    normals = surfels.normals[:5].double()
     cosine = torch.einsum("hwc,nc->nhw", towards, normals).clamp_min(0)
     truth = torch.einsum("nhw,hwk->nk", cosine * area, sh_basis(towards, 2))
-    torch.testing.assert_close(own.transfer[:5].double(), truth, atol=0.02, rtol=0)
+    torch.testing.assert_close(surfels.transfer[:5].double(), truth, atol=0.02, rtol=0)
 
 
 def plates(count: int) -> tuple[np.ndarray, visibility.Visibility]:
-    """What the middle of a square plate sees below another one, half a side above: (rows of the middle, visibility)."""
+    """What the middle of a square plate sees below another one, half a side above: (Gaussians of the middle,
+    visibility)."""
     points, normals = [], []
     rng = np.random.default_rng(0)
     for solid in (quad(0.9), quad(0.9, z=0.9, up=False)):
@@ -194,8 +195,8 @@ def test_a_coarse_asset_looks_like_the_dense_truth_and_less_so_when_rough(dense:
     views = orbit((0, 0, 0), 2.7, 3, width=64, height=64)
     light = uniform_light()
 
-    def pictures(own: Surfels) -> torch.Tensor:
-        return render(to_splats(own, shade(own, light)), views).colors
+    def pictures(surfels: Surfels) -> torch.Tensor:
+        return render(to_splats(surfels, shade(surfels, light)), views).colors
 
     truth = pictures(dense)
     errors = []
@@ -211,26 +212,26 @@ def test_a_coarse_asset_looks_like_the_dense_truth_and_less_so_when_rough(dense:
     assert torch.equal(again.means, coarse.means) and torch.equal(again.opacities, coarse.opacities)
 
 
-def test_the_dark_side_of_a_thin_wall_gets_no_coarse_rows() -> None:
+def test_the_dark_side_of_a_thin_wall_gets_no_coarse_gaussians() -> None:
     ball_shape = shapes.primitive("ellipsoid", np.random.default_rng(0))
     cup = shapes.cut(ball_shape, lambda p: 0.7 - p[:, 1], 0.02)  # a bowl with a narrow opening above
-    own = sample_surfels(mesh_of(cup), 6000)
-    coarse = coarse_asset(own, 600, roughness=0.0)
-    inward = [float(((s.normals * s.means).sum(1) < -0.5).float().mean()) for s in (own, coarse)]
+    surfels = sample_surfels(mesh_of(cup), 6000)
+    coarse = coarse_asset(surfels, 600, roughness=0.0)
+    inward = [float(((s.normals * s.means).sum(1) < -0.5).float().mean()) for s in (surfels, coarse)]
     assert inward[0] > 0.3 and inward[1] < 0.1
 
 
-def test_taking_rows_takes_every_field(dense: Surfels) -> None:
-    rows = torch.tensor([5, 3])
-    some = dense.take(rows)
+def test_taking_gaussians_takes_every_field(dense: Surfels) -> None:
+    ids = torch.tensor([5, 3])
+    some = dense.take(ids)
     assert len(some) == 2
-    assert all(torch.equal(getattr(some, k), getattr(dense, k)[rows]) for k in vars(dense))
+    assert all(torch.equal(getattr(some, k), getattr(dense, k)[ids]) for k in vars(dense))
 
 
 def test_bad_arguments_are_refused(dense: Surfels) -> None:
     with pytest.raises(ValueError, match="at least one surfel"):
         sample_surfels(ball(), 0)
-    with pytest.raises(ValueError, match="rows"):
+    with pytest.raises(ValueError, match="1 to"):
         coarse_asset(dense, len(dense) + 1)
     with pytest.raises(ValueError, match="roughness"):
         coarse_asset(dense, 10, roughness=2)

@@ -46,10 +46,10 @@ def test_distances_of_ball_and_straight_tube_are_exact_nearby_and_never_too_larg
     points = np.random.default_rng(3).uniform(-0.6, 0.6, (2000, 3))
     angle = np.linspace(-np.pi / 2, np.pi / 2, 60)
     ball = revolve(np.stack([0.5 * np.cos(angle), 0.5 * np.sin(angle)], 1).tolist(), 800)
-    exact, found = np.linalg.norm(points, axis=1) - 0.5, revolved_distance(ball)(points)
+    exact, measured = np.linalg.norm(points, axis=1) - 0.5, revolved_distance(ball)(points)
     near = exact < MARGIN
-    np.testing.assert_allclose(found[near], exact[near], atol=4e-3)
-    assert (found[~near] <= exact[~near] + 4e-3).all() and (found[~near] > 0.05).all()
+    np.testing.assert_allclose(measured[near], exact[near], atol=4e-3)
+    assert (measured[~near] <= exact[~near] + 4e-3).all() and (measured[~near] > 0.05).all()
     tube = sweep([(-0.4, 0, 0.2), (0, 0, 0.2), (0.4, 0, 0.2)])
     inside = np.abs(points[:, 0]) < 0.35
     radius = np.hypot(points[:, 1], points[:, 2])

@@ -18,28 +18,28 @@ OPTIONS = DensityOptions()
 def parameters(scales, opacities) -> RawGaussians:
     rng = np.random.default_rng(0)
     n = len(scales)
-    own = Splats(
+    raw = Splats(
         means=rng.random((n, 3)).astype(np.float32),
         quats=rng.standard_normal((n, 4)).astype(np.float32),
         scales=np.repeat(np.array(scales, np.float32)[:, None], 3, 1),
         opacities=np.array(opacities, np.float32),
         sh=rng.random((n, 4, 3)).astype(np.float32),
     )
-    return RawGaussians.of(own)
+    return RawGaussians.of(raw)
 
 
-def controlled(own: RawGaussians, pulls, most: int = 100, prune_large: bool = False) -> Round:
+def controlled(raw: RawGaussians, pulls, most: int = 100, prune_large: bool = False) -> Round:
     generator = torch.Generator().manual_seed(0)
-    return densify(own, np.array(pulls, np.float32), 1.0, OPTIONS, most, prune_large, generator)
+    return densify(raw, np.array(pulls, np.float32), 1.0, OPTIONS, most, prune_large, generator)
 
 
-def test_small_rows_are_cloned_large_ones_split_faint_ones_removed() -> None:
-    own = parameters([0.005, 0.05, 0.005, 0.05, 0.005], [0.9, 0.9, 0.9, 0.9, 0.001])
-    done = controlled(own, [3e-4, 3e-4, 1e-4, 1e-4, 9e-4])
+def test_small_gaussians_are_cloned_large_ones_split_faint_ones_removed() -> None:
+    raw = parameters([0.005, 0.05, 0.005, 0.05, 0.005], [0.9, 0.9, 0.9, 0.9, 0.001])
+    done = controlled(raw, [3e-4, 3e-4, 1e-4, 1e-4, 9e-4])
     assert done.survivors.tolist() == [0, 2, 3]
     assert done.source.tolist() == [0, 2, 3, 0, 1, 1]
     new = done.parameters
-    assert torch.equal(new.means[3], own.means[0]) and torch.equal(new.sh[4], own.sh[1])
+    assert torch.equal(new.means[3], raw.means[0]) and torch.equal(new.sh[4], raw.sh[1])
     np.testing.assert_allclose(new.scales[4:].exp().numpy(), 0.05 / 1.6, rtol=1e-5)
     assert not torch.equal(new.means[4], new.means[5])
 
@@ -59,32 +59,32 @@ def test_children_are_drawn_from_their_parent() -> None:
 
 
 def test_the_hardest_pulled_come_first_where_there_is_no_room_for_all() -> None:
-    own = parameters([0.005] * 6, [0.9] * 6)
-    done = controlled(own, [5e-4, 9e-4, 3e-4, 8e-4, 1e-4, 7e-4], most=8)
+    raw = parameters([0.005] * 6, [0.9] * 6)
+    done = controlled(raw, [5e-4, 9e-4, 3e-4, 8e-4, 1e-4, 7e-4], most=8)
     assert sorted(done.source.tolist()[6:]) == [1, 3]
-    assert len(controlled(own, [1.0] * 6, most=3).source) == 6, "a limit below the rows adds none and removes none"
+    assert len(controlled(raw, [1.0] * 6, most=3).source) == 6, "a limit below the Gaussians adds none and removes none"
 
 
-def test_huge_rows_go_once_opacities_were_reset() -> None:
-    own = parameters([0.005, 0.2], [0.9, 0.9])
-    assert controlled(own, [0, 0]).survivors.tolist() == [0, 1]
-    assert controlled(own, [0, 0], prune_large=True).survivors.tolist() == [0]
+def test_huge_gaussians_go_once_opacities_were_reset() -> None:
+    raw = parameters([0.005, 0.2], [0.9, 0.9])
+    assert controlled(raw, [0, 0]).survivors.tolist() == [0, 1]
+    assert controlled(raw, [0, 0], prune_large=True).survivors.tolist() == [0]
 
 
-def test_rows_that_cannot_be_drawn_stay_as_they_are() -> None:
-    own = parameters([0.05, 0.05], [0.9, 0.9])
-    own.scales[0] = float("nan")
-    done = controlled(own, [1.0, 0.0])
+def test_gaussians_that_cannot_be_drawn_stay_as_they_are() -> None:
+    raw = parameters([0.05, 0.05], [0.9, 0.9])
+    raw.scales[0] = float("nan")
+    done = controlled(raw, [1.0, 0.0])
     assert done.source.tolist() == [0, 1]
 
 
 def test_opacities_are_reset_to_a_hundredth() -> None:
-    own = parameters([0.1, 0.1], [0.9, 0.004])
-    reset_opacities(own, 0.01)
-    np.testing.assert_allclose(own.opacities.sigmoid().numpy(), [0.01, 0.004], rtol=1e-5)
+    raw = parameters([0.1, 0.1], [0.9, 0.004])
+    reset_opacities(raw, 0.01)
+    np.testing.assert_allclose(raw.opacities.sigmoid().numpy(), [0.01, 0.004], rtol=1e-5)
 
 
-def test_pulls_are_means_over_the_views_that_draw_a_row_per_half_picture() -> None:
+def test_pulls_are_means_over_the_views_that_draw_a_gaussian_per_half_picture() -> None:
     camera = look_at((0, 0, 2), (0, 0, 0), width=40, height=20)
     pulls = Pulls(3)
     pulls.add(Pull(np.array([0, 2]), np.array([[0.3, 0.4], [1.0, 0.0]], np.float32), np.ones(2)), camera)
@@ -102,6 +102,8 @@ def test_the_original_schedule() -> None:
 def test_short_runs_have_the_schedule_in_proportion() -> None:
     half = Schedule.scaled(15_000, 50)
     assert half == Schedule(250, 50, 7500, 1500)
-    assert Schedule.scaled(1000, 24) == Schedule(25, 25, 500, 0), "rows settle between rounds, and nothing is reset"
+    assert Schedule.scaled(1000, 24) == Schedule(25, 25, 500, 0), (
+        "Gaussians settle between rounds, and nothing is reset"
+    )
     assert Schedule.scaled(1000, 60) == Schedule(60, 60, 500, 0), "every view is seen between rounds"
     assert not any(Schedule.scaled(40, 24).due(step) for step in range(1, 41)), "too short to grow"

@@ -10,7 +10,7 @@ import torch
 
 from splatpainter.fit.gradients import CpuPasses, Pass, Target, screen_pull, torch_pass
 from splatpainter.splats import ATTRIBUTES, Splats
-from tests.support.render_scenes import cameras, scene, with_odd_rows
+from tests.support.render_scenes import cameras, scene, with_odd_gaussians
 
 
 def wanted(camera, seed: int = 3) -> np.ndarray:
@@ -28,20 +28,20 @@ def waves(camera) -> np.ndarray:
     return np.repeat((0.5 + 0.4 * np.sin(x / 9) * np.cos(y / 7 + 1))[..., None], 3, 2).astype(np.float32)
 
 
-def slope(splats: Splats, camera, own, name: str, step: float = 0.1) -> float:
+def slope(splats: Splats, camera, custom_loss, name: str, step: float = 0.1) -> float:
     """Of the loss over cx or cy: it moves every centre on the screen and nothing else."""
     low, high = (replace(camera, **{name: getattr(camera, name) + s * step}) for s in (-1, 1))
-    return (passed(splats, high, own).loss - passed(splats, low, own).loss) / (2 * step)
+    return (passed(splats, high, custom_loss).loss - passed(splats, low, custom_loss).loss) / (2 * step)
 
 
-def passed(splats: Splats, camera, own=None, mask=None, absolute: bool = False, weight: float = 1.0) -> Pass:
+def passed(splats: Splats, camera, custom_loss=None, mask=None, absolute: bool = False, weight: float = 1.0) -> Pass:
     target = Target.of(camera, wanted(camera), mask, 0.2, weight)
-    return CpuPasses()(splats.torch(), target, own, True, absolute)
+    return CpuPasses()(splats.torch(), target, custom_loss, True, absolute)
 
 
 @pytest.mark.parametrize("masked", [False, True])
 def test_kernels_and_autograd_agree(masked: bool) -> None:
-    splats, camera = with_odd_rows(scene(30, 2, 2, dtype=np.float32)), cameras(48, 40)[0]
+    splats, camera = with_odd_gaussians(scene(30, 2, 2, dtype=np.float32)), cameras(48, 40)[0]
     mask = None
     if masked:
         mask = np.zeros((40, 48), bool)
@@ -57,44 +57,44 @@ def test_kernels_and_autograd_agree(masked: bool) -> None:
         np.testing.assert_allclose(ours.gradients[name].numpy(), expected, atol=2e-5 * scale, err_msg=name)
 
 
-@pytest.mark.parametrize("rows", [1, 5])
-def test_the_pull_is_the_slope_over_the_principal_point(rows: int) -> None:
-    """Of one row alone; of several in sum. Rows are so wide that none is cut off at 1/255 within the picture: the
-    renderer is not smooth there."""
-    rng = np.random.default_rng(rows)
-    splats = scene(rows, 1, 4, dtype=np.float32)
+@pytest.mark.parametrize("count", [1, 5])
+def test_the_pull_is_the_slope_over_the_principal_point(count: int) -> None:
+    """Of one Gaussian alone; of several in sum. Gaussians are so wide that none is cut off at 1/255 within the picture:
+    the renderer is not smooth there."""
+    rng = np.random.default_rng(count)
+    splats = scene(count, 1, 4, dtype=np.float32)
     splats = replace(
         splats,
-        means=rng.uniform(-0.2, 0.2, (rows, 3)).astype(np.float32),
-        scales=rng.uniform(0.9, 1.4, (rows, 3)).astype(np.float32),
-        opacities=rng.uniform(0.3, 0.6, rows).astype(np.float32),
+        means=rng.uniform(-0.2, 0.2, (count, 3)).astype(np.float32),
+        scales=rng.uniform(0.9, 1.4, (count, 3)).astype(np.float32),
+        opacities=rng.uniform(0.3, 0.6, count).astype(np.float32),
     )
     camera = cameras(40, 32)[0]
-    own = squared(waves(camera))
-    pull = passed(splats, camera, own).pull
-    assert pull is not None and sorted(pull.rows.tolist()) == list(range(rows))
+    custom_loss = squared(waves(camera))
+    pull = passed(splats, camera, custom_loss).pull
+    assert pull is not None and sorted(pull.gaussian_ids.tolist()) == list(range(count))
     for axis, name in enumerate(("cx", "cy")):
-        assert pull.pixels[:, axis].sum() == pytest.approx(slope(splats, camera, own, name), rel=0.01)
+        assert pull.pixels[:, axis].sum() == pytest.approx(slope(splats, camera, custom_loss, name), rel=0.01)
 
 
 def test_the_gradient_of_the_means_tells_nearly_the_same_pull() -> None:
-    """What CUDA uses. Measured here: correlation above 0.99 for rows of a few pixels."""
+    """What CUDA uses. Measured here: correlation above 0.99 for Gaussians of a few pixels."""
     rng = np.random.default_rng(0)
     splats = scene(400, 1, 7, dtype=np.float32)
     splats = replace(splats, scales=rng.uniform(0.01, 0.06, splats.scales.shape).astype(np.float32))
     camera = cameras(96, 80)[0]
     done = passed(splats, camera)
-    told = screen_pull(splats.torch(), done.gradients, camera)
+    estimate = screen_pull(splats.torch(), done.gradients, camera)
     exact, near = np.zeros((2, 400, 2))
     assert done.pull is not None
-    exact[done.pull.rows], near[told.rows] = done.pull.pixels, told.pixels
+    exact[done.pull.gaussian_ids], near[estimate.gaussian_ids] = done.pull.pixels, estimate.pixels
     both = np.stack([np.linalg.norm(exact, axis=1), np.linalg.norm(near, axis=1)])
     assert np.corrcoef(both)[0, 1] > 0.99
     assert np.corrcoef(exact.ravel(), near.ravel())[0, 1] > 0.99
 
 
 def test_the_absolute_pull_does_not_cancel() -> None:
-    """A wide row whose left and right halves are pulled apart: the sum is small, the sum over tiles is not."""
+    """A wide Gaussian whose left and right halves are pulled apart: the sum is small, the sum over tiles is not."""
     camera = cameras(96, 32)[0]
     one = scene(1, 0, dtype=np.float32)
     one = replace(
@@ -106,8 +106,8 @@ def test_the_absolute_pull_does_not_cancel() -> None:
     )
     target = np.zeros((32, 96, 3), np.float32)
     target[:, :20] = target[:, 76:] = 1.0
-    own = squared(target)
-    plain, absolute = (passed(one, camera, own, absolute=flag).pull for flag in (False, True))
+    custom_loss = squared(target)
+    plain, absolute = (passed(one, camera, custom_loss, absolute=flag).pull for flag in (False, True))
     assert plain is not None and absolute is not None
     assert absolute.pixels[0, 0] >= 5 * abs(plain.pixels[0, 0])
     assert absolute.pixels[0, 1] >= abs(plain.pixels[0, 1]) * (1 - 1e-5)
@@ -117,5 +117,5 @@ def test_nothing_in_view_is_no_pull() -> None:
     camera = cameras(32, 32)[0]
     behind = replace(scene(3, 0, dtype=np.float32), means=np.full((3, 3), 50, np.float32))
     done = passed(behind, camera)
-    assert done.pull is not None and len(done.pull.rows) == 0
+    assert done.pull is not None and len(done.pull.gaussian_ids) == 0
     assert not any(gradient.any() for gradient in done.gradients.values())

@@ -31,8 +31,8 @@ def test_the_ssim_term_is_the_metric() -> None:
     np.testing.assert_allclose(ours, inner, atol=1e-6)
     heavy = weights(image.shape[:2], "mask")
     assert heavy is not None
-    shown = np.where(heavy[..., None] > 0, image, target)
-    expected = (heavy[5:-5, 5:-5] * (1 - metrics.ssim_map(shown, target)[5:-5, 5:-5])).mean()
+    blended = np.where(heavy[..., None] > 0, image, target)
+    expected = (heavy[5:-5, 5:-5] * (1 - metrics.ssim_map(blended, target)[5:-5, 5:-5])).mean()
     masked, _ = picture_loss(image.astype(np.float32), target.astype(np.float32), heavy.astype(np.float32), 1.0)
     assert masked == pytest.approx(expected, abs=2e-6)
 

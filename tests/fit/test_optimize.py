@@ -1,9 +1,9 @@
 """The loop: against a plain torch oracle, on what must not change, and on a toy that must improve.
 
 Not run here, measured: the demo asset from 20,000 points unprojected from 24 views of 256 px, 1,000 steps with density
-control (54,542 rows): 36.3 dB on those views, 33.6 on 8 others, over black and white in turn; over its own background
-alone 37.5 and 34.1, but with holes and haze of that colour (mean error of alpha 0.044, not 0.004). With the original's
-rate of SH all along 33.6 and 32.4. About 75 ms of one core a step.
+control (54,542 Gaussians): 36.3 dB on those views, 33.6 on 8 others, over black and white in turn; over its own
+background alone 37.5 and 34.1, but with holes and haze of that colour (mean error of alpha 0.044, not 0.004). With the
+original's rate of SH all along 33.6 and 32.4. About 75 ms of one core a step.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from splatpainter.metrics import psnr
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.lift_scenes import SH_C0, bits, differing, front, same_bits, sheet
-from tests.support.render_scenes import cameras, scene, with_odd_rows
+from tests.support.render_scenes import cameras, scene, with_odd_gaussians
 
 NO_DENSITY = FitOptions(steps=4, densify=False)
 
@@ -32,17 +32,24 @@ def views_of(splats: Splats, views) -> list[TrainingView]:
     return [TrainingView(camera, np.clip(render(splats, camera).colors[0], 0, 1)) for camera in views]
 
 
-def small(rows: int = 30, degree: int = 1) -> Splats:
+def small(count: int = 30, degree: int = 1) -> Splats:
     """Ellipsoids of a few pixels, in view."""
-    splats, rng = scene(rows, degree, 3, dtype=np.float32), np.random.default_rng(3)
-    scales = rng.uniform(0.04, 0.2, (rows, 3)).astype(np.float32)
+    splats, rng = scene(count, degree, 3, dtype=np.float32), np.random.default_rng(3)
+    scales = rng.uniform(0.04, 0.2, (count, 3)).astype(np.float32)
     return replace(splats, scales=scales, opacities=np.clip(splats.opacities, 0.1, 0.9))
 
 
 def oracle(start: Splats, views: list[TrainingView], options: FitOptions, extent: float) -> list[torch.Tensor]:
     """3DGS's step written out: reference renderer, L1 and SSIM by unfolded windows, torch.optim.Adam, float64."""
-    own = start.torch(dtype=torch.float64)
-    raw = [own.means, own.quats, own.scales.log(), torch.logit(own.opacities), own.sh[:, :1], own.sh[:, 1:]]
+    splats = start.torch(dtype=torch.float64)
+    raw = [
+        splats.means,
+        splats.quats,
+        splats.scales.log(),
+        torch.logit(splats.opacities),
+        splats.sh[:, :1],
+        splats.sh[:, 1:],
+    ]
     raw = [value.clone().requires_grad_() for value in raw]
     rates = [1.6e-4 * extent, 1e-3, 5e-3, 5e-2, 2.5e-3, 2.5e-3 / 20]
     adam = torch.optim.Adam([{"params": [p], "lr": r} for p, r in zip(raw, rates, strict=True)], eps=1e-15)
@@ -75,9 +82,9 @@ def test_three_steps_are_those_of_a_plain_torch_oracle() -> None:
     options = FitOptions(steps=3, densify=False, extent=2.0, rate_sh=2.5e-3)
     ours = optimize(start, target, options).splats
     for name, expected in zip(ATTRIBUTES, oracle(start, target, options, 2.0), strict=True):
-        before, after, wanted = getattr(start, name), getattr(ours, name), expected.numpy()
-        moved = np.abs(wanted - before).max()
-        wrong = np.abs(after - wanted) > 0.03 * moved
+        before, after, reference = getattr(start, name), getattr(ours, name), expected.numpy()
+        moved = np.abs(reference - before).max()
+        wrong = np.abs(after - reference) > 0.03 * moved
         # Adam's first steps are signs of the gradient: one of 1e-10 may take the other sign in float32.
         assert moved > 0 and wrong.mean() < 0.01, name
 
@@ -93,7 +100,8 @@ def test_equal_arguments_give_equal_bits(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def toy() -> tuple[Splats, list[TrainingView]]:
-    """A sheet whose left half is plain and whose right half is striped, and 300 rows unprojected from views of it."""
+    """A sheet whose left half is plain and whose right half is striped, and 300 Gaussians unprojected from views of
+    it."""
     truth = sheet(70, opacity=0.95)
     x, y = truth.means[:, :1], truth.means[:, 1:2]
     stripes = 0.5 + 0.4 * np.sign(np.sin(14 * x + 4.2 * y))
@@ -108,7 +116,7 @@ def score(splats: Splats, target: list[TrainingView]) -> float:
     return float(np.mean([psnr(render(splats, view.camera).colors[0], view.color) for view in target]))
 
 
-def test_the_loss_falls_and_rows_are_added_where_they_are_needed() -> None:
+def test_the_loss_falls_and_gaussians_are_added_where_they_are_needed() -> None:
     """Two rounds of control, with a threshold that suits pictures of 48 px."""
     start, target = toy()
     density = DensityOptions(threshold=3e-3)
@@ -117,26 +125,26 @@ def test_the_loss_falls_and_rows_are_added_where_they_are_needed() -> None:
     )
     assert np.mean(done.losses[-6:]) < 0.7 * np.mean(done.losses[:6])
     assert score(done.splats, target) > score(start, target) + 2
-    rows = np.bincount(done.parents, minlength=len(start))
-    striped, plain = rows[start.means[:, 0] > 0.05].mean(), rows[start.means[:, 0] < -0.05].mean()
+    children = np.bincount(done.parents, minlength=len(start))
+    striped, plain = children[start.means[:, 0] > 0.05].mean(), children[start.means[:, 0] < -0.05].mean()
     assert striped > 1.5 * plain and len(done.splats) > 1.5 * len(start)
     assert done.steps == 60 and len(done.losses) == 60 and done.splats.drawable.all()
 
 
-def test_rows_that_are_not_named_keep_their_bits() -> None:
-    start = with_odd_rows(small(60))
+def test_gaussians_that_are_not_named_keep_their_bits() -> None:
+    start = with_odd_gaussians(small(60))
     target = views_of(small(40), cameras(40, 32, count=2))
-    rows = np.flatnonzero(np.random.default_rng(0).random(len(start)) < 0.4)
+    gaussian_ids = np.flatnonzero(np.random.default_rng(0).random(len(start)) < 0.4)
     copy = replace(start, **{name: getattr(start, name).copy() for name in ATTRIBUTES})
-    done = optimize(start, target, NO_DENSITY, rows=rows)
+    done = optimize(start, target, NO_DENSITY, gaussian_ids=gaussian_ids)
     assert same_bits(start, copy), "the caller's arrays are not written to"
     changed = differing(start, done.splats)
-    assert not np.delete(changed, rows).any() and changed[rows].sum() > 10
+    assert not np.delete(changed, gaussian_ids).any() and changed[gaussian_ids].sum() > 10
     assert np.array_equal(done.parents, np.arange(len(start)))
 
 
-def test_attributes_that_are_not_named_and_rows_out_of_view_keep_their_bits() -> None:
-    start = with_odd_rows(small(60))
+def test_attributes_that_are_not_named_and_gaussians_out_of_view_keep_their_bits() -> None:
+    start = with_odd_gaussians(small(60))
     start.means[30] = (0, 0, 30)  # behind all cameras
     target = views_of(small(40), cameras(40, 32, count=2))
     done = optimize(start, target, replace(NO_DENSITY, attributes=("sh", "opacities"))).splats
@@ -171,7 +179,7 @@ def test_a_loss_of_ones_own_and_a_watcher() -> None:
 
 
 def test_masked_pixels_pull_nothing() -> None:
-    """Two rows side by side; only the left half of the picture counts."""
+    """Two Gaussians side by side; only the left half of the picture counts."""
     pair = small(2)
     pair = replace(
         pair, means=np.array([[-0.6, 0, 0], [0.6, 0, 0]], np.float32), scales=np.full((2, 3), 0.08, np.float32)
@@ -190,7 +198,7 @@ def test_sh_of_another_degree() -> None:
     assert (more.sh_degree, less.sh_degree) == (2, 0) and more.sh[:, 4:].any()
 
 
-def test_origins_follow_the_rows() -> None:
+def test_origins_follow_the_gaussians() -> None:
     start, target = toy()
     start = replace(start, origin=np.arange(len(start))[::-1].copy())
     done = optimize(start, target, FitOptions(steps=30, schedule=Schedule(10, 10, 20, 0)))
@@ -208,16 +216,16 @@ def test_what_does_not_fit_together() -> None:
     grey = np.full((32, 40, 3), 0.5, np.float32)
     for error, call in {
         "at least one view": lambda: fit(views=[]),
-        "set densify=False": lambda: fit(FitOptions(steps=1), rows=np.arange(3)),
+        "set densify=False": lambda: fit(FitOptions(steps=1), gaussian_ids=np.arange(3)),
         "attributes of means": lambda: fit(replace(NO_DENSITY, attributes=("colour",))),
-        "np.flatnonzero": lambda: fit(rows=np.ones(30, bool)),
+        "np.flatnonzero": lambda: fit(gaussian_ids=np.ones(30, bool)),
         r"view 0: expected colours \[32, 40, 3\]": lambda: fit(views=[TrainingView(camera, grey[:31])]),
         "a mask": lambda: fit(views=[TrainingView(camera, grey, mask=np.ones((31, 40)))]),
         "finite colours": lambda: fit(views=[TrainingView(camera, np.full_like(grey, np.nan))]),
         "11x11": lambda: fit(views=[TrainingView(cameras(9, 9)[0], grey[:9, :9])]),
         "sh_degree 0 to 4": lambda: fit(replace(NO_DENSITY, sh_degree=5)),
         "steps >= 0": lambda: fit(replace(NO_DENSITY, steps=-1)),
-        "at least one row": lambda: optimize(small().take(np.arange(0)), [TrainingView(camera, grey)], NO_DENSITY),
+        "at least one Gaussian": lambda: optimize(small().take(np.arange(0)), [TrainingView(camera, grey)], NO_DENSITY),
     }.items():
         with pytest.raises(ValueError, match=error):
             call()

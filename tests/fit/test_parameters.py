@@ -1,4 +1,4 @@
-"""Adam over rows is torch's Adam, rows may come and go."""
+"""Adam over Gaussians is torch's Adam, Gaussians may come and go."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def rates() -> dict[str, torch.Tensor]:
 @pytest.mark.parametrize("path", ["kernel", "torch"])
 def test_five_steps_are_those_of_torch(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if path == "torch":  # what other devices run
-        monkeypatch.setattr("splatpainter.fit.parameters._step_rows", step_tensor)
+        monkeypatch.setattr("splatpainter.fit.parameters._step_values", step_tensor)
     ours = values(0)
     leaves = {name: value.clone().requires_grad_() for name, value in ours.items() if name != "sh"}
     first, rest = (part.clone().requires_grad_() for part in (ours["sh"][:, :1], ours["sh"][:, 1:]))
@@ -38,7 +38,7 @@ def test_five_steps_are_those_of_torch(path: str, monkeypatch: pytest.MonkeyPatc
     adam = Adam(ours)
     for step in range(5):
         gradients = values(10 + step, 1e-6)
-        gradients["means"][7] = 0  # a row that no view sees
+        gradients["means"][7] = 0  # a Gaussian that no view sees
         for name, leaf in leaves.items():
             leaf.grad = gradients[name].clone()
         first.grad, rest.grad = gradients["sh"][:, :1].clone(), gradients["sh"][:, 1:].clone()
@@ -50,15 +50,15 @@ def test_five_steps_are_those_of_torch(path: str, monkeypatch: pytest.MonkeyPatc
     assert torch.equal(ours["means"][7], values(0)["means"][7])
 
 
-def test_rows_keep_their_past_and_new_ones_have_none() -> None:
+def test_gaussians_keep_their_past_and_new_ones_have_none() -> None:
     ours = values(0)
     adam = Adam(ours)
     adam.step(ours, values(1), rates())
     before = {name: tuple(m.clone() for m in pair) for name, pair in adam.moments.items()}
-    kept = torch.tensor([5, 2, 9])
-    adam.select(kept, 2)
+    survivors = torch.tensor([5, 2, 9])
+    adam.select(survivors, 2)
     for name, pair in adam.moments.items():
         for old, new in zip(before[name], pair, strict=True):
-            assert torch.equal(new[:3], old[kept]) and new.shape[0] == 5 and not new[3:].any()
+            assert torch.equal(new[:3], old[survivors]) and new.shape[0] == 5 and not new[3:].any()
     adam.forget("sh")
     assert not any(moment.any() for moment in adam.moments["sh"]) and adam.moments["means"][0].any()

@@ -1,4 +1,4 @@
-"""First rows: sizes from neighbours, places from depth maps."""
+"""First Gaussians: sizes from neighbours, centres from depth maps."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ def test_distances_are_those_of_a_tree(name: str) -> None:
 
 
 def test_points_of_a_lattice() -> None:
-    """Every point of a cubic lattice of spacing 0.5 has three neighbours at 0.5, so that is every row's size."""
+    """Every point of a cubic lattice of spacing 0.5 has three neighbours at 0.5, so that is every Gaussian's size."""
     points = np.stack(np.meshgrid(*[np.arange(4) * 0.5] * 3), -1).reshape(-1, 3)
     colors = np.tile([0.2, 0.5, 1.0], (len(points), 1))
-    rows = from_points(points, colors, sh_degree=2, opacity=0.3)
-    assert len(rows) == 64 and rows.sh_degree == 2 and rows.drawable.all()
-    np.testing.assert_allclose(rows.scales, 0.5, rtol=1e-6)
-    np.testing.assert_allclose(0.5 + SH_C0 * rows.sh[:, 0], colors, atol=1e-6)
-    assert not rows.sh[:, 1:].any() and np.all(rows.opacities == np.float32(0.3))
-    np.testing.assert_array_equal(rows.means, points.astype(np.float32))
+    gaussians = from_points(points, colors, sh_degree=2, opacity=0.3)
+    assert len(gaussians) == 64 and gaussians.sh_degree == 2 and gaussians.drawable.all()
+    np.testing.assert_allclose(gaussians.scales, 0.5, rtol=1e-6)
+    np.testing.assert_allclose(0.5 + SH_C0 * gaussians.sh[:, 0], colors, atol=1e-6)
+    assert not gaussians.sh[:, 1:].any() and np.all(gaussians.opacities == np.float32(0.3))
+    np.testing.assert_array_equal(gaussians.means, points.astype(np.float32))
 
 
 def test_strays_and_repeated_points_get_sizes_within_reason() -> None:
     points = np.concatenate(
         [np.random.default_rng(0).random((300, 3)), [[50.0, 0, 0], [0.5, 0.5, 0.5], [0.5, 0.5, 0.5]]]
     )
-    rows = from_points(points, np.zeros_like(points))
-    typical = np.median(rows.scales)
-    assert rows.scales.max() <= 16.01 * typical and rows.scales.min() >= typical / 16.01
+    gaussians = from_points(points, np.zeros_like(points))
+    typical = np.median(gaussians.scales)
+    assert gaussians.scales.max() <= 16.01 * typical and gaussians.scales.min() >= typical / 16.01
     assert from_points(np.zeros((1, 3)), np.zeros((1, 3))).drawable.all()
 
 
@@ -71,29 +71,29 @@ def test_depths_of_a_plane_become_points_of_the_plane() -> None:
         colors.append(0.5 + 0.1 * hits)
     alphas = np.ones((2, 30, 40))
     alphas[0, :, :20] = 0.2  # too transparent to have a depth
-    rows = from_depths(cameras, np.array(colors), np.array(depths), alphas, 700, seed=1, sh_degree=1)
-    assert len(rows) == 700 and rows.sh_degree == 1
-    np.testing.assert_allclose(rows.means[:, 2], 0, atol=1e-5)
-    np.testing.assert_allclose(0.5 + SH_C0 * rows.sh[:, 0], 0.5 + 0.1 * rows.means, atol=1e-5)
-    u = rows.means @ cameras[0].world_to_camera[:3, :3].T + cameras[0].world_to_camera[:3, 3]
+    gaussians = from_depths(cameras, np.array(colors), np.array(depths), alphas, 700, seed=1, sh_degree=1)
+    assert len(gaussians) == 700 and gaussians.sh_degree == 1
+    np.testing.assert_allclose(gaussians.means[:, 2], 0, atol=1e-5)
+    np.testing.assert_allclose(0.5 + SH_C0 * gaussians.sh[:, 0], 0.5 + 0.1 * gaussians.means, atol=1e-5)
+    u = gaussians.means @ cameras[0].world_to_camera[:3, :3].T + cameras[0].world_to_camera[:3, 3]
     assert (u[:, 0] < 0).any(), "the second view shows the left half too"
     again = from_depths(cameras, np.array(colors), np.array(depths), alphas, 700, seed=1, sh_degree=1)
-    assert np.array_equal(rows.means, again.means)
+    assert np.array_equal(gaussians.means, again.means)
 
 
-def test_more_rows_than_pixels_lie_between_the_pixels() -> None:
+def test_more_gaussians_than_pixels_lie_between_the_pixels() -> None:
     camera = look_at((0, 0, 2), (0, 0, 0), width=8, height=8)
-    rows = from_depths([camera], np.full((1, 8, 8, 3), 0.5), np.full((1, 8, 8), 2.0), np.ones((1, 8, 8)), 300)
-    assert len(rows) == 300 and len(np.unique(rows.means.round(6), axis=0)) == 300
-    np.testing.assert_allclose(rows.means[:, 2], 0, atol=1e-6)
+    gaussians = from_depths([camera], np.full((1, 8, 8, 3), 0.5), np.full((1, 8, 8), 2.0), np.ones((1, 8, 8)), 300)
+    assert len(gaussians) == 300 and len(np.unique(gaussians.means.round(6), axis=0)) == 300
+    np.testing.assert_allclose(gaussians.means[:, 2], 0, atol=1e-6)
 
 
 def test_near_and_far_surfaces_get_equal_shares_per_area() -> None:
     """The left half of the picture is a plane at depth 1, the right one at depth 3: nine times the area."""
     camera = look_at((0, 0, 5), (0, 0, 0), width=60, height=60)
     depth = np.where(np.arange(60) < 30, 1.0, 3.0) * np.ones((1, 60, 1))
-    rows = from_depths([camera], np.full((1, 60, 60, 3), 0.5), depth, np.ones((1, 60, 60)), 500)
-    far = int((rows.means[:, 2] < 3).sum())
+    gaussians = from_depths([camera], np.full((1, 60, 60, 3), 0.5), depth, np.ones((1, 60, 60)), 500)
+    far = int((gaussians.means[:, 2] < 3).sum())
     assert abs(far / 500 - 0.9) < 0.05
 
 

@@ -26,11 +26,11 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="folder of failing inputs (out/fuzz)")
     parser.add_argument("--replay", type=int, default=None, metavar="SEED", help="try one input of one target here")
     config = parser.parse_args()
-    known = [*names(), *(["kernels"] if KERNELS.exists() else [])]
-    chosen = known if config.targets == "all" else config.targets.split(",")
-    wrong = [name for name in chosen if name not in known]
+    available = [*names(), *(["kernels"] if KERNELS.exists() else [])]
+    chosen = available if config.targets == "all" else config.targets.split(",")
+    wrong = [name for name in chosen if name not in available]
     if wrong:
-        parser.error(f"unknown target {wrong[0]!r}; expected one of {', '.join(known)}")
+        parser.error(f"unknown target {wrong[0]!r}; expected one of {', '.join(available)}")
     if config.replay is not None:
         return replay(chosen[0], config.replay)
     share, status = config.seconds / len(chosen), 0

@@ -86,8 +86,8 @@ def ksplat(level: int, degrees: list[int]) -> tuple[bytes, int]:
         real = "<f2" if level else "<f4"
         body = struct.pack("<I", 3) + rng.normal(0, 3, (2, 3)).astype("<f4").tobytes() if level else b""
         for _ in range(7):
-            place = rng.integers(0, 65536, 3).astype("<u2") if level else rng.normal(0, 1, 3).astype("<f4")
-            body += place.tobytes() + np.exp(rng.normal(-2, 1, 3)).astype(real).tobytes()
+            position = rng.integers(0, 65536, 3).astype("<u2") if level else rng.normal(0, 1, 3).astype("<f4")
+            body += position.tobytes() + np.exp(rng.normal(-2, 1, 3)).astype(real).tobytes()
             body += rng.normal(0, 1, 4).astype(real).tobytes() + rng.bytes(4)
             rest = rng.normal(0, 0.3, 3 * (degree + 1) ** 2 - 3)
             body += rng.bytes(len(rest)) if level == 2 else rest.astype(real).tobytes()
@@ -257,8 +257,8 @@ class GlbTarget(FileTarget):
         body = b"".join(struct.pack("<II", len(part), kind) + part for kind, part in chunks)
         data = struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body + (b"tail" if maybe(rng, 0.1) else b"")
         if maybe(rng, 0.1):
-            places = [("I", 4), ("I", 8), ("I", 12), ("I", 16), ("I", 20 + len(packed)), ("I", 24 + len(packed))]
-            data = bend_fields(rng, data, places)
+            fields = [("I", 4), ("I", 8), ("I", 12), ("I", 16), ("I", 20 + len(packed)), ("I", 24 + len(packed))]
+            data = bend_fields(rng, data, fields)
         return {"a.glb": bend_bytes(rng, data) if maybe(rng, 0.05) else data}
 
 

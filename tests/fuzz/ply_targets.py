@@ -216,8 +216,8 @@ def bend_header(rng: random.Random, lines: list[bytes]) -> list[bytes]:
         elif kind == 7:
             block = [b"element extra%d %d" % (rng.randrange(3), rng.choice((0, 1, 2, 10**6)))]
             block += [rng.choice(LINES[11:18]) for _ in range(rng.randrange(3))]
-            place = rng.choice([*counted, max(len(out) - 1, 0)])
-            out[place:place] = block
+            index = rng.choice([*counted, max(len(out) - 1, 0)])
+            out[index:index] = block
     return out
 
 

@@ -124,10 +124,10 @@ class ProjectTarget(Target):
             database.execute("UPDATE OR REPLACE facts SET value = ? WHERE name = ?", (value, name))
             return
         columns = [row[1] for row in database.execute(f"PRAGMA table_info({table})")]
-        found = database.execute(f"SELECT * FROM {table}").fetchall()
-        if not found or not columns:
+        records = database.execute(f"SELECT * FROM {table}").fetchall()
+        if not records or not columns:
             return
-        row, k = list(rng.choice(found)), rng.randrange(len(columns))
+        row, k = list(rng.choice(records)), rng.randrange(len(columns))
         where = " AND ".join(f"{column} IS ?" for column in columns)
         fresh = bend_cell(rng, row[k])
         database.execute("PRAGMA ignore_check_constraints=ON")

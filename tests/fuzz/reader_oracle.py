@@ -114,9 +114,9 @@ def check_edited(splats: Splats, path: Path, rng: random.Random) -> None:
         raise Fault(f"{len(edited)} rows were written, {len(again)} are read")
     if key not in ("ply", "spz", "splat") or again.source is None or again.source.format != key:
         return
-    others = np.delete(np.arange(len(splats)), row)
+    rest = np.delete(np.arange(len(splats)), row)
     for name in ATTRIBUTES:
-        old, new = (getattr(rows, name)[others].view(np.uint32) for rows in (splats, again))
+        old, new = (getattr(rows, name)[rest].view(np.uint32) for rows in (splats, again))
         if not np.array_equal(old, new):
             raise Fault(f"{name} of untouched rows changed when row {row} was recoloured")
 

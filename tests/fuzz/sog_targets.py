@@ -194,10 +194,10 @@ def pack_zip(rng: random.Random, entries: list[Entry]) -> bytes:
             packed = small.getvalue()[31 : 31 + size]
         truth = (entry.method, zlib.crc32(entry.data), len(packed), len(entry.data))
         lies = (entry.says_method, entry.says_crc, entry.says_packed, entry.says_size)
-        said = tuple(t if lie is None else lie for t, lie in zip(truth, lies, strict=True))
+        claims = tuple(t if lie is None else lie for t, lie in zip(truth, lies, strict=True))
         for central_one, (method, crc, packed_size, size) in (
-            (False, truth if entry.only_central else said),
-            (True, said),
+            (False, truth if entry.only_central else claims),
+            (True, claims),
         ):
             common = struct.pack("<HHHHHIIIHH", 20, entry.flags, method, 0, 0x21, crc, packed_size, size,
                                  len(entry.name), len(entry.extra))  # fmt: skip

@@ -26,18 +26,18 @@ def test_hostile_inputs_open_or_are_refused_in_one_line(name: str) -> None:
     with tempfile.TemporaryDirectory(dir=scratch_root(), prefix="splatpainter-fuzz-") as folder:
         target = make_target(name, Path(folder))
         target.warm_up()
-        shared, places = [0] * len(FIELDS), {field: k for k, field in enumerate(FIELDS)}
+        shared, indices = [0] * len(FIELDS), {field: k for k, field in enumerate(FIELDS)}
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 for seed in range(COUNTS[name]):
-                    fault = attempt(target, name, seed, shared, places)
+                    fault = attempt(target, name, seed, shared, indices)
                     assert fault is None, (
                         f"python -m tests.fuzz --targets {name} --replay {seed}: {fault[0]}\n{fault[1]}"
                     )
         finally:
             target.close()
-        assert shared[places["opened"]] and shared[places["refused"]]
+        assert shared[indices["opened"]] and shared[indices["refused"]]
 
 
 @pytest.mark.parametrize("name", [name for name in names() if name not in ("project", "studio")])
@@ -58,8 +58,8 @@ def test_crashes_hangs_warnings_and_memory_are_noticed(tmp_path: Path) -> None:
         tally = tallies[kind]
         assert (tally.inputs, tally.failures) == (6, 1), (kind, tally)
         record = json.loads((tmp_path / f"{kind}-{BAD_SEED}" / "fault.json").read_text())
-        said = {"raises": "IndexError", "warns": "RuntimeWarning", "dies": "died", "hangs": "hang", "late": "slow"}
-        assert {**said, "swells": "memory"}[kind] in record["fault"]
+        expected = {"raises": "IndexError", "warns": "RuntimeWarning", "dies": "died", "hangs": "hang", "late": "slow"}
+        assert {**expected, "swells": "memory"}[kind] in record["fault"]
         made = make_target(kind, tmp_path).make(rng_of(kind, BAD_SEED))
         assert (tmp_path / f"{kind}-{BAD_SEED}" / "chance").read_bytes() == made["chance"]
     assert len(faults(tmp_path)) == len(kinds) and summary(tallies).count("\n") == len(kinds) + 1

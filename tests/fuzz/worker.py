@@ -42,7 +42,7 @@ def scratch_root() -> str | None:
 
 def work(name: str, first: int, step: int, count: int, seconds: float, out: str, shared: Any) -> None:
     """Try up to `count` inputs with seeds first, first + step, ..., for at most `seconds`."""
-    places = {field: k for k, field in enumerate(FIELDS)}
+    indices = {field: k for k, field in enumerate(FIELDS)}
     warnings.simplefilter("error")  # no warning may reach the user
     unraisable: list[str] = []
     sys.unraisablehook = lambda what: unraisable.append(f"{what.err_msg or 'ignored'}: {what.exc_value!r}")
@@ -56,14 +56,14 @@ def work(name: str, first: int, step: int, count: int, seconds: float, out: str,
         _limit_memory()
         base = _peak_kib()
         until = time.monotonic() + seconds
-        shared[places["started"]] = 1
+        shared[indices["started"]] = 1
         for k in range(count):
-            if shared[places["stop"]] or time.monotonic() > until:
+            if shared[indices["stop"]] or time.monotonic() > until:
                 break
             seed = first + k * step
-            shared[places["seed"]] = seed
+            shared[indices["seed"]] = seed
             cpu = time.process_time()
-            fault = attempt(target, name, seed, shared, places)
+            fault = attempt(target, name, seed, shared, indices)
             spent = time.process_time() - cpu
             peak = _peak_kib()
             if fault is None and unraisable:
@@ -75,19 +75,19 @@ def work(name: str, first: int, step: int, count: int, seconds: float, out: str,
             base = max(base, peak)
             unraisable.clear()
             if fault is not None:
-                shared[places["failures"]] += 1
+                shared[indices["failures"]] += 1
                 save_failure(Path(out), target, name, seed, *fault)
-            shared[places["inputs"]] += 1
-            shared[places["peak_kib"]] = peak
-            if spent * 1e6 > shared[places["slowest_us"]]:
-                shared[places["slowest_us"]], shared[places["slowest_seed"]] = int(spent * 1e6), seed
+            shared[indices["inputs"]] += 1
+            shared[indices["peak_kib"]] = peak
+            if spent * 1e6 > shared[indices["slowest_us"]]:
+                shared[indices["slowest_us"]], shared[indices["slowest_seed"]] = int(spent * 1e6), seed
     finally:
         if target is not None:
             target.close()
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def attempt(target: Target, name: str, seed: int, shared: Any, places: dict[str, int]) -> tuple[str, str] | None:
+def attempt(target: Target, name: str, seed: int, shared: Any, indices: dict[str, int]) -> tuple[str, str] | None:
     """(what went wrong in one line, traceback) of one input; None where all is well."""
     rng = rng_of(name, seed)
     try:
@@ -98,8 +98,8 @@ def attempt(target: Target, name: str, seed: int, shared: Any, places: dict[str,
         return str(error), traceback.format_exc()
     except BaseException as error:
         return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}", traceback.format_exc()
-    shared[places["opened"]] += verdict.opened
-    shared[places["refused"]] += verdict.refused
+    shared[indices["opened"]] += verdict.opened
+    shared[indices["refused"]] += verdict.refused
     return None
 
 

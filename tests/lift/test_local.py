@@ -26,7 +26,7 @@ from tests.support.lift_scenes import (
     same_bits,
     sheet,
 )
-from tests.support.render_scenes import cameras, scene, with_odd_rows
+from tests.support.render_scenes import cameras, scene, with_odd_gaussians
 
 RED = (0.9, 0.1, 0.1)
 
@@ -204,7 +204,7 @@ def test_rows_that_may_not_change_do_not():
 
 
 def test_odd_rows_keep_their_bits():
-    splats = with_odd_rows(scene(400, 1, 3, dtype=np.float32))
+    splats = with_odd_gaussians(scene(400, 1, 3, dtype=np.float32))
     camera = cameras(96, 96)[0]
     mask = disk(camera, 50, 40, 15)
     lifted = lift_local(splats, camera, painted(splats, camera, mask), mask)

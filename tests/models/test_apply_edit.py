@@ -59,7 +59,7 @@ def encoded_by(model) -> Encoded:  # noqa: ANN001
 # Drafts
 
 
-def test_own_rows_are_those_that_make_the_edited_pixels() -> None:
+def test_own_gaussians_are_those_that_make_the_edited_pixels() -> None:
     (view,) = views_here()
     edit = lift_local_views(SPLATS, GRID, [view], "own")
     assert edit.splats is SPLATS and edit.detail and edit.confidence is None
@@ -100,7 +100,7 @@ def test_a_lifted_edit_is_the_lift_with_everything_that_it_changed() -> None:
     np.testing.assert_allclose(edit.features[:, 6], (total / (total + 2))[edit.ids], rtol=2e-2, atol=2e-3)
 
 
-def test_rows_of_a_second_view_are_traced_to_the_asset() -> None:
+def test_gaussians_of_a_second_view_are_traced_to_the_asset() -> None:
     views = views_of(dab(SPLATS, RED, 28), dab(SPLATS, BLUE, 36), dab(SPLATS, GREEN, camera=REAR))
     edit = lift_local_views(SPLATS, GRID, views, "lift")
     parents = SPLATS.take(edit.parents)
@@ -111,9 +111,9 @@ def test_rows_of_a_second_view_are_traced_to_the_asset() -> None:
     picture = render(edit.splats, CAMERA).colors[0]
     both = disk(CAMERA, 28, 32, 6) & disk(CAMERA, 36, 32, 6)
     assert np.abs(picture[both] - BLUE).mean() < 0.1  # the latest wins
-    own = lift_local_views(SPLATS, GRID, views, "own")
+    lifted = lift_local_views(SPLATS, GRID, views, "own")
     alone = [lift_local_views(SPLATS, GRID, [view], "own").ids for view in views]
-    assert own.ids.tolist() == sorted(set(np.concatenate(alone).tolist()))
+    assert lifted.ids.tolist() == sorted(set(np.concatenate(alone).tolist()))
 
 
 @pytest.mark.parametrize("base", ["own", "lift"])
@@ -156,23 +156,23 @@ def test_an_untrained_network_returns_the_lifted_edit_bit_for_bit(config) -> Non
     model, views = built(config), views_here()
     base = config.refine.base
     for edit in (lift_local_views(SPLATS, GRID, views, base), lift_global_views(SPLATS, views, base)):
-        _, rows, further = refine_edit(model, model.initial_state(), encoded_by(model), edit, views)
-        assert further is None and same_bits(rows.numpy(), edit.splats.take(edit.ids))
-        assert assemble(edit, rows, further) is edit.splats
+        _, edited, further = refine_edit(model, model.initial_state(), encoded_by(model), edit, views)
+        assert further is None and same_bits(edited.numpy(), edit.splats.take(edit.ids))
+        assert assemble(edit, edited, further) is edit.splats
 
 
 @torch.no_grad()
 def test_each_gaussian_is_a_residual_on_its_lift_from_its_own_latent() -> None:
     model, views = built(LIFT, awake=0.05), views_here()
     encoded, edit = encoded_by(model), lift_local_views(SPLATS, GRID, views_here(), "lift")
-    state, rows, further = refine_edit(model, model.initial_state(), encoded, edit, views)
-    assert further is None and len(rows) == len(edit.ids)
-    # Another order of the rows is another order of the answers.
+    state, edited, further = refine_edit(model, model.initial_state(), encoded, edit, views)
+    assert further is None and len(edited) == len(edit.ids)
+    # Another order of the Gaussians is another order of the answers.
     turn = np.random.default_rng(0).permutation(len(edit.ids))
     turned = replace(edit, ids=edit.ids[turn], parents=edit.parents[turn], features=edit.features[turn])
     again, other, _ = refine_edit(model, model.initial_state(), encoded, turned, views)
     for name in ATTRIBUTES:
-        torch.testing.assert_close(getattr(other, name), getattr(rows, name)[turn], rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(getattr(other, name), getattr(edited, name)[turn], rtol=1e-4, atol=1e-5)
     for one, two in zip(state.blocks, again.blocks, strict=True):
         assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
     # Gaussians that differ only in what the lift made of them get the same residual: one parent, features and place.
@@ -193,20 +193,20 @@ def test_each_gaussian_is_a_residual_on_its_lift_from_its_own_latent() -> None:
         replace(twice, parents=twice.parents * 0 + 3),
     )
     for changed in changes:
-        rows = refine_edit(model, model.initial_state(), encoded, changed, views)[1]
-        assert not torch.allclose(rows.sh, answers[0].sh, atol=1e-4)
+        edited = refine_edit(model, model.initial_state(), encoded, changed, views)[1]
+        assert not torch.allclose(edited.sh, answers[0].sh, atol=1e-4)
 
 
 @torch.no_grad()
 def test_in_chunks_and_with_the_second_set(monkeypatch: pytest.MonkeyPatch) -> None:
     model, views = built(OWN, awake=0.05), views_here()
     encoded, edit = encoded_by(model), lift_local_views(SPLATS, GRID, views_here(), "own")
-    whole = refine_edit(model, model.initial_state(), encoded, edit, views)
+    complete = refine_edit(model, model.initial_state(), encoded, edit, views)
     for module in ("model", "refine", "compress"):
         monkeypatch.setattr(f"splatpainter.models.{module}.CHUNK", 16)
     parts = refine_edit(model, model.initial_state(), encoded, edit, views)
-    assert whole[2] is not None and parts[2] is not None and len(parts[2]) == len(edit.ids) > 32
-    for one, two in zip(whole[1:], parts[1:], strict=True):
+    assert complete[2] is not None and parts[2] is not None and len(parts[2]) == len(edit.ids) > 32
+    for one, two in zip(complete[1:], parts[1:], strict=True):
         assert one is not None and two is not None
         for name in ATTRIBUTES:
             torch.testing.assert_close(getattr(two, name), getattr(one, name), rtol=1e-3, atol=1e-4)
@@ -218,8 +218,8 @@ def test_in_chunks_and_with_the_second_set(monkeypatch: pytest.MonkeyPatch) -> N
 def test_gradients_reach_every_network() -> None:
     model, views = built(LIFT, awake=0.05), views_here()
     edit = lift_local_views(SPLATS, GRID, views, "lift")
-    _, rows, further = refine_edit(model, model.initial_state(), encode_asset(model, SPLATS), edit, views)
-    asset = assemble(edit, rows, further)
+    _, edited, further = refine_edit(model, model.initial_state(), encode_asset(model, SPLATS), edit, views)
+    asset = assemble(edit, edited, further)
     assert isinstance(asset.means, torch.Tensor) and len(asset) == len(edit.splats)
     picture = render(asset, CAMERA).colors[0]
     ((picture - torch.from_numpy(views[0].target)) ** 2).mean().backward()
@@ -236,7 +236,8 @@ def test_gradients_reach_every_network() -> None:
 
 @torch.no_grad()
 def test_a_copy_gets_only_what_the_edit_changed() -> None:
-    """Its rows hold what Stage I's decoder said already: an edit without strength must leave them where they are."""
+    """Its Gaussians hold what Stage I's decoder said already: an edit without strength must leave them where they
+    are."""
     model = built(COPY, awake=0.05)
     encoded = encode_asset(model, SPLATS)
     asset = encoded.gaussians.numpy()
@@ -245,8 +246,8 @@ def test_a_copy_gets_only_what_the_edit_changed() -> None:
     for name, weight in model.refiner.named_parameters():  # blocks that add nothing to a latent
         if name.endswith(("ttt.out.weight", "mlp_rows.outer.weight")):
             torch.nn.init.zeros_(weight)
-    _, rows, _ = refine_edit(model, model.initial_state(), encoded, edit, views)
-    assert same_bits(rows.numpy(), asset.take(edit.ids))
+    _, edited, _ = refine_edit(model, model.initial_state(), encoded, edit, views)
+    assert same_bits(edited.numpy(), asset.take(edit.ids))
 
 
 # Assets again
@@ -258,20 +259,20 @@ def test_assemble_keeps_every_bit_that_did_not_change() -> None:
     splats = replace(SPLATS, means=means, origin=np.arange(len(SPLATS)))
     index = np.array([4, 9, 2])
     edit = LiftedEdit(splats, index, index, np.zeros((3, 13), np.float32), detail=True)
-    rows = splats.take(index).torch()
-    rows = replace(rows, sh=rows.sh + 1)
-    asset = assemble(edit, rows, rows)
-    assert asset.means is not splats.means and asset.origin is not None  # rows were appended
+    edited = splats.take(index).torch()
+    edited = replace(edited, sh=edited.sh + 1)
+    asset = assemble(edit, edited, edited)
+    assert asset.means is not splats.means and asset.origin is not None  # Gaussians were appended
     assert asset.origin.tolist() == [*range(len(splats)), *index]
     assert np.flatnonzero(differing(splats, asset)).tolist() == sorted(index)
-    assert assemble(edit, rows, None).means is splats.means
+    assert assemble(edit, edited, None).means is splats.means
     assert (bits(asset.means[: len(splats)]) == bits(means)).all()
     np.testing.assert_array_equal(asset.sh[index], splats.sh[index] + 1)
-    learning = replace(rows, sh=rows.sh.clone().requires_grad_(True))
+    learning = replace(edited, sh=edited.sh.clone().requires_grad_(True))
     asset = assemble(edit, learning, learning)
     asset.sh.sum().backward()
     assert learning.sh.grad is not None and (learning.sh.grad == 2).all()
-    assert np.array_equal(asset.sh.detach().numpy(), assemble(edit, rows, rows).sh, equal_nan=True)
+    assert np.array_equal(asset.sh.detach().numpy(), assemble(edit, edited, edited).sh, equal_nan=True)
 
 
 def test_what_cannot_be_refined_is_one_line() -> None:
@@ -285,22 +286,22 @@ def test_what_cannot_be_refined_is_one_line() -> None:
         ([replace(views[0], depth=None)], edit, "'geometry' channels"),
         (views, replace(edit, parents=edit.parents * 0 + DRAWABLE), "were not encoded"),
     ]
-    for shown, wanted, pattern in cases:
+    for views_given, options, pattern in cases:
         with pytest.raises(ValueError, match=pattern) as error:
-            refine_edit(model, model.initial_state(), encoded, wanted, shown)
+            refine_edit(model, model.initial_state(), encoded, options, views_given)
         assert "\n" not in str(error.value)
 
 
 @torch.no_grad()
-def test_rows_of_a_file_keep_their_origin(tmp_path: Path) -> None:
+def test_gaussians_of_a_file_keep_their_origin(tmp_path: Path) -> None:
     write(tmp_path / "a.ply", SPLATS)
     file = read(tmp_path / "a.ply")
     views = views_of(dab(file, RED), splats=file)
     for awake in (0.0, 0.05):
         model = built(OWN, awake=awake)
         edit = lift_local_views(file, voxelize(file), views, "own")
-        _, rows, further = refine_edit(model, model.initial_state(), encode_asset(model, file), edit, views)
-        asset = assemble(edit, rows, further)
+        _, edited, further = refine_edit(model, model.initial_state(), encode_asset(model, file), edit, views)
+        asset = assemble(edit, edited, further)
         assert (further is None) == (awake == 0.0)
         children = [] if further is None else edit.ids.tolist()  # they carry their parent's bytes
         assert asset.source is file.source and asset.origin is not None

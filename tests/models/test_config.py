@@ -59,13 +59,13 @@ def test_the_paper_preset_is_the_papers() -> None:
 )
 def test_a_wrong_key_is_named(path: tuple[str, ...], value: object, complaint: str) -> None:
     data = json.loads(PRESETS["compact"].to_json())
-    place = data
+    section = data
     for name in path[:-1]:
-        place = place[name]
+        section = section[name]
     if value is None:
-        del place[path[-1]]
+        del section[path[-1]]
     else:
-        place[path[-1]] = value
+        section[path[-1]] = value
     with pytest.raises(ValueError) as caught:
         ModelConfig.from_json(json.dumps(data), "there/model.json")
     message = str(caught.value)

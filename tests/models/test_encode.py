@@ -1,4 +1,4 @@
-"""From an asset to latents: where canonical views stand, what they show, which row gets which latent."""
+"""From an asset to latents: where canonical views stand, what they show, which Gaussian gets which latent."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def test_canonical_cameras_see_the_asset_from_all_sides(count: int) -> None:
     if count >= 8:
         # Of any direction within their reach, some camera is near: no side of the asset is left out.
         rng = np.random.default_rng(0)
-        asked = rng.normal(size=(500, 3))
-        asked /= np.linalg.norm(asked, axis=1, keepdims=True)
-        asked = asked[np.abs(asked[:, 1]) < np.sin(np.radians(60))]
-        assert np.degrees(np.arccos((asked @ unit.T).max(1))).max() < 62
+        points = rng.normal(size=(500, 3))
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+        points = points[np.abs(points[:, 1]) < np.sin(np.radians(60))]
+        assert np.degrees(np.arccos((points @ unit.T).max(1))).max() < 62
         assert (unit @ unit.T - 2 * np.eye(count)).max() < np.cos(np.radians(30))
 
 
@@ -73,25 +73,25 @@ def test_views_are_the_render_and_contributions_its_weights() -> None:
 
 
 @torch.no_grad()
-def test_a_native_encoding_is_lrm_links_and_stage_one_of_the_rows() -> None:
+def test_a_native_encoding_is_lrm_links_and_stage_one_of_the_gaussians() -> None:
     splats, model = thing(), built()
     encoded = encode_asset(model, splats)
     assert all(
         np.array_equal(getattr(encoded.gaussians.numpy(), n), getattr(splats, n), equal_nan=True) for n in ATTRIBUTES
     )
-    # The rows that cannot be drawn have no latent, all others have one.
+    # The Gaussians that cannot be drawn have no latent, all others have one.
     assert (encoded.latent_ids[:DRAWABLE] >= 0).all() and (encoded.latent_ids[DRAWABLE:] == -1).all()
     assert (encoded.latents.groups.order[encoded.latent_ids[:DRAWABLE]] == np.arange(DRAWABLE)).all()
-    # By hand, of the drawable rows alone.
+    # By hand, of the drawable Gaussians alone.
     some = splats.take(np.arange(DRAWABLE))
     grid = voxelize(some, TINY.compress.resolution)
     cameras = canonical_cameras(some, TINY.lrm)
     views, contributions = asset_views(some, cameras, grid)
     links = links_from_views(some.means, cameras, contributions, TINY.lrm.patch)
     latents = model.compressor(model.lrm.encode(views), some.torch(), links, model.groups(grid))
-    mine, theirs = torch.empty(2, DRAWABLE, TINY.compress.dim).unbind()
-    mine[encoded.latents.groups.order], theirs[latents.groups.order] = encoded.latents.values, latents.values
-    torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-5)
+    ours, theirs = torch.empty(2, DRAWABLE, TINY.compress.dim).unbind()
+    ours[encoded.latents.groups.order], theirs[latents.groups.order] = encoded.latents.values, latents.values
+    torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
     # A grid at hand is used, one of another resolution is not.
     for grid in (voxelize(splats, TINY.compress.resolution), voxelize(splats)):
         assert torch.equal(encode_asset(model, splats, grid).latents.values, encoded.latents.values)
@@ -99,14 +99,17 @@ def test_a_native_encoding_is_lrm_links_and_stage_one_of_the_rows() -> None:
 
 
 @torch.no_grad()
-def test_permuting_the_rows_permutes_their_latents() -> None:
+def test_permuting_the_gaussians_permutes_their_latents() -> None:
     splats, model = uneven(), built()
     turn = np.random.default_rng(3).permutation(len(splats))
     one, two = encode_asset(model, splats), encode_asset(model, splats.take(turn))
-    kept = one.latent_ids[turn] >= 0
-    assert (kept == (two.latent_ids >= 0)).all()
+    encoded = one.latent_ids[turn] >= 0
+    assert (encoded == (two.latent_ids >= 0)).all()
     torch.testing.assert_close(
-        two.latents.values[two.latent_ids[kept]], one.latents.values[one.latent_ids[turn][kept]], rtol=1e-3, atol=1e-4
+        two.latents.values[two.latent_ids[encoded]],
+        one.latents.values[one.latent_ids[turn][encoded]],
+        rtol=1e-3,
+        atol=1e-4,
     )
 
 
@@ -119,19 +122,19 @@ def test_copy_becomes_what_stage_one_decodes() -> None:
     # Untrained: the most opaque quarter of the LRM's Gaussians of each voxel, bit for bit.
     grid = voxelize(splats, COPY.compress.resolution)
     views, _ = asset_views(splats, canonical_cameras(splats, COPY.lrm), grid)
-    rows = model.lrm(views).splats.numpy()
-    rows = rows.take(rows.opacities > COPY.compress.min_opacity)
-    own = voxelize(rows, COPY.compress.resolution)
-    kept = [
-        own.order[a + k]
-        for a, b in zip(own.starts[:-1], own.starts[1:], strict=True)
+    gaussians = model.lrm(views).splats.numpy()
+    gaussians = gaussians.take(gaussians.opacities > COPY.compress.min_opacity)
+    copy_grid = voxelize(gaussians, COPY.compress.resolution)
+    survivors = [
+        copy_grid.order[a + k]
+        for a, b in zip(copy_grid.starts[:-1], copy_grid.starts[1:], strict=True)
         for k in range(max((b - a) // 4, 1))
     ]
 
     def listed(splats: Splats) -> set[bytes]:
         return {b"".join(getattr(splats, name)[i].tobytes() for name in ATTRIBUTES) for i in range(len(splats))}
 
-    assert count == len(kept) and listed(encoded.gaussians.numpy()) == listed(rows.take(np.array(kept)))
+    assert count == len(survivors) and listed(encoded.gaussians.numpy()) == listed(gaussians.take(np.array(survivors)))
     cell = encoded.latents.groups
     assert (np.abs(encoded.gaussians.means.numpy() - cell.gaussian_centers()) <= cell.voxel * 0.5001).all()
 

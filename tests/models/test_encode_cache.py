@@ -83,7 +83,7 @@ def test_everything_that_matters_is_in_the_key(folder: Path, count: list[int], t
             (OWN, replace(SPLATS, antialiased=True), 7),
             (OWN, SPLATS, 8),  # other weights
             (replace(OWN, sh_degree=0), SPLATS, 7),
-            (OWN, file, 7),  # the file, and then its rows under their own hash
+            (OWN, file, 7),  # the file, and then its Gaussians under their own hash
             (OWN, replace(file, sh=file.sh * 2), 7),
         ]
     ):
@@ -101,7 +101,7 @@ def test_everything_that_matters_is_in_the_key(folder: Path, count: list[int], t
 @pytest.mark.parametrize("how", ["flipped", "truncated", "empty", "another"])
 @torch.no_grad()
 def test_a_damaged_file_is_deleted_and_made_again(folder: Path, count: list[int], how: str) -> None:
-    whole = cached()
+    complete = cached()
     (file,) = folder.iterdir()
     data = bytearray(file.read_bytes())
     if how == "flipped":
@@ -113,8 +113,8 @@ def test_a_damaged_file_is_deleted_and_made_again(folder: Path, count: list[int]
         other.unlink()
         count.pop()
     file.write_bytes({"truncated": data[: len(data) // 2], "empty": b""}.get(how, data))
-    assert same(cached(), whole) and len(count) == 2
-    assert same(cached(), whole) and len(count) == 2  # and is whole again
+    assert same(cached(), complete) and len(count) == 2
+    assert same(cached(), complete) and len(count) == 2  # and is whole again
 
 
 @torch.no_grad()
@@ -144,9 +144,9 @@ def test_the_least_recently_used_go_first(folder: Path, count: list[int]) -> Non
 def test_a_folder_that_cannot_be_used_is_no_error(
     folder: Path, count: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wanted = cached()
+    expected = cached()
     monkeypatch.setenv("SPLATPAINTER_CACHE", str(next(folder.iterdir()) / "below a file"))
-    assert same(cached(), wanted) and same(cached(), wanted) and len(count) == 3
+    assert same(cached(), expected) and same(cached(), expected) and len(count) == 3
 
 
 @torch.no_grad()

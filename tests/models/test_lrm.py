@@ -57,16 +57,16 @@ def pixel_by_pixel(values: Tensor, count: int, height: int, width: int, patch: i
     wide, high = width // patch, height // patch
     for i, value in enumerate(values):
         token, pixel = divmod(i, patch**2)
-        view, place = divmod(token, wide * high)
-        row, column = divmod(place, wide)
+        view, patch_index = divmod(token, wide * high)
+        row, column = divmod(patch_index, wide)
         out[view, row * patch + pixel // patch, column * patch + pixel % patch] = value
     return out
 
 
 def test_rays_are_the_cameras_own_in_the_assets_cube() -> None:
-    own = views(3)
-    origins, directions = rays(own)
-    for view, origin, direction in zip(own.cameras, origins, directions, strict=True):
+    inputs = views(3)
+    origins, directions = rays(inputs)
+    for view, origin, direction in zip(inputs.cameras, origins, directions, strict=True):
         position, expected = view.rays()
         np.testing.assert_allclose(origin.numpy() * HALF + MIDDLE, position, atol=1e-5)
         np.testing.assert_allclose(direction.numpy(), expected, atol=1e-6)
@@ -92,7 +92,7 @@ def test_patches_are_in_the_stated_order() -> None:
 @pytest.mark.parametrize("config", [TINY, SEEING])
 def test_the_transformer_is_torchs(config: LrmConfig) -> None:
     """Patches by unfolding, channels written out, torch's encoder with the same weights: the same tokens."""
-    own, made = views(), lrm(config)
+    inputs, made = views(), lrm(config)
     encoder = nn.TransformerEncoder(
         nn.TransformerEncoderLayer(
             TINY.dim, TINY.heads, TINY.hidden, 0, functional.gelu, norm_first=True, batch_first=True, bias=False
@@ -116,8 +116,8 @@ def test_the_transformer_is_torchs(config: LrmConfig) -> None:
         }
     )
     images = []
-    assert own.depth is not None and own.alpha is not None
-    pictures = zip(own.cameras, own.colors.numpy(), own.depth.numpy(), own.alpha.numpy(), strict=True)
+    assert inputs.depth is not None and inputs.alpha is not None
+    pictures = zip(inputs.cameras, inputs.colors.numpy(), inputs.depth.numpy(), inputs.alpha.numpy(), strict=True)
     for view, color, depth, alpha in pictures:
         position, direction = view.rays()
         origin = (position - np.array(MIDDLE)) / HALF
@@ -133,16 +133,16 @@ def test_the_transformer_is_torchs(config: LrmConfig) -> None:
     cut = functional.unfold(planes, 4, stride=4).unflatten(1, (-1, 16)).permute(0, 3, 2, 1).flatten(2)
     x = functional.layer_norm(cut @ made.patches.weight.T, (TINY.dim,), made.norm_in.weight)
     expected = encoder(x.flatten(0, 1)[None])[0]
-    torch.testing.assert_close(made.encode(own), expected, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(made.encode(inputs), expected, atol=1e-4, rtol=1e-4)
 
 
 def test_a_head_of_zeros_gives_the_start_of_training() -> None:
     """Centres at the rays' points nearest the cube's centre, in the stated order; scales, opacities by their biases."""
-    own, made = views(), lrm()
+    inputs, made = views(), lrm()
     nn.init.zeros_(made.head.weight)
-    splats = made(own).splats
+    splats = made(inputs).splats
     means = pixel_by_pixel(splats.means.detach(), 2, 12, 16, 4).numpy()
-    for view, points in zip(own.cameras, means, strict=True):
+    for view, points in zip(inputs.cameras, means, strict=True):
         position, directions = view.rays()
         along = (np.array(MIDDLE) - position) @ directions.reshape(-1, 3).T
         np.testing.assert_allclose(points, position + along.reshape(12, 16, 1) * directions, atol=2e-5)
@@ -152,28 +152,28 @@ def test_a_head_of_zeros_gives_the_start_of_training() -> None:
 
 
 def test_with_geometry_a_head_of_zeros_paints_each_pixel_with_its_own_gaussian() -> None:
-    own, made = views(), lrm(SEEING)
+    inputs, made = views(), lrm(SEEING)
     nn.init.zeros_(made.head.weight)
-    splats = made(own).splats
-    assert own.alpha is not None
+    splats = made(inputs).splats
+    assert inputs.alpha is not None
     order = pixel_by_pixel(torch.arange(384.0)[:, None], 2, 12, 16, 4)[..., 0].long()
-    shown = own.alpha[..., 0] > 0.1
+    visible = inputs.alpha[..., 0] > 0.1
     colors = 0.5 + 0.28209479177387814 * splats.sh[order, 0]
-    torch.testing.assert_close(colors, own.colors, atol=1e-6, rtol=0)
+    torch.testing.assert_close(colors, inputs.colors, atol=1e-6, rtol=0)
     assert not splats.sh[:, 1:].any()
-    assert splats.opacities[order][shown].min() > 0.7 and splats.opacities[order][~shown].max() < 0.005
-    for k, view in enumerate(own.cameras):
+    assert splats.opacities[order][visible].min() > 0.7 and splats.opacities[order][~visible].max() < 0.005
+    for k, view in enumerate(inputs.cameras):
         away = np.linalg.norm(splats.means.detach()[order[k]].numpy() - view.position, axis=-1)
         pixels = splats.scales.detach()[order[k]].numpy()[..., 0] * min(view.fx, view.fy) / away
-        np.testing.assert_allclose(pixels[shown[k].numpy()], 0.7, rtol=1e-4)
+        np.testing.assert_allclose(pixels[visible[k].numpy()], 0.7, rtol=1e-4)
 
 
 def test_with_geometry_a_head_of_zeros_gives_the_rendered_surface() -> None:
-    own, made = views(), lrm(SEEING)
+    inputs, made = views(), lrm(SEEING)
     nn.init.zeros_(made.head.weight)
-    means = pixel_by_pixel(made(own).splats.means.detach(), 2, 12, 16, 4).numpy()
-    assert own.depth is not None
-    for view, points, depth in zip(own.cameras, means, own.depth.numpy(), strict=True):
+    means = pixel_by_pixel(made(inputs).splats.means.detach(), 2, 12, 16, 4).numpy()
+    assert inputs.depth is not None
+    for view, points, depth in zip(inputs.cameras, means, inputs.depth.numpy(), strict=True):
         # Back into the picture: the pixel's centre, at its depth.
         local = points @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
         u, v = np.meshgrid(np.arange(16) + 0.5, np.arange(12) + 0.5)
@@ -192,17 +192,17 @@ def test_with_geometry_a_head_of_zeros_gives_the_rendered_surface() -> None:
 
 def test_the_heads_numbers_are_read_in_their_order() -> None:
     """A head that says the same for every pixel: three depth logits, SH, log-scales, quaternion, opacity."""
-    said = torch.cat([torch.tensor([0.3, -0.1, 1.0]), torch.arange(12) / 10, torch.tensor([-1.0, 0.5, 3.0])])
-    said = torch.cat([said, torch.tensor([0.9, 0.1, -0.2, 0.3, 1.5])])
-    own, made = views(1), lrm()
+    raw = torch.cat([torch.tensor([0.3, -0.1, 1.0]), torch.arange(12) / 10, torch.tensor([-1.0, 0.5, 3.0])])
+    raw = torch.cat([raw, torch.tensor([0.9, 0.1, -0.2, 0.3, 1.5])])
+    inputs, made = views(1), lrm()
     # LayerNorm of a token that is 1 in one place is not constant; so let the token be the same everywhere.
     token = torch.zeros(1, TINY.dim)
     token[0, 0] = 1
     normed = functional.layer_norm(token, (TINY.dim,), made.norm_out.weight)
     with torch.no_grad():
-        made.head.weight.copy_((said.repeat(16)[:, None] @ normed) / (normed @ normed.T))
-    splats = made.decode(token.expand(12, -1), own)
-    position, directions = own.cameras[0].rays()
+        made.head.weight.copy_((raw.repeat(16)[:, None] @ normed) / (normed @ normed.T))
+    splats = made.decode(token.expand(12, -1), inputs)
+    position, directions = inputs.cameras[0].rays()
     offset = np.array(MIDDLE) - position
     # s = sigmoid((0.3 - 0.1 + 1) / 3) = 0.598688; distance = nearest + (2 s - 1) * 1.8 half cubes
     along = directions.reshape(-1, 3) @ offset + (2 * 0.59868766 - 1) * 1.8 * HALF
@@ -217,15 +217,15 @@ def test_the_heads_numbers_are_read_in_their_order() -> None:
 
 
 def test_centres_stay_in_their_reach_and_in_training_in_the_cube() -> None:
-    own, made = views(), lrm(spread=2.0)
+    inputs, made = views(), lrm(spread=2.0)
     with torch.no_grad():
         made.head.weight.mul_(20)  # saturates the depth
-        free = made(own).splats.means
-        held = made.train()(own).splats.means
+        free = made(inputs).splats.means
+        held = made.train()(inputs).splats.means
     middle = torch.tensor(MIDDLE)
     assert ((free - middle).abs() > 1.01 * HALF).any()
     torch.testing.assert_close(held, middle + (free - middle).clamp(-HALF, HALF))
-    origins, directions = rays(own)
+    origins, directions = rays(inputs)
     centre = nearest_points(origins, directions) * HALF + middle
     away = (pixel_by_pixel(free, 2, 12, 16, 4) - centre).norm(dim=-1)
     assert away.max() <= 1.8001 * HALF and away.max() > 1.7 * HALF
@@ -233,17 +233,17 @@ def test_centres_stay_in_their_reach_and_in_training_in_the_cube() -> None:
 
 @pytest.mark.parametrize("config", [TINY, SEEING])
 def test_permuting_views_permutes_tokens_and_gaussians(config: LrmConfig) -> None:
-    own, made = views(3), lrm(config)
+    inputs, made = views(3), lrm(config)
     order = [2, 0, 1]
-    assert own.depth is not None and own.alpha is not None
+    assert inputs.depth is not None and inputs.alpha is not None
     turned = replace(
-        own,
-        cameras=[own.cameras[i] for i in order],
-        colors=own.colors[order],
-        depth=own.depth[order],
-        alpha=own.alpha[order],
+        inputs,
+        cameras=[inputs.cameras[i] for i in order],
+        colors=inputs.colors[order],
+        depth=inputs.depth[order],
+        alpha=inputs.alpha[order],
     )
-    a, b = made(own), made(turned)
+    a, b = made(inputs), made(turned)
     torch.testing.assert_close(b.tokens, a.tokens.unflatten(0, (3, 12))[order].flatten(0, 1), atol=1e-4, rtol=1e-4)
     for name in ("means", "quats", "scales", "opacities", "sh"):
         expected = getattr(a.splats, name).unflatten(0, (3, 192))[order].flatten(0, 1)
@@ -253,15 +253,17 @@ def test_permuting_views_permutes_tokens_and_gaussians(config: LrmConfig) -> Non
 @pytest.mark.parametrize("config", [TINY, SEEING])
 def test_world_units_do_not_matter(config: LrmConfig) -> None:
     """The asset moved and enlarged, its cameras with it: the same tokens, the Gaussians moved and enlarged."""
-    own, made, shift = views(), lrm(config), np.array([40.0, -7.0, 11.0])
+    inputs, made, shift = views(), lrm(config), np.array([40.0, -7.0, 11.0])
     moved = []
-    for view in own.cameras:
+    for view in inputs.cameras:
         matrix = view.world_to_camera.copy()
         matrix[:3, 3] = -matrix[:3, :3] @ (4 * view.position + shift)
         moved.append(replace(view, world_to_camera=matrix))
-    assert own.depth is not None
-    there = replace(own, cameras=moved, depth=4 * own.depth, center=4 * np.array(MIDDLE) + shift, half_extent=4 * HALF)
-    a, b = made(own), made(there)
+    assert inputs.depth is not None
+    there = replace(
+        inputs, cameras=moved, depth=4 * inputs.depth, center=4 * np.array(MIDDLE) + shift, half_extent=4 * HALF
+    )
+    a, b = made(inputs), made(there)
     torch.testing.assert_close(b.tokens, a.tokens, atol=1e-3, rtol=1e-3)
     expected = 4 * a.splats.means + torch.from_numpy(shift).float()
     torch.testing.assert_close(b.splats.means, expected, atol=0.02, rtol=0)
@@ -269,23 +271,23 @@ def test_world_units_do_not_matter(config: LrmConfig) -> None:
 
 
 def test_unknown_depth_is_never_read() -> None:
-    own, made = views(), lrm(SEEING)
-    assert own.depth is not None and own.alpha is not None
-    ill = replace(own, depth=torch.where(own.alpha > 0, own.depth, torch.nan))
-    assert torch.equal(made.encode(own), made.encode(ill))
-    faint = replace(own, alpha=torch.full_like(own.alpha, 0.05), depth=own.depth.clamp_min(5))
-    assert torch.equal(made.encode(faint), made.encode(replace(faint, depth=torch.zeros_like(own.depth))))
-    behind = replace(own, depth=torch.full_like(own.depth, 1e6), alpha=torch.ones_like(own.alpha))
+    inputs, made = views(), lrm(SEEING)
+    assert inputs.depth is not None and inputs.alpha is not None
+    ill = replace(inputs, depth=torch.where(inputs.alpha > 0, inputs.depth, torch.nan))
+    assert torch.equal(made.encode(inputs), made.encode(ill))
+    faint = replace(inputs, alpha=torch.full_like(inputs.alpha, 0.05), depth=inputs.depth.clamp_min(5))
+    assert torch.equal(made.encode(faint), made.encode(replace(faint, depth=torch.zeros_like(inputs.depth))))
+    behind = replace(inputs, depth=torch.full_like(inputs.depth, 1e6), alpha=torch.ones_like(inputs.alpha))
     means = made(behind).splats.means
     assert means.isfinite().all() and (means - torch.tensor(MIDDLE)).norm(dim=1).max() < 4 * HALF
 
 
 def test_recomputing_activations_changes_no_gradient() -> None:
-    own = views()
+    inputs = views()
     grads = []
     for again in (False, True):
         made = lrm(replace(TINY, checkpoint_activations=again)).train()
-        out = made(own)
+        out = made(inputs)
         (out.tokens.square().mean() + out.splats.means.mean() + out.splats.sh.square().mean()).backward()
         grads.append([parameter.grad for parameter in made.parameters()])
     for a, b in zip(*grads, strict=True):
@@ -299,10 +301,10 @@ def test_two_runs_agree_bit_for_bit() -> None:
 
 
 def test_bf16_autocast_follows_float32() -> None:
-    own, made = views(), lrm(spread=None)
-    exact = made(own)
+    inputs, made = views(), lrm(spread=None)
+    exact = made(inputs)
     with torch.autocast("cpu", torch.bfloat16):
-        half = made(own)
+        half = made(inputs)
     assert half.splats.means.dtype == torch.float32
     assert (half.tokens - exact.tokens).norm() < 0.02 * exact.tokens.norm()
     assert (half.splats.means - exact.splats.means).abs().max() < 0.05 * HALF
@@ -357,5 +359,5 @@ def test_impossible_views_are_refused_in_one_line(case: str) -> None:
 def test_views_that_do_not_fit_the_model_are_refused() -> None:
     with pytest.raises(ValueError, match="multiple of 4 pixels, got 18x12"):
         lrm()(views(width=18))
-    with pytest.raises(ValueError, match="sees geometry"):
+    with pytest.raises(ValueError, match="needs depth and alpha"):
         lrm(SEEING)(replace(views(), depth=None))

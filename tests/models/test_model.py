@@ -49,15 +49,17 @@ def encode(model: SplatPainterModel, splats: Splats) -> Latents:
     )
 
 
-def edit(model: SplatPainterModel, latents: Latents, places: np.ndarray | None = None, **options: object) -> Refined:
-    count = len(latents.values) if places is None else len(places)
+def edit(
+    model: SplatPainterModel, latents: Latents, latent_ids: np.ndarray | None = None, **options: object
+) -> Refined:
+    count = len(latents.values) if latent_ids is None else len(latent_ids)
     lift = torch.rand(count, 13, generator=torch.Generator().manual_seed(5))
     lift = lift if model.config.refine.lift_features else None
     return model.refine(
         model.initial_state(),
         latents,
         pictures(),
-        latent_ids=places,
+        latent_ids=latent_ids,
         lift=lift,
         **options,  # type: ignore[arg-type]
     )
@@ -65,8 +67,8 @@ def edit(model: SplatPainterModel, latents: Latents, places: np.ndarray | None =
 
 def same_bits(a: Splats, b: Splats) -> bool:
     """-0.0 and 0.0 differ."""
-    own, other = a.numpy(), b.numpy()
-    return all((getattr(own, n).view(np.int32) == getattr(other, n).view(np.int32)).all() for n in ATTRIBUTES)
+    ours, other = a.numpy(), b.numpy()
+    return all((getattr(ours, n).view(np.int32) == getattr(other, n).view(np.int32)).all() for n in ATTRIBUTES)
 
 
 @torch.no_grad()
@@ -88,51 +90,51 @@ def test_untrained_native_returns_the_asset_bit_for_bit() -> None:
 
 
 @torch.no_grad()
-def test_untrained_copy_returns_the_top_rows_of_the_lrm() -> None:
+def test_untrained_copy_returns_the_top_gaussians_of_the_lrm() -> None:
     model = build(COPY)
-    copy = model.copy_rows(asset_views(COPY))
+    copy = model.copied_gaussians(asset_views(COPY))
     output = model.lrm(asset_views(COPY)).splats
-    kept = output.opacities > COPY.compress.min_opacity
-    assert same_bits(copy.gaussians, output.take(kept))
-    assert (copy.links.patches[:, 0] == (torch.arange(len(output)) // 64)[kept].numpy()).all()
+    opaque = output.opacities > COPY.compress.min_opacity
+    assert same_bits(copy.gaussians, output.take(opaque))
+    assert (copy.links.patches[:, 0] == (torch.arange(len(output)) // 64)[opaque].numpy()).all()
     grid = grid_of(copy.gaussians, COPY)
     latents = model.compressor(copy.tokens, copy.gaussians, copy.links, model.groups(grid))
     decoded = model.decode(latents, edit(model, latents, detail=True), copy.gaussians)
     opacities = copy.gaussians.opacities.numpy()
-    wanted = set()
+    expected = set()
     for b in range(len(grid.keys)):
         members = grid.order[grid.starts[b] : grid.starts[b + 1]].tolist()
-        wanted |= set(sorted(members, key=lambda i: (-opacities[i], i))[: max(len(members) // 4, 1)])
-    assert set(decoded.gaussian_ids.tolist()) == wanted and len(decoded.gaussian_ids) == len(wanted)
+        expected |= set(sorted(members, key=lambda i: (-opacities[i], i))[: max(len(members) // 4, 1)])
+    assert set(decoded.gaussian_ids.tolist()) == expected and len(decoded.gaussian_ids) == len(expected)
     assert same_bits(decoded.splats, copy.gaussians.take(torch.from_numpy(decoded.gaussian_ids)))
     assert decoded.children is not None and len(decoded.children) == 0
 
 
 @torch.no_grad()
-def test_a_local_edit_decodes_the_chosen_rows_and_their_children() -> None:
+def test_a_local_edit_decodes_the_chosen_gaussians_and_their_children() -> None:
     splats = shell()
     model = wake(build())
     latents = encode(model, splats)
-    places = np.argsort(latents.groups.order)[[3, 50, 51, 7]]
-    refined = edit(model, latents, places, detail=True)
+    latent_ids = np.argsort(latents.groups.order)[[3, 50, 51, 7]]
+    refined = edit(model, latents, latent_ids, detail=True)
     decoded = model.decode(latents, refined, splats.torch())
-    assert decoded.gaussian_ids.tolist() == latents.groups.order[places].tolist()
+    assert decoded.gaussian_ids.tolist() == latents.groups.order[latent_ids].tolist()
     assert not same_bits(decoded.splats, splats.take(decoded.gaussian_ids))
     assert decoded.children is not None and decoded.parents is not None
     assert decoded.parents.tolist() == decoded.gaussian_ids.tolist() and len(decoded.children) == 4
     assert (decoded.children.numpy().scales < 0.9 * splats.take(decoded.parents).scales).all()
-    # The same rows of a global edit by the same lift features come out the same: rows do not see each other.
+    # The same Gaussians of a global edit by the same lift features come out the same: Gaussians do not see each other.
     lift = torch.full((len(splats), 13), 0.5)
     state = model.initial_state()
-    local = model.refine(state, latents, pictures(), latent_ids=places, lift=lift[:4])
-    whole = model.refine(state, latents, pictures(), lift=lift)
-    torch.testing.assert_close(local.values, whole.values[places], rtol=1e-4, atol=1e-5)
+    local = model.refine(state, latents, pictures(), latent_ids=latent_ids, lift=lift[:4])
+    complete = model.refine(state, latents, pictures(), lift=lift)
+    torch.testing.assert_close(local.values, complete.values[latent_ids], rtol=1e-4, atol=1e-5)
 
 
 @torch.no_grad()
 def test_copy_decodes_its_second_set_like_the_first() -> None:
     model = wake(build(COPY))
-    copy = model.copy_rows(asset_views(COPY))
+    copy = model.copied_gaussians(asset_views(COPY))
     latents = model.compressor(copy.tokens, copy.gaussians, copy.links, model.groups(grid_of(copy.gaussians, COPY)))
     refined = edit(model, latents, np.arange(10), detail=True)
     assert refined.detail_latents is not None
@@ -145,20 +147,20 @@ def test_copy_decodes_its_second_set_like_the_first() -> None:
 
 
 @torch.no_grad()
-def test_permuting_the_rows_permutes_the_edited_asset() -> None:
+def test_permuting_the_gaussians_permutes_the_edited_asset() -> None:
     splats, model = shell(), wake(build())
     turn = np.random.default_rng(4).permutation(len(splats))
     tokens = model.encode_views(asset_views(TINY))
     tied = links(len(splats), len(tokens))
     results = []
-    for rows, patches, weights in (
+    for gaussians, patches, weights in (
         (splats, tied.patches, tied.weights),
         (splats.take(turn), tied.patches[turn], tied.weights[turn]),
     ):
-        groups = model.groups(grid_of(rows, TINY))
-        latents = model.compressor(tokens, rows.torch(), replace(tied, patches=patches, weights=weights), groups)
+        groups = model.groups(grid_of(gaussians, TINY))
+        latents = model.compressor(tokens, gaussians.torch(), replace(tied, patches=patches, weights=weights), groups)
         refined = model.refine(model.initial_state(), latents, pictures(), lift=torch.full((len(splats), 13), 0.5))
-        decoded = model.decode(latents, refined, rows.torch())
+        decoded = model.decode(latents, refined, gaussians.torch())
         back = np.argsort(decoded.gaussian_ids)
         results.append(decoded.splats.take(torch.from_numpy(back)))
     for name in ATTRIBUTES:
@@ -167,24 +169,26 @@ def test_permuting_the_rows_permutes_the_edited_asset() -> None:
 
 
 @pytest.mark.parametrize("detail", [False, True])
-@pytest.mark.parametrize("places", [None, np.array([9, 2, 150, 151, 30]), np.array([], np.int64)])
+@pytest.mark.parametrize("latent_ids", [None, np.array([9, 2, 150, 151, 30]), np.array([], np.int64)])
 @torch.no_grad()
 def test_edit_is_refine_and_decode_in_runs_of_any_size(
-    places: np.ndarray | None, detail: bool, monkeypatch: pytest.MonkeyPatch
+    latent_ids: np.ndarray | None, detail: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     splats = shell().torch()
     model = wake(build())
     latents = encode(model, shell())
-    lift = torch.rand(len(splats) if places is None else len(places), 13, generator=torch.Generator().manual_seed(5))
+    lift = torch.rand(
+        len(splats) if latent_ids is None else len(latent_ids), 13, generator=torch.Generator().manual_seed(5)
+    )
     monkeypatch.setattr("splatpainter.models.model.CHUNK", 16)
     first = model.initial_state()
-    state, decoded = model.edit(first, latents, pictures(), splats, latent_ids=places, lift=lift, detail=detail)
-    refined = model.refine(first, latents, pictures(), latent_ids=places, lift=lift, detail=detail)
-    wanted = model.decode(latents, refined, splats)
-    assert decoded.gaussian_ids.tolist() == wanted.gaussian_ids.tolist()
-    assert (decoded.children is None) == (wanted.children is None) == (not detail)
+    state, decoded = model.edit(first, latents, pictures(), splats, latent_ids=latent_ids, lift=lift, detail=detail)
+    refined = model.refine(first, latents, pictures(), latent_ids=latent_ids, lift=lift, detail=detail)
+    expected = model.decode(latents, refined, splats)
+    assert decoded.gaussian_ids.tolist() == expected.gaussian_ids.tolist()
+    assert (decoded.children is None) == (expected.children is None) == (not detail)
     for name in ATTRIBUTES:
-        torch.testing.assert_close(getattr(decoded.splats, name), getattr(wanted.splats, name), rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(getattr(decoded.splats, name), getattr(expected.splats, name), rtol=1e-4, atol=1e-5)
     for one, two in zip(state.blocks, refined.state.blocks, strict=True):
         assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
 
@@ -231,7 +235,7 @@ def training_step(config: ModelConfig, seed: int = 7) -> tuple[SplatPainterModel
         splats = shell().torch()
         latents = encode(model, shell())
     else:
-        copy = model.copy_rows(asset_views(config))
+        copy = model.copied_gaussians(asset_views(config))
         splats = copy.gaussians
         latents = model.compressor(copy.tokens, splats, copy.links, model.groups(grid_of(splats, config)))
     decoded: Decoded = model.decode(latents, edit(model, latents, detail=config.refine.detail), splats)
@@ -319,7 +323,7 @@ def test_what_the_model_cannot_do_is_refused_in_one_line() -> None:
         with pytest.raises(ValueError, match=r"^encode: expected a grid of 4 voxels per edge, got 8$"):
             model.groups(grid_of(splats, with_compress(TINY, resolution=8)))
         blind = build(with_compress(COPY, min_opacity=0.99))
-        with pytest.raises(ValueError, match=r"^encode: the model sees nothing in the views; [^\n]*$"):
-            blind.copy_rows(asset_views(COPY))
+        with pytest.raises(ValueError, match=r"^encode: the model makes no visible Gaussian of the views; [^\n]*$"):
+            blind.copied_gaussians(asset_views(COPY))
         with pytest.raises(ValueError, match="at most 16|1 to 16"):
             model.encode_views(replace(asset_views(TINY), cameras=cameras(17)))

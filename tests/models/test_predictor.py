@@ -1,4 +1,4 @@
-"""The predictor of unseen rows: what it is told, what it may depend on, and who asks it."""
+"""The predictor of unseen Gaussians: what it is told, what it may depend on, and who asks it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from splatpainter.lighting import prt_transfer
 from splatpainter.models import predictor as module
 from splatpainter.models.config import PRESETS, ModelConfig, PredictConfig
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.predictor import Predictor, predicting, row_facts
+from splatpainter.models.predictor import Predictor, gaussian_facts, predicting
 from splatpainter.painter import Edit, Painter
 from splatpainter.splats import Splats
 from tests.lift.test_global import BACK, FRONT, SIDE, ball, covered, draw, regraded
@@ -34,20 +34,20 @@ def awake(config: PredictConfig = CONFIG, seed: int = 0) -> Predictor:
 
 def facts_of(splats: Splats) -> np.ndarray:
     normals = outward_normals(splats)
-    return row_facts(splats, normals, prt_transfer(splats.means, normals))
+    return gaussian_facts(splats, normals, prt_transfer(splats.means, normals))
 
 
 def edit(count: int, seed: int = 3) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Random facts, changes of the first half of the rows, and their weights."""
+    """Random facts, changes of the first half of the Gaussians, and their weights."""
     rng = np.random.default_rng(seed)
     weight = np.where(np.arange(count) < count // 2, rng.uniform(0.1, 60, count), 0)
     arrays = rng.uniform(-1, 1, (count, 21)), rng.normal(0, 0.2, (count, 3)), weight
     return tuple(torch.from_numpy(x.astype(np.float32)) for x in arrays)  # type: ignore[return-value]
 
 
-def asked(net: Predictor, *told: torch.Tensor) -> np.ndarray:
+def predict_edit(net: Predictor, *facts: torch.Tensor) -> np.ndarray:
     with torch.no_grad():
-        return net(*told).numpy()
+        return net(*facts).numpy()
 
 
 def test_facts_do_not_know_size_and_place_and_leave_out_what_cannot_be_drawn() -> None:
@@ -62,32 +62,32 @@ def test_facts_do_not_know_size_and_place_and_leave_out_what_cannot_be_drawn() -
     assert not held[-1].any()
 
 
-def test_rows_are_a_set() -> None:
-    net, told = awake(), edit(60)
+def test_gaussians_are_a_set() -> None:
+    net, observed = awake(), edit(60)
     order = torch.randperm(60, generator=torch.Generator().manual_seed(0))
-    turned = asked(net, *(x[order] for x in told))
-    np.testing.assert_allclose(turned, asked(net, *told)[order], atol=1e-5)
+    turned = predict_edit(net, *(x[order] for x in observed))
+    np.testing.assert_allclose(turned, predict_edit(net, *observed)[order], atol=1e-5)
 
 
-def test_unseen_rows_teach_nothing_and_without_seen_ones_nothing_changes() -> None:
+def test_unseen_gaussians_teach_nothing_and_without_seen_ones_nothing_changes() -> None:
     net, (facts, change, weight) = awake(), edit(60)
     other = change.clone()
     other[30:] = 5.0
-    np.testing.assert_array_equal(asked(net, facts, other, weight), asked(net, facts, change, weight))
-    assert not asked(net, facts, change, torch.zeros(60)).any()
+    np.testing.assert_array_equal(predict_edit(net, facts, other, weight), predict_edit(net, facts, change, weight))
+    assert not predict_edit(net, facts, change, torch.zeros(60)).any()
     other[:30] += 0.1
-    assert np.abs(asked(net, facts, other, weight) - asked(net, facts, change, weight)).max() > 1e-3
+    assert np.abs(predict_edit(net, facts, other, weight) - predict_edit(net, facts, change, weight)).max() > 1e-3
 
 
 def test_runs_of_any_size_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    net, told = awake(), edit(50)
-    whole = asked(net, *told)
+    net, observed = awake(), edit(50)
+    complete = predict_edit(net, *observed)
     monkeypatch.setattr(module, "CHUNK", 7)
-    np.testing.assert_allclose(asked(net, *told), whole, atol=1e-6)
+    np.testing.assert_allclose(predict_edit(net, *observed), complete, atol=1e-6)
     monkeypatch.setattr(module, "TEACHERS", 10)
     monkeypatch.setattr(module, "COMPANY", 10)
-    few = asked(net, *told)
-    assert np.isfinite(few).all() and np.abs(few - whole).max() > 0
+    few = predict_edit(net, *observed)
+    assert np.isfinite(few).all() and np.abs(few - complete).max() > 0
 
 
 def test_evidence_is_believed_as_far_as_features_reach() -> None:
@@ -96,13 +96,13 @@ def test_evidence_is_believed_as_far_as_features_reach() -> None:
     for trust in (-20.0, 6.0, 25.0):
         with torch.no_grad():
             net.trust.fill_(trust)
-        away.append(float(np.abs(asked(net, facts, change, weight) - change.numpy())[:20].max()))
-    assert away[2] < 0.05 < away[1] < away[0]  # 20 rows, 32 features
+        away.append(float(np.abs(predict_edit(net, facts, change, weight) - change.numpy())[:20].max()))
+    assert away[2] < 0.05 < away[1] < away[0]  # 20 Gaussians, 32 features
 
 
 def test_gradients_reach_every_weight() -> None:
-    net, told = awake(), edit(30)
-    net(*told).square().sum().backward()
+    net, observed = awake(), edit(30)
+    net(*observed).square().sum().backward()
     assert all(p.grad is not None and float(p.grad.abs().max()) > 0 for p in net.parameters())
 
 
@@ -122,31 +122,31 @@ def test_an_untrained_predictor_leaves_the_lift_alone() -> None:
     torch.nn.init.normal_(model.predictor.expected.weight, std=0.1)
     predict = predicting(model.predictor, splats, normals, lambda: prt_transfer(splats.means, normals))
     assert predict is not None
-    told = predict(np.full((300, 3), 0.1, np.float32), np.ones(300, np.float32))
-    assert told.shape == (300, 3) and told.dtype == np.float32
+    predicted = predict(np.full((300, 3), 0.1, np.float32), np.ones(300, np.float32))
+    assert predicted.shape == (300, 3) and predicted.dtype == np.float32
 
 
-def test_the_lift_takes_what_it_is_told_about_unseen_rows() -> None:
+def test_the_lift_takes_what_it_is_told_about_unseen_gaussians() -> None:
     before = ball(600)
     truth = regraded(before)
     normals = outward_normals(before)
     views = [(camera, draw(truth, camera), covered(before, camera)) for camera in (FRONT, SIDE)]
     plain = lift_global(before, views, normals=normals)
-    own = lift_global(before, views, normals=normals, predict=lambda c, w: regressed(before, normals, c, w))
-    np.testing.assert_allclose(own.splats.sh, plain.splats.sh, atol=1e-5)
+    regression = lift_global(before, views, normals=normals, predict=lambda c, w: regressed(before, normals, c, w))
+    np.testing.assert_allclose(regression.splats.sh, plain.splats.sh, atol=1e-5)
     change, weight = seen_change(before, views)
-    told = []
-    lift_global(before, views, normals=normals, predict=lambda c, w: told.append((c, w)) or 0 * c)
-    np.testing.assert_array_equal(told[0][0], change)
-    np.testing.assert_array_equal(told[0][1], weight)
+    calls = []
+    lift_global(before, views, normals=normals, predict=lambda c, w: calls.append((c, w)) or 0 * c)
+    np.testing.assert_array_equal(calls[0][0], change)
+    np.testing.assert_array_equal(calls[0][1], weight)
     # The truth for a prediction: the far side comes out right.
     true = (truth.sh[:, 0] - before.sh[:, 0]) * 0.28209479177387814
-    known = lift_global(before, views, normals=normals, predict=lambda c, w: true)
-    assert np.abs(draw(known.splats, BACK) - draw(truth, BACK)).max() < 2e-3
-    # Rows that cannot be drawn are neither asked about nor changed.
+    exact = lift_global(before, views, normals=normals, predict=lambda c, w: true)
+    assert np.abs(draw(exact.splats, BACK) - draw(truth, BACK)).max() < 2e-3
+    # Gaussians that cannot be drawn are neither asked about nor changed.
     odd = before.append(replace(before.take(np.arange(2)), means=np.full((2, 3), np.nan, np.float32)))
     held = lift_global(odd, views, predict=lambda c, w: np.where(w[:, None] >= 0, np.concatenate([true, c[-2:]]), 0))
-    np.testing.assert_allclose(held.splats.sh[:-2], known.splats.sh, atol=1e-5)
+    np.testing.assert_allclose(held.splats.sh[:-2], exact.splats.sh, atol=1e-5)
     np.testing.assert_array_equal(held.splats.sh[-2:].view(np.int32), odd.sh[-2:].view(np.int32))
 
 
@@ -226,7 +226,7 @@ def test_a_checkpoint_keeps_it_and_older_ones_have_none(tmp_path) -> None:  # no
     held = SplatPainterModel.load(tmp_path / "new")
     assert held.predictor is not None and not held.predictor.is_untrained
     assert torch.equal(held.predictor.trust, model.predictor.trust)
-    np.testing.assert_array_equal(asked(held.predictor, *edit(30)), asked(model.predictor, *edit(30)))
+    np.testing.assert_array_equal(predict_edit(held.predictor, *edit(30)), predict_edit(model.predictor, *edit(30)))
     SplatPainterModel(TINY).save(tmp_path / "old")
     text = TINY.to_json()
     cut = text[: text.index('"predict"')] + text[text.index('"decoder"') :]

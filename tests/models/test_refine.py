@@ -81,17 +81,17 @@ def by_formula(
         weights = [w.detach()[0].clone().requires_grad_() for w in (ttt.w0, ttt.w1, ttt.w2)]
         moved = []
         for m, w in enumerate(weights):
-            said = fast(weights[0], weights[1], weights[2], k)
-            gain = (said * v).sum(1) if loss == "dot" else -0.5 * (said - v).square().sum(1)
+            prediction = fast(weights[0], weights[1], weights[2], k)
+            gain = (prediction * v).sum(1) if loss == "dot" else -0.5 * (prediction - v).square().sum(1)
             (slope,) = torch.autograd.grad((rates[:, m].detach() * gain).sum(), w)
             step = w.detach() + strength * slope
             moved.append(step * w.detach().norm(dim=0) / step.norm(dim=0))
 
         def read(stream: str, y: Tensor, moved: list[Tensor] = moved, ttt: torch.nn.Module = ttt) -> Tensor:
             q = unit(F.silu(F.linear(y, ttt.queries[stream].weight)))  # type: ignore[index]
-            said = fast(moved[0], moved[1], moved[2], q)
-            said = said * torch.rsqrt(said.square().mean(1, keepdim=True) + 1e-5) * ttt.gain  # type: ignore[operator]
-            return F.linear(said, ttt.out.weight)  # type: ignore[union-attr]
+            prediction = fast(moved[0], moved[1], moved[2], q)
+            prediction = prediction * torch.rsqrt(prediction.square().mean(1, keepdim=True) + 1e-5) * ttt.gain  # type: ignore[operator]
+            return F.linear(prediction, ttt.out.weight)  # type: ignore[union-attr]
 
         if not block.last:
             x = x + read("image", h)
@@ -128,14 +128,14 @@ def test_cross_attention_equals_torchs_own() -> None:
     state = net.adapt(net.adapt(net.initial_state(), tokens), tokenize(pictures(seed=4), GROUPS, config.refine))
     block = net.blocks[0]
     assert isinstance(block, RefineBlock)
-    own = block.mixer.rows
+    attention = block.mixer.rows
     memory = state.blocks[0]
     assert isinstance(memory, Tensor) and len(memory) > len(tokens.pixels)  # both edits are there
     z = some_latents()
     h = F.layer_norm(z, (DIM,), block.norm_rows.weight)
     theirs = torch.nn.MultiheadAttention(DIM, 2, bias=False)
-    theirs.in_proj_weight.copy_(torch.cat([own.q.weight, own.kv.weight]))  # type: ignore[union-attr]
-    theirs.out_proj.weight.copy_(own.out.weight)  # type: ignore[union-attr]
+    theirs.in_proj_weight.copy_(torch.cat([attention.q.weight, attention.kv.weight]))  # type: ignore[union-attr]
+    theirs.out_proj.weight.copy_(attention.out.weight)  # type: ignore[union-attr]
     z = z + theirs(h, memory, memory)[0]
     z = z + mlp(block.mlp_rows, F.layer_norm(z, (DIM,), block.norm_rows_mlp.weight))
     torch.testing.assert_close(net.read(state, some_latents()), z, rtol=1e-4, atol=1e-5)
@@ -150,10 +150,10 @@ def test_the_state_goes_in_and_comes_out() -> None:
     frozen = [t.clone() for t in tensors(first)]
     one, two = (tokenize(pictures(seed=s), GROUPS, TINY.refine) for s in (1, 4))
     after = net.adapt(first, one)
-    kept = [t.clone() for t in tensors(after)]
+    copies = [t.clone() for t in tensors(after)]
     second = net.adapt(after, two)
     assert all(torch.equal(a, b) for a, b in zip(tensors(first), frozen, strict=True))
-    assert all(torch.equal(a, b) for a, b in zip(tensors(after), kept, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(tensors(after), copies, strict=True))
     assert not close(second, net.adapt(first, two), 1e-3)
     again = net.adapt(after, two)
     assert all(torch.equal(a, b) for a, b in zip(tensors(again), tensors(second), strict=True))
@@ -181,11 +181,11 @@ def test_permuting_the_pictures_permutes_nothing_but_rounding(changes: dict) -> 
 def test_leaving_out_unedited_patches_equals_rates_of_zero() -> None:
     net, edit = refiner(), pictures(edited_share=0.02)
     few = tokenize(edit, GROUPS, TINY.refine)
-    whole = tokenize(edit, GROUPS, replace(TINY.refine, mask_tokens=False))
+    complete = tokenize(edit, GROUPS, replace(TINY.refine, mask_tokens=False))
     assert edit.mask is not None
     share = edit.mask.reshape(2, SIZE // 8, 8, SIZE // 8, 8).mean((2, 4)).flatten()
-    assert 0 < len(few.pixels) < len(whole.pixels) and few.lengths.sum() == (share > 0).sum()
-    padded = replace(whole, weights=share)
+    assert 0 < len(few.pixels) < len(complete.pixels) and few.lengths.sum() == (share > 0).sum()
+    padded = replace(complete, weights=share)
     assert close(net.adapt(net.initial_state(), few), net.adapt(net.initial_state(), padded), 1e-3)
 
 
@@ -194,11 +194,11 @@ def test_each_latent_is_read_alone_in_chunks_of_any_size() -> None:
     net = refiner()
     state = net.adapt(net.initial_state(), tokenize(pictures(), GROUPS, TINY.refine))
     latents = some_latents()
-    whole = net.read(state, latents, chunk=1000)
-    torch.testing.assert_close(net.read(state, latents, chunk=7), whole, rtol=1e-5, atol=1e-5)
+    complete = net.read(state, latents, chunk=1000)
+    torch.testing.assert_close(net.read(state, latents, chunk=7), complete, rtol=1e-5, atol=1e-5)
     other = latents.clone()
     other[3] += 1
-    changed = (net.read(state, other, chunk=1000) != whole).any(1)
+    changed = (net.read(state, other, chunk=1000) != complete).any(1)
     assert changed.nonzero().flatten().tolist() == [3]
 
 
@@ -256,9 +256,9 @@ def test_no_parameter_of_any_configuration_is_dead(changes: dict) -> None:
     """Also no dependence is lost: the first fast weights and every slow head learn through the update."""
     config = with_refine(TINY, **changes).refine
     net = refiner(with_refine(TINY, **changes))
-    rows = (some_latents()[:8], torch.rand(8, generator=torch.Generator().manual_seed(6)))
-    taught = rows if config.row_tokens else None
-    state = net.adapt(net.initial_state(), tokenize(pictures(), GROUPS, config), teacher_tokens=taught)
+    gaussian_tokens = (some_latents()[:8], torch.rand(8, generator=torch.Generator().manual_seed(6)))
+    teachers = gaussian_tokens if config.row_tokens else None
+    state = net.adapt(net.initial_state(), tokenize(pictures(), GROUPS, config), teacher_tokens=teachers)
     drift = torch.randn(len(some_latents()), 7, generator=torch.Generator().manual_seed(4))
     original = net.prepare(some_latents(), some_lift() if config.lift_features else None, drift)
     values = net.read(state, original)
@@ -292,18 +292,20 @@ def test_bf16_autocast_stays_near_float32() -> None:
     assert float((rough.float() - exact).norm() / exact.norm()) < 0.05
 
 
-def test_rows_teach_like_pictures_with_heads_of_their_own() -> None:
-    """One step of the fast weights on both sets is one ascent on the sum of their objectives (autograd), and rows that
-    count nothing, or an edit without pictures, teach nothing."""
+def test_gaussians_teach_like_pictures_with_heads_of_their_own() -> None:
+    """One step of the fast weights on both sets is one ascent on the sum of their objectives (autograd), and Gaussians
+    that count nothing, or an edit without pictures, teach nothing."""
     config = with_refine(TINY, row_tokens=6, blocks=1, newton_schulz_steps=0, inner_loss="dot").refine
     net = refiner(with_refine(TINY, row_tokens=6, blocks=1, newton_schulz_steps=0, inner_loss="dot"))
     tokens, lift = tokenize(pictures(), GROUPS, config), some_lift()
     chosen = net.teacher_ids(lift)
     assert chosen is not None and sorted(chosen.tolist()) == sorted(torch.argsort(-lift[:, 6])[:6].tolist())
-    rows, shares = net.prepare(some_latents(), lift)[chosen].detach(), lift[chosen, 6]
+    gaussian_tokens, shares = net.prepare(some_latents(), lift)[chosen].detach(), lift[chosen, 6]
     start = net.initial_state()
-    (after,), (alone,) = (net.adapt(start, tokens, teacher_tokens=told).blocks for told in ((rows, shares), None))
-    (still,) = net.adapt(start, tokens, teacher_tokens=(rows, torch.zeros(6))).blocks
+    (after,), (alone,) = (
+        net.adapt(start, tokens, teacher_tokens=teachers).blocks for teachers in ((gaussian_tokens, shares), None)
+    )
+    (still,) = net.adapt(start, tokens, teacher_tokens=(gaussian_tokens, torch.zeros(6))).blocks
     assert all(torch.equal(a, b) for a, b in zip(alone, still, strict=True))
     assert not any(torch.allclose(a, b, atol=1e-6) for a, b in zip(alone, after, strict=True))
 
@@ -320,12 +322,12 @@ def test_rows_teach_like_pictures_with_heads_of_their_own() -> None:
         return [(rates[:, m].detach() * ((hidden @ weights[1][0]) * v.detach()).sum(1)).sum() for m in (0, 1, 2)]
 
     seen = said(ttt.kv, ttt.rates, block.norm_pictures(net.pictures(tokens.pixels)), tokens.weights)
-    told = said(ttt.kv_rows, ttt.rates_rows, block.norm_rows(rows), shares)
+    teachers = said(ttt.kv_rows, ttt.rates_rows, block.norm_rows(gaussian_tokens), shares)
     for m, (weight, new) in enumerate(zip(weights, after, strict=True)):
-        (way,) = torch.autograd.grad(seen[m] + told[m], weight, retain_graph=True)
+        (way,) = torch.autograd.grad(seen[m] + teachers[m], weight, retain_graph=True)
         moved = weight + way
-        wanted = moved * weight.norm(dim=1, keepdim=True) / (moved.norm(dim=1, keepdim=True) + 1e-5)
-        torch.testing.assert_close(new, wanted, rtol=1e-3, atol=1e-4)
+        expected = moved * weight.norm(dim=1, keepdim=True) / (moved.norm(dim=1, keepdim=True) + 1e-5)
+        torch.testing.assert_close(new, expected, rtol=1e-3, atol=1e-4)
 
 
 @torch.no_grad()
@@ -360,11 +362,11 @@ def test_tokens_hold_the_pixels_of_their_patch() -> None:
     edited, render, depth, alpha = (torch.from_numpy(rng.random((2, 12, 20, c), np.float32)) for c in (3, 3, 1, 1))
     depth = 2 + depth
     mask = torch.zeros(2, 12, 20, 1)
-    mask[1, 9, 17] = 1  # patch row 1, column 2 of view 1
+    mask[1, 9, 17] = 1  # patch Gaussian 1, column 2 of view 1
     tokens = tokenize(Pictures(views, edited, render, depth, alpha, mask), GROUPS, TINY.refine)
     assert tokens.lengths.tolist() == [0, 1] and tokens.weights.tolist() == [1 / 64]
     pixels = tokens.pixels.reshape(8, 8, 17)
-    assert not pixels[4:].any() and not pixels[:, 4:].any()  # rows 12.. and columns 20.. are padding
+    assert not pixels[4:].any() and not pixels[:, 4:].any()  # Gaussians 12.. and columns 20.. are padding
     inside = pixels[:4, :4]
     crop = (1, slice(8, 12), slice(16, 20))
     torch.testing.assert_close(inside[..., :3], 2 * edited[crop] - 1)
@@ -374,9 +376,9 @@ def test_tokens_hold_the_pixels_of_their_patch() -> None:
     # Rays and positions against the camera's own matrices, one pixel.
     origin, directions = views[1].rays()
     direction = directions[9, 17].astype(np.float64)
-    place = (origin - GROUPS.center) / GROUPS.half_extent
+    position = (origin - GROUPS.center) / GROUPS.half_extent
     np.testing.assert_allclose(inside[1, 1, 3:6], direction, atol=1e-5)
-    np.testing.assert_allclose(inside[1, 1, 6:9], place - (place @ direction) * direction, atol=1e-5)
+    np.testing.assert_allclose(inside[1, 1, 6:9], position - (position @ direction) * direction, atol=1e-5)
     z = float(depth[1, 9, 17, 0])
     camera_point = z * np.array([(17.5 - views[1].cx) / views[1].fx, (9.5 - views[1].cy) / views[1].fy, 1])
     world = np.linalg.inv(views[1].world_to_camera) @ [*camera_point, 1]

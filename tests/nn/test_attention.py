@@ -92,11 +92,11 @@ def test_permuting_groups_permutes_the_result() -> None:
 
 def test_the_size_of_a_batch_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     q, k = tokens(sum(LENGTHS)), tokens(sum(KEYS), 1)
-    whole = packed_attention(q, k, k, CrossGroups.of(LENGTHS, KEYS))
+    complete = packed_attention(q, k, k, CrossGroups.of(LENGTHS, KEYS))
     monkeypatch.setattr(attention, "BATCH", 10)
     small = CrossGroups.of(LENGTHS, KEYS)
     assert max(bucket.size[0] for bucket in small.buckets) <= 10
-    torch.testing.assert_close(packed_attention(q, k, k, small), whole, atol=1e-6, rtol=0)
+    torch.testing.assert_close(packed_attention(q, k, k, small), complete, atol=1e-6, rtol=0)
 
 
 def test_padding_stays_within_its_promise() -> None:

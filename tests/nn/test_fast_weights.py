@@ -30,8 +30,8 @@ def objective(weights: FastWeights, k: Tensor, v: Tensor, rate: Tensor, loss: st
     total = torch.zeros((), dtype=k.dtype)
     for key, value, weight in zip(k, v, rate, strict=True):
         gate = key @ weights.w0
-        said = ((gate / (1 + torch.exp(-gate))) * (key @ weights.w2)) @ weights.w1
-        total = total + weight * (said @ value if loss == "dot" else -0.5 * ((said - value) ** 2).sum())
+        prediction = ((gate / (1 + torch.exp(-gate))) * (key @ weights.w2)) @ weights.w1
+        total = total + weight * (prediction @ value if loss == "dot" else -0.5 * ((prediction - value) ** 2).sum())
     return total
 
 
@@ -105,8 +105,8 @@ def test_column_norms_survive_edits(settings: dict) -> None:
 
 def test_given_norms_are_restored() -> None:
     norms = FastWeights(*(2 * n for n in column_norms(state())))
-    for wanted, w in zip(norms, step(state(), *edit(), norms=norms), strict=True):
-        torch.testing.assert_close(w.norm(dim=0, keepdim=True), wanted)
+    for expected, w in zip(norms, step(state(), *edit(), norms=norms), strict=True):
+        torch.testing.assert_close(w.norm(dim=0, keepdim=True), expected)
 
 
 def test_five_steps_are_one_step_five_times() -> None:
@@ -201,8 +201,8 @@ def test_bf16_autocast_follows_float32_and_keeps_a_float32_state() -> None:
     exact = step(weights, k, v, rates)
     with torch.autocast("cpu", torch.bfloat16):
         half = step(weights, k, v, rates)
-        said = fast_weights.apply(half, k)
+        prediction = fast_weights.apply(half, k)
     for a, b, w in zip(exact, half, weights, strict=True):
         assert b.dtype == torch.float32
         assert (a - b).norm() < 0.2 * (a - w).norm()
-    assert said.isfinite().all()
+    assert prediction.isfinite().all()

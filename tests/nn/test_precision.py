@@ -41,9 +41,14 @@ def test_auto_is_bf16_where_the_cpu_multiplies_it(monkeypatch: pytest.MonkeyPatc
 
 def test_the_caller_comes_before_the_environment_and_that_before_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rule, "_multiplies_bf16", lambda device: True)
-    for said, expected in (("", "bfloat16"), ("auto", "bfloat16"), ("float32", "float32"), ("bfloat16", "bfloat16")):
-        monkeypatch.setenv(VARIABLE, said)
-        assert resolve() == expected and setting() == (said or "auto")
+    for requested, expected in (
+        ("", "bfloat16"),
+        ("auto", "bfloat16"),
+        ("float32", "float32"),
+        ("bfloat16", "bfloat16"),
+    ):
+        monkeypatch.setenv(VARIABLE, requested)
+        assert resolve() == expected and setting() == (requested or "auto")
         assert resolve("float32") == "float32" and resolve("bfloat16") == "bfloat16"
 
 
@@ -109,8 +114,8 @@ def test_tokens_of_any_type_enter_stage_one_at_one_door() -> None:
 
 
 @torch.no_grad()
-def test_stage_one_tells_rows_apart_that_bf16_would_not() -> None:
-    """Two rows of one voxel, 2^-10 of a voxel apart: bf16 has 8 bits."""
+def test_stage_one_tells_gaussians_apart_that_bf16_would_not() -> None:
+    """Two Gaussians of one voxel, 2^-10 of a voxel apart: bf16 has 8 bits."""
     net, splats = built(TINY), shell(2)
     grid = grid_of(replace(splats, means=splats.means * 0 + np.array([[1, 1, 1], [4, 4, 4]], np.float32)), TINY)
     groups = net.groups(grid)

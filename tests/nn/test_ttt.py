@@ -43,8 +43,8 @@ def written_out(made: TTTLayer, x: Tensor, steps: int) -> FastWeights:
         gradients = []
         for m in range(3):
             free = [w.clone().requires_grad_() for w in weights]
-            said = (functional.silu(k @ free[0]) * (k @ free[2])) @ free[1]
-            gain = (rates[:, m].detach() * -0.5 * ((said - v) ** 2).sum(1)).sum()
+            prediction = (functional.silu(k @ free[0]) * (k @ free[2])) @ free[1]
+            gain = (rates[:, m].detach() * -0.5 * ((prediction - v) ** 2).sum(1)).sum()
             gradients.append(torch.autograd.grad(gain, free[m])[0])
         for m, gradient in enumerate(gradients):
             left, values, right = torch.linalg.svd(gradient / gradient.norm(), full_matrices=False)
@@ -64,9 +64,9 @@ def test_update_and_read_are_the_written_out_formulas(steps: int) -> None:
         torch.testing.assert_close(a[0], b, atol=1e-3, rtol=1e-3)
     q = functional.silu(made.queries["voxel"](x))
     q = q / (q.norm(dim=1, keepdim=True) + 1e-5)
-    said = (functional.silu(q @ state.w0[0]) * (q @ state.w2[0])) @ state.w1[0]
-    said = said / (said.pow(2).mean(1, keepdim=True) + 1e-5).sqrt() * made.gain
-    torch.testing.assert_close(made.read(state, x, "voxel"), said @ made.out.weight.T, atol=1e-5, rtol=1e-4)
+    prediction = (functional.silu(q @ state.w0[0]) * (q @ state.w2[0])) @ state.w1[0]
+    prediction = prediction / (prediction.pow(2).mean(1, keepdim=True) + 1e-5).sqrt() * made.gain
+    torch.testing.assert_close(made.read(state, x, "voxel"), prediction @ made.out.weight.T, atol=1e-5, rtol=1e-4)
 
 
 def test_the_streams_have_queries_of_their_own() -> None:
@@ -93,10 +93,10 @@ def test_masked_tokens_are_not_there() -> None:
 
 def test_two_halves_of_a_token_are_one_token() -> None:
     made, x = layer(inner_loss="l2"), tokens()
-    whole = made.update(made.initial_state(), x)
+    complete = made.update(made.initial_state(), x)
     mask = torch.tensor([0.5] * 8 + [1.0] * 12 + [0.5] * 8)
     halves = made.update(made.initial_state(), torch.cat([x, x[:8]]), mask)
-    for a, b in zip(whole, halves, strict=True):
+    for a, b in zip(complete, halves, strict=True):
         torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-4)
 
 
@@ -113,11 +113,11 @@ def test_the_state_is_a_value() -> None:
     """The second edit starts where the first ended; going back to a kept state is undo, bit for bit."""
     made = layer()
     first = made.update(made.initial_state(), tokens())
-    kept = FastWeights(*(w.detach().clone() for w in first))
+    copies = FastWeights(*(w.detach().clone() for w in first))
     second = made.update(first, tokens(seed=2))
-    assert same(first, kept)
+    assert same(first, copies)
     assert not same(second, made.update(made.initial_state(), tokens(seed=2)))
-    assert same(made.update(kept, tokens(seed=2)), second)
+    assert same(made.update(copies, tokens(seed=2)), second)
     reference = layer()
     assert same(made.initial_state(), reference.initial_state())
 
@@ -170,14 +170,14 @@ def test_training_reaches_every_weight() -> None:
 def test_bf16_autocast_follows_float32() -> None:
     made, x = layer(inner_loss="l2"), tokens()
     exact = made.update(made.initial_state(), x)
-    said = made.read(exact, x, "voxel")
+    prediction = made.read(exact, x, "voxel")
     with torch.autocast("cpu", torch.bfloat16):
         state = made.update(made.initial_state(), x)
         half = made.read(exact, x, "voxel")
     assert all(w.dtype == torch.float32 for w in state)
     for a, b, first in zip(exact, state, made.initial_state(), strict=True):
         assert (a - b).norm() < 0.25 * (a - first).norm()
-    assert (half.float() - said).norm() < 0.03 * said.norm()
+    assert (half.float() - prediction).norm() < 0.03 * prediction.norm()
 
 
 def test_heads_must_divide_the_width() -> None:
@@ -190,7 +190,7 @@ def test_heads_must_divide_the_width() -> None:
 def test_an_edit_in_parts_is_the_edit(chunk: int, masked: bool) -> None:
     made, x = layer(inner_loss="l2", inner_steps=2), tokens()
     mask = torch.linspace(0, 1, len(x)) if masked else None
-    whole = made.update(made.initial_state(), x, mask)
+    complete = made.update(made.initial_state(), x, mask)
     parts = made.update(made.initial_state(), x, mask, chunk=chunk)
-    for one, two in zip(parts, whole, strict=True):
+    for one, two in zip(parts, complete, strict=True):
         torch.testing.assert_close(one, two, rtol=1e-3, atol=1e-4)

@@ -14,7 +14,7 @@ import torch
 import splatpainter as sp
 import splatpainter.rendering
 from splatpainter.kernels import parallel
-from tests.support.render_scenes import cameras, scene, with_odd_rows
+from tests.support.render_scenes import cameras, scene, with_odd_gaussians
 
 
 def run(script: str) -> subprocess.CompletedProcess:
@@ -73,11 +73,11 @@ def test_kind_and_dtype_come_back(dtype):
 
 def test_background():
     splats, views = scene(10, 1), cameras(20, 12, count=2)
-    own = sp.render(splats, views)
+    over_background = sp.render(splats, views)
     one = sp.render(splats, views, background=[1, 0, 0.5])
     each = sp.render(splats, views, background=np.array([[1, 0, 0.5], [0, 1, 0]]))
-    clear = 1 - own.alphas
-    black = own.colors - clear * np.array([view.background for view in views])[:, None, None]
+    clear = 1 - over_background.alphas
+    black = over_background.colors - clear * np.array([view.background for view in views])[:, None, None]
     np.testing.assert_allclose(one.colors, black + clear * [1, 0, 0.5], atol=1e-12)
     np.testing.assert_allclose(each.colors[1], black[1] + clear[1] * [0, 1, 0], atol=1e-12)
 
@@ -132,8 +132,8 @@ def test_cuda_adapter_on_a_stand_in(monkeypatch):
             fx, fy, cx, cy = (float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
             view = sp.Camera(width, height, fx, fy, cx, cy, matrix.double().numpy())
             sh = colors if sh_degree is not None else torch.zeros(len(means), 1, 3)
-            rows = sp.Splats(means, quats, scales, opacities, sh, options["rasterize_mode"] == "antialiased")
-            alpha, z, color, order = reference.project(rows, view)
+            gaussians = sp.Splats(means, quats, scales, opacities, sh, options["rasterize_mode"] == "antialiased")
+            alpha, z, color, order = reference.project(gaussians, view)
             weight, left = reference.composite(alpha)
             picture = weight.T @ (color if sh_degree is not None else colors[c][order])
             distance = (weight.T @ z) / (1 - left).clamp_min(1e-10)
@@ -145,11 +145,11 @@ def test_cuda_adapter_on_a_stand_in(monkeypatch):
     views = cameras(24, 20, count=2)
     behind = torch.tensor([[0.1, 0.5, 0.9], [0.3, 0.2, 0.1]])
     for antialiased in (False, True):
-        splats = with_odd_rows(scene(40, 2, 3, dtype=np.float32, antialiased=antialiased)).torch()
-        found = cuda.draw(splats, views, behind, True)
+        splats = with_odd_gaussians(scene(40, 2, 3, dtype=np.float32, antialiased=antialiased)).torch()
+        drawn = cuda.draw(splats, views, behind, True)
         expected = sp.render(splats, views, background=behind, backend="reference", contributions=True)
         names = ("colors", "alphas", "depths", "contributions")
-        for name, value in zip(names, found, strict=True):
+        for name, value in zip(names, drawn, strict=True):
             np.testing.assert_allclose(np.asarray(value), getattr(expected, name), 1e-4, 1e-4, err_msg=name)
     nothing = cuda.draw(splats.take(torch.arange(3)), views, behind, True)
     np.testing.assert_array_equal(nothing[0][1, 3, 3], behind[1])

@@ -15,7 +15,7 @@ import torch
 import splatpainter as sp
 from splatpainter.rendering import reference
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
-from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
+from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_gaussians
 
 CASES = {
     "small": (scene(40, 1, 1), cameras(37, 29)),
@@ -24,11 +24,11 @@ CASES = {
     "degree 3": (scene(30, 3, 4), cameras(33, 17, count=2)),
     "degree 4": (scene(30, 4, 5), cameras(20, 50, count=2)),
     "antialiased": (scene(60, 1, 6, antialiased=True), cameras(31, 45, count=2)),
-    "odd rows": (with_odd_rows(scene(30, 1, 7)), cameras(35, 31, count=2)),
-    "odd rows, antialiased": (with_odd_rows(scene(30, 4, 8, antialiased=True)), cameras(41, 33)),
-    "wide": (with_odd_rows(scene(30, 1, 9)), cameras(64, 24, count=2, fov=100)),
+    "odd Gaussians": (with_odd_gaussians(scene(30, 1, 7)), cameras(35, 31, count=2)),
+    "odd Gaussians, antialiased": (with_odd_gaussians(scene(30, 4, 8, antialiased=True)), cameras(41, 33)),
+    "wide": (with_odd_gaussians(scene(30, 1, 9)), cameras(64, 24, count=2, fov=100)),
     "opaque": (opaque_stack(), cameras(32, 32)),
-    "no rows": (scene(0, 1), cameras(17, 5)),
+    "no Gaussians": (scene(0, 1), cameras(17, 5)),
     "one pixel": (scene(40, 1, 10), cameras(1, 1)),
 }
 
@@ -40,25 +40,26 @@ def test_matches_the_reference(name):
     theirs = sp.render(splats, views, backend="reference", contributions=True)
     assert ours.colors.shape == (len(views), views[0].height, views[0].width, 3)
     assert ours.contributions is not None and ours.contributions.shape == (len(views), len(splats))
-    # Float64 rounding only: both sides take the same rows at the same pixels.
+    # Float64 rounding only: both sides take the same Gaussians at the same pixels.
     for field in ("colors", "alphas", "depths", "contributions"):
         np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field), rtol=1e-9, atol=1e-9, err_msg=field)
 
 
 def test_cases_exercise_what_they_name():
-    """Guards the cases above: a stack that stops, rows that reach over the picture's edge, rows that are hidden."""
+    """Guards the cases above: a stack that stops, Gaussians that reach over the picture's edge, Gaussians that are
+    hidden."""
     splats, views = CASES["opaque"]
     alpha, *_ = reference.project(splats.torch(dtype=torch.float64), views[0])
     weight, _ = reference.composite(alpha)
     assert ((alpha > 0) & (weight == 0)).any() and alpha.max() == reference.MAX_ALPHA
-    splats, views = CASES["odd rows"]
+    splats, views = CASES["odd Gaussians"]
     drawn = sp.render(splats, views, contributions=True).contributions
     assert drawn is not None
     assert not drawn[:, [*range(15), *range(50, 65)]].any() and drawn[0, 16] > 0 and drawn[0, 17] > 0
 
 
 def test_float32_is_close_to_float64():
-    splats, views = with_odd_rows(scene(200, 3, 11)), cameras(48, 40, count=2)
+    splats, views = with_odd_gaussians(scene(200, 3, 11)), cameras(48, 40, count=2)
     exact = sp.render(splats, views)
     single = sp.render(
         replace(splats, **{name: getattr(splats, name).astype(np.float32) for name in ATTRIBUTES}), views
@@ -99,7 +100,7 @@ def test_one_gaussian_by_hand(backend, antialiased):
     assert picture.contributions[0, 0] == pytest.approx(picture.alphas.sum(), abs=1e-12)
 
 
-def test_equal_depths_are_drawn_in_row_order():
+def test_equal_depths_are_drawn_in_gaussian_order():
     first, second = one_gaussian(), replace(one_gaussian(), sh=np.zeros((1, 1, 3)))
     for front, behind in [(first, second), (second, first)]:
         center = sp.render(front.append(behind), axis_camera, background=[0, 0, 0]).colors[0, 1, 1]
@@ -107,7 +108,7 @@ def test_equal_depths_are_drawn_in_row_order():
         np.testing.assert_allclose(center, 0.6 * colors[0] + 0.4 * 0.6 * colors[1], atol=1e-12)
 
 
-def test_order_of_rows_does_not_matter():
+def test_order_of_gaussians_does_not_matter():
     splats, views = scene(300, 1, 12, dtype=np.float32), cameras(40, 40)
     assert len(np.unique(splats.means[:, 2])) == 300  # the first camera looks along -z: no equal depths
     order = np.random.default_rng(0).permutation(300)

@@ -11,7 +11,7 @@ import torch
 import splatpainter as sp
 from splatpainter.rendering import reference
 from splatpainter.splats import ATTRIBUTES, Splats
-from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
+from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_gaussians
 
 
 def gradients(splats: Splats, views, background, backend, seed: int = 0) -> dict[str, np.ndarray]:
@@ -31,11 +31,11 @@ def gradients(splats: Splats, views, background, backend, seed: int = 0) -> dict
     "splats, views",
     [
         (scene(40, 2, 1), cameras(29, 37, count=2)),
-        (with_odd_rows(scene(30, 4, 2)), cameras(40, 24, count=2, fov=80)),
-        (with_odd_rows(scene(30, 1, 3, antialiased=True)), cameras(33, 33)),
+        (with_odd_gaussians(scene(30, 4, 2)), cameras(40, 24, count=2, fov=80)),
+        (with_odd_gaussians(scene(30, 1, 3, antialiased=True)), cameras(33, 33)),
         (opaque_stack(), cameras(20, 20)),
     ],
-    ids=["views", "odd rows", "antialiased", "opaque"],
+    ids=["views", "odd Gaussians", "antialiased", "opaque"],
 )
 def test_match_autograd_through_the_reference(splats, views):
     background = np.linspace(0.1, 0.9, 3 * len(views)).reshape(-1, 3)
@@ -47,9 +47,9 @@ def test_match_autograd_through_the_reference(splats, views):
         np.testing.assert_allclose(ours[name], expected, rtol=1e-7, atol=1e-10 * np.abs(expected).max(), err_msg=name)
 
 
-def test_a_row_beyond_the_jacobian_limits_is_covered():
-    """Guards the case "odd rows": the clamp of the linearisation has a branch of its own in the backward pass."""
-    splats, view = with_odd_rows(scene(30, 4, 2)), cameras(40, 24, fov=80)[0]
+def test_a_gaussian_beyond_the_jacobian_limits_is_covered():
+    """Guards the case "odd Gaussians": the clamp of the linearisation has a branch of its own in the backward pass."""
+    splats, view = with_odd_gaussians(scene(30, 4, 2)), cameras(40, 24, fov=80)[0]
     drawn = sp.render(splats, view, contributions=True).contributions
     assert drawn is not None
     local = splats.means[drawn[0] > 0] @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
@@ -58,11 +58,11 @@ def test_a_row_beyond_the_jacobian_limits_is_covered():
 
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_match_central_differences(antialiased):
-    """Every number of four rows, SH degree 4, moved by +-1e-5 (truncation of order 1e-10, rounding of order 1e-11 of
-    the loss). The renderer is smooth only between its cuts, so the scene keeps clear of them all, which is checked
-    first: no alpha below 1/255 (hence rows wider than the picture of 7 x 6 pixels, yet only about 2 px, so that the
-    0.3 px blur matters) or near the cap, no pixel near the stop, no colour near 0, no two depths alike. Rotations and
-    view directions lie along no axis, so that every entry of their Jacobians counts."""
+    """Every number of four Gaussians, SH degree 4, moved by +-1e-5 (truncation of order 1e-10, rounding of order 1e-11
+    of the loss). The renderer is smooth only between its cuts, so the scene keeps clear of them all, which is checked
+    first: no alpha below 1/255 (hence Gaussians wider than the picture of 7 x 6 pixels, yet only about 2 px, so that
+    the 0.3 px blur matters) or near the cap, no pixel near the stop, no colour near 0, no two depths alike. Rotations
+    and view directions lie along no axis, so that every entry of their Jacobians counts."""
     rng = np.random.default_rng(3)
     splats = Splats(
         means=np.array([[-0.3, 0.1, 0.4], [0.2, -0.2, 0.1], [0.0, 0.3, -0.2], [0.3, 0.1, -0.5]]),
@@ -102,11 +102,11 @@ def test_match_central_differences(antialiased):
         picture = sp.render(replace(splats, **leaves), view, backend=backend)
         outputs = (picture.colors, picture.alphas, picture.depths)
         total = torch.stack([(o * torch.tensor(w)).sum() for o, w in zip(outputs, weights, strict=True)]).sum()
-        found = dict(zip(ATTRIBUTES, torch.autograd.grad(total, list(leaves.values())), strict=True))
+        gradients = dict(zip(ATTRIBUTES, torch.autograd.grad(total, list(leaves.values())), strict=True))
         for name in ATTRIBUTES:
             scale = np.abs(expected[name]).max()
             assert scale > 1e-3, name
-            np.testing.assert_allclose(found[name], expected[name], rtol=1e-6, atol=1e-8 * scale, err_msg=name)
+            np.testing.assert_allclose(gradients[name], expected[name], rtol=1e-6, atol=1e-8 * scale, err_msg=name)
 
 
 def test_float32_gradients_are_close():

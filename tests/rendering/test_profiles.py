@@ -12,12 +12,12 @@ import torch
 import splatpainter as sp
 from splatpainter.rendering import MAX_PIXELS, MAX_SIDE_PX
 from splatpainter.splats import SH_C0, Splats
-from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
+from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_gaussians
 
 CASES = {
     "degree 2": (scene(40, 2, 1), cameras(37, 29, count=2)),
     "antialiased": (scene(60, 1, 6, antialiased=True), cameras(31, 45, count=2)),
-    "odd rows": (with_odd_rows(scene(30, 1, 7)), cameras(35, 31, count=2)),
+    "odd Gaussians": (with_odd_gaussians(scene(30, 1, 7)), cameras(35, 31, count=2)),
     "opaque": (opaque_stack(), cameras(32, 32)),
 }
 
@@ -70,11 +70,12 @@ def test_profiles_by_hand(profile, backend):
             np.testing.assert_allclose(picture.colors[0, y, x], color, atol=1e-9)
             assert picture.alphas[0, y, x, 0] == pytest.approx(1 - left, abs=1e-9)
             deepest = min(deepest, left)
-    assert (deepest < 1e-4) == (profile == "playcanvas")  # one takes the row that closes the pixel, the other does not
+    # One takes the Gaussian that closes the pixel, the other does not.
+    assert (deepest < 1e-4) == (profile == "playcanvas")
 
 
 def test_inria_is_the_default_and_playcanvas_is_another_picture():
-    splats, views = with_odd_rows(scene(30, 1, 7, dtype=np.float32)), cameras(35, 31)
+    splats, views = with_odd_gaussians(scene(30, 1, 7, dtype=np.float32)), cameras(35, 31)
     plain, named = sp.render(splats, views).alphas, sp.render(splats, views, profile="inria").alphas
     other = sp.render(splats, views, profile="playcanvas").alphas
     np.testing.assert_array_equal(plain, named)

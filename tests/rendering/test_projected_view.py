@@ -14,7 +14,7 @@ from splatpainter.rendering.cpu import sirt
 from splatpainter.rendering.cpu.projected_view import project, tile_shape, tiles_of_mask
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.rendering.cpu.views import render_views, render_views_backward
-from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_rows
+from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_gaussians
 
 
 def pixels_of(tiles: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -22,14 +22,16 @@ def pixels_of(tiles: np.ndarray, height: int, width: int) -> np.ndarray:
     return np.kron(tiles, np.ones((16, 16), bool))[:height, :width]
 
 
-@pytest.mark.parametrize("splats", [with_odd_rows(scene(60, 1, 1)), opaque_stack()], ids=["odd rows", "opaque"])
+@pytest.mark.parametrize(
+    "splats", [with_odd_gaussians(scene(60, 1, 1)), opaque_stack()], ids=["odd Gaussians", "opaque"]
+)
 def test_accumulate_is_the_sum_over_the_references_weights(splats):
     camera = cameras(45, 37)[0]
     rng = np.random.default_rng(0)
     values = rng.normal(0, 1, (37, 45, 3))
     mask = rng.uniform(0, 1, (37, 45)) * (rng.uniform(0, 1, (37, 45)) < 0.3)
     mask[:16] = 0  # tiles and blocks without any mask are skipped
-    alpha, _, _, rows = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), camera))
+    alpha, _, _, ids = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), camera))
     weight = reference.composite(torch.tensor(alpha))[0].numpy()
     m = mask.ravel()
     expected = {
@@ -43,13 +45,13 @@ def test_accumulate_is_the_sum_over_the_references_weights(splats):
     for name, reference_sums in expected.items():
         full = np.zeros((len(splats), *reference_sums.shape[1:]))
         full[view.gaussian_ids] = getattr(sums, name)
-        np.testing.assert_allclose(full[rows], reference_sums, atol=1e-10, err_msg=name)
-        full[rows] = 0
+        np.testing.assert_allclose(full[ids], reference_sums, atol=1e-10, err_msg=name)
+        full[ids] = 0
         assert not full.any(), name
     assert (sums.weight <= sums.alpha + 1e-12).all()
 
 
-def test_a_hidden_row_has_alpha_but_no_weight():
+def test_a_hidden_gaussian_has_alpha_but_no_weight():
     splats, camera = opaque_stack(), cameras(32, 32)[0]
     view = project(splats, camera)
     sums = view.backproject(np.zeros((32, 32, 3)), np.ones((32, 32)))
@@ -58,38 +60,38 @@ def test_a_hidden_row_has_alpha_but_no_weight():
 
 
 def test_a_local_frame_is_a_window_of_the_whole_view():
-    splats, camera = with_odd_rows(scene(400, 1, 2, dtype=np.float32)), cameras(90, 70)[0]
+    splats, camera = with_odd_gaussians(scene(400, 1, 2, dtype=np.float32)), cameras(90, 70)[0]
     tiles = np.zeros(tile_shape(camera), bool)
     tiles[1:4, 2] = tiles[4, 5] = True
-    whole, local = project(splats, camera), project(splats, camera, tiles=tiles)
+    full, local = project(splats, camera), project(splats, camera, tiles=tiles)
     inside = pixels_of(tiles, 70, 90)
-    for all_of_it, window, outside in zip(whole.rasterize(), local.rasterize(), (camera.background, 0, 0), strict=True):
+    for all_of_it, window, outside in zip(full.rasterize(), local.rasterize(), (camera.background, 0, 0), strict=True):
         np.testing.assert_array_equal(window[inside], all_of_it[inside])
         assert (window[~inside] == np.asarray(outside, np.float32)).all()
 
-    # Its rows are those whose ellipses reach its tiles, in the same order.
+    # Its Gaussians are those whose ellipses reach its tiles, in the same order.
     touching = np.zeros(len(splats), bool)
-    for row in whole.gaussian_ids:
+    for gaussian_id in full.gaussian_ids:
         only = np.zeros(len(splats), bool)
-        only[row] = True
-        touching[row] = (whole.tiles_of(only) & tiles).any()
-    np.testing.assert_array_equal(local.gaussian_ids, whole.gaussian_ids[touching[whole.gaussian_ids]])
+        only[gaussian_id] = True
+        touching[gaussian_id] = (full.tiles_of(only) & tiles).any()
+    np.testing.assert_array_equal(local.gaussian_ids, full.gaussian_ids[touching[full.gaussian_ids]])
     np.testing.assert_array_equal(np.sort(local.gaussian_ids), np.flatnonzero(touching))
-    np.testing.assert_array_equal(local.projected, whole.projected[touching[whole.gaussian_ids]])
+    np.testing.assert_array_equal(local.projected, full.projected[touching[full.gaussian_ids]])
 
     keep = np.random.default_rng(0).uniform(size=len(splats)) < 0.5
     some = project(splats, camera, gaussian_mask=keep)
-    np.testing.assert_array_equal(np.sort(some.gaussian_ids), np.sort(whole.gaussian_ids[keep[whole.gaussian_ids]]))
+    np.testing.assert_array_equal(np.sort(some.gaussian_ids), np.sort(full.gaussian_ids[keep[full.gaussian_ids]]))
     np.testing.assert_array_equal(some.rasterize()[0], project(splats.take(keep), camera).rasterize()[0])
 
 
-def test_tiles_of_covers_every_pixel_a_row_draws():
-    splats, camera = with_odd_rows(scene(60, 0, 3)), cameras(77, 61)[0]
+def test_tiles_of_covers_every_pixel_a_gaussian_draws():
+    splats, camera = with_odd_gaussians(scene(60, 0, 3)), cameras(77, 61)[0]
     view = project(splats, camera)
-    alpha, _, _, rows = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), camera))
+    alpha, _, _, ids = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), camera))
     loose = 0
-    for row, drawn in zip(rows, alpha.reshape(-1, 61, 77) > 0, strict=True):
-        only = np.arange(len(splats)) == row
+    for gaussian_id, drawn in zip(ids, alpha.reshape(-1, 61, 77) > 0, strict=True):
+        only = np.arange(len(splats)) == gaussian_id
         tiles = view.tiles_of(only)
         assert not drawn[~pixels_of(tiles, 61, 77)].any()
         loose += (tiles & ~tiles_of_mask(drawn)).sum()
@@ -100,9 +102,9 @@ def test_tiles_of_covers_every_pixel_a_row_draws():
 def test_what_a_frame_exposes():
     splats, camera = scene(30, 2, 4, dtype=np.float32), cameras(40, 30)[0]
     view = project(splats, camera)
-    m, rows = len(view), view.gaussian_ids
-    assert rows.dtype == np.int64 and view.means2d.shape == (m, 2) and view.conics.shape == (m, 3)
-    local = splats.means[rows] @ camera.world_to_camera[:3, :3].T.astype(np.float32) + camera.world_to_camera[:3, 3]
+    m, ids = len(view), view.gaussian_ids
+    assert ids.dtype == np.int64 and view.means2d.shape == (m, 2) and view.conics.shape == (m, 3)
+    local = splats.means[ids] @ camera.world_to_camera[:3, :3].T.astype(np.float32) + camera.world_to_camera[:3, 3]
     np.testing.assert_allclose(view.depths, local[:, 2], rtol=1e-5)
     assert (np.diff(view.depths) >= 0).all()
     np.testing.assert_allclose(view.means2d[:, 0], camera.fx * local[:, 0] / local[:, 2] + camera.cx, atol=1e-3)
@@ -130,7 +132,7 @@ def test_draw_with_other_colors():
 
 
 def test_a_round_is_draw_subtract_accumulate():
-    splats, camera = with_odd_rows(scene(300, 1, 6, dtype=np.float32)), cameras(83, 64)[0]
+    splats, camera = with_odd_gaussians(scene(300, 1, 6, dtype=np.float32)), cameras(83, 64)[0]
     rng = np.random.default_rng(1)
     target = rng.uniform(0, 1, (64, 83, 3)).astype(np.float32)
     mask = np.zeros((64, 83), np.float32)
@@ -145,8 +147,8 @@ def test_a_round_is_draw_subtract_accumulate():
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_rounds_of_some_rows_are_rounds_of_the_picture(share: float, monkeypatch: pytest.MonkeyPatch):
-    splats, camera = with_odd_rows(scene(600, 1, 8, dtype=np.float32)), cameras(83, 64)[0]
+def test_rounds_of_some_gaussians_are_rounds_of_the_picture(share: float, monkeypatch: pytest.MonkeyPatch):
+    splats, camera = with_odd_gaussians(scene(600, 1, 8, dtype=np.float32)), cameras(83, 64)[0]
     rng = np.random.default_rng(2)
     target = rng.uniform(0, 1, (64, 83, 3)).astype(np.float32)
     mask = rng.uniform(0, 1, (64, 83)).astype(np.float32)
@@ -156,18 +158,19 @@ def test_rounds_of_some_rows_are_rounds_of_the_picture(share: float, monkeypatch
     colors = view.colors.copy()
     colors[chosen] = rng.uniform(-0.2, 1, (int(chosen.sum()), 3))
     gain, weight = view.sirt_step(target, mask, colors)[0], view.backproject(target, mask).weight
-    found = sirt_steps(view, target, mask, chosen)
-    assert isinstance(found, sirt.CachedWeights)
+    steps = sirt_steps(view, target, mask, chosen)
+    assert isinstance(steps, sirt.CachedWeights)
     monkeypatch.setattr(sirt, "MAX_CACHED_BLOCKS", -1)
-    for way in (found, sirt_steps(view, target, mask, chosen)):
+    for way in (steps, sirt_steps(view, target, mask, chosen)):
         np.testing.assert_allclose(way.residual(colors[chosen]), gain[chosen], atol=2e-5)
         np.testing.assert_allclose(way.weight, weight[chosen], atol=2e-5)
     assert isinstance(way, sirt.UncachedWeights)
 
 
-def test_no_row_lists_more_tiles_than_its_bounding_box():
-    """Room for a row's tiles is made before they are listed: one more would be written into the next row's room. The
-    outline of this row, found among millions, rounds to 304.00003 px and its box to 304, the edge of a tile."""
+def test_no_gaussian_lists_more_tiles_than_its_bounding_box():
+    """Room for a Gaussian's tiles is made before they are listed: one more would be written into the next Gaussian's
+    room. The outline of this Gaussian, found among millions, rounds to 304.00003 px and its box to 304, the edge of a
+    tile."""
     splats = scene(3000, 0, 11, dtype=np.float32)
     row = {
         "means": [0.31944116950035095, -0.4232747256755829, -0.8478182554244995],
@@ -182,7 +185,7 @@ def test_no_row_lists_more_tiles_than_its_bounding_box():
     low = np.clip((view.means2d - view.extents) / np.float32(16), 0, 32).astype(int)
     high = np.clip((view.means2d + view.extents) / np.float32(16) + np.float32(1), 0, 32).astype(int)
     assert (np.diff(view.pair_offsets) <= (high - low).prod(1)).all()
-    # Every pair is listed once: `homes` is a permutation, and each tile's rows ascend, front to back.
+    # Every pair is listed once: `homes` is a permutation, and each tile's Gaussians ascend, front to back.
     np.testing.assert_array_equal(np.sort(view.pair_ids), np.arange(len(view.flatten_ids)))
     inside = np.ones(len(view.flatten_ids), bool)
     inside[view.isect_offsets[:-1][np.diff(view.isect_offsets) > 0]] = False
@@ -200,8 +203,8 @@ def everything(splats, camera):
     back = render_views_backward(splats, drawn, values[None], mask[None, ..., None], mask[None, ..., None])
     total = view.backproject(values, mask)
     chosen = np.arange(len(view)) % 3 > 0
-    kept = sirt_steps(view, values, mask, chosen)
-    total_of_some = [kept.weight, kept.residual(view.colors[chosen])]
+    steps = sirt_steps(view, values, mask, chosen)
+    total_of_some = [steps.weight, steps.residual(view.colors[chosen])]
     return [
         *total_of_some,
         view.gaussian_ids,
@@ -215,51 +218,51 @@ def everything(splats, camera):
 
 
 def test_bits_do_not_depend_on_threads(monkeypatch):
-    splats, camera = with_odd_rows(scene(5000, 2, 7, dtype=np.float32)), cameras(130, 100)[0]
+    splats, camera = with_odd_gaussians(scene(5000, 2, 7, dtype=np.float32)), cameras(130, 100)[0]
     results = []
     for count in ("1", "2", "3"):
         monkeypatch.setenv("SPLATPAINTER_THREADS", count)
         results.append(everything(splats, camera))
-    for others in results[1:]:
-        for one, other in zip(results[0], others, strict=True):
+    for other_run in results[1:]:
+        for one, other in zip(results[0], other_run, strict=True):
             np.testing.assert_array_equal(one, other)
 
 
 def test_bits_do_not_depend_on_how_views_are_shared_out(monkeypatch):
     """Few views are drawn one after the other on all threads, many on one thread each."""
-    splats, views = with_odd_rows(scene(500, 1, 10, dtype=np.float32)), cameras(40, 50, count=6)
+    splats, views = with_odd_gaussians(scene(500, 1, 10, dtype=np.float32)), cameras(40, 50, count=6)
     results = []
     for count in ("1", "2", "4"):
         monkeypatch.setenv("SPLATPAINTER_THREADS", count)
         drawn = render_views(splats, views, contributions=True, keep_views=True)
         back = render_views_backward(splats, drawn, drawn.colors, drawn.depths, drawn.alphas)
         results.append([drawn.colors, drawn.alphas, drawn.depths, drawn.contributions, *back])
-    for others in results[1:]:
-        for one, other in zip(results[0], others, strict=True):
+    for other_run in results[1:]:
+        for one, other in zip(results[0], other_run, strict=True):
             np.testing.assert_array_equal(one, other)
 
 
 def test_two_python_threads_at_once():
     splats, camera = scene(2000, 1, 8, dtype=np.float32), cameras(100, 100)[0]
     expected = everything(splats, camera)
-    found: list[list] = []
+    results: list[list] = []
 
     def work():
         for _ in range(10):
-            found.append(everything(splats, camera))
+            results.append(everything(splats, camera))
 
     workers = [threading.Thread(target=work) for _ in range(3)]
     for worker in workers:
         worker.start()
     for worker in workers:
         worker.join()
-    assert len(found) == 30
-    for result in found:
+    assert len(results) == 30
+    for result in results:
         for one, other in zip(expected, result, strict=True):
             np.testing.assert_array_equal(one, other)
 
 
-def test_readonly_and_strided_rows_draw_the_same():
+def test_readonly_and_strided_gaussians_draw_the_same():
     splats, camera = scene(50, 1, 9, dtype=np.float32), cameras(30, 30)[0]
     expected = sp.render(splats, camera).colors
     packed = np.concatenate([splats.means, splats.scales], 1)  # [N, 6]: columns of a file

@@ -1,4 +1,4 @@
-"""Rows outside their range: drawn by no backend, seen by no gradient, and no reason for a crash or a warning."""
+"""Gaussians outside their range: drawn by no backend, seen by no gradient, and no reason for a crash or a warning."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ EXTREME = {
 
 
 def hostile(dtype: type) -> Splats:
-    """Sound rows, and for each extreme value one that has it in its last number, and one that has it everywhere."""
+    """Sound Gaussians, and for each extreme value one that has it in its last number, and one that has it
+    everywhere."""
     parts = [scene(40, 2, 3, dtype=dtype)]
     for name, values in EXTREME.items():
         for value in values:
@@ -36,15 +37,15 @@ def hostile(dtype: type) -> Splats:
             column = getattr(bad, name)
             column.reshape(2, -1)[0, -1], column[1] = value, value
             parts.append(bad)
-    rows = parts[0]
+    splats = parts[0]
     for part in parts[1:]:
-        rows = part.append(rows)
-    return rows
+        splats = part.append(splats)
+    return splats
 
 
 @pytest.mark.parametrize("size", [(5, 3), (64, 48), (400, 300)])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_rows_out_of_range_are_invisible_and_counted(dtype, size):
+def test_gaussians_out_of_range_are_invisible_and_counted(dtype, size):
     splats, views = hostile(dtype), cameras(*size)
     assert (~splats.drawable).sum() == 2 * sum(map(len, EXTREME.values()))
     sound = splats.take(splats.drawable)
@@ -56,7 +57,7 @@ def test_rows_out_of_range_are_invisible_and_counted(dtype, size):
         assert not with_them.contributions[:, ~splats.drawable].any()
 
 
-def test_the_reference_leaves_the_same_rows_out():
+def test_the_reference_leaves_the_same_gaussians_out():
     splats, views = hostile(np.float64), cameras(24, 20)
     ours = sp.render(splats, views, contributions=True)
     theirs = sp.render(splats, views, contributions=True, backend="reference")
@@ -64,7 +65,7 @@ def test_the_reference_leaves_the_same_rows_out():
     np.testing.assert_allclose(ours.contributions, theirs.contributions, atol=1e-9)
 
 
-def test_rows_out_of_range_have_no_gradient():
+def test_gaussians_out_of_range_have_no_gradient():
     splats = hostile(np.float32)
     leaves = {name: torch.from_numpy(getattr(splats, name)).requires_grad_() for name in ATTRIBUTES}
     picture = sp.render(replace(splats, **leaves), cameras(48, 40))

@@ -218,7 +218,7 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     studio.post("bookmark.add", name="front", camera=wire(view()))
     image, _ = edited(studio)
     studio.post("edit", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])
-    rows = rows_sha256(studio.studio.session.splats)
+    digest = rows_sha256(studio.studio.session.splats)
     studio.post("project.save_as", file="mine")
     state = studio.http.get("/api/state").json()
     assert state["project"] == {
@@ -236,7 +236,7 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     assert [entry["name"] for entry in recent] == ["other"]
     studio.post("project.open", file="mine.splatproj")
     state = studio.http.get("/api/state").json()
-    assert rows_sha256(studio.studio.session.splats) == rows
+    assert rows_sha256(studio.studio.session.splats) == digest
     assert [mark["name"] for mark in state["bookmarks"]] == ["front"] and len(state["layers"]) == 1
     assert studio.post("project.recent")["recent"] == []  # in the other one nothing was done
     studio.post("bookmark.delete", bookmark=state["bookmarks"][0]["id"])
@@ -244,13 +244,14 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     data = studio.http.get(copy["url"]).content
     studio.post("asset.open", file="other.ply")
     studio.post("project.open", blob=studio.send(data, "back.splatproj"))
-    assert rows_sha256(studio.studio.session.splats) == rows
+    assert rows_sha256(studio.studio.session.splats) == digest
     assert [entry["name"] for entry in studio.post("project.recent")["recent"]] == ["back"]
 
 
 def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
-    """The screen's up and the first view follow, the rows do not; a project in which only this was done is kept."""
-    rows = rows_sha256(studio.studio.session.splats)
+    """The screen's up and the first view follow, the Gaussians do not; a project in which only this was done is
+    kept."""
+    digest = rows_sha256(studio.studio.session.splats)
     asset = studio.http.get("/api/state").json()["asset"]
     assert asset["up"] == [0, -1, 0] and asset["frame_stated"] and asset["frame"] == ""
     write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
@@ -265,17 +266,17 @@ def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:
     (entry,) = (entry for entry in studio.post("project.recent")["recent"] if entry["name"] == "other")
     studio.post("project.open", recent=entry["id"])
     assert studio.http.get("/api/state").json()["asset"]["up"] == [0, 1, 0]
-    assert rows != rows_sha256(studio.studio.session.splats)
+    assert digest != rows_sha256(studio.studio.session.splats)
 
 
 def test_everything_is_on_disk_when_the_studio_ends(tmp_path: Path) -> None:
     with live(make_studio(tmp_path)) as studio:
         image, _ = edited(studio)
         studio.post("edit", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])
-        rows = rows_sha256(studio.studio.session.splats)
+        digest = rows_sha256(studio.studio.session.splats)
     assert [path.name for path in tmp_path.glob("own*")] == ["own.splatproj"]
     with Session.load(tmp_path / "own.splatproj") as again:
-        assert rows_sha256(again.splats) == rows
+        assert rows_sha256(again.splats) == digest
 
 
 def test_the_description_names_every_command(studio: Live) -> None:
@@ -288,7 +289,7 @@ def test_the_description_names_every_command(studio: Live) -> None:
     assert fault.status_code == 400 and "to: Field required" in fault.json()["error"]["message"]
 
 
-def test_rows_over_http_and_strokes_without_a_socket(studio: Live) -> None:
+def test_gaussians_over_http_and_strokes_without_a_socket(studio: Live) -> None:
     frame = frames.unpack(studio.http.get("/api/splats").content)
     assert np.array_equal(frame.splats.sh, studio.studio.session.splats.sh)
     stroke = studio.post("paint.begin", camera=wire(view()))["stroke"]

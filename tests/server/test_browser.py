@@ -392,7 +392,7 @@ def png(pixels: np.ndarray, camera: Camera) -> bytes:
 
 
 def test_one_click_turns_the_asset_over(opened: tuple[studio_scenes.Live, Page]) -> None:
-    """What was up is down, in the picture and in the project; no row changes; a second click undoes it."""
+    """What was up is down, in the picture and in the project; no Gaussian changes; a second click undoes it."""
     live, page = opened
 
     def down() -> float:

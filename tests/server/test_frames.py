@@ -1,4 +1,4 @@
-"""Binary frames of rows, against bytes written out by hand."""
+"""Binary frames of Gaussians, against bytes written out by hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from splatpainter.splats import Splats
 from tests.support.studio_scenes import ball
 
 
-def two_rows() -> Splats:
+def two_gaussians() -> Splats:
     return Splats(
         np.array([[1, 2, 3], [4, 5, 6]], np.float32),
         np.array([[2, 0, 0, 0], [0, 3, 0, 4]], np.float32),
@@ -25,30 +25,30 @@ def two_rows() -> Splats:
 
 def test_a_delta_is_these_bytes() -> None:
     header = struct.pack("<8I", 0x53504C44, 1, 0, 7, 9, 2, 1, 1)
-    row = struct.pack("<I", 1)
+    index = struct.pack("<I", 1)
     geometry = struct.pack("<10f", 4, 5, 6, 0.4, 0.5, 0.6, 0, 0.6, 0, 0.8)
     look = struct.pack("<4f", 1, 0.4, 0.5, 0.6)
-    assert frames.delta(two_rows(), np.array([1]), 7, 9) == header + row + geometry + look
+    assert frames.delta(two_gaussians(), np.array([1]), 7, 9) == header + index + geometry + look
 
 
 def test_a_snapshot_has_no_indices_and_a_preview_no_geometry() -> None:
-    every = frames.snapshot(two_rows(), 4)
+    every = frames.snapshot(two_gaussians(), 4)
     assert struct.unpack_from("<8I", every) == (0x53504C44, 1, 1, 4, 4, 2, 2, 1)
     assert len(every) == 32 + 2 * 4 * (3 + 3 + 4 + 1 + 3)
-    look = frames.preview(two_rows(), np.array([5, 8]), 20, 4)
+    look = frames.preview(two_gaussians(), np.array([5, 8]), 20, 4)
     assert struct.unpack_from("<8I", look) == (0x53504C44, 1, 2 | 4, 4, 4, 20, 2, 1)
     assert len(look) == 32 + 2 * 4 * (1 + 1 + 3)
 
 
 def test_what_was_packed_comes_out() -> None:
     splats = ball(50)
-    rows = np.array([3, 17, 49])
-    frame = frames.unpack(frames.delta(splats, rows, 1, 2))
+    ids = np.array([3, 17, 49])
+    frame = frames.unpack(frames.delta(splats, ids, 1, 2))
     assert (frame.version_from, frame.version_to, frame.total) == (1, 2, 50)
-    assert np.array_equal(frame.gaussian_ids, rows)
-    assert np.array_equal(frame.splats.sh, splats.sh[rows])
-    assert np.array_equal(frame.splats.means, splats.means[rows])
-    unit = splats.quats[rows] / np.linalg.norm(splats.quats[rows], axis=1, keepdims=True)
+    assert np.array_equal(frame.gaussian_ids, ids)
+    assert np.array_equal(frame.splats.sh, splats.sh[ids])
+    assert np.array_equal(frame.splats.means, splats.means[ids])
+    unit = splats.quats[ids] / np.linalg.norm(splats.quats[ids], axis=1, keepdims=True)
     assert np.allclose(frame.splats.quats, unit, atol=1e-6)
     everything = frames.unpack(frames.snapshot(splats, 3))
     assert np.array_equal(everything.gaussian_ids, np.arange(50))
@@ -71,18 +71,18 @@ def test_tints_are_what_a_screen_holds() -> None:
 def test_tints_are_as_near_as_their_bits(count: int, bands: int) -> None:
     rng = np.random.default_rng(3)
     sh = (rng.normal(size=(count, bands, 3)) * 2.0 ** rng.integers(-9, 2, (count, bands, 1))).astype(np.float32)
-    rows = np.sort(rng.choice(20, count, replace=False))
-    frame = frames.unpack(frames.preview_colors(sh, rows, 20, 2))
-    assert np.array_equal(frame.gaussian_ids, rows) and frame.total == 20
+    ids = np.sort(rng.choice(20, count, replace=False))
+    frame = frames.unpack(frames.preview_colors(sh, ids, 20, 2))
+    assert np.array_equal(frame.gaussian_ids, ids) and frame.total == 20
     back = frame.splats.sh
     np.testing.assert_allclose(back[:, 0], sh[:, 0], atol=2e-3, rtol=1e-3)  # 11 bits of 0.5 + Y sh
     step = 2.0 ** np.ceil(np.log2(np.abs(sh[:, 1:]).max(2, keepdims=True))) / 255
     assert (np.abs(back[:, 1:] - sh[:, 1:]) <= 0.501 * step).all()
     with pytest.raises(ValueError, match="frame: expected"):
-        frames.unpack(frames.preview_colors(sh, rows, 20, 2)[:-1])
+        frames.unpack(frames.preview_colors(sh, ids, 20, 2)[:-1])
 
 
-def test_rows_that_no_screen_can_show_are_hidden() -> None:
+def test_gaussians_that_no_screen_can_show_are_hidden() -> None:
     splats = ball(5)
     means, quats = splats.means.copy(), splats.quats.copy()
     means[1, 0], quats[3] = np.nan, 0
@@ -98,7 +98,7 @@ def test_what_is_no_frame_is_refused(broken: bytes) -> None:
 
 
 def test_rotations_beyond_every_range_travel_without_a_warning() -> None:
-    splats = two_rows()
+    splats = two_gaussians()
     splats.quats[1] = 3e38
     received = frames.unpack(frames.snapshot(splats, 1)).splats
     assert received.opacities.tolist() == [0.5, 0] and received.quats.tolist()[0] == [1, 0, 0, 0]

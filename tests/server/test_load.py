@@ -1,4 +1,4 @@
-"""Many clients at once, on one session and on many: ordered answers, equal rows, bounded memory.
+"""Many clients at once, on one session and on many: ordered answers, equal Gaussians, bounded memory.
 
 In full, as a bench: SPLATPAINTER_LOAD=20x200 python -m pytest tests/server/test_load.py -s
 """
@@ -50,7 +50,7 @@ def work(browser: Browser, k: int, edits: int) -> None:
         else:
             answer, layer = browser.do("layer.delete", layer=layer), ""
         versions.append(answer["version"])
-        assert browser.mirror.version >= answer["version"]  # rows come before the answer that speaks of them
+        assert browser.mirror.version >= answer["version"]  # Gaussians come before the answer that speaks of them
     assert versions == sorted(versions)
     if layer:
         browser.do("layer.delete", layer=layer)
@@ -77,7 +77,7 @@ def run(served: list[Live], edits: int) -> list[Mirror]:
 
 
 @pytest.mark.parametrize(("sessions", "edits"), [(1, EDITS), (4, EDITS // 2)])
-def test_many_clients_end_up_with_the_same_rows(tmp_path: Path, sessions: int, edits: int) -> None:
+def test_many_clients_end_up_with_the_same_gaussians(tmp_path: Path, sessions: int, edits: int) -> None:
     with ExitStack() as stack:
         served = []
         for k in range(sessions):

@@ -109,7 +109,7 @@ def test_a_part_of_a_view_is_put_where_it_was_cut_out(studio: Live, scale: int) 
     seen = fetch(studio, checked["mask"]) > 127
     assert (seen & mask).sum() > 0.95 * mask.sum() and not seen[:25].any() and not seen[:, 177:].any()
     lost = studio.http.post("/api/do/picture.check", json={"picture": studio.send(file.getvalue())})
-    assert "like no exported view" in lost.json()["error"]["message"]
+    assert "matches no exported view" in lost.json()["error"]["message"]
     for angle in (90, 0):
         studio.post("view.export", camera=wire(view(192, angle)), name=f"from {angle}")
     recognised = studio.post("picture.check", picture=studio.send(file.getvalue()))

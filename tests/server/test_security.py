@@ -232,14 +232,14 @@ def bomb(size: int) -> bytes:
     return bytes(data)
 
 
-def spz_of(rows: int) -> bytes:
-    return gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, rows, 0, 12, 0, 0))
+def spz_of(count: int) -> bytes:
+    return gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, count, 0, 12, 0, 0))
 
 
-def sog_of(rows: int) -> bytes:
+def sog_of(count: int) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("meta.json", f'{{"version": 2, "count": {rows}}}')
+        archive.writestr("meta.json", f'{{"version": 2, "count": {count}}}')
     return file.getvalue()
 
 
@@ -294,8 +294,8 @@ def test_only_pictures_are_served_as_what_they_are(studio: Live) -> None:
     sent = studio.http.post("/api/blobs?name=<script>.png", content=file.getvalue()).json()
     got = studio.http.get(f"/api/blobs/{sent['blob']}")
     assert got.headers["content-type"] == "image/png" and got.content == file.getvalue()
-    rows = studio.http.post("/api/blobs?name=x.splat", content=b"\1" * 320).json()
-    got = studio.http.get(f"/api/blobs/{rows['blob']}")
+    stored = studio.http.post("/api/blobs?name=x.splat", content=b"\1" * 320).json()
+    got = studio.http.get(f"/api/blobs/{stored['blob']}")
     assert got.headers["content-type"] == "application/octet-stream"
     assert got.headers["content-disposition"] == "attachment"
     assert got.headers["x-content-type-options"] == "nosniff"

@@ -76,7 +76,7 @@ def test_two_windows_see_the_same(studio: Live) -> None:
         two.do("layer.set", layer=made["layer"]["id"], opacity=0.5)
         one.do("look.commit", look={"exposure": 0.5}, name="brighter")
         for browser in (one, two):
-            browser.do("receipt")  # an answer comes after all rows
+            browser.do("receipt")  # an answer comes after all Gaussians
             assert browser.mirror.agrees(studio.studio.session.splats)
             state = browser.state
             assert [layer["name"] for layer in state["layers"]] == ["Stroke", "brighter"]
@@ -392,7 +392,7 @@ def test_another_asset_replaces_the_session_for_everybody(studio: Live, tmp_path
         assert studio.studio.session is session
 
 
-def test_looks_are_previewed_on_every_row_and_taken_back(studio: Live) -> None:
+def test_looks_are_previewed_on_every_gaussian_and_taken_back(studio: Live) -> None:
     session = studio.studio.session
     with studio.greeted() as browser:
         for exposure in (0.5, 1.0):

@@ -33,22 +33,22 @@ DAMAGED = {
 
 @pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
 def test_a_picture_is_read_or_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
-    place = tmp_path / "a.png"
-    place.write_bytes(data)
+    path = tmp_path / "a.png"
+    path.write_bytes(data)
     try:
-        assert read_picture(place).size == (2, 1)
+        assert read_picture(path).size == (2, 1)
     except ValueError as error:
-        assert type(error) is ValueError and str(error).startswith(str(place)) and str(error).isprintable()
+        assert type(error) is ValueError and str(error).startswith(str(path)) and str(error).isprintable()
 
 
 def test_a_tiff_whose_tags_lie_outside_of_it_has_no_camera_and_warns_of_nothing(tmp_path: Path) -> None:
-    place = tmp_path / "a.tif"
+    path = tmp_path / "a.tif"
     tags = [(256, 4, 1, 2), (257, 4, 1000, 9999), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 1), (273, 4, 1, 8)]
     body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
-    place.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
     with pytest.raises(ValueError) as caught:
-        find_camera(place)
-    assert type(caught.value) is ValueError and str(place) in str(caught.value)
+        find_camera(path)
+    assert type(caught.value) is ValueError and str(path) in str(caught.value)
 
 
 def test_a_camera_of_an_endless_version_is_refused_in_a_short_line() -> None:

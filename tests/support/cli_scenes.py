@@ -51,21 +51,22 @@ def run(capfd: Capture, *words: object) -> Ran:
     return Ran(code, captured.out, captured.err)
 
 
-def ball(rows: int = 3000, *, radius: float = 1.0, degree: int = 1) -> Splats:
-    """A sphere of flat rows about the origin, opaque from outside: pale, with a red cap around -y (up in pictures)."""
-    k = np.arange(rows) + 0.5
-    z = 1 - 2 * k / rows
+def ball(count: int = 3000, *, radius: float = 1.0, degree: int = 1) -> Splats:
+    """A sphere of flat Gaussians about the origin, opaque from outside: pale, with a red cap around -y (up in
+    pictures)."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
     angle = k * np.pi * (3 - np.sqrt(5))
     across = np.sqrt(1 - z * z)
     normals = np.stack([across * np.cos(angle), across * np.sin(angle), z], 1)
-    sh = np.zeros((rows, (degree + 1) ** 2, 3))
+    sh = np.zeros((count, (degree + 1) ** 2, 3))
     colors = np.where(normals[:, 1:2] < -0.8, [0.9, 0.1, 0.1], [0.7, 0.75, 0.8])
     sh[:, 0] = (colors - 0.5) / SH_C0
-    half = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(rows)], 1)  # turns z to the normal
+    half = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(count)], 1)  # turns z to the normal
     half[normals[:, 2] < -0.999] = (0, 1, 0, 0)
-    size = 1.5 * radius * np.sqrt(4 * np.pi / rows)
-    scales = np.repeat([[size / 2, size / 2, size / 40]], rows, 0)
-    arrays = (radius * normals, half, scales, np.full(rows, 0.95), sh)
+    size = 1.5 * radius * np.sqrt(4 * np.pi / count)
+    scales = np.repeat([[size / 2, size / 2, size / 40]], count, 0)
+    arrays = (radius * normals, half, scales, np.full(count, 0.95), sh)
     means, quats, scales, opacities, sh = (array.astype(np.float32) for array in arrays)
     return Splats(means, quats, scales, opacities, sh)
 
@@ -76,8 +77,8 @@ def saved(path: Path, splats: Splats | None = None) -> Path:
     return path
 
 
-def with_bad_rows(splats: Splats) -> Splats:
-    """The same rows with a NaN centre, an infinite scale, a NaN colour and a zero quaternion in rows 3, 5, 7 and 9."""
+def with_bad_gaussians(splats: Splats) -> Splats:
+    """The same with a NaN centre, an infinite scale, a NaN colour and a zero quaternion in Gaussians 3, 5, 7 and 9."""
     means, scales, sh, quats = (getattr(splats, name).copy() for name in ("means", "scales", "sh", "quats"))
     means[3, 1], scales[5, 0], sh[7, 0, 2], quats[9] = np.nan, np.inf, np.nan, 0
     return replace(splats, means=means, scales=scales, sh=sh, quats=quats)

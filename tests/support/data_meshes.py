@@ -30,8 +30,8 @@ def quad(material: Material, uvs: list[list[float]] | None = None) -> Mesh:
     """The square -1..1 in the plane z = 0, facing +z; by default u runs along x and v along y."""
     points = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
     normals = np.tile(np.array([0, 0, 1], np.float32), (4, 1))
-    places = np.array(uvs or [[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    return Mesh("quad", points, np.array([[0, 1, 2], [0, 2, 3]]), normals, places, np.zeros(2, np.int64), (material,))
+    corners = np.array(uvs or [[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    return Mesh("quad", points, np.array([[0, 1, 2], [0, 2, 3]]), normals, corners, np.zeros(2, np.int64), (material,))
 
 
 def write_box(path: Path, color: tuple[int, int, int], size: tuple[float, float, float] = (1, 1, 1)) -> Path:

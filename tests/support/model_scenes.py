@@ -40,7 +40,7 @@ TINY = ModelConfig(
 
 
 def shell(count: int = 200, degree: int = 1, seed: int = 0) -> Splats:
-    """Rows on a sphere of radius 1 around (3, -2, 5), numpy float32; no two opacities are equal."""
+    """Gaussians on a sphere of radius 1 around (3, -2, 5), numpy float32; no two opacities are equal."""
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3))
     means /= np.linalg.norm(means, axis=1, keepdims=True)
@@ -77,7 +77,7 @@ def asset_views(config: ModelConfig, seed: int = 2) -> AssetViews:
 
 
 def links(count: int, tokens: int, seed: int = 3) -> TokenLinks:
-    """Three random tokens per row; every seventh row is seen by no view."""
+    """Three random tokens per Gaussian; every seventh Gaussian is seen by no view."""
     rng = np.random.default_rng(seed)
     weights = rng.random((count, 3), np.float32)
     weights /= weights.sum(1, keepdims=True)

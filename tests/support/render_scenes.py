@@ -11,22 +11,22 @@ from splatpainter.splats import Splats
 
 
 def scene(
-    rows: int = 40, degree: int = 1, seed: int = 0, *, antialiased: bool = False, dtype: type = np.float64
+    count: int = 40, degree: int = 1, seed: int = 0, *, antialiased: bool = False, dtype: type = np.float64
 ) -> Splats:
     """Random ellipsoids within about 1 of the origin: needles, plates and dots, sub-pixel to half a picture wide."""
     rng = np.random.default_rng(seed)
     values = {
-        "means": rng.normal(0, 0.6, (rows, 3)),
-        "quats": rng.normal(0, 1, (rows, 4)) * rng.choice([0.1, 1, 10], (rows, 1)),
-        "scales": np.exp(rng.normal(-3, 1, (rows, 3))),
-        "opacities": rng.uniform(0.02, 1, rows),
-        "sh": rng.normal(0, 0.4, (rows, (degree + 1) ** 2, 3)),
+        "means": rng.normal(0, 0.6, (count, 3)),
+        "quats": rng.normal(0, 1, (count, 4)) * rng.choice([0.1, 1, 10], (count, 1)),
+        "scales": np.exp(rng.normal(-3, 1, (count, 3))),
+        "opacities": rng.uniform(0.02, 1, count),
+        "sh": rng.normal(0, 0.4, (count, (degree + 1) ** 2, 3)),
     }
     return Splats(**{name: value.astype(dtype) for name, value in values.items()}, antialiased=antialiased)
 
 
-def with_odd_rows(splats: Splats) -> Splats:
-    """The same, between rows of every kind that must be skipped and of some kinds that are hard to draw."""
+def with_odd_gaussians(splats: Splats) -> Splats:
+    """The same, between Gaussians of every kind that must be skipped and of some kinds that are hard to draw."""
     dtype = splats.means.dtype
     odd = scene(20, splats.sh_degree, seed=99, dtype=dtype.type)
     m, q, s, o, c = odd.means, odd.quats, odd.scales, odd.opacities, odd.sh
@@ -54,14 +54,14 @@ def with_odd_rows(splats: Splats) -> Splats:
     return odd.append(splats).append(odd)
 
 
-def opaque_stack(rows: int = 60, dtype: type = np.float64) -> Splats:
-    """Nearly opaque plates behind each other: pixels stop early, and the rows behind must not be seen."""
-    base = scene(rows, 0, seed=5, dtype=dtype)
-    base.means[:] = np.stack([np.zeros(rows), np.zeros(rows), np.linspace(1, -1, rows)], 1)
+def opaque_stack(count: int = 60, dtype: type = np.float64) -> Splats:
+    """Nearly opaque plates behind each other: pixels stop early, and the Gaussians behind must not be seen."""
+    base = scene(count, 0, seed=5, dtype=dtype)
+    base.means[:] = np.stack([np.zeros(count), np.zeros(count), np.linspace(1, -1, count)], 1)
     base.scales[:] = [1.5, 1.2, 0.01]
     base.scales[0] = [20, 20, 0.01]
     base.quats[:] = [1, 0, 0, 0]
-    base.opacities[:] = np.tile([1.0, 0.3], rows)[:rows]  # the first is at the cap of 0.999 everywhere
+    base.opacities[:] = np.tile([1.0, 0.3], count)[:count]  # the first is at the cap of 0.999 everywhere
     return base
 
 

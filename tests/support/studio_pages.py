@@ -114,7 +114,7 @@ class Page:
             self.problems.append(message.text)
 
     def open(self) -> None:
-        """(Re)load and wait for the rows."""
+        """(Re)load and wait for the Gaussians."""
         self.tab.goto(self.url)
         self.wait("rows", lambda: self.ask("window.studio?.viewer.count ?? 0") > 0)
         if self.tab.get_by_label("Pixels").input_value() != "0.5":

@@ -24,16 +24,16 @@ from splatpainter.session import Session
 from splatpainter.splats import Splats
 
 
-def ball(rows: int = 600, seed: int = 0) -> Splats:
-    """A ball of radius 1 of overlapping rows in random colours, SH degree 1."""
+def ball(count: int = 600, seed: int = 0) -> Splats:
+    """A ball of radius 1 of overlapping Gaussians in random colours, SH degree 1."""
     rng = np.random.default_rng(seed)
-    points = rng.normal(size=(rows, 3))
+    points = rng.normal(size=(count, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    quats = rng.normal(size=(rows, 4))
-    sh = rng.uniform(-0.5, 0.5, (rows, 4, 3)) * np.array([1, 0.1, 0.1, 0.1])[:, None]
-    scales = np.full((rows, 3), 1.8 / np.sqrt(rows))
+    quats = rng.normal(size=(count, 4))
+    sh = rng.uniform(-0.5, 0.5, (count, 4, 3)) * np.array([1, 0.1, 0.1, 0.1])[:, None]
+    scales = np.full((count, 3), 1.8 / np.sqrt(count))
     means, quats, scales, sh = (array.astype(np.float32) for array in (points, quats, scales, sh))
-    return Splats(means, quats, scales, np.full(rows, 0.95, np.float32), sh)
+    return Splats(means, quats, scales, np.full(count, 0.95, np.float32), sh)
 
 
 def view(size: int = 96, angle: float = 0.0) -> Camera:

@@ -43,12 +43,12 @@ RECIPE = Recipe(
 
 
 @cache
-def stream() -> Kept:
+def stream() -> FixedSamples:
     """Samples of two procedural objects, each made once."""
-    return Kept(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1))
+    return FixedSamples(SampleStream(ProceduralSource(2, seed=3), SAMPLES, seed=1))
 
 
-class Kept:
+class FixedSamples:
     """Samples by number, remembered."""
 
     def __init__(self, source: Any) -> None:

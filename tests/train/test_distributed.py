@@ -58,11 +58,11 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
     loop(ONCE, out / "one")()  # meanwhile
     try:
-        said = [process.communicate(timeout=180)[0] for process in processes]
+        outputs = [process.communicate(timeout=180)[0] for process in processes]
     finally:
         for process in processes:
             process.kill()
-    assert [process.returncode for process in processes] == [0, 0], "\n".join(said)[-3000:]
+    assert [process.returncode for process in processes] == [0, 0], "\n".join(outputs)[-3000:]
     return out
 
 
@@ -86,9 +86,9 @@ def test_two_processes_are_one(runs: Path, kind: str) -> None:
 
 def test_numbers_follow_from_the_step_alone() -> None:
     for step in range(9):
-        whole = sample_numbers(step, 4, 3)
-        assert [*sample_numbers(step, 4, 3, 0, 2), *sample_numbers(step, 4, 3, 1, 2)] == whole
-        assert len({number // 3 for number in whole}) == 4  # each lane on an object of its own
+        complete = sample_numbers(step, 4, 3)
+        assert [*sample_numbers(step, 4, 3, 0, 2), *sample_numbers(step, 4, 3, 1, 2)] == complete
+        assert len({number // 3 for number in complete}) == 4  # each lane on an object of its own
     lane = [sample_numbers(step, 4, 3)[1] for step in range(6)]
     assert [number // 3 for number in lane] == [1, 1, 1, 5, 5, 5]
     every = sorted(n for step in range(6) for n in sample_numbers(step, 4, 3))

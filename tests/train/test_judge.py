@@ -52,8 +52,8 @@ def spoken(config: ModelConfig = LIFT) -> SplatPainterModel:
 
 def weights(folder: Path, recipe: Recipe, **notes: Any) -> Path:
     """A checkpoint as a run of this recipe leaves it."""
-    said = {"stage": recipe.stage, "step": 6, "seconds": 7200.0, "recipe": recipe.to_dict(), **notes}
-    spoken(recipe.model).save(folder, notes=said)
+    notes_of = {"stage": recipe.stage, "step": 6, "seconds": 7200.0, "recipe": recipe.to_dict(), **notes}
+    spoken(recipe.model).save(folder, notes=notes_of)
     return folder
 
 
@@ -97,10 +97,10 @@ def test_shards_serve_as_well_with_the_views_that_they_have(tmp_path: Path) -> N
     small = ["--size", "32", "--rows", "200", "--surfels", "600", "--samples", "3", "--kinds", "stroke", "relight"]
     assert main(["data", "render", "procedural:2", "--out", str(tmp_path), *small]) == 0
     supply: Any = replace(SUPPLY, data=str(tmp_path), share=0.6)  # one of the two objects
-    found: list[Any] = list(trials(supply, {**KINDS, "zoom": 1.0}, 3, 4))  # no zooms there
-    assert [t.kind for t in found] == ["relight", "stroke", "relight"] == [t.sample.kind for t in found]
+    results: list[Any] = list(trials(supply, {**KINDS, "zoom": 1.0}, 3, 4))  # no zooms there
+    assert [t.kind for t in results] == ["relight", "stroke", "relight"] == [t.sample.kind for t in results]
     held = {supply.stream(validation=True)[i].name for i in range(6)}
-    assert held >= {t.sample.name for t in found} and not held & {supply.stream()[i].name for i in range(6)}
+    assert held >= {t.sample.name for t in results} and not held & {supply.stream()[i].name for i in range(6)}
 
 
 def test_fewer_views_of_the_same_edit_are_among_the_more(held: list[Any]) -> None:
@@ -134,11 +134,11 @@ def test_rows_are_means_of_the_tasks_own_verdicts(held: list[Any]) -> None:
     rows = {(row.kind, row.views): row for row in judge.edit_rows(findings)}
     assert list(rows) == [("stroke", None), ("relight", 1), ("relight", 4), ("local", None), ("global", None)]
     fresh, relit = judge.refine_task(JUDGED, spoken(), None).eval(), [held[0].sample, held[2].sample]
-    own = {n: [fresh.judge(first_views(sample, n)).numbers for sample in relit] for n in (1, 4)}
+    verdicts = {n: [fresh.judge(first_views(sample, n)).numbers for sample in relit] for n in (1, 4)}
     for n in (1, 4):
         row = rows["relight", n]
-        assert row.gain == pytest.approx(np.mean([v["ours"] - v["lift"] for v in own[n]]))
-        assert row.lift_ssim == pytest.approx(np.mean([v["lift SSIM"] for v in own[n]]))
+        assert row.gain == pytest.approx(np.mean([v["ours"] - v["lift"] for v in verdicts[n]]))
+        assert row.lift_ssim == pytest.approx(np.mean([v["lift SSIM"] for v in verdicts[n]]))
         assert (row.samples, row.objects, row.ours_lpips) == (2, 2, None) and abs(row.gain) > 1e-3
         assert row.gain_low is not None and row.gain_high is not None and row.gain_low <= row.gain <= row.gain_high
     # A sample counts once in its mode, however many numbers of views it was judged with.
@@ -156,9 +156,9 @@ def test_goals_say_reached_and_missed() -> None:
         judge.EditRow(kind="relight", views=2, ours=20.9, gain=0.9, **rest),
         judge.EditRow(kind="local", views=None, ours=19.9, gain=-0.1, **rest),
     ]
-    said = judge.goals(rows)
-    assert [line.rsplit(": ", 1)[1] for line in said] == ["missed", "reached", "missed", "missed"]
-    assert "relighting from 1 view: wanted lift +1.0 dB, got +1.00 dB" in said[1]
+    notes_of = judge.goals(rows)
+    assert [line.rsplit(": ", 1)[1] for line in notes_of] == ["missed", "reached", "missed", "missed"]
+    assert "relighting from 1 view: wanted lift +1.0 dB, got +1.00 dB" in notes_of[1]
     assert judge.weak_kinds(rows) == ([], ["relight from 1 view", "relight from 2 views"])
     assert judge.from_json(json.loads(json.dumps(judge.as_json(rows)))) == rows
     copied = judge.CopyRow(judge.COPY, 2, 2, "the LRM before compression", 25.0, 24.6, -0.4, None, None)
@@ -189,10 +189,10 @@ def test_the_command_writes_tables_notes_and_card(
     for mode, gain in record["gain"].items():
         assert painter.choose("auto", mode)[0] == ("ttt" if gain > 0 else "lift")
         assert float(table[3 if mode == "local" else 4]["gain"]) == pytest.approx(gain)
-    shown = model_card(folder, "--hardware", "an abacus")
+    output = model_card(folder, "--hardware", "an abacus")
     for part in ("# Model card: tiny", "Gaussian LRM | 94 | 1.00", "Stage II | 6 | 2.00", "an abacus; 3.0 hours"):
-        assert part in shown
-    assert "| 0.375 | 0.375 |" in shown and "are procedural" in shown and "| relight | 2 | 1 | 1 |" in shown
+        assert part in output
+    assert "| 0.375 | 0.375 |" in output and "are procedural" in output and "| relight | 2 | 1 | 1 |" in output
 
 
 @pytest.mark.parametrize(("stage", "config"), [("lrm", LIFT), ("compress", COPY), ("compress", LIFT)])

@@ -74,9 +74,9 @@ def test_packed_meshes_have_small_pictures_and_the_same_corners(tmp_path: Path) 
     assert {"run.sh", "scripts/pack_training.py", "meshes/one.glb", "src/splatpainter/cli.py"} <= set(names)
     assert not any("__pycache__" in name for name in names)
     assert (tmp_path / "there/meshes/broken.glb").read_bytes() == b"glTF but no more"
-    small, whole = load_mesh(tmp_path / "there/meshes/one.glb"), load_mesh(meshes / "one.glb")
-    np.testing.assert_array_equal(small.vertices, whole.vertices)
-    pictures = [mesh.materials[0].base_color for mesh in (small, whole)]
+    small, original = load_mesh(tmp_path / "there/meshes/one.glb"), load_mesh(meshes / "one.glb")
+    np.testing.assert_array_equal(small.vertices, original.vertices)
+    pictures = [mesh.materials[0].base_color for mesh in (small, original)]
     assert [p.shape for p in pictures if p is not None] == [(32, 32, 3), (256, 256, 3)]
     assert "expected at most 0.1 MiB" in call("pack", "--out", tmp_path / "l.tar", "--limit", 0.1, code=1)
     assert not (tmp_path / "l.tar").exists()

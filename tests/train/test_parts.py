@@ -46,48 +46,48 @@ def test_a_local_target_is_the_truth_where_it_was_edited_and_the_asset_elsewhere
     after = before.clone()
     after[0, 5:9, 5:9] = 1 - after[0, 5:9, 5:9].round()
     drawn = noise(2, 20, 20, 3, seed=1)
-    wanted = local_target(after, before, drawn, keep=0.25)
+    target = local_target(after, before, drawn, keep=0.25)
     inside = torch.zeros(2, 20, 20, dtype=torch.bool)
     inside[0, 4:10, 4:10] = True  # with one pixel around
-    assert torch.equal(wanted.focus, inside)
-    assert torch.equal(wanted.colors, torch.where(inside[..., None], after, drawn))
+    assert torch.equal(target.focus, inside)
+    assert torch.equal(target.colors, torch.where(inside[..., None], after, drawn))
     # 36 of 800 pixels; per view 18: an edited pixel counts 1 / 18.
-    np.testing.assert_allclose(wanted.weights[inside].numpy(), 1 / 18, rtol=1e-6)
-    np.testing.assert_allclose(wanted.weights[~inside].numpy(), 0.25 / 18, rtol=1e-6)
+    np.testing.assert_allclose(target.weights[inside].numpy(), 1 / 18, rtol=1e-6)
+    np.testing.assert_allclose(target.weights[~inside].numpy(), 0.25 / 18, rtol=1e-6)
     rendered = noise(2, 20, 20, 3, seed=2)
-    d = (rendered.double() - wanted.colors.double()) ** 2
+    d = (rendered.double() - target.colors.double()) ** 2
     by_hand = (d[inside].mean(-1).sum() + 0.25 * d[~inside].mean(-1).sum()) / 18 / 2
-    assert math.isclose(float(weighted_square(rendered, wanted)), float(by_hand), rel_tol=1e-5)
+    assert math.isclose(float(weighted_square(rendered, target)), float(by_hand), rel_tol=1e-5)
 
 
 def test_a_global_target_counts_all_pixels_over_the_objects_area() -> None:
     truth, covered = noise(2, 8, 8, 3), torch.zeros(2, 8, 8, dtype=torch.bool)
     covered[:, 2:6, 2:6] = True
-    wanted = global_target(truth, covered)
+    target = global_target(truth, covered)
     rendered = noise(2, 8, 8, 3, seed=1)
     by_hand = float(((rendered - truth) ** 2).mean()) * 64 / 16
-    assert math.isclose(float(weighted_square(rendered, wanted)), by_hand, rel_tol=1e-5)
-    measured = masked_psnr(rendered, wanted)
+    assert math.isclose(float(weighted_square(rendered, target)), by_hand, rel_tol=1e-5)
+    measured = masked_psnr(rendered, target)
     assert measured is not None
     a, b, m = (x.reshape(16, 8, *x.shape[3:]).numpy() for x in (rendered, truth, covered))
     assert math.isclose(measured, psnr(a, b, m), abs_tol=1e-4)
-    assert masked_psnr(rendered, PictureTarget(truth, wanted.weights, torch.zeros_like(covered))) is None
+    assert masked_psnr(rendered, PictureTarget(truth, target.weights, torch.zeros_like(covered))) is None
 
 
 def test_the_perceptual_term_is_dropped_with_one_line(tmp_path: Path) -> None:
     loss, why = perceptual_or_not(0.5, tmp_path)
     assert loss.network is None and why and "perceptual term is dropped" in why and "\n" not in why
-    wanted = global_target(noise(1, 40, 40, 3), torch.ones(1, 40, 40, dtype=torch.bool))
-    parts = loss(noise(1, 40, 40, 3, seed=3), wanted)
+    target = global_target(noise(1, 40, 40, 3), torch.ones(1, 40, 40, dtype=torch.bool))
+    parts = loss(noise(1, 40, 40, 3, seed=3), target)
     assert set(parts) == {"squared", "loss"}
 
 
 def test_in_decibels_samples_count_by_their_ratio() -> None:
-    wanted = global_target(noise(1, 8, 8, 3), torch.ones(1, 8, 8, dtype=torch.bool))
+    target = global_target(noise(1, 8, 8, 3), torch.ones(1, 8, 8, dtype=torch.bool))
     gradients = []
     for error in (0.3, 0.15):  # far above what counts as nothing
-        rendered = (wanted.colors + error).requires_grad_()
-        parts = PictureLoss(None, 0.0, decibels=True)(rendered, wanted)
+        rendered = (target.colors + error).requires_grad_()
+        parts = PictureLoss(None, 0.0, decibels=True)(rendered, target)
         assert math.isclose(float(parts["loss"].detach()), math.log(error**2 + 2e-4), rel_tol=1e-4)
         parts["loss"].backward()
         assert rendered.grad is not None
@@ -98,10 +98,10 @@ def test_in_decibels_samples_count_by_their_ratio() -> None:
 def test_the_perceptual_term_is_lpips_of_the_chosen_views(shared: Path) -> None:
     loss = PictureLoss.load(0.5, shared / "perceptual")
     assert loss.network is not None
-    wanted = global_target(noise(2, 40, 40, 3), torch.ones(2, 40, 40, dtype=torch.bool))
+    target = global_target(noise(2, 40, 40, 3), torch.ones(2, 40, 40, dtype=torch.bool))
     rendered = noise(2, 40, 40, 3, seed=3).requires_grad_()
-    parts = loss(rendered, wanted, [1])
-    a, b = (x[1:].permute(0, 3, 1, 2) for x in (rendered.detach(), wanted.colors))
+    parts = loss(rendered, target, [1])
+    a, b = (x[1:].permute(0, 3, 1, 2) for x in (rendered.detach(), target.colors))
     # All pixels weigh alike here, so that the mask means nothing.
     assert math.isclose(float(parts["perceptual"].detach()), float(loss.network(a, b).mean()), rel_tol=1e-4)
     total = float(parts["squared"].detach()) + 0.5 * float(parts["perceptual"].detach())
@@ -159,10 +159,10 @@ def test_the_average_is_a_running_mean_and_returns_what_it_borrowed() -> None:
         share = min(0.9, (1 + step) / (10 + step))
         expected = share * expected + (1 - share) * module.weight.detach().double()
     torch.testing.assert_close(average.values["weight"].double(), expected, rtol=1e-5, atol=1e-6)
-    own = module.weight.detach().clone()
+    weights = module.weight.detach().clone()
     with average.used_by(module):
-        assert torch.equal(module.weight, average.values["weight"]) and not torch.equal(module.weight, own)
-    assert torch.equal(module.weight, own)
+        assert torch.equal(module.weight, average.values["weight"]) and not torch.equal(module.weight, weights)
+    assert torch.equal(module.weight, weights)
 
 
 def test_every_recipe_in_the_package_loads_and_survives_json() -> None:

@@ -33,14 +33,14 @@ def weights(out: Path) -> dict[str, torch.Tensor]:
 
 
 def test_six_steps_are_three_and_three(tmp_path: Path) -> None:
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    assert loop(RECIPE, whole)().ended == "done"
+    uninterrupted, parts = tmp_path / "whole", tmp_path / "parts"
+    assert loop(RECIPE, uninterrupted)().ended == "done"
     first = loop(RECIPE, parts)(Limits(steps=3))
     assert (first.step, first.ended) == (3, "session steps")
     assert loop(RECIPE, parts, resume=True)().step == 6
-    assert rows(whole) == rows(parts)  # losses as repr: equal text, equal bits
-    assert len({row["loss"] for row in rows(whole)}) == 6
-    one, other = weights(whole), weights(parts)
+    assert rows(uninterrupted) == rows(parts)  # losses as repr: equal text, equal bits
+    assert len({row["loss"] for row in rows(uninterrupted)}) == 6
+    one, other = weights(uninterrupted), weights(parts)
     assert one.keys() == other.keys()
     for name in one:
         assert torch.equal(one[name], other[name]), name
@@ -87,13 +87,13 @@ def test_a_signal_ends_after_the_step_and_saves(tmp_path: Path, name: str) -> No
 
 def test_another_recipe_is_refused_by_name(tmp_path: Path) -> None:
     loop(RECIPE, tmp_path)(Limits(steps=1))
-    kept = {f: f.read_bytes() for f in (tmp_path / "state").iterdir()}
+    before = {f: f.read_bytes() for f in (tmp_path / "state").iterdir()}
     with pytest.raises(ValueError, match=r"another recipe: learning_rate 0.003 there, 0.1 now"):
         loop(replace(RECIPE, learning_rate=0.1), tmp_path, resume=True)
     other = replace(RECIPE, model=with_refine(LIFT, blocks=1))
     with pytest.raises(ValueError, match=r"model.refine.blocks 2 there, 1 now"):
         loop(other, tmp_path, resume=True)
-    assert {f: f.read_bytes() for f in (tmp_path / "state").iterdir()} == kept
+    assert {f: f.read_bytes() for f in (tmp_path / "state").iterdir()} == before
     # How it runs may change.
     assert loop(replace(RECIPE, steps=2, report_every=7), tmp_path, resume=True)().step == 2
 
@@ -137,9 +137,9 @@ def test_the_state_is_whole_after_a_kill_while_saving(tmp_path: Path, monkeypatc
         if written:
             raise KeyboardInterrupt  # as good as a kill: nothing after it runs
         written.append(path)
-        return whole(path)
+        return writing(path)
 
-    whole = checkpoint.writing
+    writing = checkpoint.writing
     monkeypatch.setattr(checkpoint, "writing", cut)
     with pytest.raises(KeyboardInterrupt):
         running(Limits(steps=1))

@@ -21,7 +21,7 @@ from splatpainter.train.stages.refine import RefineTask, holding
 from splatpainter.train.stages.task import Task
 from splatpainter.voxels.grid import voxelize
 from tests.support.model_scenes import with_compress
-from tests.support.train_scenes import LIFT, RECIPE, SAMPLES, SMALL, Kept, loop, model, stream
+from tests.support.train_scenes import LIFT, RECIPE, SAMPLES, SMALL, FixedSamples, loop, model, stream
 
 PLAIN = SampleRecipe({"plain": 1.0}, size=32, rows=200, surfels=2000, base_views=2, novel_views=2, steps_per_object=1)
 COPY = replace(SMALL, representation="copy", lrm=replace(SMALL.lrm, geometry=False), preset="tiny-copy")
@@ -29,8 +29,8 @@ COPY = replace(SMALL, representation="copy", lrm=replace(SMALL.lrm, geometry=Fal
 
 
 def samples_of(kind: str, count: int = 1) -> list[Sample]:
-    found = [stream()[i] for i in range(12) if stream()[i].kind == kind]
-    return found[:count]
+    samples = [stream()[i] for i in range(12) if stream()[i].kind == kind]
+    return samples[:count]
 
 
 def task_of(recipe: Recipe, config: ModelConfig | None = None) -> Any:
@@ -58,7 +58,7 @@ def test_untrained_refinement_is_the_lift(kind: str, precision: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["stroke", "regrade"])
-def test_untrained_refinement_on_own_rows_is_nothing(kind: str) -> None:
+def test_untrained_refinement_on_own_gaussians_is_nothing(kind: str) -> None:
     verdict = task_of(RECIPE, SMALL).eval().judge(samples_of(kind)[0])
     assert verdict.numbers["ours"] == verdict.numbers["nothing"] != verdict.numbers["lift"]
 
@@ -67,51 +67,51 @@ def test_refinement_trains_stage_two_and_the_head_alone(precision: str) -> None:
     task = task_of(RECIPE)
     assert trained(task) == {"refiner", "head"}
     for kind in ("stroke", "regrade"):
-        found = gradients(task, samples_of(kind)[0])
-        assert float(found["model.head.linear.weight"].abs().max()) > 0
+        gradient = gradients(task, samples_of(kind)[0])
+        assert float(gradient["model.head.linear.weight"].abs().max()) > 0
     # Behind the head, which is zero at first, gradients arrive as soon as it is not.
     torch.nn.init.normal_(task.model.head.linear.weight, std=0.01)
-    found = gradients(task, samples_of("regrade")[0])
-    assert all(float(found[f"model.refiner.blocks.0.mixer.ttt.{w}"].abs().max()) > 0 for w in ("w0", "w1", "w2"))
+    gradient = gradients(task, samples_of("regrade")[0])
+    assert all(float(gradient[f"model.refiner.blocks.0.mixer.ttt.{w}"].abs().max()) > 0 for w in ("w0", "w1", "w2"))
     wide = task_of(replace(RECIPE, train_encoder="compress"))
     assert trained(wide) == {"refiner", "head", "compressor"}
     torch.nn.init.normal_(wide.model.head.linear.weight, std=0.01)
-    found = gradients(wide, samples_of("stroke")[0])
-    assert float(found["model.compressor.attribute.weight"].abs().max()) > 0
+    gradient = gradients(wide, samples_of("stroke")[0])
+    assert float(gradient["model.compressor.attribute.weight"].abs().max()) > 0
 
 
-def test_all_rows_or_some_have_the_same_picture_and_on_average_the_same_gradient() -> None:
+def test_all_gaussians_or_some_have_the_same_picture_and_on_average_the_same_gradient() -> None:
     sample, name = samples_of("regrade")[0], "model.head.linear.weight"
     every = replace(RECIPE, gradient_rows=0, loss_views=2, sequence=0.0)
     some = replace(every, gradient_rows=60)
     torch.manual_seed(1)
     head = 0.02 * torch.randn_like(model().head.linear.weight)
-    found, losses = {}, {}
+    gradient, losses = {}, {}
     for key, recipe, seeds in (("every", every, [5]), ("some", some, [5])):
         task = task_of(recipe)
         with torch.no_grad():
             task.model.head.linear.weight.copy_(head)
-        found[key] = torch.stack([gradients(task, sample, seed)[name] for seed in seeds]).mean(0)
+        gradient[key] = torch.stack([gradients(task, sample, seed)[name] for seed in seeds]).mean(0)
         losses[key] = [float(task(sample, seed)["loss"].detach()) for seed in seeds]
     np.testing.assert_allclose(losses["some"], losses["every"], rtol=1e-5)
-    # Averaged over choices of the rows, with all else equal: only those choices are random here.
+    # Averaged over choices of the Gaussians, with all else equal: only those choices are random here.
     task, total = task_of(some), torch.zeros_like(head)
     with torch.no_grad():
         task.model.head.linear.weight.copy_(head)
-    known = task._remembered(sample)
-    views = task._edits(sample, known)
-    start = task._start(sample, known, views)
-    cameras, wanted = task._target(sample, known, views, np.random.default_rng(5))
+    prepared = task._remembered(sample)
+    views = task._edits(sample, prepared)
+    start = task._start(sample, prepared, views)
+    cameras, target = task._target(sample, prepared, views, np.random.default_rng(5))
     start = task._visible(start, cameras)
     for seed in range(24):
         from splatpainter.train.stages.task import draw
 
         task.zero_grad()
-        edited = task._refined(known, start, views, 0, np.random.default_rng(100 + seed))
-        task.loss(draw(edited, cameras, task.device)[0], wanted)["loss"].backward()
+        edited = task._refined(prepared, start, views, 0, np.random.default_rng(100 + seed))
+        task.loss(draw(edited, cameras, task.device)[0], target)["loss"].backward()
         total += task.model.head.linear.weight.grad / 24
-    share = float((total * found["every"]).sum() / (found["every"] ** 2).sum())
-    cosine = float((total * found["every"]).sum() / total.norm() / found["every"].norm())
+    share = float((total * gradient["every"]).sum() / (gradient["every"] ** 2).sum())
+    cosine = float((total * gradient["every"]).sum() / total.norm() / gradient["every"].norm())
     assert 0.85 < share < 1.15 and cosine > 0.95
 
 
@@ -119,17 +119,17 @@ def test_a_part_of_the_voxels_has_the_latents_of_the_whole(precision: str) -> No
     asset, net = samples_of("stroke")[0].asset, model()
     grid = voxelize(asset, net.config.compress.resolution)
     with autocast("cpu", precision):
-        whole = encode_asset(net, asset, grid)
+        complete = encode_asset(net, asset, grid)
     task = task_of(replace(RECIPE, train_encoder="compress"))
-    rows = np.array([3, 50, 51, 120])
+    ids = np.array([3, 50, 51, 120])
     with task.arithmetic():
-        part = task._encoded(task._prepare(asset), rows)
+        part = task._encoded(task._prepare(asset), ids)
     with torch.no_grad():
-        same = whole.latents.values[whole.latent_ids[rows]]
-    assert len(part.latents.groups) < len(whole.latents.groups)
-    torch.testing.assert_close(part.latents.values[part.latent_ids[rows]], same, rtol=1e-4, atol=1e-5)
-    groups = holding(net.groups(grid), rows, len(asset))
-    assert set(rows) <= set(groups.order.tolist()) and groups.starts[-1] == len(groups.order)
+        same = complete.latents.values[complete.latent_ids[ids]]
+    assert len(part.latents.groups) < len(complete.latents.groups)
+    torch.testing.assert_close(part.latents.values[part.latent_ids[ids]], same, rtol=1e-4, atol=1e-5)
+    groups = holding(net.groups(grid), ids, len(asset))
+    assert set(ids) <= set(groups.order.tolist()) and groups.starts[-1] == len(groups.order)
 
 
 def test_a_sample_that_cannot_be_used_is_a_loss_of_zero_on_every_weight() -> None:
@@ -153,13 +153,13 @@ def test_bad_samples_are_counted_and_change_no_weight(tmp_path: Path) -> None:
                 raise ValueError("mesh.glb: no faces")
             return stream()[i]
 
-    said: list[str] = []
-    run = loop(replace(RECIPE, batch=1, steps=3), tmp_path, samples=Broken(), say=said.append)
+    messages: list[str] = []
+    run = loop(replace(RECIPE, batch=1, steps=3), tmp_path, samples=Broken(), say=messages.append)
     before = [p.detach().clone() for p in run.task.parameters()]
     run.step()
     assert all(torch.equal(a, b) for a, b in zip(before, run.task.parameters(), strict=True))
     result = run()
-    assert result.failed == 2 and result.step == 3 and any("mesh.glb: no faces" in line for line in said)
+    assert result.failed == 2 and result.step == 3 and any("mesh.glb: no faces" in line for line in messages)
     assert any(not torch.equal(a, b) for a, b in zip(before, run.task.parameters(), strict=True))
 
 
@@ -179,11 +179,11 @@ def test_a_step_that_is_not_finite_is_skipped_and_logged(tmp_path: Path, monkeyp
 
 
 def test_a_toy_run_halves_its_loss(tmp_path: Path) -> None:
-    kept = Kept(SampleStream(ProceduralSource(2, seed=3), replace(SAMPLES, kinds={"regrade": 1.0}), seed=1))
+    supply = FixedSamples(SampleStream(ProceduralSource(2, seed=3), replace(SAMPLES, kinds={"regrade": 1.0}), seed=1))
 
     class Four:
         def __getitem__(self, i: int) -> Sample:
-            return kept[i % 4]
+            return supply[i % 4]
 
     recipe = replace(RECIPE, model=SMALL, steps=60, batch=1, learning_rate=6e-3, warmup=5, gradient_rows=0)
     recipe = replace(recipe, sequence=0.0)
@@ -196,11 +196,11 @@ def test_a_toy_run_halves_its_loss(tmp_path: Path) -> None:
 @pytest.mark.parametrize("stage", ["lrm", "compress"])
 @pytest.mark.parametrize("config", [SMALL, COPY], ids=["native", "copy"])
 def test_the_first_stages_learn(tmp_path: Path, stage: Any, config: ModelConfig) -> None:
-    kept = Kept(SampleStream(ProceduralSource(2, seed=3), PLAIN, seed=1))
+    supply = FixedSamples(SampleStream(ProceduralSource(2, seed=3), PLAIN, seed=1))
 
     class One:
         def __getitem__(self, i: int) -> Sample:
-            return kept[0]
+            return supply[0]
 
     recipe = replace(
         RECIPE, stage=stage, model=config, samples=PLAIN, steps=16, batch=1, pull_steps=3, learning_rate=2e-3
@@ -213,7 +213,7 @@ def test_the_first_stages_learn(tmp_path: Path, stage: Any, config: ModelConfig)
     assert len(pulled) == (3 if stage == "lrm" and config is COPY else 0)
     assert not pulled or pulled[-1] < pulled[0]
     assert np.mean(losses[-4:]) < 0.95 * np.mean(losses[:4])
-    verdict = run.task.eval().judge(kept[1])
+    verdict = run.task.eval().judge(supply[1])
     assert np.isfinite(verdict.numbers["ours"])
 
 
@@ -229,10 +229,10 @@ def test_refinement_of_the_papers_copy_leaves_the_decoder_alone(kind: str, preci
     assert trained(task) == {"refiner"}
     torch.nn.init.normal_(task.model.head.linear.weight, std=0.02)  # as after Stage I
     sample = samples_of(kind)[0]
-    found = gradients(task, sample)
-    assert max(float(g.abs().max()) for g in found.values()) > 0
-    known = task._remembered(sample)
-    assert len(known.splats) == len(known.encoded.gaussians) != len(sample.asset)
+    gradient = gradients(task, sample)
+    assert max(float(g.abs().max()) for g in gradient.values()) > 0
+    prepared = task._remembered(sample)
+    assert len(prepared.splats) == len(prepared.encoded.gaussians) != len(sample.asset)
     assert np.isfinite(task.eval().judge(sample).numbers["ours"])
     with pytest.raises(ValueError, match="train_encoder nothing"):
         task_of(replace(RECIPE, train_encoder="compress"), COPY)

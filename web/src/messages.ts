@@ -37,7 +37,7 @@ export interface AssetInfo {
   gaussians_original: number;
   /** Those of the original that are bit for bit what they were. */
   gaussians_unchanged: number;
-  /** K per row and channel: 1, 4, 9, 16 or 25. */
+  /** K per Gaussian and channel: 1, 4, 9, 16 or 25. */
   sh_coefficients: number;
   color_space: "srgb" | "linear";
   antialiased: boolean;

@@ -1,8 +1,8 @@
-"""Latents of TRELLIS as a PLY of rows. Runs in VineDresser3D's environment and in its folder, not in this package's:
+"""Latents of TRELLIS as a PLY of Gaussians. Runs in VineDresser3D's environment and folder, not in this package's:
 
     python -c "$(cat decode_slat.py)" FEATS.pt COORDS.pt OUT.ply [MODEL]
 
-Rows are written in TRELLIS's own frame (z up, -0.5..0.5), unturned.
+Gaussians are written in TRELLIS's own frame (z up, -0.5..0.5), unturned.
 """
 
 import importlib

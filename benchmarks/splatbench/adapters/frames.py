@@ -107,7 +107,7 @@ def read_result(path: Path, frame: Frame, seed: int = 0) -> Splats:
     from splatpainter import io
 
     if not path.is_file():
-        raise ValueError(f"{path.name}: the system left no such file ({path})")
+        raise ValueError(f"{path.name}: the system wrote no such file ({path})")
     binary = path.suffix.lower() == ".glb"
     mesh = path.suffix.lower() in MESH_SUFFIXES or (binary and b"KHR_gaussian_splatting" not in files.read_all(path))
     splats = splats_of_mesh(path, MESH_SURFELS, seed) if mesh else io.read(path).numpy()

@@ -186,7 +186,7 @@ def fill_placeholders(command: Iterable[str], values: dict[str, str]) -> tuple[s
     return tuple(re.sub(r"\{([a-z_]+)\}", value, word) for word in command)
 
 
-def with_own_command(plan: Plan, job: Job, values: dict[str, str]) -> Plan:
+def with_user_command(plan: Plan, job: Job, values: dict[str, str]) -> Plan:
     """The plan with the user's own command, where the section has one."""
     section = job.section
     frames: dict[str, Callable[[], Frame]] = {

@@ -52,7 +52,7 @@ SHRINK = math.sqrt(1 - STEP**2)
 """... how wide they are there, so that the two together have the parent's variance ..."""
 FAINTER = {2: (0.63, 0.09), 4: (0.395, 0.09)}
 """... and how opaque: a + b o of a parent's opacity o, fitted to the composited alpha of a parent seen along its third
-axis, whose rms error is then 5 % (faint rows) to 17 % (opaque ones, 4 children)."""
+axis, whose rms error is then 5 % (faint Gaussians) to 17 % (opaque ones, 4 children)."""
 OPACITY_SHIFT = -2.1792
 """Head "absolute": opacity sigmoid(raw + this), as published."""
 MIN_CANDIDATES = 16
@@ -113,7 +113,7 @@ class Points:
 
     features: Tensor = field(repr=False)
     """[M, W]."""
-    rows: Splats
+    gaussians: Splats
     """What they would be drawn as if the head said nothing, torch."""
     axes: Tensor = field(repr=False)
     """[M, 3, 3] as Chosen.axes."""
@@ -124,7 +124,7 @@ class Points:
 
     def take(self, index: Tensor) -> Points:
         taken = (getattr(self, name)[index] for name in ("axes", "ranks", "parents"))
-        return Points(self.features[index], self.rows.take(index), *taken)
+        return Points(self.features[index], self.gaussians.take(index), *taken)
 
 
 class WindowBlock(nn.Module):
@@ -169,7 +169,7 @@ class Level(nn.Module):
     def forward(self, points: Points, lo: np.ndarray, size: float, curves: list[str]) -> tuple[Points, Points]:
         """(leaves, children), in the order of their points. lo, size: of the asset's cube; curves: one per block."""
         x, count = points.features, len(points.features)
-        means = points.rows.means.detach().cpu().numpy()
+        means = points.gaussians.means.detach().cpu().numpy()
         groups = Groups.of(windows(count, self.config.window), x.device)
         for block, curve in zip(self.blocks, curves, strict=True):
             x = block(x, torch.from_numpy(along(means, lo, size, curve)).to(x.device), groups)
@@ -188,19 +188,19 @@ class Level(nn.Module):
         share = 0.5 * torch.tanh(self.offsets(x).float()).unflatten(1, (self.child_count, 3))  # [M, c, 3] of the cell
         index = torch.arange(len(x), device=x.device).repeat_interleave(self.child_count)
         family, share = points.take(index), share.flatten(0, 1)
-        sigma = family.rows.scales.gather(1, family.ranks)
+        sigma = family.gaussians.scales.gather(1, family.ranks)
         moved = torch.einsum("mk,mka->ma", CELL * share * sigma, family.axes)
         split = x.new_tensor([SHRINK, SHRINK if self.child_count == 4 else 1.0, 1.0]).expand(len(index), 3)
         narrow = torch.ones_like(sigma).scatter(1, family.ranks, split)
         a, b = FAINTER[self.child_count]
-        rows = replace(
-            family.rows,
-            means=family.rows.means + moved,
-            scales=family.rows.scales * narrow,
-            opacities=family.rows.opacities * (a + b * family.rows.opacities),
+        gaussians = replace(
+            family.gaussians,
+            means=family.gaussians.means + moved,
+            scales=family.gaussians.scales * narrow,
+            opacities=family.gaussians.opacities * (a + b * family.gaussians.opacities),
         )
         code = torch.cat([wave_code(share, self.config.frequencies).to(x.dtype), family.features], 1)
-        return replace(family, rows=rows, features=self.skip(family.features) + self.lift(code))
+        return replace(family, gaussians=gaussians, features=self.skip(family.features) + self.lift(code))
 
 
 class Network(nn.Module):
@@ -221,7 +221,7 @@ class Network(nn.Module):
         """(fine Gaussians, [count] int64 the chosen one of each): leaves of each level, then the last level's children.
         rng: draws the curves of the blocks anew (training); None: they take turns."""
         origin = torch.arange(len(chosen.features), device=chosen.features.device)
-        points = Points(self.embed(chosen.features), chosen.rows, chosen.axes, chosen.ranks, origin)
+        points = Points(self.embed(chosen.features), chosen.gaussians, chosen.axes, chosen.ranks, origin)
         parts = []
         for k, level in enumerate(self.levels):
             order = np.arange(len(CURVES)) if rng is None else rng.permutation(len(CURVES))
@@ -231,17 +231,17 @@ class Network(nn.Module):
         parts.append(points)
         cell = chosen.size / self.config.resolution
         drawn = [self._drawn(head, part, cell) for head, part in zip(self.heads, parts, strict=True)]
-        rows = drawn[0]
+        gaussians = drawn[0]
         for more in drawn[1:]:
-            rows = rows.append(more)
-        return rows, torch.cat([part.parents for part in parts])
+            gaussians = gaussians.append(more)
+        return gaussians, torch.cat([part.parents for part in parts])
 
     def _drawn(self, head: nn.Module, points: Points, cell: float) -> Splats:
         assert isinstance(head, AttributeHead)
         raw = head(points.features)
         if self.config.head == "absolute":
-            return absolute(points.rows, raw, cell)
-        return head.attributes(raw, points.rows, points.rows.means, math.inf)
+            return absolute(points.gaussians, raw, cell)
+        return head.attributes(raw, points.gaussians, points.gaussians.means, math.inf)
 
 
 def even_split(children: int) -> Tensor:
@@ -265,14 +265,14 @@ def wave_code(share: Tensor, frequencies: int) -> Tensor:
     return torch.cat([angle.sin(), angle.cos()], -1).flatten(1)
 
 
-def absolute(rows: Splats, raw: Tensor, cell: float) -> Splats:
+def absolute(gaussians: Splats, raw: Tensor, cell: float) -> Splats:
     """Gaussians where the points are, with the published constants: opacity sigmoid(raw - 2.1792), scale
     0.5 cell / (8 * 3) times exp(raw). raw: [M, C] as AttributeHead; its three numbers for the centre are not used."""
     _, scale, turn, opacity, sh = raw.split([3, 3, 4, 1, raw.shape[1] - 11], dim=1)
-    bands = rows.sh.shape[1]
+    bands = gaussians.sh.shape[1]
     low = sh.unflatten(1, (-1, 3))[:, :bands]
     return replace(
-        rows,
+        gaussians,
         scales=0.5 * cell / (8 * 3) * torch.exp(scale.clamp(-8, 8)),
         quats=turn + turn.new_tensor([1.0, 0.0, 0.0, 0.0]),
         opacities=torch.sigmoid(opacity[:, 0] + OPACITY_SHIFT),
@@ -315,7 +315,7 @@ class Densifier(nn.Module):
         """As Network.forward, of Gaussians and features on any device."""
         device = next(self.parameters()).device
         tensors = {name: getattr(chosen, name).to(device) for name in ("axes", "ranks", "features")}
-        return self.network(replace(chosen, rows=chosen.rows.torch(str(device)), **tensors), rng)
+        return self.network(replace(chosen, gaussians=chosen.gaussians.torch(str(device)), **tensors), rng)
 
 
 @dataclass(frozen=True)
@@ -348,7 +348,7 @@ def prepared(
     measured = measure_views(splats, cameras, colors, device)
     chosen = choose(splats, measured.pull, config)
     if len(chosen) < MIN_CANDIDATES:
-        raise ValueError(f"densify: expected at least {MIN_CANDIDATES} rows that the views show, got {len(chosen)}")
+        raise ValueError(f"densify: expected views that show at least {MIN_CANDIDATES} Gaussians, got {len(chosen)}")
     return chosen, gather(splats, chosen, measured, cameras, colors, config)
 
 

@@ -65,12 +65,12 @@ RECIPE_CLASS = DensifyRecipe
 class DensifyTask(Task[Densifier]):
     """The whole densifier is trained."""
 
-    def __init__(self, model: Densifier, loss_views: int = 0, rows: int = 0) -> None:
-        """loss_views: views that are rendered and compared, 0: all; rows: Gaussians that are replaced, at most; 0: the
+    def __init__(self, model: Densifier, loss_views: int = 0, gaussians: int = 0) -> None:
+        """loss_views: views that are rendered and compared, 0: all; gaussians: those that are replaced, at most; 0: the
         model's number. Validation replaces as many."""
         super().__init__()
         self.model, self.loss_views = model, loss_views
-        self.most = min(rows or model.config.most, model.config.most)
+        self.most = min(gaussians or model.config.most, model.config.most)
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         rng = np.random.default_rng(seed)

@@ -60,7 +60,7 @@ def measure_views(
         with torch.enable_grad():
             pulls = passes(asset, target, lambda image, truth=truth: (image - truth).square().mean(), True, True).pull
         assert pulls is not None
-        pull[pulls.rows] += np.linalg.norm(pulls.pixels, axis=1)
+        pull[pulls.gaussian_ids] += np.linalg.norm(pulls.pixels, axis=1)
         drawn = render(asset if device != "cpu" else splats, [camera], contributions=True)
         coverage.append(torch.as_tensor(drawn.contributions).cpu().numpy()[0])
         renders.append(torch.as_tensor(drawn.colors).cpu().numpy()[0].clip(0, 1))
@@ -78,7 +78,7 @@ def choose(splats: Splats, pull: np.ndarray, config: DensifyConfig) -> np.ndarra
 class Chosen:
     """The Gaussians that are to be replaced, as the network takes them. Torch float32."""
 
-    rows: Splats
+    gaussians: Splats
     axes: Tensor = field(repr=False)
     """[S, 3, 3] unit vectors: axes[:, k] is the k-th longest axis of the Gaussian, in world coordinates."""
     ranks: Tensor = field(repr=False)
@@ -182,17 +182,17 @@ def _probe(
     grid = np.zeros((len(chosen), len(GRID), 3), np.float32)
     pixels, sight = np.ones(len(chosen)), np.zeros((len(chosen), 3))
     for view, (camera, color, drawn) in enumerate(zip(cameras, colors, renders, strict=True)):
-        rows = np.flatnonzero(best == view)
-        if not len(rows):
+        ids = np.flatnonzero(best == view)
+        if not len(ids):
             continue
-        middle, long, short = chosen.means[rows], *(axes[rows, k] * lengths[rows, k, None] for k in (0, 1))
+        middle, long, short = chosen.means[ids], *(axes[ids, k] * lengths[ids, k, None] for k in (0, 1))
         center = project(middle, camera)
-        pixels[rows] = np.linalg.norm(project(middle + long, camera) - center, axis=1).clip(1e-3, 1e4)
-        level = np.floor(np.log2(pixels[rows].clip(1, 2 ** (PYRAMID_LEVELS - 1)))).astype(int)
+        pixels[ids] = np.linalg.norm(project(middle + long, camera) - center, axis=1).clip(1e-3, 1e4)
+        level = np.floor(np.log2(pixels[ids].clip(1, 2 ** (PYRAMID_LEVELS - 1)))).astype(int)
         change = np.asarray(color, np.float32) - drawn
         for k, (i, j) in enumerate(GRID):
-            grid[rows, k] = sample(change, project(middle + i * long + j * short, camera), level)
+            grid[ids, k] = sample(change, project(middle + i * long + j * short, camera), level)
         ray = middle - camera.position
         ray = ray / np.linalg.norm(ray, axis=1, keepdims=True).clip(1e-9)
-        sight[rows] = np.einsum("nka,na->nk", axes[rows], ray)
+        sight[ids] = np.einsum("nka,na->nk", axes[ids], ray)
     return grid.reshape(len(chosen), -1), pixels, sight

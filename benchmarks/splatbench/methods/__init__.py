@@ -59,7 +59,7 @@ class EditResult:
     """Once per asset (encoding, fitting the unedited asset): the paper's first number."""
     edit_seconds: float
     """Per edit: its second one."""
-    keeps_rows: bool = True
+    keeps_gaussians: bool = True
     """False: a new asset, so that "Gaussians untouched" means nothing."""
     numbers: dict[str, float] = field(default_factory=dict)
     """Further figures of this method (Gaussians of stages, steps done, ...)."""

@@ -160,8 +160,8 @@ SAME = (
     _changed("no-lift-features", "Without lift features", Change(zeroed=("refiner.lift.weight",))),
     _changed("no-drift", "Without drift features", Change(zeroed=("refiner.drift.weight",))),
     _changed("no-mask-tokens", "All tokens teach alike", Change({"mask_tokens": False})),
-    _changed("no-row-tokens", "Rows do not teach", Change({"row_tokens": 0})),
-    _changed("no-predictor", "Unseen rows by the lift's regression", Change(zeroed=(PREDICTOR,))),
+    _changed("no-row-tokens", "No teaching Gaussians", Change({"row_tokens": 0})),
+    _changed("no-predictor", "Unseen Gaussians by the lift's regression", Change(zeroed=(PREDICTOR,))),
 )
 """Strength 0 leaves the fast weights as training left them: what is then lost is what adapting is worth."""
 
@@ -196,7 +196,7 @@ TRAINED = (
     ),
     _trained(
         "base-own",
-        "Residual on the row, not on the lift",
+        "Residual on the Gaussian, not on the lift",
         lambda config: config.refine.base == "own",
         "with refine.base own",
         "refine --model.refine.base own --model.refine.detail",

@@ -303,10 +303,10 @@ METHODS = (
     ),
     _method(
         "rows",
-        "row by row",
+        "per Gaussian",
         by_gaussian,
-        f"least squares per row, {ROUNDS} closed-form rounds, SH bands >= 1 damped by {DAMPING:g}; rows out of view "
-        "keep their colours",
+        f"least squares per Gaussian, {ROUNDS} closed-form rounds, SH bands >= 1 damped by {DAMPING:g}; those out of "
+        "view keep their colours",
         f"1-{ROUNDS}-{DAMPING:g}-{DEGREE}",
     ),
 )

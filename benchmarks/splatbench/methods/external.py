@@ -83,14 +83,14 @@ def _edit(system: System, work: EditTask, section: config.AdapterSection, seed: 
         path.mkdir()
     values = systems.write_common(job)
     plan = system.plan(job)
-    plan = systems.with_own_command(plan, job, values | plan.values)
+    plan = systems.with_user_command(plan, job, values | plan.values)
     setup = time.perf_counter() - start + _run(plan.setup, job)
     seconds = _run(plan.edit, job)
     plan.check()
     exporting = _run(plan.export, job)
     if not plan.result.is_file():
         raise ValueError(
-            f"{system.label} ended well but left no {plan.result.relative_to(job.out)} in {job.out} "
+            f"{system.label} ended without an error but wrote no {plan.result.relative_to(job.out)} in {job.out} "
             f"(log: {folder / LOG})"
         )
     splats = frames.read_result(plan.result, plan.frame(), seed)
@@ -99,7 +99,7 @@ def _edit(system: System, work: EditTask, section: config.AdapterSection, seed: 
     similarity = unchanged(work, splats)
     if similarity is not None:
         numbers["unmasked_db"] = similarity
-    return EditResult(splats, setup, seconds, keeps_rows=False, numbers=numbers, note=_note(plan, section))
+    return EditResult(splats, setup, seconds, keeps_gaussians=False, numbers=numbers, note=_note(plan, section))
 
 
 def unchanged(work: EditTask, splats: Splats) -> float | None:

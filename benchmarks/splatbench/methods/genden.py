@@ -41,9 +41,9 @@ def edit(task: EditTask, budget: Budget) -> EditResult:
         splats,
         0.0,
         seconds,
-        keeps_rows=False,
+        keeps_gaussians=False,
         numbers={name: float(value) for name, value in numbers.items()},
-        note=f"{len(views)} views; {len(made.chosen)} of {len(asset)} rows replaced by {len(made.parents)}; "
+        note=f"{len(views)} views; {len(made.chosen)} of {len(asset)} Gaussians replaced by {len(made.parents)}; "
         f"{model.notes.get('step', 0)} training steps",
         state=(asset, edits),
     )

@@ -58,7 +58,7 @@ def edit(settings: Settings, task: EditTask, budget: Budget) -> EditResult:
     is_global = task.step.mode == "global"
     if is_global and settings.asset_views:
         raise ValueError(
-            f"3dgs-{settings.asset_views}: views of the asset show its old look all over; for global edits take "
+            f"3dgs-{settings.asset_views}: views of the asset show it without the edit; for global edits take "
             "3dgs-colors"
         )
     begin = time.perf_counter()
@@ -81,7 +81,7 @@ def edit(settings: Settings, task: EditTask, budget: Budget) -> EditResult:
         fitted.splats,
         setup,
         curve.seconds,
-        keeps_rows=settings.appearance,
+        keeps_gaussians=settings.appearance,
         numbers={"steps": float(fitted.steps), "views": float(len(views)), "rows": float(len(fitted.splats))},
         note=f"{fitted.steps} steps, {what}; {source}"
         + ("" if is_global else f"; {EDITED_SHARE:.0%} of steps on edited views"),

@@ -48,7 +48,7 @@ def painted(painter: Painter, method: PainterMethod, task: EditTask, note: str =
         splats=result.splats,
         setup_seconds=setup,
         edit_seconds=sum(s for stage, s in seconds.items() if stage != PROOF),
-        keeps_rows=not copies,
+        keeps_gaussians=not copies,
         numbers={f"seconds_{stage}": s for stage, s in seconds.items()},
         note="; ".join(filter(None, (note, result.receipt.note))),
         state=result,

@@ -90,9 +90,9 @@ def all_views(model: SplatPainterModel, task: EditTask, edited: PosedImages) -> 
 
 
 def dense(model: SplatPainterModel, views: AssetViews) -> Copy:
-    """`model.copy_rows` for views of several focal lengths: one pass of the transformer over all of them, but the
-    Gaussians of each view get sizes of that view's own pixels (a close-up's are smaller). Raises ValueError as
-    copy_rows."""
+    """`model.copied_gaussians` for views of several focal lengths: one pass of the transformer over all of them, but
+    the Gaussians of each view get sizes of that view's own pixels (a close-up's are smaller). Raises ValueError as
+    copied_gaussians."""
     import torch
 
     from splatpainter.models.gaussian_groups import TokenLinks
@@ -112,7 +112,7 @@ def dense(model: SplatPainterModel, views: AssetViews) -> Copy:
     visible = (splats.opacities > model.config.compress.min_opacity) & model.lrm.on_surface(views, splats)
     gaussian_ids = torch.nonzero(visible)[:, 0]
     if len(gaussian_ids) == 0:
-        raise ValueError("encode: the model sees nothing in the views; check that they show the asset")
+        raise ValueError("encode: the model makes no visible Gaussian of the views; check that they show the asset")
     patches = (gaussian_ids // model.config.lrm.patch**2).cpu().numpy()[:, None]
     return Copy(splats.take(gaussian_ids), tokens, TokenLinks(patches, np.ones(patches.shape, np.float32)))
 
@@ -148,7 +148,7 @@ def reconstruction(weights: Weights, *, stage_one: bool) -> Callable[[EditTask, 
         numbers["lrm_gaussians"] = float(len(copy.gaussians))
         seconds = time.perf_counter() - start
         note = f"{len(views.cameras)} views of {views.cameras[0].width} px at once; {weights.source(budget)}"
-        return EditResult(splats, 0.0, seconds, keeps_rows=False, numbers=numbers, note=note, state=edited)
+        return EditResult(splats, 0.0, seconds, keeps_gaussians=False, numbers=numbers, note=note, state=edited)
 
     return edit
 
@@ -192,7 +192,7 @@ def unedited(weights: Weights, *, compress: bool) -> Callable[[EditTask, Budget]
         with torch.inference_mode(), autocast(budget.device):
             views = training_views(model, task, torch.device(budget.device))
             if compress:
-                splats, numbers = compressed(model, model.copy_rows(views))
+                splats, numbers = compressed(model, model.copied_gaussians(views))
             else:
                 splats, numbers = dense(model, views).gaussians, {}
             splats = splats.numpy()
@@ -202,7 +202,7 @@ def unedited(weights: Weights, *, compress: bool) -> Callable[[EditTask, Budget]
             numbers = {"gaussians_before": count, "voxels": float(len(grid.keys)), "gaussians_kept": count}
         pictures = f"{len(views.cameras)} {'canonical renders' if views.alpha is not None else 'base views'}"
         note = f"from {pictures} of {views.cameras[0].width} px; {weights.source(budget)}"
-        return EditResult(splats, seconds, 0.0, keeps_rows=False, numbers=numbers, note=note)
+        return EditResult(splats, seconds, 0.0, keeps_gaussians=False, numbers=numbers, note=note)
 
     return edit
 

@@ -85,7 +85,7 @@ def edit(
         fitted.splats,
         setup,
         curve.seconds,
-        keeps_rows=False,
+        keeps_gaussians=False,
         numbers={"steps": float(fitted.steps), "patches": float(len(unedited)), "rows": float(len(fitted.splats))},
         note=f"{fitted.steps} steps, each of a window of a large picture ({min(PATCH_EDGE / factor, 1):.0%} of its "
         f"edge) or ({EDITED_SHARE:.0%}) an edited view; {len(task.base)} base views and {asset_views} of the asset, "

@@ -40,7 +40,7 @@ def srgs_loss(texture: float, factor: int, image: Tensor, view: TrainingView) ->
     if image.device.type != "cpu":
         return loss_by_torch(texture, factor, image, view)
     value, slope = loss_by_kernels(texture, factor, image.detach().numpy(), view)
-    return _KnownGradient.apply(image, torch.from_numpy(slope), value)  # type: ignore[return-value]
+    return _FixedGradient.apply(image, torch.from_numpy(slope), value)  # type: ignore[return-value]
 
 
 def loss_by_kernels(texture: float, factor: int, image: np.ndarray, view: TrainingView) -> tuple[float, np.ndarray]:
@@ -68,7 +68,7 @@ def loss_by_torch(texture: float, factor: int, image: Tensor, view: TrainingView
     return texture * loss + (1 - texture) * part(means, view.low, view.low_mask)
 
 
-class _KnownGradient(torch.autograd.Function):
+class _FixedGradient(torch.autograd.Function):
     """A loss whose gradient was computed with it."""
 
     @staticmethod

@@ -130,7 +130,7 @@ def program(adapters: Path | None, factor: int, folder: Path) -> Prior:
         limits = {"timeout": section.timeout_seconds, "environment": section.environment, "python": section.python}
         run_command([*words, *section.arguments, str(small), str(large)], section.repository or folder, log, **limits)
         if not large.is_file():
-            raise ValueError(f"[{PROGRAM}] {words[0]}: ended well but wrote no {large.name} (log: {log})")
+            raise ValueError(f"[{PROGRAM}] {words[0]}: ended without an error but wrote no {large.name} (log: {log})")
         colors = read_picture(large).colors
         expected = (picture.shape[0] * factor, picture.shape[1] * factor)
         if colors.shape[:2] != expected:

@@ -45,17 +45,17 @@ def edit(all_attributes: bool, task: EditTask, budget: Budget) -> EditResult:
         seed=budget.seed,
         device=budget.device,
     )
-    fitted = optimize(task.asset, views, options, rows=gaussian_ids, watch=curve.watch)
+    fitted = optimize(task.asset, views, options, gaussian_ids=gaussian_ids, watch=curve.watch)
     numbers = {"steps": float(fitted.steps), "views": float(len(views))}
     if gaussian_ids is not None:
         numbers["rows_reached"] = float(len(gaussian_ids))
     what = "all attributes, density control" if all_attributes else "SH and opacity"
-    where = "rows that the edit reaches" if gaussian_ids is not None else "all rows"
+    where = "Gaussians that the edit reaches" if gaussian_ids is not None else "all Gaussians"
     return EditResult(
         fitted.splats,
         0.0,
         curve.seconds,
-        keeps_rows=not all_attributes,
+        keeps_gaussians=not all_attributes,
         numbers=numbers,
         note=f"{fitted.steps} steps on true edited views from all around; {what} of {where}; "
         f"L1 + {SSIM_SHARE:g} D-SSIM",
@@ -94,5 +94,5 @@ def _method(name: str, label: str, all_attributes: bool) -> Method:
 
 METHODS = (
     _method("oracle-fit", "Edit-and-fit from true views (upper bound)", False),
-    _method("oracle-fit-all", "Edit-and-fit from true views, all attributes, finer rows (upper bound)", True),
+    _method("oracle-fit-all", "Edit-and-fit from true views, all attributes, densified (upper bound)", True),
 )

@@ -211,13 +211,13 @@ def _section_view(section: ReportSection) -> dict[str, object]:
             for chart in charts(section.run.records, section.table, section.names)
         ],
         "cases": [_case_view(row) for row in rows],
-        "figures": _figures_shown(rows),
+        "figures": _displayed_figures(rows),
         "ranks": list(dict.fromkeys(row.rank for row in rows if row.rank)),
         "white_error": f"{WHITE_ERROR:g}",
     }
 
 
-def _figures_shown(rows: Sequence[PictureRow]) -> str:
+def _displayed_figures(rows: Sequence[PictureRow]) -> str:
     """Which figures stand beside names of pictures."""
     columns = list(dict.fromkeys(row.column for row in rows))
     if len(columns) != 1:

@@ -51,7 +51,7 @@ WIDE_DEGREES = (5.0, 45.0)
 """Between the edited view and the first of these."""
 TRIES = 3
 """Edits that are shown in full before an object is given up."""
-EDITED, OUTSIDE, NOVEL, ROWS = "Edited region", "Non-edited region", "Novel views of the edit", "Rows"
+EDITED, OUTSIDE, NOVEL, GAUSSIANS = "Edited region", "Non-edited region", "Novel views of the edit", "Gaussians"
 MIN_CENTER_OPACITY = 0.1
 """Fainter Gaussians do not decide where a splat asset is."""
 
@@ -65,9 +65,9 @@ class CreativeEditing:
         *measures(EDITED),
         *measures(OUTSIDE, "_outside"),
         *measures(NOVEL, "_novel"),
-        Column("touched", "touched", ROWS, "", 0),
-        Column("appended", "appended", ROWS, "", 0),
-        Column("equal", "bitwise equal, %", ROWS, "higher"),
+        Column("touched", "touched", GAUSSIANS, "", 0),
+        Column("appended", "appended", GAUSSIANS, "", 0),
+        Column("equal", "bitwise equal, %", GAUSSIANS, "higher"),
     )
     split_by = ""
 
@@ -116,7 +116,7 @@ def changed_gaussians(asset: Splats, result: EditResult) -> dict[str, float | No
     """{"touched": Gaussians of the asset whose bits changed, "appended", "equal": per cent}; None for a new asset."""
     from splatbench import methods
 
-    if not result.keeps_rows:
+    if not result.keeps_gaussians:
         return {"touched": None, "appended": None, "equal": None}
     count = int(methods.changed(asset, result.splats).sum())
     share = 100 * (1 - count / len(asset))
@@ -182,7 +182,7 @@ def _of_splats(key: CaseKey, setup: Setup) -> Case:
         facts={
             "truth": "asset",
             "size": setup.size,
-            "asset": f"as the file has it, {len(truth.splats)} rows",
+            "asset": f"as the file has it, {len(truth.splats)} Gaussians",
             "truth of the edit": "its picture alone",
             **_edit_facts(key, edit.mask[None]),
         },
@@ -257,7 +257,7 @@ def load_splats(name: str, setup: Setup) -> SplatTruth:
     if not splats.drawable.all():
         splats = splats.take(np.flatnonzero(splats.drawable))
     if not len(splats):
-        raise ValueError(f"{name}: none of its rows can be drawn")
+        raise ValueError(f"{name}: none of its Gaussians can be drawn")
     opaque = splats.opacities > MIN_CENTER_OPACITY
     means = (splats.means[opaque] if opaque.any() else splats.means).astype(np.float64)
     low, high = np.quantile(means, [0.01, 0.99], axis=0)  # captures have stray Gaussians

@@ -187,8 +187,8 @@ def painted_views(scene: EditScene, count: int) -> Case:
         before, after = (t.render([*views, *novel], "novel") for t in (scene.truth, scene.truth.paint(design)))
         masks = changed(before, after)
         parts = masks[:count].mean((1, 2))
-        in_others = (parts >= MIN_OTHER_VIEW * MIN_EDIT_FRACTION).all()
-        if parts[0] >= MIN_EDIT_FRACTION and in_others and masks[count:][near].any():
+        in_other_views = (parts >= MIN_OTHER_VIEW * MIN_EDIT_FRACTION).all()
+        if parts[0] >= MIN_EDIT_FRACTION and in_other_views and masks[count:][near].any():
             break
     else:
         raise scene.failure(f"a {kind} edit in {count} views")

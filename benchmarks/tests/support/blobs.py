@@ -1,4 +1,4 @@
-"""Five balls, an edit of one of them, and rows moved into other frames by scipy, for the tests of adapters."""
+"""Five balls, an edit of one of them, and Gaussians moved into other frames by scipy, for the tests of adapters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ C1 = math.sqrt(3 / (4 * math.pi))
 
 
 def blobs(colors: np.ndarray = COLORS) -> Splats:
-    """Five opaque balls of 31 rows, no two of one colour, away from the origin."""
+    """Five opaque balls of 31 Gaussians, no two of one colour, away from the origin."""
     k = np.arange(30)
     z, turn = 1 - (2 * k + 1) / 30, 2.4 * k
     shell = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], 1)
@@ -62,7 +62,7 @@ def edited() -> Splats:
 
 
 def flat(splats: Splats) -> Splats:
-    """Without view dependence, as TRELLIS's rows are."""
+    """Without view dependence, as TRELLIS's Gaussians are."""
     return replace(splats, sh=splats.sh[:, :1])
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-BLOBS = json.loads(os.environ["BLOBS"])  # means, colors, rows, cube corner and edge
+BLOBS = json.loads(os.environ["BLOBS"])  # means, colors, Gaussians, cube corner and edge
 
 
 def answer(path):
@@ -202,7 +202,7 @@ from pathlib import Path
 class Decoded:
     def __init__(self, slat): self.slat = slat
     def save_ply(self, path, transform="turned"):
-        assert transform is None, "rows in TRELLIS's own frame"
+        assert transform is None, "Gaussians in TRELLIS's own frame"
         Path(path).write_bytes(self.slat.feats)
 
 

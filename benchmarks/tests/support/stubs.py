@@ -1,8 +1,8 @@
 """A table and methods so small that a run takes seconds, for the tests of the runner; this file run as a program is
 the child process that knows them too.
 
-The asset is 8 rows; its colour bits are what methods change, and the score is read from them, so that every figure is
-known by hand. Where a test wants trouble, it writes NAME into the folder given by the environment variable TROUBLE.
+The asset is 8 Gaussians; its colour bits are what methods change, and the score is read from them, so that every figure
+is known by hand. Where a test wants trouble, it writes NAME into the folder given by the environment variable TROUBLE.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Toy:
 
 
 def grow(work: EditTask, budget: Budget) -> EditResult:
-    """One more row is made heavier by 1 at every edit; the row's number is the number of edits before."""
+    """One more Gaussian is made heavier by 1 at every edit; the Gaussian's number is the number of edits before."""
     assert work.true_views is None, "only upper bounds see the truth"
     count("grow")
     print("methods may print")
@@ -128,7 +128,7 @@ def cheating(work: EditTask, budget: Budget) -> EditResult:
 
 
 def bound(work: EditTask, budget: Budget) -> EditResult:
-    """An upper bound makes a new asset of other rows."""
+    """An upper bound makes a new asset of other Gaussians."""
     assert work.true_views is not None and work.true_views.colors.max() == 1
     return EditResult(replace(asset(7).append(asset(8)), opacities=np.full(2 * ROWS, 3.0, np.float32)), 0, 2, False)
 

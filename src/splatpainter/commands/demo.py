@@ -130,13 +130,13 @@ def _edit(asset: Path, picture: Path, out: Path, mode: Any) -> dict[str, Any]:
 def _panels(
     before: np.ndarray, edited: np.ndarray, regraded: np.ndarray, renders: dict[str, np.ndarray], receipt: dict
 ) -> list[Panel]:
-    rows, touched, added = receipt["asset"]["rows"], receipt["touched_rows"], receipt["appended_rows"]
+    total, touched, added = receipt["asset"]["rows"], receipt["touched_rows"], receipt["appended_rows"]
     spent = receipt["seconds"]["prepare"] + receipt["seconds"]["lift"]
     return [
-        Panel(before, "1  the asset", f"{rows:,} Gaussians"),
+        Panel(before, "1  the asset", f"{total:,} Gaussians"),
         Panel(edited, "2  a picture of it, painted on", "text, a brush stroke, a sticker: any 2D editor will do"),
-        Panel(renders["after"], "3  the asset, edited", f"{touched:,} rows changed, {added:,} added in {spent:.1f} s"),
-        Panel(renders["after_left"], "4  from the left", f"{rows - touched:,} rows are byte for byte what they were"),
+        Panel(renders["after"], "3  the asset, edited", f"{touched:,} changed, {added:,} added in {spent:.1f} s"),
+        Panel(renders["after_left"], "4  from the left", f"{total - touched:,} are byte for byte what they were"),
         Panel(renders["after_above"], "5  from above", "the paint lies on the surface"),
         Panel(
             renders["evening"],

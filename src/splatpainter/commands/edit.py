@@ -26,8 +26,8 @@ from splatpainter.splats import Splats
 
 @dataclass(frozen=True)
 class Config:
-    """Write edited pictures of an asset onto the asset. Rows that the edit does not reach stay as they are, byte for
-    byte where the format allows it, and the receipt proves it.
+    """Write edited pictures of an asset onto the asset. Gaussians that the edit does not reach stay as they are, byte
+    for byte where the format allows it, and the receipt proves it.
 
     Pictures: PNG, JPEG, WebP or TIFF, painted on what `splatpainter render` made. Transparent pixels mean: unchanged.
     Later pictures win where several disagree.
@@ -123,11 +123,11 @@ def _painter(config: Config) -> Painter:
     method = painter.choose(config.method, config.mode)[0]
     if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
         raise ValueError(
-            f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no row could be "
-            "verified; use it from Python, or a preset of representation native"
+            f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no "
+            "Gaussian could be verified; use it from Python, or a preset of representation native"
         )
     if config.polish and method != "ttt":
-        raise ValueError("splatpainter edit: --polish is for the networks (method ttt); the lift is what it would add")
+        raise ValueError("splatpainter edit: --polish is for method ttt alone: it adds rounds of the lift")
     return painter
 
 
@@ -197,7 +197,11 @@ def _lines(
         inside = f"{decibels(view.psnr_before)} -> {decibels(view.psnr_after)} against the picture, where it was edited"
         lines.append(f"{source.path}: {inside}; elsewhere {decibels(view.psnr_outside)} against before")
     again = f", {rounded:,} more rounded anew by the format" if rounded else ""
-    lines.append(f"{count(len(receipt.touched) - rounded, 'row')} changed{again}, {receipt.appended_rows:,} appended")
-    lines.append(f"{verification.same:,} of {count(verification.rows, 'row')} {same_words(verification)}, verified")
+    lines.append(
+        f"{count(len(receipt.touched) - rounded, 'Gaussian')} changed{again}, {receipt.appended_rows:,} appended"
+    )
+    lines.append(
+        f"{verification.same:,} of {count(verification.rows, 'Gaussian')} {same_words(verification)}, verified"
+    )
     lines.append(seconds(receipt.seconds))
     return lines

@@ -59,7 +59,7 @@ class Config:
     most_rows: int = 300_000
     """Densification stops here."""
     fixed: bool = False
-    """Keep the number of rows: no densification."""
+    """Keep the number of Gaussians: no densification."""
     views: int = 48
     """Rendered around a mesh or an asset."""
     held_out: int = 8
@@ -69,7 +69,7 @@ class Config:
     sh_degree: int = 2
     """Of the view-dependent colour, 0 to 4."""
     seed: int = 0
-    """Equal seeds and options give equal rows on the CPU."""
+    """Equal seeds and options give equal Gaussians on the CPU."""
     truth: Literal["surfels", "traced"] = "surfels"
     """How a mesh is rendered: as dense Gaussians (seconds), or path traced by Mitsuba."""
     environment: Annotated[Path | None, arg(metavar="HDR", help_behavior_hint="")] = None
@@ -125,7 +125,7 @@ def run(config: Config) -> Outcome:
     summary = f"training views {decibels(training)}" + ("" if held is None else f", held-out views {decibels(held)}")
     lines = [
         f"{config.source} -> {config.out}",
-        f"{count(len(fitted), 'row')} from {len(start):,}; {size(record['output']['bytes'])}",
+        f"{count(len(fitted), 'Gaussian')} from {len(start):,}; {size(record['output']['bytes'])}",
         f"{summary} ({len(made.cameras)} and {len(made.held)} views)",
         seconds(laps),
     ]
@@ -143,7 +143,7 @@ def _fitted(config: Config, made: FitPictures) -> Splats:
         steps=config.steps,
         densify=not config.fixed,
         seed=config.seed,
-        most_rows=config.most_rows,
+        most_gaussians=config.most_rows,
         device=config.device,
     )
     views = [TrainingView(camera, color) for camera, color in zip(made.cameras, made.colors, strict=True)]

@@ -1,4 +1,4 @@
-"""What `fit` fits to: pictures with cameras and first rows, from a mesh, a splat asset or a folder of pictures."""
+"""What `fit` fits to: pictures with cameras and first Gaussians, from a mesh, a splat asset or a folder of pictures."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 FOV = 40.0
 """Degrees, of rendered views."""
 BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-"""In turn behind rendered views and transparent pictures: over one colour alone, rows of that colour may as well be
-holes, and holes rows. The demo asset (96 px, 600 steps) lost 0.059 of its alpha over its own dark background and the
-space around it gained 0.016; over these two in turn 0.005 and 0.003, held-out views 0.1 dB better."""
+"""In turn behind rendered views and transparent pictures: over one colour alone, Gaussians of that colour may as well
+be holes, and holes Gaussians. The demo asset (96 px, 600 steps) lost 0.059 of its alpha over its own dark background
+and the space around it gained 0.016; over these two in turn 0.005 and 0.003, held-out views 0.1 dB better."""
 MESHES = (".glb", ".gltf", ".obj")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 TRANSFORMS = ("transforms.json", "transforms_train.json")
 MESH_FRAME = np.diag([1.0, -1.0, -1.0, 1.0])
 """Meshes have y up, assets in memory y down (cameras.AUTO_UP)."""
 TRIES = 20
-"""Random points per first row that carving may throw away."""
+"""Random points per first Gaussian that carving may throw away."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Wish:
 
 @dataclass(frozen=True)
 class FitPictures:
-    """Pictures to fit and to judge by, and first rows."""
+    """Pictures to fit and to judge by, and first Gaussians."""
 
     kind: Literal["mesh", "asset", "pictures"]
     cameras: list[Camera]
@@ -89,7 +89,7 @@ def _from_asset(source: Path, wish: Wish) -> FitPictures:
 
     splats = read(source)
     if not splats.drawable.any():
-        raise ValueError(f"{source}: none of its {len(splats):,} rows can be drawn; there is nothing to fit to")
+        raise ValueError(f"{source}: none of its {len(splats):,} Gaussians can be drawn; there is nothing to fit to")
     ensure_compiled()
     center, radius = bounding_sphere(splats)
 
@@ -183,7 +183,7 @@ def _from_pictures(folder: Path, wish: Wish) -> FitPictures:
     held = [posed[k][:2] for k in apart]
     rest = [view for k, view in enumerate(posed) if k not in set(apart.tolist())]
     start = _carved([view[0] for view in rest], [view[1] for view in rest], [view[2] for view in rest], wish)
-    notes = ["no depth is known: the first rows are random points that no picture shows empty"]
+    notes = ["no depth is known: the first Gaussians are random points that no picture shows empty"]
     return FitPictures("pictures", [view[0] for view in rest], [view[1] for view in rest], held, start, notes)
 
 
@@ -287,9 +287,7 @@ def _carved(cameras: list[Camera], colors: list[np.ndarray], solid: list[np.ndar
             break
     both = np.concatenate(candidates)[: wish.rows]
     if len(both) < 16:
-        raise ValueError(
-            "pictures: no place in space is seen by two of them and empty in none; are their cameras those they say?"
-        )
+        raise ValueError("pictures: no point in space is covered in two of them and empty in none; check their cameras")
     return from_points(both[:, :3], both[:, 3:], wish.sh_degree)
 
 

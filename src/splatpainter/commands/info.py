@@ -45,7 +45,7 @@ def describe(splats: Splats, path: Path) -> dict:
     """The record of `info`: bounds are [2, 3] (min, max) of finite centres; null where there are none."""
     assert splats.source is not None
     entry = FORMATS[splats.source.format]
-    with np.errstate(all="ignore"):  # of extreme or damaged rows, which are counted below
+    with np.errstate(all="ignore"):  # of extreme or damaged Gaussians, which are counted below
         drawable = splats.drawable
         finite = splats.means[np.isfinite(splats.means).all(1)]
         center, radius = bounding_sphere(splats)
@@ -84,18 +84,18 @@ def file_size(path: Path) -> int:
 
 def _lines(record: dict) -> list[str]:
     bounds, around = record["bounds"], record["reach"]
-    rows = count(record["rows"], "row")
+    gaussians = count(record["rows"], "Gaussian")
     if record["rows_not_drawn"]:
-        rows += f", of which {record['rows_not_drawn']:,} cannot be drawn (NaN, infinite, or out of range)"
+        gaussians += f", of which {record['rows_not_drawn']:,} cannot be drawn (NaN, infinite, or out of range)"
     fields = {
         "file": f"{record['file']} ({size(record['bytes'])})",
         "format": record["description"],
-        "rows": rows,
+        "Gaussians": gaussians,
         "SH degree": str(record["sh_degree"]),
         "colours": f"{record['color_space']}{', antialiased (2D filter)' if record['antialiased'] else ''}",
         "frame": record["frame"]["description"],
-        "bounds": f"{_point(bounds[0])} to {_point(bounds[1])}" if bounds else "no row has a finite centre",
-        "most rows": f"within {around['radius']:.3g} of {_point(around['center'])}" if around else "none can be drawn",
+        "bounds": f"{_point(bounds[0])} to {_point(bounds[1])}" if bounds else "no Gaussian has a finite centre",
+        "most of it": f"within {around['radius']:.3g} of {_point(around['center'])}" if around else "none can be drawn",
         "sha256": record["sha256"],
         "kept": record["exact"],
         "lost": f"When written anew: {record['lossy']}" if record["lossy"] else "",

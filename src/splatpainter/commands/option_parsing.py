@@ -58,10 +58,10 @@ def _refuse_repeats_and_typos(kind: type, program: str, words: Sequence[str]) ->
     """tyro lets the last of two equal options win without a word, and blames positional words for a mistyped option."""
     options = [word.split("=", 1)[0].replace("_", "-") for word in words if word.startswith("--") and len(word) > 2]
     names = [field.name.replace("_", "-") for field in dataclasses.fields(kind)]
-    known_options = {f"{dashes}{name}" for name in ["help", *names] for dashes in ("--", "--no-")}
+    valid_options = {f"{dashes}{name}" for name in ["help", *names] for dashes in ("--", "--no-")}
     for option in options:
-        if option not in known_options and "." not in option:
-            near = difflib.get_close_matches(option, sorted(known_options), 1)
+        if option not in valid_options and "." not in option:
+            near = difflib.get_close_matches(option, sorted(valid_options), 1)
             hint = f"; perhaps you meant {near[0]}" if near else ""
             raise ValueError(f"{program}: unknown option {option}{hint}; see {program} --help")
         if options.count(option) > 1:

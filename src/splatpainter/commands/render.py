@@ -114,7 +114,7 @@ def run(config: Config) -> Outcome:
     if frame_is_news(splats.source):
         lines.append(f"frame: {frame_line(splats.source)}")
     if hidden:
-        lines.append(f"{count(hidden, 'row')} of {len(splats):,} cannot be drawn")
+        lines.append(f"{count(hidden, 'Gaussian')} of {len(splats):,} cannot be drawn")
     return Outcome(record, lines)
 
 
@@ -162,7 +162,9 @@ def _options(config: Config) -> PictureOptions:
 
     names: Any = tuple(name.strip() for name in config.aov.split(",")) if config.aov.strip() else ()
     if "coverage" in names:
-        raise ValueError("--aov coverage: only a session knows what its edits saw; export the view from the studio")
+        raise ValueError(
+            "--aov coverage: only a session records which Gaussians its edits saw; export the view from the studio"
+        )
     bits = None if config.bits is None else int(config.bits)
     options = PictureOptions(config.format, bits, config.transparent, names, config.profile)
     options.check_installed()

@@ -85,15 +85,15 @@ def placed(path: Path) -> Iterator[Path]:
     """A name beside `path` of the same format, to write and to check; it becomes `path` when the block ends well and
     is removed otherwise. An existing file keeps its permissions, a link keeps pointing where it points."""
     target = Path(os.path.realpath(path))
-    whole_folder = target.name.lower() == META
-    final = target.parent if whole_folder else target
+    is_folder = target.name.lower() == META
+    final = target.parent if is_folder else target
     partial = final.with_name(f".{os.getpid()}.part.{final.name}")  # the ending says the format
     try:
-        if whole_folder:
+        if is_folder:
             make_folder(partial)
-        yield partial / target.name if whole_folder else partial
+        yield partial / target.name if is_folder else partial
         try:
-            if whole_folder and final.exists():
+            if is_folder and final.exists():
                 _move_into(partial, final)
             else:
                 if final.exists():

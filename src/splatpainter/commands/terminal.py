@@ -110,7 +110,7 @@ def _plain(value: Any) -> Any:
 
 
 def count(number: int, singular: str, plural: str = "") -> str:
-    """`1 row`, `12,345 rows`."""
+    """`1 Gaussian`, `12,345 Gaussians`."""
     return f"{number:,} {singular if number == 1 else plural or singular + 's'}"
 
 

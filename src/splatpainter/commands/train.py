@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 SUMMARIES = {
     "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
-    "compress": "Stage I: rows and tokens to latents",
-    "predict": "what rows become that no picture shows: beside the other stages, in minutes",
+    "compress": "Stage I: Gaussians and tokens to latents",
+    "predict": "what Gaussians become that no picture shows: beside the other stages, in minutes",
     "refine": "Stage II: edits to changes of the asset",
-    "densify": "a baseline (GenDen) of splatpainter-bench: close-ups to finer rows",
+    "densify": "a baseline (GenDen) of splatpainter-bench: close-ups to finer Gaussians",
 }
 AFTERWARDS = {
     "judge": "what trained weights reach on objects held out of training",

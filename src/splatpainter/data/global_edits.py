@@ -1,11 +1,11 @@
-"""Global edits as rows feel them, without pictures: what the predictor of unseen rows is trained on.
+"""Global edits as changes of Gaussians, without pictures: what the predictor of unseen Gaussians is trained on.
 
-    stream = RowStream(SampleStream(source, recipe, seed, environments))
+    stream = GlobalEditStream(SampleStream(source, recipe, seed, environments))
     edit = stream[17]                        # the same for equal (stream, 17), in any order of access
 
-A coarse asset carries its materials (data/surfels.py), so the colours of its rows are known under any light; which of
-them a picture shows is known from the asset and the camera alone. So an object costs seconds once, and an edit of it
-milliseconds. What pictures tell about a row is not exact: the error of that is measured for one light per ring of
+A coarse asset carries its materials (data/surfels.py), so the colours of its Gaussians are known under any light; which
+of them a picture shows is known from the asset and the camera alone. So an object costs seconds once, and an edit of it
+milliseconds. What pictures tell about a Gaussian is not exact: the error of that is measured for one light per ring of
 views, and added to what is true under the others.
 """
 
@@ -55,7 +55,7 @@ UPRIGHT = (
 
 @dataclass(frozen=True)
 class GlobalEdit:
-    """One global edit of N rows of an asset. Arrays are numpy float32."""
+    """One global edit of N Gaussians of an asset. Arrays are numpy float32."""
 
     name: str
     """Of the object."""
@@ -69,13 +69,13 @@ class GlobalEdit:
     transfer: np.ndarray = field(repr=False)
     """[N, 10] of `lighting.prt_transfer`."""
     observed: np.ndarray = field(repr=False)
-    """[N, 3] change of base colour as the pictures tell it; zeros for rows that none shows."""
+    """[N, 3] change of base colour as the pictures tell it; zeros for Gaussians that none shows."""
     weight: np.ndarray = field(repr=False)
-    """[N] pixels that show each row, in all pictures."""
+    """[N] pixels that show each Gaussian, in all pictures."""
     change: np.ndarray = field(repr=False)
     """[N, 3] the true one."""
     counts: np.ndarray = field(repr=False)
-    """[N] how much each row counts: pixels that show it from all around."""
+    """[N] how much each Gaussian counts: pixels that show it from all around."""
 
 
 @dataclass(frozen=True)
@@ -83,47 +83,47 @@ class _RelitObject:
     """An object, ready to be relit."""
 
     name: str
-    rows: Surfels
+    surfels: Surfels
     """The asset's, with materials; torch."""
     normals: np.ndarray
     transfer: np.ndarray
     visible_px: np.ndarray
-    """[RINGS, VIEWS, N] float32 pixels that show each row."""
+    """[RINGS, VIEWS, N] float32 pixels that show each Gaussian."""
     errors: np.ndarray
     """[RINGS, 3, N, 3] float32 told minus true change under one light, of 1, 2 and 4 views."""
 
     @property
     def nbytes(self) -> int:
-        return self.visible_px.nbytes + self.errors.nbytes + 4 * len(self.rows) * 40
+        return self.visible_px.nbytes + self.errors.nbytes + 4 * len(self.surfels) * 40
 
 
 class GlobalEditStream:
     """Endless edits by number. Objects, sizes and environments are the stream's; of its kinds "relight" and "regrade"
     count. Not for several threads at once."""
 
-    def __init__(self, stream: SampleStream, rows: int = GAUSSIANS_PER_EDIT, cache_bytes: int = 1 << 30) -> None:
-        """rows: of an edit, 0: all; cache_bytes: of objects kept. Raises ValueError for splat assets, whose light
+    def __init__(self, stream: SampleStream, gaussians: int = GAUSSIANS_PER_EDIT, cache_bytes: int = 1 << 30) -> None:
+        """gaussians: of an edit, 0: all; cache_bytes: of objects kept. Raises ValueError for splat assets, whose light
         nobody knows, and for a recipe without global edits."""
         if stream.splats:
             raise ValueError("train predict: expected meshes or procedural objects, whose materials are known")
         weights = np.array([stream.kinds.get(kind, 0.0) for kind in ("relight", "regrade")])
         if not weights.sum() > 0:
             raise ValueError("train predict: expected --samples.kinds with relight or regrade")
-        self.stream, self.rows = stream, rows
+        self.stream, self.gaussians = stream, gaussians
         self._odds = weights / weights.sum()
         self._objects = Recent[_RelitObject](cache_bytes, lambda item: item.nbytes)
 
     def __getitem__(self, index: int) -> GlobalEdit:
         """Raises IndexError below 0 and ValueError as SampleStream."""
         if index < 0:
-            raise IndexError(f"row edits: expected an index from 0, got {index}")
+            raise IndexError(f"global edits: expected an index from 0, got {index}")
         block = index // self.stream.recipe.steps_per_object
         item, rng = self._object(block), self._generator("edit", index)
         kind: Literal["relight", "regrade"] = "relight" if rng.random() < self._odds[0] else "regrade"
-        count = len(item.rows)
-        ids = np.sort(rng.permutation(count)[: self.rows]) if self.rows else np.arange(count)
-        rows = item.rows.take(torch.from_numpy(ids))
-        before, after = self._colors(rows, kind, rng)
+        count = len(item.surfels)
+        ids = np.sort(rng.permutation(count)[: self.gaussians]) if self.gaussians else np.arange(count)
+        surfels = item.surfels.take(torch.from_numpy(ids))
+        before, after = self._colors(surfels, kind, rng)
         which, size = int(rng.integers(RINGS)), int(rng.choice(3, p=VIEW_ODDS))
         views = 2**size
         weight = item.visible_px[which][:: VIEWS // views, ids].sum(0)
@@ -132,10 +132,10 @@ class GlobalEditStream:
         observed = np.where((weight > MIN_SEEN_PX)[:, None], change + error, 0)
         turn = np.array(UPRIGHT[rng.integers(len(UPRIGHT))])
         asset = Splats(
-            (rows.means.numpy() @ turn.T).astype(np.float32),
-            rows.quats.numpy(),  # shapes play no part
-            rows.scales.numpy(),
-            rows.opacities.numpy(),
+            (surfels.means.numpy() @ turn.T).astype(np.float32),
+            surfels.quats.numpy(),  # shapes play no part
+            surfels.scales.numpy(),
+            surfels.opacities.numpy(),
             ((before - 0.5) / SH_C0)[:, None],
         )
         transfer = item.transfer[ids].copy()
@@ -145,15 +145,15 @@ class GlobalEditStream:
         numbers = (observed.astype(np.float32), weight, change, counts)
         return GlobalEdit(item.name, kind, views, asset, normals, transfer.astype(np.float32), *numbers)
 
-    def _colors(self, rows: Surfels, kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def _colors(self, surfels: Surfels, kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Base colours [N, 3] before and after."""
         coefficients, exposures = self._lights
         degree = self.stream.recipe.sh_degree
         pick = torch.from_numpy(rng.integers(len(exposures), size=2))
         if kind == "relight":
-            both = shade_all(rows, coefficients[pick], exposures[pick], degree)
+            both = shade_all(surfels, coefficients[pick], exposures[pick], degree)
         else:
-            lit = shade_all(rows, coefficients[pick[0]], exposures[pick[0]], degree)
+            lit = shade_all(surfels, coefficients[pick[0]], exposures[pick[0]], degree)
             both = torch.stack([lit, grade_sh(lit, random_grade(rng))])
         before, after = (0.5 + SH_C0 * both[:, :, 0]).numpy()
         return before, after
@@ -177,36 +177,36 @@ class GlobalEditStream:
         )
 
     def _prepare(self, scene_object: SceneObject, rng: np.random.Generator) -> _RelitObject:
-        recipe, rows = self.stream.recipe, scene_object.coarse.to("cpu")
+        recipe, surfels = self.stream.recipe, scene_object.coarse.to("cpu")
         visible_px, errors = [], []
         normals = None
         for _ in range(RINGS):
             optics = Optics(recipe.size, float(rng.uniform(*recipe.fov)))
             cameras = ring(scene_object.radius, optics, VIEWS, rng)
             old, new = (random_light(rng, self.stream.environments, self.stream.device) for _ in range(2))
-            asset = _lit(rows, old, recipe.sh_degree)
+            asset = _lit(surfels, old, recipe.sh_degree)
             normals = outward_normals(asset) if normals is None else normals
             truth = to_splats(scene_object.surfels, shade(scene_object.surfels, new, recipe.sh_degree))
             shots = render_views(truth, cameras)
             pictures = shots.views.colors.cpu().numpy()
             masks = (shots.alphas > 0.5).cpu().numpy()
             views = list(zip(cameras, pictures, masks, strict=True))
-            true = SH_C0 * (_lit(rows, new, recipe.sh_degree).sh[:, 0] - asset.sh[:, 0])
+            true = SH_C0 * (_lit(surfels, new, recipe.sh_degree).sh[:, 0] - asset.sh[:, 0])
             observed = [seen_change(asset, views[:: VIEWS // number]) for number in (1, 2, VIEWS)]
             visible_px.append([seen_change(asset, [view])[1] for view in views])
             errors.append([np.where((weight > MIN_SEEN_PX)[:, None], change - true, 0) for change, weight in observed])
         assert normals is not None
-        transfer = prt_transfer(rows.means.numpy(), normals)
+        transfer = prt_transfer(surfels.means.numpy(), normals)
         arrays = (np.asarray(visible_px, np.float32), np.asarray(errors, np.float32))
-        return _RelitObject(scene_object.name, rows, normals, transfer, *arrays)
+        return _RelitObject(scene_object.name, surfels, normals, transfer, *arrays)
 
     def _generator(self, what: str, *numbers: int) -> np.random.Generator:
         return np.random.default_rng([self.stream.seed, *b"rows", *what.encode(), *numbers])
 
 
-def _lit(rows: Surfels, light: Light, degree: int) -> Splats:
+def _lit(surfels: Surfels, light: Light, degree: int) -> Splats:
     """The asset under a light, numpy."""
-    return to_splats(rows, shade(rows, light.to("cpu"), degree)).numpy()
+    return to_splats(surfels, shade(surfels, light.to("cpu"), degree)).numpy()
 
 
 def _small(picture: Tensor) -> Tensor:

@@ -100,7 +100,7 @@ def splat_object(source: SplatSource, i: int, device: str) -> SceneObject:
     splats = source.splats(i)
     splats = splats.take(np.flatnonzero(splats.drawable)).torch(device)
     if len(splats) == 0:
-        raise ValueError(f"{source.name(i)}: none of its rows can be drawn")
+        raise ValueError(f"{source.name(i)}: none of its Gaussians can be drawn")
     low, high = splats.means.quantile(0.01, 0), splats.means.quantile(0.99, 0)  # captures have stray Gaussians
     scale = 2 / float((high - low).max().clamp(min=1e-6))
     flip = splats.means.new_tensor([1.0, -1.0, -1.0])
@@ -128,7 +128,7 @@ def illuminate(
         truth = to_splats(item.surfels, shade(item.surfels, light, degree))
         coarse = to_splats(item.coarse, shade(item.coarse, light, degree))
     else:
-        raise ValueError(f"{item.name}: expected a light for an object that brings none")
+        raise ValueError(f"{item.name}: expected a light for an object that has none")
     base = render_views(truth, ring(item.radius, optics, views, rng)).views
     return LitScene(item, truth, coarse.numpy(), coarse, base, optics)
 

@@ -14,7 +14,7 @@ KINDS = (*LOCAL, *GLOBAL, "plain")
 
 @dataclass(frozen=True)
 class SampleRecipe:
-    """What samples are made of. Rows and pixels set the cost."""
+    """What samples are made of. Gaussians and pixels set the cost."""
 
     kinds: dict[str, float] = field(default_factory=lambda: {"stroke": 1.0})
     """Kind -> weight; kinds: see KINDS."""
@@ -25,7 +25,7 @@ class SampleRecipe:
     surfels: int = 60_000
     """Of the truth."""
     detail: tuple[float, float] = (1.0, 1.0)
-    """Drawn per object, evenly in its logarithm: a factor on size, its square on rows and surfels."""
+    """Drawn per object, evenly in its logarithm: a factor on size, its square on Gaussians and surfels."""
     fuzz: tuple[float, float] = (0.1, 0.5)
     """How rough the asset is, drawn per object; see surfels.coarse_asset."""
     sh_degree: int = 1

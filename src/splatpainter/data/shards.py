@@ -322,7 +322,7 @@ class ShardStream:
                 self.replaced += bool(further)
                 key = scene.samples[step % len(scene.samples)]
                 return self._read(scene.shard, key, contents), key
-        raise ValueError(f"{self.folder}: no shard is whole; the first: {next(iter(self.skipped.values()))}")
+        raise ValueError(f"{self.folder}: no shard is complete; the first: {next(iter(self.skipped.values()))}")
 
     def _order(self, epoch: int) -> tuple[list[int], list[int]]:
         """(scene numbers in the epoch's order, samples up to and with each)."""

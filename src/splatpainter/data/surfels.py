@@ -19,7 +19,7 @@ from splatpainter.splats import Splats
 
 @dataclass(frozen=True)
 class Surfels:
-    """N flat Gaussians, torch float32 on one device, world frame y up. All fields have N rows: see `take`."""
+    """N flat Gaussians, torch float32 on one device, world frame y up. All fields have length N: see `take`."""
 
     means: Any
     """[N, 3] centres, world units."""
@@ -46,9 +46,9 @@ class Surfels:
     def __len__(self) -> int:
         return int(self.means.shape[0])
 
-    def take(self, rows: Any) -> Surfels:
-        """The given rows: [M] int64 indices or [N] bool."""
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+    def take(self, ids: Any) -> Surfels:
+        """The given surfels: [M] int64 indices or [N] bool."""
+        return replace(self, **{f.name: getattr(self, f.name)[ids] for f in fields(self)})
 
     def to(self, device: Any) -> Surfels:
         """The same surfels on another device."""
@@ -85,7 +85,7 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
     look = _materials(mesh, part.face, part.weights, part.points, part.normals, width)
     normals = _upright(look.pop("normals"), part.normals)
     transfer = unoccluded_transfer(normals) - part.blocked
-    rows = {
+    attributes = {
         "means": part.points,
         "normals": normals,
         "quats": facing(part.normals, rng.uniform(0, 2 * np.pi, count)),
@@ -95,7 +95,7 @@ def sample_surfels(mesh: Mesh, count: int, seed: int = 0, device: str = "cpu") -
         "transfer": transfer,
         **look,
     }
-    return _as_surfels(rows, device)
+    return _as_surfels(attributes, device)
 
 
 def to_splats(surfels: Surfels, sh: Any) -> Splats:
@@ -103,28 +103,31 @@ def to_splats(surfels: Surfels, sh: Any) -> Splats:
     return Splats(surfels.means, surfels.quats, surfels.scales, surfels.opacities, sh)
 
 
-def coarse_asset(surfels: Surfels, rows: int, seed: int = 0, roughness: float = 0.3) -> Surfels:
-    """`rows` larger, irregular Gaussians as a captured or generated asset has them.
+def coarse_asset(surfels: Surfels, count: int, seed: int = 0, roughness: float = 0.3) -> Surfels:
+    """`count` larger, irregular Gaussians as a captured or generated asset has them.
 
     Each stands for a patch of surfels: materials and transfer are means over the patch, so that shading them agrees
     with the dense truth under any light; shape is the patch's own covariance. roughness, 0..1, of the asset: opacity
     down to 0.99 - 0.49 roughness, jitter of position, size and orientation, and 0.3 roughness of the Gaussians spent on
-    faint layers above and below the surface. Raises ValueError when rows exceed the surfels or roughness its range.
+    faint layers above and below the surface. Raises ValueError when count exceeds the surfels or roughness its
+    range.
     """
     from splatpainter.data.degrade import coarsened
 
-    if not 1 <= rows <= len(surfels):
-        raise ValueError(f"coarse_asset: expected 1 to {len(surfels)} rows (the surfels there are), got {rows}")
+    if not 1 <= count <= len(surfels):
+        raise ValueError(f"coarse_asset: expected 1 to {len(surfels)} Gaussians (the surfels there are), got {count}")
     if not 0 <= roughness <= 1:
         raise ValueError(f"coarse_asset: expected a roughness of 0..1, got {roughness}")
     arrays = {f.name: getattr(surfels, f.name).detach().cpu().numpy() for f in fields(surfels)}
-    return _as_surfels(coarsened(arrays, rows, seed, roughness), surfels.means.device)
+    return _as_surfels(coarsened(arrays, count, seed, roughness), surfels.means.device)
 
 
-def _as_surfels(rows: dict[str, np.ndarray], device: Any) -> Surfels:
+def _as_surfels(attributes: dict[str, np.ndarray], device: Any) -> Surfels:
     import torch
 
-    return Surfels(**{k: torch.from_numpy(np.ascontiguousarray(v, np.float32)).to(device) for k, v in rows.items()})
+    return Surfels(
+        **{k: torch.from_numpy(np.ascontiguousarray(v, np.float32)).to(device) for k, v in attributes.items()}
+    )
 
 
 @dataclass(frozen=True)
@@ -139,8 +142,8 @@ class _Candidates:
     blocked: np.ndarray
     spacing: float
 
-    def take(self, rows: np.ndarray) -> _Candidates:
-        visible = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "spacing"}
+    def take(self, ids: np.ndarray) -> _Candidates:
+        visible = {f.name: getattr(self, f.name)[ids] for f in fields(self) if f.name != "spacing"}
         return _Candidates(**visible, spacing=self.spacing)
 
 

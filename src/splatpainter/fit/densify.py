@@ -1,7 +1,7 @@
 """Adaptive density control (Kerbl et al. 2023, Section 5.2, with the constants of its reference implementation).
 
-Rows whose centres are pulled hard on the screen, on average over the views that draw them, stand for more than they can
-show: small ones are cloned, large ones split in two. Rows that became transparent or huge are removed.
+Gaussians whose centres are pulled hard on the screen, on average over the views that draw them, stand for more than
+they can show: small ones are cloned, large ones split in two. Gaussians that became transparent or huge are removed.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ class DensityOptions:
     """Constants of the original. Lengths are parts of the scene's extent."""
 
     threshold: float = 2e-4
-    """Mean screen-space gradient above which a row is cloned or split (per half picture, as in the original)."""
+    """Mean screen-space gradient above which a Gaussian is cloned or split (per half picture, as in the original)."""
     absolute: bool = False
     """Sum magnitudes over tiles instead (gradients._pull); wants a threshold of about twice as much."""
     dense: float = 0.01
-    """Rows up to this large are cloned, larger ones split."""
+    """Gaussians up to this large are cloned, larger ones split."""
     children: int = 2
     shrink: float = 1.6
     """Children of a split are smaller than their parent by this factor (phi)."""
     faintest: float = 0.005
-    """Rows below this opacity are removed."""
+    """Gaussians below this opacity are removed."""
     largest: float = 0.1
-    """Rows larger than this are removed, once opacities were reset."""
+    """Gaussians larger than this are removed, once opacities were reset."""
     reset: float = 0.01
     """Opacities are brought down to this."""
 
@@ -55,15 +55,15 @@ class Schedule:
     @staticmethod
     def scaled(steps: int, views: int) -> Schedule:
         """The original schedule in proportion for a run of `steps`. Between two rounds every view is seen about once,
-        or means would be of one side of the object, and rows have SETTLE steps to use the room that they were given;
-        resets closer than HEAL steps are left out, for rows would not get over them."""
+        or means would be of one side of the object, and Gaussians have SETTLE steps to use the room that they were
+        given; resets closer than HEAL steps are left out, for Gaussians would not get over them."""
         part = steps / ORIGINAL_STEPS
         every = max(round(100 * part), min(views, steps // 10, 100), SETTLE)
         reset = round(3000 * part)
         return Schedule(max(round(500 * part), every), every, round(15_000 * part), reset if reset >= HEAL else 0)
 
     def due(self, step: int) -> bool:
-        """Whether rows are cloned, split and removed after this step."""
+        """Whether Gaussians are cloned, split and removed after this step."""
         return self.start <= step <= self.stop and (step - self.start) % self.every == 0
 
     def resets(self, step: int) -> bool:
@@ -78,31 +78,31 @@ HEAL = 300
 
 
 class Pulls:
-    """Mean magnitude of the screen-space gradient per row, since the last round."""
+    """Mean magnitude of the screen-space gradient per Gaussian, since the last round."""
 
-    def __init__(self, rows: int) -> None:
-        self.total, self.count = np.zeros(rows, np.float32), np.zeros(rows, np.float32)
+    def __init__(self, gaussians: int) -> None:
+        self.total, self.count = np.zeros(gaussians, np.float32), np.zeros(gaussians, np.float32)
 
     def add(self, pull: Pull, camera: Camera) -> None:
         half = np.array([camera.width / 2, camera.height / 2], np.float32)
-        self.total[pull.rows] += np.linalg.norm(pull.pixels * half, axis=1)
-        self.count[pull.rows] += 1
+        self.total[pull.gaussian_ids] += np.linalg.norm(pull.pixels * half, axis=1)
+        self.count[pull.gaussian_ids] += 1
 
     def mean(self) -> np.ndarray:
-        """[N], 0 for rows that no view drew."""
+        """[N], 0 for Gaussians that no view drew."""
         return self.total / np.maximum(self.count, 1)
 
 
 @dataclass(frozen=True)
 class Round:
-    """What one round of density control made of N rows."""
+    """What one round of density control made of N Gaussians."""
 
     parameters: RawGaussians
-    """Kept rows in their order, then clones, then children."""
+    """Kept Gaussians in their order, then clones, then children."""
     survivors: Tensor
-    """[M] int64 rows that stay."""
+    """[M] int64 Gaussians that stay."""
     source: Tensor
-    """[N'] int64 the old row that each new one is, or comes from."""
+    """[N'] int64 the old Gaussian that each new one is, or comes from."""
 
 
 def densify(
@@ -110,18 +110,18 @@ def densify(
     pulls: np.ndarray,
     extent: float,
     options: DensityOptions,
-    most_rows: int,
+    most_gaussians: int,
     prune_large: bool,
     generator: torch.Generator,
 ) -> Round:
-    """One round. pulls: [N]; extent: world units; most_rows: after the round, as far as removing allows; where more
-    want to be cloned or split, those pulled hardest are. The generator lives on the CPU."""
+    """One round. pulls: [N]; extent: world units; most_gaussians: after the round, as far as removing allows; where
+    more want to be cloned or split, those pulled hardest are. The generator lives on the CPU."""
     device = parameters.means.device
     size = parameters.scales.exp().amax(1)
     opacity = parameters.opacities.sigmoid()
     chosen = torch.as_tensor(pulls, device=device) >= options.threshold
     chosen &= torch.isfinite(size) & (opacity >= options.faintest)
-    free = max(most_rows - len(parameters), 0)
+    free = max(most_gaussians - len(parameters), 0)
     if int(chosen.sum()) > free:
         hardest = np.argsort(-np.where(chosen.cpu().numpy(), pulls, -1), kind="stable")[:free]
         chosen = torch.zeros_like(chosen)
@@ -144,7 +144,7 @@ def reset_opacities(parameters: RawGaussians, value: float) -> None:
 
 
 def _children(parents: RawGaussians, shrink: float, generator: torch.Generator) -> RawGaussians:
-    """One smaller row per parent, at a place drawn from the parent's own density."""
+    """One smaller Gaussian per parent, with its centre drawn from the parent's own density."""
     drawn = torch.randn(parents.means.shape, generator=generator).to(parents.means)
     offset = drawn * parents.scales.exp()
     parents.means = parents.means + (quat_to_matrix(parents.quats) @ offset[..., None])[..., 0]

@@ -1,4 +1,5 @@
-"""Edits by optimisation: steps of 3DGS on the rows that a lift has painted, held by views of the asset from around.
+"""Edits by optimisation: steps of 3DGS on the Gaussians that a lift has painted, held by views of the asset from
+around.
 
 Seconds to tens of them instead of one, and nearer to the pictures. The less the views from around weigh, the more the
 rest of the object pays for it; without the lift before it, so does paint (docs/LOG.md).
@@ -41,33 +42,37 @@ class EditFitOptions:
 
 
 SSIM_MARGIN_PX = 5
-"""Pixels around what the rows draw that still enter the structural similarity (half of its window)."""
+"""Pixels around what the Gaussians draw that still enter the structural similarity (half of its window)."""
 ELEVATIONS = {-20.0: (0.0, 0.0, 0.0), 15.0: (1.0, 1.0, 1.0), 50.0: (0.0, 0.0, 0.0)}
-"""Degrees -> background: over one alone, rows of its colour and holes look alike."""
+"""Degrees -> background: over one alone, Gaussians of its colour and holes look alike."""
 
 
 def fit_edited(
     before: Splats,
     lifted: Splats,
     views: Sequence[tuple[Camera, np.ndarray]],
-    rows: np.ndarray,
+    gaussian_ids: np.ndarray,
     options: EditFitOptions = EditFitOptions(),
 ) -> Splats:
-    """`lifted` with the given rows ([M] int64) moved so that its renders match the edited views (camera, [H, W, 3] the
-    whole picture wanted) while it looks from around as it did. before: the asset before the lift; both numpy. All other
-    rows keep their bits."""
+    """`lifted` with the given Gaussians ([M] int64) moved so that its renders match the edited views (camera, [H, W, 3]
+    the whole picture wanted) while it looks from around as it did. before: the asset before the lift; both numpy. All
+    other Gaussians keep their bits."""
     anchors = _anchors(before, lifted, views[0][0], options)
-    edited = [view for camera, picture in views if (view := _cropped(lifted, camera, picture, rows)) is not None]
+    edited = [
+        view for camera, picture in views if (view := _cropped(lifted, camera, picture, gaussian_ids)) is not None
+    ]
     often = max(round(len(anchors) / max(len(edited), 1)), 1)  # so that half of the steps are of edited views
-    fitted = optimize(lifted, edited * often + anchors, FitOptions(steps=options.steps, densify=False), rows=rows)
+    fitted = optimize(
+        lifted, edited * often + anchors, FitOptions(steps=options.steps, densify=False), gaussian_ids=gaussian_ids
+    )
     return fitted.splats
 
 
-def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, rows: np.ndarray) -> TrainingView | None:
-    """An edited view around what the rows draw in it, weighted as the same part of the whole one would be; None where
-    they draw nothing."""
+def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, gaussian_ids: np.ndarray) -> TrainingView | None:
+    """An edited view around what the Gaussians draw in it, weighted as the same part of the whole one would be; None
+    where they draw nothing."""
     chosen = np.zeros(len(splats), bool)
-    chosen[rows] = True
+    chosen[gaussian_ids] = True
     ys, xs = np.nonzero(project(splats, camera, gaussian_mask=chosen).tiles_of(chosen))
     if not len(ys):
         return None

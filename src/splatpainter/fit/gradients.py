@@ -1,4 +1,5 @@
-"""One view of the rows: the loss, the gradients of all attributes, and the pull on each row's centre on the screen.
+"""One view of the Gaussians: the loss, the gradients of all attributes, and the pull on each Gaussian's centre on the
+screen.
 
 On the CPU the kernels of render/cpu are called directly: their sums hold the screen-space gradients exactly, and
 nothing goes through autograd but a loss of the caller's own. Elsewhere (CUDA) torch differentiates the renderer, and
@@ -50,10 +51,10 @@ class Target:
 
 @dataclass(frozen=True)
 class Pull:
-    """How the drawn rows' centres are pulled on the screen."""
+    """How the drawn Gaussians' centres are pulled on the screen."""
 
-    rows: np.ndarray
-    """[M] int64 rows that are drawn."""
+    gaussian_ids: np.ndarray
+    """[M] int64 Gaussians that are drawn."""
     pixels: np.ndarray
     """[M, 2] gradient of the loss with respect to the centres, per pixel."""
     radii: np.ndarray
@@ -80,17 +81,17 @@ class CpuPasses:
         self, splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
     ) -> Pass:
         """splats: torch, CPU, float32. pull: find it. absolute: see `_pull`."""
-        rows = replace(splats, **{name: getattr(splats, name).numpy() for name in ATTRIBUTES})
-        frame = project(rows, target.camera, tiles=target.tiles if custom_loss is None else None)
+        gaussians = replace(splats, **{name: getattr(splats, name).numpy() for name in ATTRIBUTES})
+        frame = project(gaussians, target.camera, tiles=target.tiles if custom_loss is None else None)
         shape = (target.camera.height, target.camera.width)
         image, alpha, depth = (np.empty((*shape, *rest), np.float32) for rest in ((3,), (), ()))
         ends = frame.rasterize_into(image, alpha, depth)
         loss, slope = _image_loss(image, target, custom_loss)
         nothing = np.zeros(shape, np.float32)
         sums = frame.rasterize_backward(ends, image, alpha, depth, slope, nothing, nothing)
-        if not self._out or self._out[0].shape != rows.means.shape or self._out[4].shape != rows.sh.shape:
-            self._out = tuple(np.empty_like(getattr(rows, name)) for name in ATTRIBUTES)
-        frame.project_backward(rows, sums, self._out)
+        if not self._out or self._out[0].shape != gaussians.means.shape or self._out[4].shape != gaussians.sh.shape:
+            self._out = tuple(np.empty_like(getattr(gaussians, name)) for name in ATTRIBUTES)
+        frame.project_backward(gaussians, sums, self._out)
         gradients: dict[str, Tensor] = dict(zip(ATTRIBUTES, map(torch.from_numpy, self._out), strict=True))
         return Pass(loss, gradients, _pull(frame, sums, absolute) if pull else None)
 
@@ -140,7 +141,7 @@ def _image_loss(image: np.ndarray, target: Target, custom_loss: CustomLoss | Non
 
 def _pull(frame: ProjectedView, sums: np.ndarray, absolute: bool) -> Pull:
     """From the sums of backward.py. absolute: magnitudes are summed over 16 x 16 tiles, so that pulls in opposite
-    directions at the two ends of a large row do not cancel (Ye et al. 2024, "AbsGS", sum them over pixels)."""
+    directions at the two ends of a large Gaussian do not cancel (Ye et al. 2024, "AbsGS", sum them over pixels)."""
     extent = frame.extents.max(1)
     if not len(frame):
         return Pull(frame.gaussian_ids, np.zeros((0, 2), np.float32), extent)

@@ -1,6 +1,6 @@
 """The loop of 3DGS: one view per step, its loss, Adam, and density control now and then.
 
-N rows at the start, N' at the end, V views.
+N Gaussians at the start, N' at the end, V views.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ class TrainingView:
     camera: Camera
     color: np.ndarray = field(repr=False)
     """[H, W, 3] float32 0..1 over the camera's background, in the splats' colour space. Where transparency is known,
-    give views different backgrounds (black and white in turn): over one, rows of its colour and holes look alike."""
+    give views different backgrounds (black and white in turn): over one, Gaussians of its colour and holes look
+    alike."""
     weight: float = 1.0
     """Times the view's loss."""
     mask: np.ndarray | None = field(default=None, repr=False)
@@ -44,7 +45,7 @@ class FitOptions:
 
     steps: int = 1000
     densify: bool = True
-    """Clone, split and remove rows on the way; needs all attributes."""
+    """Clone, split and remove Gaussians on the way; needs all attributes."""
     attributes: tuple[str, ...] = ATTRIBUTES
     """Which ones are optimised; the others keep their bits."""
     sh_degree: int | None = None
@@ -52,8 +53,8 @@ class FitOptions:
     ssim: float = 0.2
     """s in the loss (1 - s) L1 + s (1 - SSIM)."""
     seed: int = 0
-    most_rows: int = 500_000
-    """Density control adds no rows beyond this."""
+    most_gaussians: int = 500_000
+    """Density control adds no Gaussians beyond this."""
     rate_means: float = 1.6e-4
     """At the start, in extents per step."""
     rate_means_end: float = 1.6e-6
@@ -69,7 +70,7 @@ class FitOptions:
     0.0007 a step: a painted region (128 px, 48 more views) is after 300 steps 10.7 dB from its picture and 10.0 dB from
     the truth in novel views, with 0.02 all along 42.0 and 23.8, falling from 0.05 40.2 and 24.1."""
     extent: float | None = None
-    """World units that means' rates and rows' sizes are measured by; None: the asset's own longest side."""
+    """World units that means' rates and Gaussians' sizes are measured by; None: the asset's own longest side."""
     density: DensityOptions = DensityOptions()
     schedule: Literal["scaled", "original"] | Schedule = "scaled"
     """Of density control: in proportion to `steps`, or as it is for 30,000 of them."""
@@ -82,9 +83,10 @@ class Fitted:
     """What came of it."""
 
     splats: Splats = field(repr=False)
-    """Numpy float32. Without density control row i is still row i, and rows that did not move keep their bits."""
+    """Numpy float32. Without density control Gaussian i is still Gaussian i, and Gaussians that did not move keep their
+    bits."""
     parents: np.ndarray = field(repr=False)
-    """[N'] int64 the row of the start that each row is, or comes from."""
+    """[N'] int64 the Gaussian of the start that each Gaussian is, or comes from."""
     losses: list[float] = field(repr=False)
     """Per step, of the step's view before the step."""
     steps: int
@@ -96,21 +98,21 @@ def optimize(
     views: Sequence[TrainingView],
     options: FitOptions,
     *,
-    rows: np.ndarray | None = None,
+    gaussian_ids: np.ndarray | None = None,
     loss: Callable[[Tensor, TrainingView], Tensor] | None = None,
     watch: Callable[[int, Callable[[], Splats]], object] | None = None,
 ) -> Fitted:
-    """Move rows so that renders match the views.
+    """Move Gaussians so that renders match the views.
 
-    start: N rows, numpy. rows: [M] indices of those that may change, the others keep their bits (without density
-    control only); None: all. loss: of a render [H, W, 3] (torch, not clamped) and its view, in place of L1 and SSIM;
-    the view's mask is then the loss's own business. watch: called after every step, counted from 1, with a function
-    that gives the splats as they are then. Equal arguments give equal bits on the CPU, whatever the threads.
+    start: N Gaussians, numpy. gaussian_ids: [M] indices of those that may change, the others keep their bits (without
+    density control only); None: all. loss: of a render [H, W, 3] (torch, not clamped) and its view, in place of L1 and
+    SSIM; the view's mask is then the loss's own business. watch: called after every step, counted from 1, with a
+    function that gives the splats as they are then. Equal arguments give equal bits on the CPU, whatever the threads.
 
     Raises ValueError for options that do not fit together, no views, and pictures of another size than their camera's.
     """
-    _check(start, views, options, rows, loss is not None)
-    run = _Run(start.numpy(), options, rows, len(views))
+    _check(start, views, options, gaussian_ids, loss is not None)
+    run = _Run(start.numpy(), options, gaussian_ids, len(views))
     targets = [Target.of(view.camera, view.color, view.mask, options.ssim, view.weight) for view in views]
     order = _order(len(views), options)
     losses = []
@@ -126,14 +128,18 @@ def optimize(
 class _Run:
     """The state of one optimisation."""
 
-    def __init__(self, start: Splats, options: FitOptions, rows: np.ndarray | None, views: int) -> None:
+    def __init__(self, start: Splats, options: FitOptions, gaussian_ids: np.ndarray | None, views: int) -> None:
         self.options = options
         self.start = with_degree(start, options.sh_degree)
         device = options.device
-        self.rows = None if rows is None else torch.as_tensor(np.asarray(rows, np.int64), device=device)
+        self.gaussian_ids = (
+            None if gaussian_ids is None else torch.as_tensor(np.asarray(gaussian_ids, np.int64), device=device)
+        )
         self.fixed = self.start.torch(device)
-        self.full = None if rows is None else _unshared(self.fixed, options.attributes)
-        self.raw = RawGaussians.of(self.start if rows is None else self.start.take(np.asarray(rows, np.int64)), device)
+        self.full = None if gaussian_ids is None else _unshared(self.fixed, options.attributes)
+        self.raw = RawGaussians.of(
+            self.start if gaussian_ids is None else self.start.take(np.asarray(gaussian_ids, np.int64)), device
+        )
         self.parents = torch.arange(len(start), device=device)
         self.adam = Adam({name: getattr(self.raw, name) for name in options.attributes})
         self.extent = options.extent or extent(start)
@@ -151,9 +157,9 @@ class _Run:
         drawn = self._drawn()
         done = self.passes(drawn, target, loss_of_view, growing, options.density.absolute)
         gradients, some = done.gradients, drawn
-        if self.rows is not None:
-            gradients = {name: value[self.rows] for name, value in gradients.items()}
-            some = drawn.take(self.rows)
+        if self.gaussian_ids is not None:
+            gradients = {name: value[self.gaussian_ids] for name, value in gradients.items()}
+            some = drawn.take(self.gaussian_ids)
         to_raw(gradients, some)
         values = {name: getattr(self.raw, name) for name in options.attributes}
         self.adam.step(values, gradients, self._rates(step))
@@ -171,18 +177,18 @@ class _Run:
         """Numpy; new arrays. What did not move keeps the start's bits: through log and logit it might come back one
         bit off."""
         parents = self.parents.cpu().numpy()
-        reference = self.start if self.rows is not None else self.start.take(parents)
-        rows = slice(None) if self.rows is None else self.rows.cpu().numpy()
-        before = reference if self.rows is None else reference.take(rows)
+        reference = self.start if self.gaussian_ids is not None else self.start.take(parents)
+        gaussian_ids = slice(None) if self.gaussian_ids is None else self.gaussian_ids.cpu().numpy()
+        before = reference if self.gaussian_ids is None else reference.take(gaussian_ids)
         first = RawGaussians.of(before, self.options.device)
         moved = self.raw.splats(self.start).numpy()
         out: dict[str, np.ndarray] = {}
         for name in self.options.attributes:
             same = (getattr(first, name) == getattr(self.raw, name)).cpu().numpy()
             values = np.where(same, getattr(before, name), getattr(moved, name))
-            if self.rows is not None:
+            if self.gaussian_ids is not None:
                 full = getattr(reference, name).copy()
-                full[rows] = values
+                full[gaussian_ids] = values
                 values = full
             out[name] = values
         return replace(reference, **out)
@@ -195,7 +201,7 @@ class _Run:
         if self.full is None:
             return replace(moved, **{n: getattr(self.fixed, n) for n in ATTRIBUTES if n not in self.options.attributes})
         for name in self.options.attributes:
-            getattr(self.full, name)[self.rows] = getattr(moved, name)
+            getattr(self.full, name)[self.gaussian_ids] = getattr(moved, name)
         return replace(self.full, source=None, origin=None)
 
     def _rates(self, step: int) -> dict[str, Tensor]:
@@ -211,7 +217,9 @@ class _Run:
 
     def _densify(self) -> None:
         o = self.options
-        done = densify(self.raw, self.pulls.mean(), self.extent, o.density, o.most_rows, self.was_reset, self.generator)
+        done = densify(
+            self.raw, self.pulls.mean(), self.extent, o.density, o.most_gaussians, self.was_reset, self.generator
+        )
         self.raw = done.parameters
         self.parents = self.parents[done.source]
         self.adam.select(done.survivors, len(done.source) - len(done.survivors))
@@ -230,7 +238,8 @@ def short_run_rate(steps: int, way: float) -> float:
 
 
 def extent(splats: Splats) -> float:
-    """The longest side of the box around the middle 98 % of the rows that can be drawn, world units; 1 for none."""
+    """The longest side of the box around the middle 98 % of the Gaussians that can be drawn, world units; 1 for
+    none."""
     arrays = splats.numpy()
     means = arrays.means[splats.drawable]
     if not len(means):
@@ -251,25 +260,29 @@ def _order(views: int, options: FitOptions) -> np.ndarray:
     return np.concatenate([rng.permutation(views) for _ in range(max(rounds, 1))])[: options.steps]
 
 
-def _check(start: Splats, views: Sequence[TrainingView], options: FitOptions, rows: Any, custom_loss: bool) -> None:
+def _check(
+    start: Splats, views: Sequence[TrainingView], options: FitOptions, gaussian_ids: Any, custom_loss: bool
+) -> None:
     if not views:
         raise ValueError("fit: expected at least one view, got none")
     unknown = sorted(set(options.attributes) - set(ATTRIBUTES))
     if unknown or not options.attributes or len(set(options.attributes)) < len(options.attributes):
         raise ValueError(f"fit: expected attributes of {', '.join(ATTRIBUTES)}, each once, got {options.attributes}")
-    if options.densify and (rows is not None or set(options.attributes) != set(ATTRIBUTES)):
-        raise ValueError("fit: density control changes all rows and attributes; set densify=False to keep some")
-    if options.steps < 0 or not 0 <= options.ssim <= 1 or options.most_rows < 1:
+    if options.densify and (gaussian_ids is not None or set(options.attributes) != set(ATTRIBUTES)):
+        raise ValueError("fit: density control changes all Gaussians and attributes; set densify=False to keep some")
+    if options.steps < 0 or not 0 <= options.ssim <= 1 or options.most_gaussians < 1:
         raise ValueError(
-            f"fit: expected steps >= 0, ssim 0..1 and most_rows >= 1, got {options.steps}, {options.ssim}, "
-            f"{options.most_rows}"
+            f"fit: expected steps >= 0, ssim 0..1 and most_gaussians >= 1, got {options.steps}, {options.ssim}, "
+            f"{options.most_gaussians}"
         )
-    if options.sh_degree is not None and (options.sh_degree not in range(5) or rows is not None):
-        raise ValueError(f"fit: expected sh_degree 0 to 4, and None where only some rows move, got {options.sh_degree}")
+    if options.sh_degree is not None and (options.sh_degree not in range(5) or gaussian_ids is not None):
+        raise ValueError(f"fit: expected sh_degree 0 to 4, and None where only some move, got {options.sh_degree}")
     if len(start) == 0:
-        raise ValueError("fit: expected at least one row to start from, got none")
-    if rows is not None and (np.asarray(rows).dtype.kind not in "iu" or np.asarray(rows).ndim != 1):
-        raise ValueError("fit: expected rows as a list of indices [M]; of a mask take np.flatnonzero")
+        raise ValueError("fit: expected at least one Gaussian to start from, got none")
+    if gaussian_ids is not None and (
+        np.asarray(gaussian_ids).dtype.kind not in "iu" or np.asarray(gaussian_ids).ndim != 1
+    ):
+        raise ValueError("fit: expected gaussian_ids as a list of indices [M]; of a mask take np.flatnonzero")
     for k, view in enumerate(views):
         shape = (view.camera.height, view.camera.width)
         if tuple(view.color.shape) != (*shape, 3) or (view.mask is not None and view.mask.shape != shape):

@@ -32,7 +32,7 @@ BLOCK = 1024
 
 @dataclass
 class RawGaussians:
-    """N rows; the fields are named as in Splats."""
+    """N Gaussians; the fields are named as in Splats."""
 
     means: Tensor
     """[N, 3]"""
@@ -47,7 +47,7 @@ class RawGaussians:
 
     @staticmethod
     def of(splats: Splats, device: str = "cpu") -> RawGaussians:
-        """Copies of the rows; rows that cannot be drawn come out as NaN or infinite, and stay that way."""
+        """Copies of the Gaussians; Gaussians that cannot be drawn come out as NaN or infinite, and stay that way."""
         tensors = splats.torch(device)
         values: dict[str, Any] = {name: getattr(tensors, name).clone().contiguous() for name in ATTRIBUTES}
         values["scales"] = torch.where(values["scales"] > 0, values["scales"].clamp_min(MIN_SCALE), torch.nan).log()
@@ -58,17 +58,17 @@ class RawGaussians:
         return int(self.means.shape[0])
 
     def splats(self, like: Splats) -> Splats:
-        """The rows as splats (torch) with the settings of `like`; means, quats and sh share memory."""
+        """The Gaussians as splats (torch) with the settings of `like`; means, quats and sh share memory."""
         scales, opacities = self.scales.exp(), self.opacities.sigmoid()
         values = (self.means, self.quats, scales, opacities, self.sh)
         return replace(like, **dict(zip(ATTRIBUTES, values, strict=True)), source=None, origin=None)
 
-    def take(self, rows: Tensor) -> RawGaussians:
-        """Copies of the given rows ([M] int64)."""
-        return RawGaussians(**{name: getattr(self, name)[rows] for name in ATTRIBUTES})
+    def take(self, ids: Tensor) -> RawGaussians:
+        """Copies of the given Gaussians ([M] int64)."""
+        return RawGaussians(**{name: getattr(self, name)[ids] for name in ATTRIBUTES})
 
     def append(self, *more: RawGaussians) -> RawGaussians:
-        """These rows followed by others."""
+        """These Gaussians followed by others."""
         parts = (self, *more)
         return RawGaussians(**{name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES})
 
@@ -80,7 +80,7 @@ def to_raw(gradients: dict[str, Tensor], splats: Splats) -> None:
 
 
 def with_degree(splats: Splats, degree: int | None) -> Splats:
-    """The same rows (numpy) with SH of another degree (None: as it is): higher bands 0, or dropped."""
+    """The same Gaussians (numpy) with SH of another degree (None: as it is): higher bands 0, or dropped."""
     if degree is None or degree == splats.sh_degree:
         return splats
     count = (degree + 1) ** 2
@@ -101,18 +101,18 @@ class Adam:
         self.moments = {name: (torch.zeros_like(value), torch.zeros_like(value)) for name, value in values.items()}
 
     def step(self, values: dict[str, Tensor], gradients: dict[str, Tensor], rates: dict[str, Tensor]) -> None:
-        """Move the values in place. rates: name -> [C] for values of C numbers per row, or [1] for all of them."""
+        """Move the values in place. rates: name -> [C] for values of C numbers per Gaussian, or [1] for all of them."""
         self.steps += 1
         first, second = (1 - beta**self.steps for beta in BETAS)
         for name, (mean, square) in self.moments.items():
             value, gradient, rate = values[name], gradients[name], rates[name] / first
             if value.device.type == "cpu":
-                _step_rows(value, gradient, mean, square, rate, 1 / math.sqrt(second))
+                _step_values(value, gradient, mean, square, rate, 1 / math.sqrt(second))
             else:
                 step_tensor(value, gradient, mean, square, rate, 1 / math.sqrt(second))
 
     def select(self, survivors: Tensor, fresh: int) -> None:
-        """Only the kept rows ([M] int64), followed by `fresh` rows without a past."""
+        """Only the kept Gaussians ([M] int64), followed by `fresh` Gaussians without a past."""
         for name, pair in self.moments.items():
             mean, square = (torch.cat([m[survivors], m.new_zeros(fresh, *m.shape[1:])]) for m in pair)
             self.moments[name] = (mean, square)
@@ -131,7 +131,9 @@ def step_tensor(value: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, r
     value.sub_((change.reshape(len(value), -1) * rate).reshape(value.shape))
 
 
-def _step_rows(value: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, rate: Tensor, correction: float) -> None:
+def _step_values(
+    value: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, rate: Tensor, correction: float
+) -> None:
     flat = [tensor.detach().reshape(len(value), -1).numpy() for tensor in (value, gradient, mean, square)]
     columns = np.broadcast_to(rate.numpy(), flat[0].shape[1]).astype(flat[0].dtype)
     kind = flat[0].dtype.type
@@ -142,9 +144,9 @@ def _step_rows(value: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, ra
 
 @njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy", boundscheck=False)
 def _kernel(value, gradient, mean, square, rates, old1, new1, old2, new2, epsilon, correction, thread, threads):
-    rows, columns = value.shape
-    for block in range(thread, (rows + BLOCK - 1) // BLOCK, threads):
-        for n in range(block * BLOCK, min(rows, (block + 1) * BLOCK)):
+    count, columns = value.shape
+    for block in range(thread, (count + BLOCK - 1) // BLOCK, threads):
+        for n in range(block * BLOCK, min(count, (block + 1) * BLOCK)):
             for c in range(columns):
                 g = gradient[n, c]
                 m = old1 * mean[n, c] + new1 * g

@@ -1,7 +1,7 @@
-"""First rows for an optimisation: round Gaussians at coloured points, or at the points that depth maps show.
+"""First Gaussians for an optimisation: round Gaussians at coloured points, or at the points that depth maps show.
 
-As 3DGS starts from a sparse point cloud (Kerbl et al. 2023, Section 5): a row's size is the root mean squared distance
-to its three nearest neighbours. Numpy only. M points, V views of H x W pixels.
+As 3DGS starts from a sparse point cloud (Kerbl et al. 2023, Section 5): a Gaussian's size is the root mean squared
+distance to its three nearest neighbours. Numpy only. M points, V views of H x W pixels.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from splatpainter.kernels.parallel import run
 from splatpainter.splats import MAX_MAGNITUDE, SH_COUNTS, ColorSpace, Splats
 
 OPACITY = 0.1
-"""Of first rows, as in 3DGS."""
+"""Of the first Gaussians, as in 3DGS."""
 MIN_ALPHA = 0.5
 """Pixels with less alpha have no depth to speak of."""
 MAX_SIZE_RATIO = 16
-"""Rows larger than this many times the median row are made this large: a stray point has no near neighbours."""
+"""Gaussians larger than this many times the median Gaussian are made this large: a stray point has no near
+neighbours."""
 BLOCK = 256
 """Points that a thread takes at a time."""
 MAX_CELLS = 1 << 22
@@ -36,8 +37,8 @@ def from_points(
     size: float = 1.0,
     color_space: ColorSpace = "srgb",
 ) -> Splats:
-    """M round rows of one colour each. points: [M, 3] world units; colors: [M, 3] 0..1; opacity: 0..1 of all rows;
-    size: standard deviation over the root mean squared distance to the three nearest points.
+    """M round Gaussians of one colour each. points: [M, 3] world units; colors: [M, 3] 0..1; opacity: 0..1 of all
+    Gaussians; size: standard deviation over the root mean squared distance to the three nearest points.
 
     Raises ValueError for shapes that do not fit, no points, or values that are not finite."""
     points, colors = np.asarray(points, np.float32), np.asarray(colors, np.float32)
@@ -46,7 +47,7 @@ def from_points(
             f"points: expected [M, 3] points and as many colours, got {list(points.shape)} and {list(colors.shape)}"
         )
     if not (np.isfinite(points).all() and np.isfinite(colors).all()):
-        raise ValueError("points: expected finite places and colours, got NaN or infinite ones")
+        raise ValueError("points: expected finite points and colours, got NaN or infinite ones")
     if sh_degree not in SH_COUNTS.values():
         raise ValueError(f"points: expected an SH degree from 0 to 4, got {sh_degree}")
     scales = size * _spacing(points)
@@ -76,8 +77,8 @@ def from_depths(
     opacity: float = OPACITY,
     size: float = 1.0,
 ) -> Splats:
-    """`rows` rows at points that the views show, drawn evenly over the surface (a pixel counts as the area that it
-    covers, seen straight on).
+    """`count` Gaussians at points that the views show, drawn evenly over the surface (a pixel counts as the area that
+    it covers, seen straight on).
 
     colors: [V, H, W, 3] 0..1; depths: [V, H, W] z-depth, world units; alphas: [V, H, W] 0..1, pixels above SOLID have
     a point. Raises ValueError: shapes that do not fit, or no such pixel."""
@@ -85,7 +86,8 @@ def from_depths(
     if np.shape(colors) != (*shape, 3) or np.shape(depths) != shape or np.shape(alphas) != shape or count < 1:
         raise ValueError(
             f"depth maps: expected colours [V, H, W, 3], depths and alphas [V, H, W] of {len(cameras)} cameras and at "
-            f"least one row, got {list(np.shape(colors))}, {list(np.shape(depths))}, {list(np.shape(alphas))}, {count}"
+            f"least one Gaussian, got {list(np.shape(colors))}, {list(np.shape(depths))}, {list(np.shape(alphas))}, "
+            f"{count}"
         )
     rng = np.random.default_rng(seed)
     solid = (np.asarray(alphas) > MIN_ALPHA) & (np.asarray(depths) > 0) & np.isfinite(depths)

@@ -43,7 +43,7 @@ def refine_edit(
     latent_ids = encoded.latent_ids[lifted.parents]
     missing = int((latent_ids < 0).sum())
     if missing:
-        raise ValueError(f"refine: {missing} of the {len(latent_ids)} rows were not encoded; encode again")
+        raise ValueError(f"refine: {missing} of the {len(latent_ids)} Gaussians were not encoded; encode again")
     base = lifted.splats.take(lifted.ids).torch(str(device))
     drift = None
     if config.base == "lift":

@@ -1,7 +1,7 @@
 """Encoded assets on disk: encoding takes seconds, an asset is opened again and again.
 
-    FOLDER/<key>.safetensors      latents as float16 (of `copy` also its rows and voxels); the header holds VERSION and
-                                  the SHA-256 of the tensors
+    FOLDER/<key>.safetensors      latents as float16 (of `copy` also its Gaussians and voxels); the header holds
+                                  VERSION and the SHA-256 of the tensors
 
 The key is a hash of everything that the latents depend on. A file is complete or not there; a damaged one is deleted
 and its asset encoded again; the least recently used go first. A folder that cannot be used is never an error.
@@ -62,8 +62,8 @@ def encode_cached(
 ) -> Encoded:
     """`encode_asset` with latents in float16, from the cache where it has them; a hit is bitwise what was stored.
 
-    weights: `digest` of the model, if at hand; limit: bytes that the folder may hold. Raises ValueError when no row can
-    be drawn."""
+    weights: `digest` of the model, if at hand; limit: bytes that the folder may hold. Raises ValueError when no
+    Gaussian can be drawn."""
     splats = splats.numpy()
     if grid is None or grid.resolution != model.config.compress.resolution:
         grid = voxelize(splats, model.config.compress.resolution)
@@ -90,7 +90,7 @@ def encode_half(model: SplatPainterModel, splats: Splats, grid: VoxelGrid | None
 
 
 def _key(model: SplatPainterModel, splats: Splats, weights: str) -> str:
-    """Splats.sha256 is the file's hash while these are its rows, else that of the attributes."""
+    """Splats.sha256 is the file's hash while these are its Gaussians, else that of the attributes."""
     import torch
 
     device = next(model.parameters()).device.type
@@ -123,18 +123,18 @@ def _unpacked(model: SplatPainterModel, splats: Splats, grid: VoxelGrid, held: d
     try:
         values = held["values"].to(device)
         if model.config.representation == "native":
-            groups, rows = model.groups(grid).most_opaque(1.0)[0], splats.torch(device)
+            groups, gaussians = model.groups(grid).most_opaque(1.0)[0], splats.torch(device)
         else:
             order = np.arange(len(values), dtype=np.int64)
             starts, centers, middle = (held[name].numpy() for name in ("starts", "centers", "middle"))
             voxel, half = held["edges"].tolist()
             groups = GaussianGroups(order, starts, centers, voxel, middle, half)
             means, quats, scales, opacities, sh = (held[name].to(device) for name in ATTRIBUTES)
-            rows = Splats(means, quats, scales, opacities, sh)
+            gaussians = Splats(means, quats, scales, opacities, sh)
     except (KeyError, ValueError):
         return None
     fits = list(values.shape) == [len(groups), model.config.compress.dim] and groups.starts[-1] == len(groups)
-    return Encoded(Latents(values, groups), rows) if fits else None
+    return Encoded(Latents(values, groups), gaussians) if fits else None
 
 
 def _read(path: Path) -> dict[str, Tensor] | None:

@@ -1,7 +1,7 @@
-"""Stage I: a transformer inside each voxel turns rows with their LRM tokens into latents (arXiv 2512.05354, 3.1).
+"""Stage I: a transformer inside each voxel turns Gaussians with their LRM tokens into latents (arXiv 2512.05354, 3.1).
 
-N rows of the asset, M of them grouped (packed), K kept, B groups, P patches, D width. Nothing crosses a voxel's border,
-so the rows are worked through in runs of whole voxels, and any run gives what the whole would give.
+N Gaussians of the asset, M of them grouped (packed), K kept, B groups, P patches, D width. Nothing crosses a voxel's
+border, so the Gaussians are worked through in runs of whole voxels, and any run gives what the whole would give.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from splatpainter.nn.precision import exact
 from splatpainter.splats import Splats
 
 CHUNK = 1 << 13
-"""Rows that are worked on at once without gradients: what they pass from layer to layer stays in the cache (measured on
-two cores in Stage II: 65 instead of 50 GFLOP/s per core with 32,768, and 150 instead of 85 in bf16)."""
+"""Gaussians that are worked on at once without gradients: what they pass from layer to layer stays in the cache
+(measured on two cores in Stage II: 65 instead of 50 GFLOP/s per core with 32,768, and 150 instead of 85 in bf16)."""
 
 
 @dataclass(frozen=True)
 class Latents:
-    """What Stage I knows of the kept rows."""
+    """What Stage I knows of the kept Gaussians."""
 
     values: Tensor = field(repr=False)
     """[K, D] of any float type, packed as `groups` says."""
     groups: GaussianGroups
-    """The kept rows: groups.order[i] is the row of the asset that values[i] belongs to."""
+    """The kept Gaussians: groups.order[i] is the Gaussian of the asset that values[i] belongs to."""
 
 
 class Compressor(nn.Module):
     """Stage I with its weights."""
 
     def __init__(self, config: CompressConfig, token_dim: int, degree: int, share: float) -> None:
-        """token_dim: width of the LRM's tokens; degree: SH degree that it sees; share: of a voxel's rows that is kept
-        (1 for `native`)."""
+        """token_dim: width of the LRM's tokens; degree: SH degree that it sees; share: of a voxel's Gaussians that is
+        kept (1 for `native`)."""
         super().__init__()
         self.config, self.degree, self.share = config, degree, share
         dim = config.dim
@@ -74,15 +74,15 @@ class Compressor(nn.Module):
         chunk: int | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> Latents:
-        """Latents of the kept rows. tokens: [P, token_dim] of the LRM, of any float
-        type; rows: the asset, N rows, torch attributes on the
-        same device; links: of the N rows; groups: of the rows; chunk: rows at once (CHUNK without gradients, else all);
-        dtype: of the result (a million latents of width 256 are 1 GB in float32).
+        """Latents of the kept Gaussians. tokens: [P, token_dim] of the LRM, of any float
+        type; gaussians: the asset, N of them, torch attributes on the same device; links: of the N Gaussians; groups:
+        of the Gaussians; chunk: Gaussians at once (CHUNK without gradients, else all); dtype: of the result (a million
+        latents of width 256 are 1 GB in float32).
 
-        Permuting the rows permutes the latents with them, up to rounding (equal opacities in a voxel excepted).
+        Permuting the Gaussians permutes the latents with them, up to rounding (equal opacities in a voxel excepted).
         """
         if len(links.patches) != len(gaussians):
-            raise ValueError(f"encode: expected links of {len(gaussians)} rows, got {len(links.patches)}")
+            raise ValueError(f"encode: expected links of {len(gaussians)} Gaussians, got {len(links.patches)}")
         table = self.token(self.token_norm(tokens.float())).float()
         chosen, _ = groups.most_opaque(self.share)
         size = max(chunk or (len(groups) if torch.is_grad_enabled() else CHUNK), 1)
@@ -116,7 +116,7 @@ class Compressor(nn.Module):
         return self._run(self.decoder, z, within if self.share == 1 else Groups.of(chosen.lengths, x.device))
 
     def _embed(self, table: Tensor, gaussians: Splats, links: TokenLinks, groups: GaussianGroups) -> Tensor:
-        """[M, D]: W_f (weighted mean of the row's tokens) + W_g (attributes)."""
+        """[M, D]: W_f (weighted mean of the Gaussian's tokens) + W_g (attributes)."""
         patches = torch.from_numpy(links.patches[groups.order]).to(table.device)
         weights = torch.from_numpy(links.weights[groups.order]).to(table.device, table.dtype)
         token_mean = F.embedding_bag(patches, table, per_sample_weights=weights, mode="sum")
@@ -125,7 +125,8 @@ class Compressor(nn.Module):
             return token_mean + self.attribute(attribute_features(gaussians, groups, self.degree))
 
     def _voxel_mean(self, x: Tensor, groups: GaussianGroups, chosen: GaussianGroups) -> Tensor:
-        """VoxelAtt: the mean token of each voxel, through layers of the same depth, handed to each of its kept rows."""
+        """VoxelAtt: the mean token of each voxel, through layers of the same depth, handed to each of its kept
+        Gaussians."""
         lengths = torch.from_numpy(groups.lengths).to(x.device)
         owner = torch.repeat_interleave(torch.arange(len(lengths), device=x.device), lengths, output_size=len(x))
         mean = x.new_zeros(len(lengths), x.shape[1]).index_add(0, owner, x) / lengths.clamp(min=1)[:, None].to(x.dtype)

@@ -66,31 +66,32 @@ class LrmConfig:
 
 @dataclass(frozen=True)
 class CompressConfig:
-    """Stage I, the transformer inside each voxel: rows with their LRM tokens in, latents out."""
+    """Stage I, the transformer inside each voxel: Gaussians with their LRM tokens in, latents out."""
 
     dim: int = 512
     """Width of a latent, in Stage I and Stage II."""
     heads: int = 8
     """Attention heads; dim is a multiple of it."""
     encoder_layers: int = 6
-    """Self-attention layers over all rows of a voxel."""
+    """Self-attention layers over all Gaussians of a voxel."""
     decoder_layers: int = 6
-    """Self-attention layers over the kept rows of a voxel."""
+    """Self-attention layers over the kept Gaussians of a voxel."""
     hidden: int = 1344
     """Hidden width of the SwiGLU MLPs; the paper is silent: 8/3 of dim (Shazeer 2020), to a multiple of 64."""
     keep: float = 0.25
-    """Share of a voxel's rows that `copy` keeps, K = max(floor(keep * N_k), 1); `native` keeps all."""
+    """Share of a voxel's Gaussians that `copy` keeps, K = max(floor(keep * N_k), 1); `native` keeps all."""
     grouping: Grouping = "feats_query"
-    """feats_query: the kept rows' own codes query their voxel. Ablations: latent_query (learned queries) and
-    voxel_mean (VoxelAtt: every kept row gets the mean of its voxel's tokens, no attention between rows)."""
+    """feats_query: the kept Gaussians' own codes query their voxel. Ablations: latent_query (learned queries) and
+    voxel_mean (VoxelAtt: every kept Gaussian gets the mean of its voxel's tokens, no attention between Gaussians)."""
     latent_queries: int = 64
-    """Learned queries of latent_query; the k-th kept row of a voxel asks with query k modulo this."""
+    """Learned queries of latent_query; the k-th kept Gaussian of a voxel asks with query k modulo this."""
     resolution: int = 128
     """Voxels per edge of the asset's bounding cube."""
     min_opacity: float = 0.005
     """`copy` drops the LRM's Gaussians at or below this opacity before anything else; the paper is silent."""
     largest_group: int = 0
-    """Voxels with more rows are cut into runs of at most this many rows of falling opacity; 0: never (the paper)."""
+    """Voxels with more Gaussians are cut into runs of at most this many Gaussians of falling opacity; 0: never (the
+    paper)."""
     checkpoint_activations: bool = False
     """Recompute each layer in the backward pass."""
 
@@ -126,11 +127,12 @@ class RefineConfig:
     mask_tokens: bool = False
     """Tokens train the fast weights in proportion to their share of edited pixels; False: all alike."""
     lift_features: bool = False
-    """Latents are told the analytic lift's answer (colour before and after, how much of the row was seen, the colour
-    that its regression predicts) and the row's normal, turned outwards."""
+    """Latents are told the analytic lift's answer (colour before and after, how much of the Gaussian was seen, the
+    colour that its regression predicts) and the Gaussian's normal, turned outwards."""
     row_tokens: int = 0
-    """Rows that teach the fast weights along with the pictures, those that the edit shows most; 0: none (the paper).
-    They know the lift's answer, so what is seen of an edit is learnt in the words in which unseen rows will ask."""
+    """Gaussians that teach the fast weights along with the pictures, those that the edit shows most; 0: none (the
+    paper). They know the lift's answer, so what is seen of an edit is learnt in the words in which unseen Gaussians
+    will ask."""
     base: ResidualBase = "own"
     """What the decoder's residual is added to. own: the Gaussian as it is (the paper): untrained weights leave the
     asset as it is, and detail comes from the second set. lift: the analytic lift's answer, with the Gaussians that the
@@ -161,7 +163,7 @@ class RefineConfig:
         if "edited" not in self.image_channels or len(set(self.image_channels)) < len(self.image_channels):
             raise ValueError(f"config: expected image_channels with 'edited', each once, got {self.image_channels}")
         if self.base == "lift" and self.detail:
-            raise ValueError("config: expected detail=False with base='lift': there the lift makes the further rows")
+            raise ValueError("config: expected detail=False with base='lift': there the lift adds Gaussians")
 
     @property
     def channels(self) -> int:
@@ -171,10 +173,10 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class PredictConfig:
-    """What rows that no picture shows become in a global edit: features for a regression (models/predictor.py)."""
+    """What Gaussians that no picture shows become in a global edit: features for a regression (models/predictor.py)."""
 
     features: int = 0
-    """Of every row, for lightness and for hue each; 0: no predictor, the lift's own regression (and the paper)."""
+    """Of every Gaussian, for lightness and for hue each; 0: no predictor, the lift's own regression (and the paper)."""
     hidden: int = 128
     """Width of the network that makes them."""
     alone: bool = False
@@ -194,9 +196,11 @@ class ModelConfig:
     preset: str = "paper"
     """Name under which checkpoints of this model are found."""
     representation: Representation = "copy"
-    """native: the voxels hold the user's own rows, all kept; copy: the LRM's Gaussians, thinned out (the paper)."""
+    """native: the voxels hold the user's own Gaussians, all kept; copy: the LRM's Gaussians, thinned out (the
+    paper)."""
     sh_degree: int = 3
-    """Degree of the spherical harmonics that Stage I sees and the decoder changes, 0..4; higher bands of a row stay."""
+    """Degree of the spherical harmonics that Stage I sees and the decoder changes, 0..4; higher bands of a Gaussian
+    stay."""
     lrm: LrmConfig = field(default_factory=LrmConfig)
     """The Gaussian LRM."""
     compress: CompressConfig = field(default_factory=CompressConfig)
@@ -204,11 +208,11 @@ class ModelConfig:
     refine: RefineConfig = field(default_factory=RefineConfig)
     """Stage II."""
     predict: PredictConfig = field(default_factory=PredictConfig)
-    """The predictor of unseen rows, beyond the paper."""
+    """The predictor of unseen Gaussians, beyond the paper."""
     decoder: Decoder = "residual"
-    """residual: on the row's own attributes, centres in voxels, zero at first, so that an untrained model is the
-    identity; bounded: likewise, centres in the row's own size and all of it within limits, so that rows far finer than
-    any in training stay in place; absolute: the paper's, relative to nothing but the voxel."""
+    """residual: on the Gaussian's own attributes, centres in voxels, zero at first, so that an untrained model is the
+    identity; bounded: likewise, centres in the Gaussian's own size and all of it within limits, so that Gaussians far
+    finer than any in training stay in place; absolute: the paper's, relative to nothing but the voxel."""
 
     def __post_init__(self) -> None:
         _degree(self)
@@ -284,6 +288,6 @@ COMPACT = ModelConfig(
     decoder="bounded",
 )
 """What ships trained: one unified model for local and global edits, on two CPU cores. Stage II spends 1.7 MFLOP per
-row, so that a global edit of 100,000 rows fits in 2.5 s also where only float32 is fast (AVX2)."""
+Gaussian, so that a global edit of 100,000 Gaussians fits in 2.5 s also where only float32 is fast (AVX2)."""
 
 PRESETS = {"paper": PAPER, "compact": COMPACT}

@@ -1,7 +1,7 @@
-"""The decoder: one linear layer from latents to attributes, as a residual on the row's own or absolutely.
+"""The decoder: one linear layer from latents to attributes, as a residual on the Gaussian's own or absolutely.
 
 The only place in models/ that turns what a network says into activated attributes, and the guard of the exact promise:
-a residual of exactly zero returns the very same bits. M latents with their rows, D width, C outputs per row.
+a residual of exactly zero returns the very same bits. M latents with their Gaussians, D width, C outputs per Gaussian.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ CHILD_OPACITY = 0.1
 """... and this much fainter, so that appending it hardly changes a picture, yet its pixels have gradients (renderers
 skip alpha below 1/255, so that a child born invisible would never learn)."""
 LIMITS = {"centre": 0.25, "scale": 0.1, "turn": 0.1, "opacity": 0.25, "sh": 2.0}
-"""Of a bounded residual: sizes of the row, log scale, quaternion of norm 1, logits, SH coefficients. Colours are free,
-the rest is a touch: with wide limits a model learns to fade and thicken the rows of its training assets, which ruins
-assets with finer ones (docs/LOG.md)."""
+"""Of a bounded residual: sizes of the Gaussian, log scale, quaternion of norm 1, logits, SH coefficients. Colours are
+free, the rest is a touch: with wide limits a model learns to fade and thicken the Gaussians of its training assets,
+which ruins assets with finer ones (docs/LOG.md)."""
 OPAQUE = 1e-6
 """Opacities this near to 0 or 1 count as this near: from exactly 1 no logit could move."""
 
@@ -60,8 +60,8 @@ class AttributeHead(nn.Module):
         return not (self.linear.weight.any() or self.linear.bias.any())
 
     def attributes(self, raw: Tensor, gaussians: Splats, centers: Tensor, voxel: float) -> Splats:
-        """The decoded rows. raw: [M, C]; rows: the M rows, torch float32; centers: [M, 3] of their voxels, and voxel,
-        the edge of one, world units."""
+        """The decoded Gaussians. raw: [M, C]; gaussians: the M Gaussians, torch float32; centers: [M, 3] of their
+        voxels, and voxel, the edge of one, world units."""
         if self.kind == "residual":
             return apply_residual(gaussians, raw, voxel)
         if self.kind == "bounded":
@@ -78,9 +78,9 @@ def bounded(raw: Tensor) -> Tensor:
 
 
 def apply_residual(gaussians: Splats, residual: Tensor, unit: float | Tensor) -> Splats:
-    """Rows moved by a residual [M, C]: centre in units (world, one or [M, 1]), log scale, quaternion (of the row's own
-    norm), logit opacity, SH of the bands that C has (others stay). Where a number of the residual is exactly 0, the
-    row's own number returns bit for bit. Differentiable in both, at 0 too.
+    """Gaussians moved by a residual [M, C]: centre in units (world, one or [M, 1]), log scale, quaternion (of the
+    Gaussian's own norm), logit opacity, SH of the bands that C has (others stay). Where a number of the residual is
+    exactly 0, the Gaussian's own number returns bit for bit. Differentiable in both, at 0 too.
 
     Log and logit are never taken: exp(log s + d) = s exp(d), and
     sigmoid(logit o + d) = o e^d / (1 - o + o e^d).
@@ -102,8 +102,8 @@ def apply_residual(gaussians: Splats, residual: Tensor, unit: float | Tensor) ->
 
 
 def absolute(gaussians: Splats, raw: Tensor, centers: Tensor, voxel: float) -> Splats:
-    """Rows as raw [M, C] says, with constants so that raw 0 is a grey, round, half transparent row of half a voxel in
-    its voxel's middle. rows gives only the number of SH bands and what is not an attribute."""
+    """Gaussians as raw [M, C] says, with constants so that raw 0 is a grey, round, half transparent Gaussian of half a
+    voxel in its voxel's middle. gaussians gives only the number of SH bands and what is not an attribute."""
     centre, scale, turn, opacity, sh = _split(raw)
     bands = gaussians.sh.shape[1]
     sh = sh[:, :bands]

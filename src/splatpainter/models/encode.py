@@ -1,7 +1,7 @@
 """From an asset to what Stage II reads: canonical views, tokens, Stage I. Once per asset.
 
-N rows of the asset, K latents, V canonical views. In `native` representation the latents belong to the asset's own
-rows; in `copy` the asset is replaced by what Stage I decodes of the LRM's Gaussians.
+N Gaussians of the asset, K latents, V canonical views. In `native` representation the latents belong to the asset's own
+Gaussians; in `copy` the asset is replaced by what Stage I decodes of the LRM's Gaussians.
 """
 
 from __future__ import annotations
@@ -41,13 +41,14 @@ class Encoded:
     """An encoded asset."""
 
     latents: Latents
-    """K latents; latents.groups.order are rows of `rows`. Rows that cannot be drawn have none."""
+    """K latents; latents.groups.order are indices into `gaussians`. Gaussians that cannot be drawn have none."""
     gaussians: Splats = field(repr=False)
-    """Torch float32. native: the N rows that were encoded. copy: K rows, decoded by Stage I; they are the asset now."""
+    """Torch float32. native: the N Gaussians that were encoded. copy: K Gaussians, decoded by Stage I; they are the
+    asset now."""
 
     @cached_property
     def latent_ids(self) -> np.ndarray:
-        """[len(rows)] int64 index into latents.values of each row's latent; -1 for rows without one."""
+        """[len(gaussians)] int64 index into latents.values of each Gaussian's latent; -1 for Gaussians without one."""
         order = self.latents.groups.order
         out = np.full(len(self.gaussians), -1, np.int64)
         out[order] = np.arange(len(order))
@@ -56,7 +57,7 @@ class Encoded:
 
 def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
     """config.views cameras around the asset's cube, config.image_size pixels square. Deterministic. Raises ValueError
-    when no row can be drawn."""
+    when no Gaussian can be drawn."""
     lo, size = bounding_cube(splats)
     center, distance = lo + size / 2, BALL * size / 2 / math.sin(math.radians(FOV / 2))
     first, made = config.views // 3, []  # the first camera looks slightly down
@@ -72,7 +73,7 @@ def canonical_cameras(splats: Splats, config: LrmConfig) -> list[Camera]:
 
 
 def asset_views(splats: Splats, cameras: Sequence[Camera], grid: VoxelGrid) -> tuple[AssetViews, np.ndarray]:
-    """(rendered colours, depth and alpha, in the cube of `grid`; contributions [V, N] float32, pixels per row and
+    """(rendered colours, depth and alpha, in the cube of `grid`; contributions [V, N] float32, pixels per Gaussian and
     view). The views are torch float32, on the device of the splats (CPU for numpy), without gradients."""
     import torch
 
@@ -104,7 +105,7 @@ def encode_asset(
     """LRM and Stage I of an asset, on the model's device; with gradients where torch has them enabled.
 
     splats: numpy or torch; grid: its voxels where they are at hand already (another resolution than the model's is
-    ignored); dtype: how latents are kept, default float32. Raises ValueError when no row can be drawn."""
+    ignored); dtype: how latents are kept, default float32. Raises ValueError when no Gaussian can be drawn."""
     import torch
 
     from splatpainter.models.gaussian_groups import links_from_views
@@ -120,17 +121,17 @@ def encode_asset(
     if config.representation == "copy":
         return _copied(model, views, kind)
     tokens = model.encode_views(views)
-    # Rows that cannot be drawn contribute nothing; their NaN must not reach the arithmetic.
+    # Gaussians that cannot be drawn contribute nothing; their NaN must not reach the arithmetic.
     means = np.where(arrays.drawable[:, None], arrays.means, 0)
     links = links_from_views(means, cameras, contributions, config.lrm.patch)
     return Encoded(model.compressor(tokens, gaussians, links, model.groups(grid), dtype=kind), gaussians)
 
 
 def _copied(model: SplatPainterModel, views: AssetViews, dtype: torch.dtype) -> Encoded:
-    """What the LRM saw, thinned out and decoded by Stage I: latent i belongs to row i."""
+    """What the LRM saw, thinned out and decoded by Stage I: latent i belongs to Gaussian i."""
     from splatpainter.models.compress import Latents
 
-    copy = model.copy_rows(views)
+    copy = model.copied_gaussians(views)
     grid = voxelize(copy.gaussians.numpy(), model.config.compress.resolution)
     latents = model.compressor(copy.tokens, copy.gaussians, copy.links, model.groups(grid), dtype=dtype)
     gaussians = model.decode_latents(latents, copy.gaussians)

@@ -31,15 +31,15 @@ REACH = 1.8
 corners at 1.73)."""
 DEPTH_REACH = 0.1
 """... or from the rendered depth where that is known: 6 voxels of 128."""
-KNOWN_ALPHA = 0.1
-"""Alpha from which a rendered depth counts: the mean over a few faint rows is a guess."""
+MIN_DEPTH_ALPHA = 0.1
+"""Alpha from which a rendered depth counts: the mean over a few faint Gaussians is a guess."""
 SCALE_BIAS, SCALE_MOST = -2.3, -1.2
 """Log-scale where the head says 0 (0.10 of half the cube), and its upper limit (0.30)."""
 OPACITY_BIAS = -2.0
 """Logit opacity where the head says 0 (0.12)."""
-KNOWN_OPACITY_BIAS, EMPTY_OPACITY_BIAS = 1.0, -6.0
+SURFACE_OPACITY_BIAS, EMPTY_OPACITY_BIAS = 1.0, -6.0
 """The same with geometry: on the surface (0.73), and where the views show nothing (0.002: as good as absent)."""
-KNOWN_SCALE = 0.7
+SURFACE_SCALE_PX = 0.7
 """Scale where the head says 0 and the surface is known, in pixels of the view at that depth: neighbours overlap."""
 
 
@@ -111,7 +111,7 @@ class GaussianLrm(nn.Module):
         return LrmOutput(tokens, self.decode(tokens, views))
 
     def encode(self, views: AssetViews) -> Tensor:
-        """[V * L, D] float32 tokens: all that a model of the user's own rows needs. Raises ValueError as forward."""
+        """[V * L, D] float32 tokens: what a model of the user's own Gaussians needs. Raises ValueError as forward."""
         x = patchify(self._channels(views), self.config.patch)
         with exact(x.device):  # rays and depths; and what the blocks add to stays float32
             x = self.norm_in(self.patches(x))
@@ -125,7 +125,7 @@ class GaussianLrm(nn.Module):
         """One Gaussian per pixel from tokens [V * L, D] of these views. In training mode centres are clipped to the
         cube."""
         patch, count = self.config.patch, (self.config.sh_degree + 1) ** 2
-        with exact(tokens.device):  # positions, and opacities that rows are put in order by
+        with exact(tokens.device):  # positions, and opacities that Gaussians are put in order by
             raw = self.head(self.norm_out(tokens.float())).unflatten(1, (patch**2, -1)).flatten(0, 1)
         depth, sh, scales, quats, opacities = raw.split([3, 3 * count, 3, 4, 1], dim=1)
         origins, directions = rays(views)
@@ -142,11 +142,11 @@ class GaussianLrm(nn.Module):
         if self.config.geometry:
             # The surface and its colours are given: where the head says 0, the views' own pixels lie on it.
             assert views.alpha is not None
-            on_asset = patchify(views.alpha, patch).reshape(-1, 1) > KNOWN_ALPHA
+            on_asset = patchify(views.alpha, patch).reshape(-1, 1) > MIN_DEPTH_ALPHA
             focal = min(views.cameras[0].fx, views.cameras[0].fy)
-            footprint = torch.log(KNOWN_SCALE / focal * along.flatten(0, 1).detach().clamp_min(1e-3))
+            footprint = torch.log(SURFACE_SCALE_PX / focal * along.flatten(0, 1).detach().clamp_min(1e-3))
             scale_bias = torch.where(on_asset, footprint, scale_bias)
-            opacity_bias = torch.where(on_asset[:, 0], KNOWN_OPACITY_BIAS, EMPTY_OPACITY_BIAS)
+            opacity_bias = torch.where(on_asset[:, 0], SURFACE_OPACITY_BIAS, EMPTY_OPACITY_BIAS)
             base = (patchify(views.colors, patch).reshape(-1, 1, 3) - 0.5) / SH_C0
             sh = torch.cat([sh[:, :1] + base, sh[:, 1:]], dim=1)
         return Splats(
@@ -162,7 +162,7 @@ class GaussianLrm(nn.Module):
         pixels that show the asset, the rest of the picture teaches nothing."""
         if not self.config.geometry or views.alpha is None:
             return torch.ones_like(splats.opacities, dtype=torch.bool)
-        return patchify(views.alpha, self.config.patch).reshape(-1) > KNOWN_ALPHA
+        return patchify(views.alpha, self.config.patch).reshape(-1) > MIN_DEPTH_ALPHA
 
     def _channels(self, views: AssetViews) -> Tensor:
         """[V, H, W, C]: colour in -1..1, ray direction, the ray's point nearest the cube's centre; with geometry the
@@ -176,7 +176,7 @@ class GaussianLrm(nn.Module):
         parts = [2 * views.colors - 1, directions, nearest_points(origins, directions)]
         if self.config.geometry:
             if views.depth is None or views.alpha is None:
-                raise ValueError("encode: this model sees geometry; render depth and alpha with the views")
+                raise ValueError("encode: this model needs depth and alpha; render them with the views")
             start, _ = _depth_range(views, origins, directions, True)
             parts += [start - _nearest_along(origins, directions), 2 * views.alpha - 1]
         return torch.cat(parts, dim=-1)
@@ -228,7 +228,7 @@ def _depth_range(views: AssetViews, origins: Tensor, directions: Tensor, geometr
         return nearest, torch.full_like(nearest, REACH)
     assert views.depth is not None and views.alpha is not None
     slant = slants(views.cameras, directions)
-    has_depth = (views.alpha > KNOWN_ALPHA) & (views.depth > 0)
-    # z-depth to distance along the ray; clamped, since a background row may lie far behind the cube.
+    has_depth = (views.alpha > MIN_DEPTH_ALPHA) & (views.depth > 0)
+    # z-depth to distance along the ray; clamped, since a background Gaussian may lie far behind the cube.
     along = (views.depth / (slant * views.half_extent) - nearest).clamp(-REACH, REACH) + nearest
     return torch.where(has_depth, along, nearest), torch.where(has_depth, DEPTH_REACH, REACH).to(nearest.dtype)

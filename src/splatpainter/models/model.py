@@ -1,13 +1,13 @@
-"""The whole model as pure calls: views to tokens, rows to latents, edits to a next state, latents to attributes.
+"""The whole model as pure calls: views to tokens, Gaussians to latents, edits to a next state, latents to attributes.
 
     tokens  = model.encode_views(views)                           once per asset: the Gaussian LRM
-    latents = model.compressor(tokens, rows, links, groups)       once per asset: Stage I
+    latents = model.compressor(tokens, gaussians, links, groups)  once per asset: Stage I
     refined = model.refine(state, latents, pictures, ...)         per edit: Stage II, state in and state out
-    decoded = model.decode(latents, refined, rows)                new attributes of the chosen rows, and further rows
-    state, decoded = model.edit(state, latents, pictures, rows)   both at once, in bounded memory
+    decoded = model.decode(latents, refined, gaussians)           new attributes of the chosen Gaussians, and children
+    state, decoded = model.edit(state, latents, pictures, gaussians)   both at once, in bounded memory
 
-In `copy` representation the rows are not the user's: `copy_rows` makes them from the views. Nothing is written into an
-argument, nothing is remembered between calls. N rows, K latents, J chosen latents, D width.
+In `copy` representation the Gaussians are not the user's: `copied_gaussians` makes them from the views. Nothing is
+written into an argument, nothing is remembered between calls. N Gaussians, K latents, J chosen latents, D width.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from splatpainter.voxels.grid import VoxelGrid
 
 @dataclass(frozen=True)
 class Copy:
-    """The LRM's own Gaussians, as rows for Stage I (`copy` representation)."""
+    """The LRM's own Gaussians, as Stage I reads them (`copy` representation)."""
 
     gaussians: Splats
     """N Gaussians above config.compress.min_opacity, torch."""
@@ -65,13 +65,13 @@ class Decoded:
     """New attributes."""
 
     splats: Splats
-    """J rows, torch float32."""
+    """J Gaussians, torch float32."""
     gaussian_ids: np.ndarray
     """[J] int64 the asset's Gaussians that they replace."""
     children: Splats | None
     """Gaussians to append: J; none from an untrained decoder; or None where there were no detail latents."""
     parents: np.ndarray | None
-    """[len(further)] int64 the rows of the asset that they belong to."""
+    """[len(children)] int64 the Gaussians of the asset that they belong to."""
 
 
 class SplatPainterModel(nn.Module):
@@ -116,7 +116,8 @@ class SplatPainterModel(nn.Module):
         )
 
     def groups(self, grid: VoxelGrid) -> GaussianGroups:
-        """The rows of a grid, grouped as Stage I wants them. Raises ValueError for a grid of another resolution."""
+        """The Gaussians of a grid, grouped as Stage I wants them. Raises ValueError for a grid of another
+        resolution."""
         if grid.resolution != self.config.compress.resolution:
             raise ValueError(
                 f"encode: expected a grid of {self.config.compress.resolution} voxels per edge, got {grid.resolution}"
@@ -127,13 +128,13 @@ class SplatPainterModel(nn.Module):
         """[P, token width] tokens of an asset's canonical views. Raises ValueError as GaussianLrm."""
         return self.lrm.encode(views)
 
-    def copy_rows(self, views: AssetViews) -> Copy:
+    def copied_gaussians(self, views: AssetViews) -> Copy:
         """The LRM's Gaussians that can be seen, with their tokens. Raises ValueError when there are none."""
         output = self.lrm(views)
         opaque = output.splats.opacities > self.config.compress.min_opacity
         ids = torch.nonzero(opaque & self.lrm.on_surface(views, output.splats))[:, 0]
         if len(ids) == 0:
-            raise ValueError("encode: the model sees nothing in the views; check that they show the asset")
+            raise ValueError("encode: the model makes no visible Gaussian of the views; check that they show the asset")
         patches = (ids // self.config.lrm.patch**2).cpu().numpy()[:, None]
         links = TokenLinks(patches, np.ones(patches.shape, np.float32))
         return Copy(output.splats.take(ids), output.tokens, links)
@@ -157,11 +158,11 @@ class SplatPainterModel(nn.Module):
     ) -> Refined:
         """Stage II: adapt to the pictures of one edit, then read the chosen latents.
 
-        places: [J] int64 latents to read, the same one for several rows if wanted (local), None: all (global); lift:
-        [J, 13] what the analytic lift says about their rows, drift: [J, 7] how these differ from the encoded ones
-        (`Refiner.prepare`); detail: also make the second set; strength: overrides config.refine.edit_strength; chunk:
-        latents at once. The same edit in other batches gives the same values up to rounding. Raises ValueError for
-        pictures or features that this model cannot use.
+        latent_ids: [J] int64 latents to read, repeated where several Gaussians read one (local), None: all (global);
+        lift: [J, 13] what the analytic lift says about their Gaussians, drift: [J, 7] how these differ from the encoded
+        ones (`Refiner.prepare`); detail: also make the second set; strength: overrides config.refine.edit_strength;
+        chunk: latents at once. The same edit in other batches gives the same values up to rounding. Raises ValueError
+        for pictures or features that this model cannot use.
         """
         if detail and not self.config.refine.detail:
             raise ValueError("refine: this model has no detail layer; use detail=False")
@@ -193,7 +194,7 @@ class SplatPainterModel(nn.Module):
         strength: float | None = None,
     ) -> tuple[RefineState, Decoded]:
         """`refine` and `decode` in one. Without gradients the latents are read and decoded run by run, so that a
-        million rows need little more than themselves."""
+        million Gaussians need little more than themselves."""
         if torch.is_grad_enabled():
             refined = self.refine(
                 state,
@@ -237,13 +238,14 @@ class SplatPainterModel(nn.Module):
         return state, _joined([decoded(values[run], detail_latents, run) for run, detail_latents in detail_parts])
 
     def decode(self, latents: Latents, refined: Refined, gaussians: Splats, base: Splats | None = None) -> Decoded:
-        """Attributes of refined latents. rows: the N rows of the asset that the latents belong to, torch float32; base:
-        J rows that the residuals are added to (the lift's answer), by default the latents' own of `rows`.
+        """Attributes of refined latents. gaussians: the N Gaussians of the asset that the latents belong to, torch
+        float32; base: J Gaussians that the residuals are added to (the lift's answer), by default the latents' own of
+        `gaussians`.
 
-        `native` decodes the second set as children, on a smaller and fainter copy of their row; `copy` like the first.
-        Where `base` rows are given and Stage I has decoded them before (`copy`), they get only what changed: the
-        residual of the refined latent minus that of the latent before. A residual that is exactly zero returns a row's
-        bits and, unless in training mode, appends nothing."""
+        `native` decodes the second set as children, on a smaller and fainter copy of their Gaussian; `copy` like the
+        first. Where `base` Gaussians are given and Stage I has decoded them before (`copy`), they get only what
+        changed: the residual of the refined latent minus that of the latent before. A residual that is exactly zero
+        returns a Gaussian's bits and, unless in training mode, appends nothing."""
         index = latents.groups.order[refined.latent_ids]
         native = self.config.representation == "native"
         base_gaussians = gaussians.take(index) if base is None else base
@@ -260,7 +262,7 @@ class SplatPainterModel(nn.Module):
         return Decoded(splats, index, children, index)
 
     def decode_latents(self, latents: Latents, gaussians: Splats, latent_ids: np.ndarray | None = None) -> Splats:
-        """What Stage I alone says: the chosen latents (all by default), decoded as they are. J rows."""
+        """What Stage I alone says: the chosen latents (all by default), decoded as they are. J Gaussians."""
         chosen, values = self._chosen(latents, latent_ids)
         return self._decoded(latents, values, chosen, gaussians.take(latents.groups.order[chosen]))
 
@@ -274,7 +276,8 @@ class SplatPainterModel(nn.Module):
     def _decoded(
         self, latents: Latents, values: Tensor, latent_ids: np.ndarray, base: Splats, before: Tensor | None = None
     ) -> Splats:
-        """J rows. values: [J, D]; base: J rows; before: [J, C] what the decoder said about them before the edit."""
+        """J Gaussians. values: [J, D]; base: J Gaussians; before: [J, C] what the decoder said about them before the
+        edit."""
         centers = torch.from_numpy(latents.groups.gaussian_centers(latent_ids)).to(base.means)
         raw = self.head(values)
         raw = raw if before is None else raw - before

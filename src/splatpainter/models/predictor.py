@@ -1,11 +1,12 @@
-"""What rows that no edited picture shows become under a new light or look: learned features, an edit solved exactly.
+"""What Gaussians that no edited picture shows become under a new light or look: learned features, an edit solved
+exactly.
 
     predict = predicting(model.predictor, splats, normals, transfer)      # None without a trained one
     lift_global(splats, views, predict=predict)
 
-A network describes every row (its colour, normal, place, and the light that reaches it: precomputed transfer) in the
-company of all others; the change of those that the pictures show is regressed on that description, and what comes out
-holds for all. It takes the place of the lift's fixed features and keeps its principle. N rows, F features.
+A network describes every Gaussian (its colour, normal, place, and the light that reaches it: precomputed transfer) in
+the company of all others; the change of those that the pictures show is regressed on that description, and what comes
+out holds for all. It takes the place of the lift's fixed features and keeps its principle. N Gaussians, F features.
 """
 
 from __future__ import annotations
@@ -25,25 +26,25 @@ from splatpainter.nn.precision import exact
 from splatpainter.splats import SH_C0, Splats
 
 FACTS = 21
-"""Numbers per row: `row_facts`."""
+"""Numbers per Gaussian: `gaussian_facts`."""
 INPUTS = FACTS + 8 + 27
 """Facts, eight polynomials of the normal, and transfer times colour."""
 MOST = 50.0
-"""A huge row must not outvote a thousand small ones."""
+"""A huge Gaussian must not outvote a thousand small ones."""
 COMPANY = 8192
-"""Rows, evenly chosen, that say what kind of asset this is and under what light."""
+"""Gaussians, evenly chosen, that say what kind of asset this is and under what light."""
 TEACHERS = 16_384
-"""Seen rows, evenly chosen, that the regression learns from."""
+"""Seen Gaussians, evenly chosen, that the regression learns from."""
 CHUNK = 1 << 12
-"""Rows described at once without gradients: few enough for what they pass through to stay in the caches."""
+"""Gaussians described at once without gradients: few enough for what they pass through to stay in the caches."""
 OPPONENT = ((3**-0.5, 3**-0.5, 3**-0.5), (2**-0.5, -(2**-0.5), 0.0), (6**-0.5, 6**-0.5, -2 * 6**-0.5))
 """Orthogonal: lightness, and two channels of hue."""
 
 
-def row_facts(splats: Splats, normals: np.ndarray, transfer: np.ndarray) -> np.ndarray:
+def gaussian_facts(splats: Splats, normals: np.ndarray, transfer: np.ndarray) -> np.ndarray:
     """[N, 21] float32: base colour - 0..1 as -1..1 -, normal, place in the asset's ball, opacity, log of the mean scale
     over the ball's radius, transfer and open share. splats: numpy; normals: [N, 3] of `outward_normals`; transfer:
-    [N, 10] of `prt_transfer`. Rows that cannot be drawn get zeros. At least one row must be drawable."""
+    [N, 10] of `prt_transfer`. Gaussians that cannot be drawn get zeros. At least one Gaussian must be drawable."""
     drawn = splats.drawable
     means = splats.means[drawn]
     middle = np.median(means, 0)
@@ -67,13 +68,13 @@ def row_facts(splats: Splats, normals: np.ndarray, transfer: np.ndarray) -> np.n
 
 
 class Predictor(nn.Module):
-    """Features of rows, the colours that are expected before anything is seen, and how much evidence counts."""
+    """Features of Gaussians, the colours that are expected before anything is seen, and how much evidence counts."""
 
     def __init__(self, config: PredictConfig) -> None:
-        """Trained on rows alone, without pictures (train/stages/predict.py)."""
+        """Trained on Gaussians alone, without pictures (train/stages/predict.py)."""
         super().__init__()
         width, self.features = config.hidden, config.features
-        # Attribute names are keys of stored weights; `own`: of a row alone, `company`: of the asset.
+        # Attribute names are keys of stored weights; `own`: of a Gaussian alone, `company`: of the asset.
         self.own = nn.Sequential(nn.Linear(INPUTS, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
         self.company = nn.Sequential(nn.Linear(width, width), nn.SiLU())
         self.evidence = nn.Sequential(nn.Linear(INPUTS + 3, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
@@ -91,8 +92,9 @@ class Predictor(nn.Module):
         return not bool(self.expected.weight.any())
 
     def forward(self, facts: Tensor, change: Tensor, weight: Tensor) -> Tensor:
-        """[N, 3] predicted change of base colour of all rows. facts: [N, 21] of `row_facts`; change: [N, 3] as the
-        pictures have it; weight: [N] pixels that show each row. Without a seen row nothing is predicted: zeros."""
+        """[N, 3] predicted change of base colour of all Gaussians. facts: [N, 21] of `gaussian_facts`; change: [N, 3]
+        as the pictures have it; weight: [N] pixels that show each Gaussian. Without a seen Gaussian nothing is
+        predicted: zeros."""
         with exact(facts.device):
             seen = _spread(torch.nonzero(weight > MIN_SEEN_PX)[:, 0], TEACHERS)
             if len(seen) == 0:
@@ -119,9 +121,9 @@ class Predictor(nn.Module):
 
     def _described(self, inputs: Tensor, around: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(features for lightness [M, F], for hue [M, F], change expected beforehand [M, 3], lightness and hue)."""
-        row_weight, context_weight = self.together.weight.split([self.expected.in_features, len(around)], dim=1)
-        same = functional.linear(around, context_weight, self.together.bias)  # for all rows
-        x = functional.silu(functional.linear(self.own(inputs), row_weight) + same)
+        gaussian_weight, context_weight = self.together.weight.split([self.expected.in_features, len(around)], dim=1)
+        same = functional.linear(around, context_weight, self.together.bias)  # for all Gaussians
+        x = functional.silu(functional.linear(self.own(inputs), gaussian_weight) + same)
         light, hue = (2 * self.features**-0.5 * self.describe(x)).chunk(2, dim=1)
         return light, hue, 0.1 * self.expected(x)
 
@@ -133,7 +135,7 @@ def predicting(
     then `transfer`, which computes [N, 10] of `prt_transfer`, is not called."""
     if predictor is None or predictor.is_untrained:
         return None
-    facts = row_facts(splats, normals, transfer())
+    facts = gaussian_facts(splats, normals, transfer())
 
     def predict(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
         device = predictor.trust.device
@@ -145,15 +147,15 @@ def predicting(
 
 
 def _inputs(facts: Tensor) -> Tensor:
-    """[N, INPUTS] what the network sees of rows."""
+    """[N, INPUTS] what the network sees of Gaussians."""
     x, y, z = facts[:, 3:6].unbind(1)
     turns = torch.stack([x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y, x * x, y * y, z * z], 1)
     lit = facts[:, 11:20, None] * (facts[:, None, :3] + 1) / 2
     return torch.cat([facts, turns, lit.flatten(1)], 1)
 
 
-def _spread(rows: Tensor, most: int) -> Tensor:
-    """At most `most` of these rows, evenly over their order."""
-    if len(rows) <= most:
-        return rows
-    return rows[torch.linspace(0, len(rows) - 1, most, device=rows.device).long()]
+def _spread(values: Tensor, most: int) -> Tensor:
+    """At most `most` of these Gaussians, evenly over their order."""
+    if len(values) <= most:
+        return values
+    return values[torch.linspace(0, len(values) - 1, most, device=values.device).long()]

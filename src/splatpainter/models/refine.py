@@ -25,7 +25,8 @@ from splatpainter.nn.ttt import TTTLayer
 CHUNK = 1 << 12
 """Latents that are worked on at once without gradients: few enough for what they pass through to stay in the caches."""
 DRIFT_FEATURES = 7
-"""Numbers per latent that say how its row differs from the one that was encoded (gaussian_groups.drift_features)."""
+"""Numbers per latent that say how its Gaussian differs from the one that was encoded
+(gaussian_groups.drift_features)."""
 Memory = FastWeights | Tensor
 """What a block knows of the edits so far: fast weights, or (cross_attention) the [T, D] tokens of all of them."""
 
@@ -43,9 +44,9 @@ class RefineState:
 class FastMixer(nn.Module):
     """Memory by test-time training."""
 
-    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool, rows: bool) -> None:
-        """pictures: whether picture tokens read too (not where nothing reads them afterwards); rows: whether rows
-        teach."""
+    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool, gaussians: bool) -> None:
+        """pictures: whether picture tokens read too (not where nothing reads them afterwards); gaussians: whether
+        Gaussians teach."""
         super().__init__()
         self.ttt = TTTLayer(
             dim,
@@ -55,7 +56,7 @@ class FastMixer(nn.Module):
             newton_schulz_steps=config.newton_schulz_steps,
             edit_strength=config.edit_strength,
             streams=("image", "voxel") if pictures else ("voxel",),
-            teachers=("image", "voxel") if rows else ("image",),
+            teachers=("image", "voxel") if gaussians else ("image",),
         )
 
     def initial(self) -> Memory:
@@ -88,7 +89,7 @@ class FastMixer(nn.Module):
 class AttentionMixer(nn.Module):
     """The ablation: memory is all tokens so far, read by cross-attention; weights and strength mean nothing here."""
 
-    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool, rows: bool) -> None:
+    def __init__(self, dim: int, config: RefineConfig, *, pictures: bool, gaussians: bool) -> None:
         super().__init__()
         self.dim = dim
         self.rows = CrossAttention(dim, config.heads)
@@ -118,9 +119,9 @@ class AttentionMixer(nn.Module):
         return self.rows(tokens, memory, CrossGroups.of([len(tokens)], [len(memory)], tokens.device))
 
 
-def _mixer(dim: int, config: RefineConfig, *, pictures: bool, rows: bool) -> FastMixer | AttentionMixer:
+def _mixer(dim: int, config: RefineConfig, *, pictures: bool, gaussians: bool) -> FastMixer | AttentionMixer:
     kind = FastMixer if config.mixer == "ttt" else AttentionMixer
-    return kind(dim, config, pictures=pictures, rows=rows)
+    return kind(dim, config, pictures=pictures, gaussians=gaussians)
 
 
 class RefineBlock(nn.Module):
@@ -133,7 +134,7 @@ class RefineBlock(nn.Module):
         if config.image_attention:
             self.norm_attention = layer_norm(dim)
             self.attention = SelfAttention(dim, config.heads)
-        self.mixer = _mixer(dim, config, pictures=not last, rows=config.row_tokens > 0)
+        self.mixer = _mixer(dim, config, pictures=not last, gaussians=config.row_tokens > 0)
         self.norm_pictures = layer_norm(dim)
         self.norm_rows = layer_norm(dim)
         self.norm_rows_mlp = layer_norm(dim)
@@ -186,7 +187,7 @@ class Refiner(nn.Module):
         last = config.blocks - 1
         self.blocks = nn.ModuleList(RefineBlock(dim, config, last=i == last) for i in range(config.blocks))
         if config.detail:
-            self.detail_mixer = _mixer(dim, config, pictures=False, rows=False)
+            self.detail_mixer = _mixer(dim, config, pictures=False, gaussians=False)
             self.norm_refined = layer_norm(dim)
             self.norm_original = layer_norm(dim)
 
@@ -234,9 +235,9 @@ class Refiner(nn.Module):
         return torch.topk(seen, count).indices if count else None
 
     def prepare(self, latents: Tensor, lift: Tensor | None, drift: Tensor | None = None) -> Tensor:
-        """[K, D] latents with what is known of their rows beyond. lift: [K, 13] colour before, colour after, seen,
+        """[K, D] latents with what is known of their Gaussians beyond. lift: [K, 13] colour before, colour after, seen,
         colour predicted (0..1), and unit normal, for a model with lift features; drift: [K, 7] of
-        `drift_features`, for one with base "lift" (None: the rows are those that were encoded). Raises ValueError
+        `drift_features`, for one with base "lift" (None: the Gaussians are those that were encoded). Raises ValueError
         where they are missing or of another shape."""
         shape = [len(latents), LIFT_FEATURES]
         if self.config.lift_features:

@@ -72,7 +72,7 @@ class SelfAttention(nn.Module):
     def __init__(self, dim: int, heads: int) -> None:
         """dim: D, a multiple of heads. Raises ValueError otherwise."""
         super().__init__()
-        self.heads = _whole_heads(dim, heads)
+        self.heads = _checked_heads(dim, heads)
         self.qkv = linear(dim, 3 * dim)
         self.out = linear(dim, dim)
 
@@ -88,7 +88,7 @@ class CrossAttention(nn.Module):
     def __init__(self, dim: int, heads: int) -> None:
         """dim: D of both, a multiple of heads. Raises ValueError otherwise."""
         super().__init__()
-        self.heads = _whole_heads(dim, heads)
+        self.heads = _checked_heads(dim, heads)
         self.q = linear(dim, dim)
         self.kv = linear(dim, 2 * dim)
         self.out = linear(dim, dim)
@@ -117,7 +117,7 @@ class PackedBlock(nn.Module):
         return x + self.mlp(self.norm_mlp(x))
 
 
-def _whole_heads(dim: int, heads: int) -> int:
+def _checked_heads(dim: int, heads: int) -> int:
     if heads < 1 or dim % heads:
         raise ValueError(f"attention: expected a width that is a multiple of the heads, got {dim} and {heads}")
     return heads

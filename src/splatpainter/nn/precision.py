@@ -1,8 +1,8 @@
 """Arithmetic of the networks: float32 throughout, or bf16 in their matrix products (torch.autocast).
 
 Who decides, first to last: the caller, the environment variable, the machine. What has to be exact whatever was chosen
-(rows in order of opacity, positions, values of files, learning rates) is computed under `exact`. Costs no torch until
-a context is entered.
+(Gaussians in order of opacity, positions, values of files, learning rates) is computed under `exact`. Costs no torch
+until a context is entered.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ class AssetInfo(Message):
     gaussians_unchanged: int
     """Those of the original that are bit for bit what they were."""
     sh_coefficients: int
-    """K per row and channel: 1, 4, 9, 16 or 25."""
+    """K per Gaussian and channel: 1, 4, 9, 16 or 25."""
     color_space: Literal["srgb", "linear"]
     antialiased: bool
     center: Point

@@ -49,7 +49,7 @@ class Folder:
         try:
             path = (self.root / name).resolve()
         except (OSError, RuntimeError):  # a circle of links
-            raise ValueError(f"{name}: leads nowhere") from None
+            raise ValueError(f"{name}: is a broken link") from None
         if path.parent != self.root:
             raise ValueError(f"{name}: lies outside the studio's folder")
         if not new and not path.is_file():

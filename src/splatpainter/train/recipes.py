@@ -37,8 +37,8 @@ class Recipe:
     MODEL_PRESETS: ClassVar[dict[str, Any]] = {"model": PRESETS}
     """Key of a model's config -> its presets."""
     stage: Stage = "refine"
-    """lrm: the Gaussian LRM; compress: Stage I; predict: the predictor of unseen rows; refine: Stage II; densify: a
-    model of its own, a baseline."""
+    """lrm: the Gaussian LRM; compress: Stage I; predict: the predictor of unseen Gaussians; refine: Stage II; densify:
+    a model of its own, a baseline."""
     model: ModelConfig = COMPACT
     """The model; not of stage densify."""
     samples: SampleRecipe = field(default_factory=SampleRecipe)
@@ -71,8 +71,8 @@ class Recipe:
     loss_views: int = 0
     """Stage II and densify: views per sample that are rendered and compared, a third of them edited ones; 0: all."""
     gradient_rows: int = 0
-    """Stage II: rows per sample that gradients go through, a random choice of those shown; densify: rows that are
-    replaced, those that views pull at hardest; 0: all."""
+    """Stage II: Gaussians per sample that gradients go through, a random choice of those shown; densify: Gaussians that
+    are replaced, those that views pull at hardest; 0: all."""
     keep: float = 0.25
     """Weight of a pixel that a local edit must leave as it is, against 1 for an edited one."""
     sequence: float = 0.2

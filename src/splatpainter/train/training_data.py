@@ -43,7 +43,7 @@ class TrainingData:
     training: Any
     """[i] -> Sample, endless."""
     validation: list[Any]
-    """Fixed; samples, of stage predict row edits."""
+    """Fixed; samples, of stage predict edits of Gaussians without pictures."""
     objects: tuple[int, int]
     """Of training, of validation."""
 

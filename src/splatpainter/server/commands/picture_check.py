@@ -80,7 +80,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     if crop is None and not registration.same_shape(picture.size, size):
         got, expected = f"{picture.size[0]}x{picture.size[1]}", f"{size[0]}x{size[1]}"
         raise ValueError(
-            f"{name}: expected the shape of its view ({expected}) or a part of it, got {got}, which is like no part; "
+            f"{name}: expected the shape of its view ({expected}) or a part of it, got {got}, which matches no part; "
             "resize without cropping"
         )
     shift = (0, 0)
@@ -181,9 +181,7 @@ def _find_camera(
         camera = _cropped_from(context, colors)
         if camera is not None:
             return camera, "export"
-        raise ValueError(
-            f"{name}: it carries no camera and is like no exported view; turn to its view and drop it there"
-        )
+        raise ValueError(f"{name}: it has no camera and matches no exported view; go to its view and drop it there")
     return candidates[best].camera, "export"
 
 

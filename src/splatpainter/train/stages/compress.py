@@ -1,8 +1,8 @@
-"""Stage I: rows and tokens to latents, with the LRM frozen.
+"""Stage I: Gaussians and tokens to latents, with the LRM frozen.
 
 copy: what the kept latents decode to must look like the object (the paper's stage). native: nothing is dropped, so
-copying would be the identity. There a share of the rows lose their colours and the latents must predict them, by a
-linear map that is thrown away afterwards: so latents learn to hold what the LRM's tokens saw of a row and what its
+copying would be the identity. There a share of the Gaussians lose their colours and the latents must predict them, by a
+linear map that is thrown away afterwards: so latents learn to hold what the LRM's tokens saw of a Gaussian and what its
 neighbours look like, which is what an edit has to carry over. It needs no renderer and is the cheapest stage.
 """
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from splatpainter.data.samples import Sample
 
 HIDDEN = 0.5
-"""Share of the rows that lose their colours."""
+"""Share of the Gaussians that lose their colours."""
 
 
 class CopyTask(Task[SplatPainterModel]):
@@ -56,7 +56,7 @@ class CopyTask(Task[SplatPainterModel]):
         """After Stage I, and the LRM's Gaussians before it."""
         with self.arithmetic():
             with torch.no_grad():
-                copy = self.model.copy_rows(input_views(self.model, sample, self.device))
+                copy = self.model.copied_gaussians(input_views(self.model, sample, self.device))
             grid = voxelize(copy.gaussians.numpy(), self.model.config.compress.resolution)
             latents = self.model.compressor(copy.tokens, copy.gaussians, copy.links, self.model.groups(grid))
         return self.model.decode_latents(latents, copy.gaussians), copy.gaussians
@@ -81,7 +81,7 @@ class HiddenColors(Task[SplatPainterModel]):
     @torch.no_grad()
     def judge(self, sample: Sample) -> Verdict:
         guessed, target, visible = self._guess(sample, 0)
-        # Base colours; the floor is what the mean of the colours of the visible rows would get.
+        # Base colours; the floor is what the mean of the colours of the visible Gaussians would get.
         numbers = {
             "mean": _decibels((visible[:, :3].mean(0) - target[:, :3]) * SH_C0),
             "ours": _decibels((guessed[:, :3] - target[:, :3]) * SH_C0),
@@ -89,16 +89,16 @@ class HiddenColors(Task[SplatPainterModel]):
         return Verdict("hidden colours", numbers, ())
 
     def _guess(self, sample: Sample, seed: int) -> tuple[Tensor, Tensor, Tensor]:
-        """SH [M, 3 K] of the hidden rows as guessed and as they are, and of the visible rows."""
-        tokens, rows, links, groups = self._encoded_objects.get(
+        """SH [M, 3 K] of the hidden Gaussians as guessed and as they are, and of the visible Gaussians."""
+        tokens, gaussians, links, groups = self._encoded_objects.get(
             sample.asset.sha256, lambda: self._encode_object(sample.asset.numpy())
         )
-        hidden = torch.from_numpy(np.random.default_rng(seed).random(len(rows)) < HIDDEN).to(self.device)
-        blind = replace(rows, sh=torch.where(hidden[:, None, None], 0, rows.sh))
+        hidden = torch.from_numpy(np.random.default_rng(seed).random(len(gaussians)) < HIDDEN).to(self.device)
+        blind = replace(gaussians, sh=torch.where(hidden[:, None, None], 0, gaussians.sh))
         with self.arithmetic():
             latents = self.model.compressor(tokens, blind, links, groups)
         order = torch.from_numpy(latents.groups.order).to(self.device)
-        sh = rows.sh[order][:, : (self.model.config.sh_degree + 1) ** 2].flatten(1)
+        sh = gaussians.sh[order][:, : (self.model.config.sh_degree + 1) ** 2].flatten(1)
         sh = F.pad(sh, (0, self.guess.out_features - sh.shape[1]))
         hidden = hidden[order]
         return self.guess(F.layer_norm(latents.values, latents.values.shape[1:]))[hidden], sh[hidden], sh[~hidden]

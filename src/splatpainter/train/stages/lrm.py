@@ -66,7 +66,9 @@ def judged(
     """What a reconstruction looks like beside the truth, and beside what it was made of (before)."""
     cameras, target = truth(sample, device)
     drawn_views = {"asset": sample.asset, "before": before, "ours": made}
-    pictures = {name: draw(rows, cameras, device)[0] for name, rows in drawn_views.items() if rows is not None}
+    pictures = {
+        name: draw(gaussians, cameras, device)[0] for name, gaussians in drawn_views.items() if gaussians is not None
+    }
     numbers = {name: v for name, p in pictures.items() if (v := masked_psnr(p, target)) is not None}
     strip = [("input", views.colors[0].cpu().numpy())]
     strip += [(f"{name} {numbers.get(name, float('nan')):.2f} dB", p[0].cpu().numpy()) for name, p in pictures.items()]
@@ -81,8 +83,8 @@ def input_views(model: SplatPainterModel, sample: Sample, device: torch.device) 
     asset = sample.asset.numpy()
     grid = voxelize(asset, model.config.compress.resolution)
     if config.geometry:
-        rows = asset.torch(str(device)) if device.type == "cuda" else asset
-        views, _ = asset_views(rows, canonical_cameras(asset, config), grid)
+        gaussians = asset.torch(str(device)) if device.type == "cuda" else asset
+        views, _ = asset_views(gaussians, canonical_cameras(asset, config), grid)
         return views
     cameras = list(sample.base.cameras)[: config.views]
     if len(cameras) < config.views:

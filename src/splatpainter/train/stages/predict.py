@@ -1,6 +1,6 @@
-"""The predictor of unseen rows: edits of rows in, the change of all others out. No picture is drawn.
+"""The predictor of unseen Gaussians: edits of Gaussians in, the change of all others out. No picture is drawn.
 
-What is compared is close to what a global edit writes into the rows: what was seen where much was seen, what is
+What is compared is close to what a global edit writes into the Gaussians: what was seen where much was seen, what is
 predicted elsewhere. The loss is the logarithm of the mean squared error, so every edit counts by the dB it gains.
 """
 
@@ -17,7 +17,7 @@ from splatpainter.lift.colors import MIN_SEEN_PX
 from splatpainter.lift.global_edit import regressed
 from splatpainter.lift.options import GlobalOptions
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.predictor import row_facts
+from splatpainter.models.predictor import gaussian_facts
 from splatpainter.splats import SH_C0
 from splatpainter.train.stages.task import Task, Verdict, freeze
 
@@ -45,7 +45,7 @@ class PredictTask(Task[SplatPainterModel]):
     def judge(self, sample: GlobalEdit) -> Verdict:  # type: ignore[override]
         ours = self._predicted(sample)
         lift = regressed(sample.asset, sample.normals, sample.observed, sample.weight)
-        # Nothing done: a change of 0 wherever a row is seen, too.
+        # Nothing done: a change of 0 wherever a Gaussian is seen, too.
         before = np.clip(_colors(sample), 0, 1) - np.clip(_colors(sample) + sample.change, 0, 1)
         unedited = float(np.average((before**2).mean(1), weights=sample.counts))
         numbers = {
@@ -60,8 +60,8 @@ class PredictTask(Task[SplatPainterModel]):
         predictor = self.model.predictor
         assert predictor is not None
         if not (sample.weight > MIN_SEEN_PX).any():
-            raise ValueError("the pictures show no row")
-        facts = row_facts(sample.asset, sample.normals, sample.transfer)
+            raise ValueError("the pictures show no Gaussian")
+        facts = gaussian_facts(sample.asset, sample.normals, sample.transfer)
         return predictor(self._tensor(facts), self._tensor(sample.observed), self._tensor(sample.weight))
 
     def _squared(self, sample: GlobalEdit, predicted: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """Stage II: edited views in, changed attributes out, judged from views that the model did not see.
 
-The analytic lift or the asset's own rows are the start; the network adds a residual to it; the rendered result is
+The analytic lift or the asset's own Gaussians are the start; the network adds a residual to it; the rendered result is
 compared with the truth of the edited object. LRM and, unless asked otherwise, Stage I are frozen (arXiv 2512.05354).
 """
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 Encoder = Literal["nothing", "compress", "all"]
 MIN_VISIBLE_WEIGHT = 0.02
-"""Pixels of weight from which a row counts as shown."""
+"""Pixels of weight from which a Gaussian counts as shown."""
 SOLID = 0.5
 """Alpha from which a pixel is the object's."""
 
@@ -60,7 +60,7 @@ class RefineOptions:
     loss_views: int
     """Views per sample that are rendered and compared, novel and edited ones together; 0: all."""
     gradient_rows: int
-    """Rows per sample that gradients go through; 0: all."""
+    """Gaussians per sample that gradients go through; 0: all."""
     objects: int
     """Objects whose encoding is kept."""
 
@@ -73,9 +73,9 @@ class PreparedAsset:
     """Numpy."""
     grid: VoxelGrid
     normals: np.ndarray
-    """[N, 3] outward normals of its rows."""
+    """[N, 3] outward normals of its Gaussians."""
     predict: Predict | None
-    """What the model says of rows that no view shows, in global edits."""
+    """What the model says of Gaussians that no view shows, in global edits."""
     encoded: Encoded | None
     """With a frozen encoder."""
     tokens: Tensor | None
@@ -102,7 +102,7 @@ class RefineTask(Task[SplatPainterModel]):
         self.copies = model.config.representation == "copy"
         if self.copies:
             if options.train_encoder != "nothing":
-                raise ValueError("train: expected train_encoder nothing with 'copy': the rows themselves would move")
+                raise ValueError("train: expected train_encoder nothing with 'copy': the Gaussians would move")
             freeze(model.head)  # the paper trains the decoder in Stage I and freezes it with that
         self._prepared: Recent[PreparedAsset] = Recent(options.objects)
         if options.train_encoder != "all":
@@ -116,7 +116,7 @@ class RefineTask(Task[SplatPainterModel]):
 
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         if sample.mode == "global" and self.model.config.predictor_only:
-            raise ValueError("global edits are the predictor's alone: Stage II learns nothing from them")
+            raise ValueError("this model's global edits use the predictor alone: Stage II cannot be trained on them")
         rng = np.random.default_rng(seed)
         prepared = self._remembered(sample)
         views = self._edits(sample, prepared)
@@ -184,14 +184,14 @@ class RefineTask(Task[SplatPainterModel]):
         return normals, predicting(self.model.predictor, splats, normals, lambda: prt_transfer(splats.means, normals))
 
     def _encoded(self, prepared: PreparedAsset, parents: np.ndarray) -> Encoded:
-        """The asset's latents, those of the given rows at least."""
+        """The asset's latents, those of the given Gaussians at least."""
         if prepared.encoded is not None:
             return prepared.encoded
         if prepared.tokens is None or prepared.links is None:
             return encode_asset(self.model, prepared.splats, prepared.grid)
-        rows = prepared.splats.torch(str(self.device))
-        groups = holding(self.model.groups(prepared.grid), parents, len(rows))
-        return Encoded(self.model.compressor(prepared.tokens, rows, prepared.links, groups), rows)
+        gaussians = prepared.splats.torch(str(self.device))
+        groups = holding(self.model.groups(prepared.grid), parents, len(gaussians))
+        return Encoded(self.model.compressor(prepared.tokens, gaussians, prepared.links, groups), gaussians)
 
     def _edits(self, sample: Sample, prepared: PreparedAsset) -> list[EditView]:
         targets = [np.asarray(c, np.float32) for c in torch.as_tensor(sample.edited.colors).cpu().numpy()]
@@ -220,15 +220,15 @@ class RefineTask(Task[SplatPainterModel]):
         first: int = 0,
         rng: np.random.Generator | None = None,
     ) -> Splats:
-        """The edited asset. first: views whose only trace is the state that they leave; rng: chooses the rows that
+        """The edited asset. first: views whose only trace is the state that they leave; rng: chooses the Gaussians that
         gradients go through, where they are limited."""
         encoded, state = self._encoded(prepared, start.parents), self.model.initial_state()
-        if first:  # only its state is wanted, so one row is read
+        if first:  # only its state is wanted, so one Gaussian is read
             state, _, _ = refine_edit(self.model, state, encoded, part_of(start, np.arange(1)), views[:first])
         count, most = len(start.ids), self.options.gradient_rows
         if rng is None or not most or count <= most or start.detail:
-            _, rows, further = refine_edit(self.model, state, encoded, start, views[first:])
-            return assemble(start, rows, further)
+            _, edited, further = refine_edit(self.model, state, encoded, start, views[first:])
+            return assemble(start, edited, further)
         order, views = rng.permutation(count), views[first:]
         after, sampled, _ = refine_edit(self.model, state, encoded, part_of(start, order[:most]), views)
         if self.model.config.refine.mask_tokens:  # an edit without edited pixels adapts nothing: it only reads
@@ -239,7 +239,7 @@ class RefineTask(Task[SplatPainterModel]):
         return assemble(part_of(start, order), replace(sampled, **both), None)
 
     def _visible(self, start: LiftedEdit, cameras: Sequence[Camera]) -> LiftedEdit:
-        """The same with only those rows to change that the views show: the others would get no gradient."""
+        """The same with only those Gaussians to change that the views show: the others would get no gradient."""
         splats = start.splats if self.device.type == "cpu" else start.splats.torch(str(self.device))
         with torch.no_grad():
             weights = torch.as_tensor(render(splats, list(cameras), contributions=True).contributions).sum(0)
@@ -298,22 +298,23 @@ class RefineTask(Task[SplatPainterModel]):
 
 
 def part_of(start: LiftedEdit, positions: np.ndarray) -> LiftedEdit:
-    """The same with only these of its changeable rows (indices into start.ids), in this order."""
+    """The same with only these of its changeable Gaussians (indices into start.ids), in this order."""
     return replace(
         start, ids=start.ids[positions], parents=start.parents[positions], features=start.features[positions]
     )
 
 
 def _louder(values: Tensor, factor: float) -> Tensor:
-    """The same values with gradients times a factor: a random share of rows then gives the expected gradient of all."""
+    """The same values with gradients times a factor: a random share of Gaussians then gives the expected gradient of
+    all."""
     return values.detach() + factor * (values - values.detach())
 
 
-def holding(groups: GaussianGroups, rows: np.ndarray, count: int) -> GaussianGroups:
-    """Those groups that hold any of the given rows, whole: nothing crosses a voxel's border, so Stage I gives their
-    rows the same latents. count: N rows of the asset."""
+def holding(groups: GaussianGroups, gaussian_ids: np.ndarray, count: int) -> GaussianGroups:
+    """Those groups that hold any of the given Gaussians, whole: nothing crosses a voxel's border, so Stage I gives
+    their Gaussians the same latents. count: N Gaussians of the asset."""
     target = np.zeros(count, bool)
-    target[rows] = True
+    target[gaussian_ids] = True
     owner = np.repeat(np.arange(len(groups.lengths)), groups.lengths)
     selected = np.bincount(owner, target[groups.order], len(groups.lengths)) > 0
     starts = np.concatenate([[0], np.cumsum(groups.lengths[selected])]).astype(np.int64)
