@@ -384,7 +384,7 @@ def share_equal(before: Splats, after: Splats) -> float:
     """Share of the Gaussians of `before` whose every attribute kept its bits in the same one of `after`, which has at
     least as many. Raises ValueError where it has fewer."""
     if len(after) < len(before):
-        raise ValueError(f"rows equal: an answer that keeps Gaussians has {len(after)} of {len(before)}")
+        raise ValueError(f"rows equal: an answer that keeps Gaussians has {len(after)} of the asset's {len(before)}")
     return 1.0 - float(changed(before, after).mean()) if len(before) else 1.0
 
 
