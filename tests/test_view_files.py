@@ -107,7 +107,7 @@ def test_passes_are_weighted_means() -> None:
     drawn = passes.alpha > 1e-6
     depth = (weight.T @ z).reshape(shape) / np.maximum(weight.sum(0).reshape(shape), 1e-12)
     assert np.allclose(passes.depth[drawn], depth[drawn], atol=1e-6) and (passes.depth[passes.alpha == 0] == 0).all()
-    with pytest.raises(ValueError, match="only a session knows"):
+    with pytest.raises(ValueError, match="only a session records"):
         draw_passes(splats, camera, ("coverage",))
 
 
@@ -345,7 +345,7 @@ def test_render_gives_what_its_options_say(tmp_path: Path, capfd: Capture) -> No
     ("words", "pattern"),
     [
         (["--aov", "depths"], "got 'depths'"),
-        (["--aov", "coverage"], "only a session knows"),
+        (["--aov", "coverage"], "only a session records"),
         (["--bits", "32"], "8 or 16 bits of PNG"),
         (["--bits", "12"], "--bits"),
         (["--format", "exr", "--transparent", "straight"], "multiplied by alpha"),

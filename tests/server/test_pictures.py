@@ -70,7 +70,7 @@ def test_cameras_are_found_in_the_sidecar_the_exports_and_by_resemblance(studio:
     )
     noise = np.random.default_rng(0).uniform(size=(96, 96, 3))
     lost = studio.http.post("/api/do/picture.check", json={"picture": studio.send(png_bytes(noise))})
-    assert lost.status_code == 400 and "turn to its view" in lost.json()["error"]["hint"]
+    assert lost.status_code == 400 and "go to its view" in lost.json()["error"]["hint"]
     given = studio.post("picture.check", picture=studio.send(png_bytes(noise)), camera=wire(view()))
     assert given["camera_source"] == "given" and "use it as a global edit" in given["warnings"][0]["message"]
 
