@@ -208,11 +208,11 @@ def measure_asset(path: Path | None, name: str, config: LiftBench) -> tuple[Lift
 class AssetViews:
     """The close-up of an asset and the other views, drawn."""
 
-    def __init__(self, splats: Splats, view: Closeup, others: Sequence[tuple[float, float]] | None = None) -> None:
-        """others: (azimuth, elevation), by default OTHER_VIEWS."""
+    def __init__(self, splats: Splats, view: Closeup, directions: Sequence[tuple[float, float]] | None = None) -> None:
+        """directions: (azimuth, elevation), by default OTHER_VIEWS."""
         from splatpainter.rendering import render
 
-        turns = [other[1:] for other in OTHER_VIEWS] if others is None else others
+        turns = [other[1:] for other in OTHER_VIEWS] if directions is None else directions
         self.cameras: list[Camera] = [view.camera, *(view.turned(azimuth, rise) for azimuth, rise in turns)]
         self.filled = view.filled
         renders = render(splats, self.cameras)

@@ -69,7 +69,7 @@ def outputs(model: SplatPainterModel) -> dict[str, np.ndarray]:
     tokens = model.encode_views(views)
     named: dict[str, torch.Tensor] = {"tokens": tokens}
     if model.config.representation == "copy":
-        copy = model.copy_rows(views)
+        copy = model.copied_gaussians(views)
         tokens, gaussians, links = copy.tokens, copy.gaussians, copy.links
         named |= {f"copy_{name}": getattr(gaussians, name)[:GAUSSIANS] for name in ATTRIBUTES}
     if model.config.refine.lift_features:
