@@ -43,7 +43,9 @@ GRAZING_TURNS = (15.0, 30.0, 45.0, 60.0, 75.0)
 GRAZING_WINDOWS = 3
 """Windows of each size that are tried so."""
 MIN_GRAZING_FILLED = 0.5
-"""Part of a grazing close-up's middle that is surface, and of the middle of that which is seen at this angle."""
+"""Part of a grazing close-up's middle that is surface."""
+MIN_GRAZING_CORE = 0.25
+"""Part of the middle of that which is seen at GRAZING_DEGREES."""
 MAX_TARGET_OFFSET = 0.1
 """Between the depth of a window's middle and that of the surface that is seen there, of that depth."""
 DEPTH_MEDIAN_PX = 5
@@ -111,8 +113,8 @@ def grazing_closeup(
         )
         for turn in (sign * degrees for degrees in GRAZING_TURNS for sign in (-1, 1)):
             camera = start.turned(turn)
-            filled, grazing = _grazing_share(splats, camera, window.target)
-            rating = window.score * grazing**2
+            filled, grazing, core = _grazing_shares(splats, camera, window.target)
+            rating = window.score * (grazing * core) ** 2 if core >= MIN_GRAZING_CORE else 0.0
             if filled >= MIN_GRAZING_FILLED and rating > best_rating:
                 best_rating = rating
                 best = Closeup(camera.resized(size, size), window.target, axis, filled, -float(np.sign(turn)))
@@ -147,20 +149,18 @@ class ViewAngles:
         return ViewAngles(degrees, ndimage.minimum_filter(alpha > 0.9, 3), depth)
 
 
-def _grazing_share(splats: Splats, camera: Camera, target: np.ndarray) -> tuple[float, float]:
-    """(part of the picture's middle half, each way, that is surface; part of it seen at GRAZING_DEGREES); zeros where
-    something hides the target [3], the middle of the picture, or the surface just there is seen otherwise."""
+def _grazing_shares(splats: Splats, camera: Camera, target: np.ndarray) -> tuple[float, float, float]:
+    """(part of the picture's middle half, each way, that is surface; part of it, and of its own middle half, seen at
+    GRAZING_DEGREES); zeros where something hides the target [3], the middle of the picture."""
     angles = ViewAngles.of(splats, camera)
     half, quarter = camera.height // 2, camera.height // 4
     if abs(angles.depth[half, half] / camera.to_camera(target)[2] - 1) > MAX_TARGET_OFFSET:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     middle = (slice(quarter, camera.height - quarter),) * 2
     core = (slice(half - quarter // 2, half + quarter // 2),) * 2
     low, high = GRAZING_DEGREES
     grazing = angles.valid & (angles.degrees >= low) & (angles.degrees <= high)
-    if grazing[core].mean() < MIN_GRAZING_FILLED:
-        return 0.0, 0.0
-    return float(angles.valid[middle].mean()), float(grazing[middle].mean())
+    return float(angles.valid[middle].mean()), float(grazing[middle].mean()), float(grazing[core].mean())
 
 
 def _best_windows(splats: Splats, axis: np.ndarray, count: int) -> list[_Window]:

@@ -53,6 +53,8 @@ MAX_DEPTH_RISE = 0.05
 through the surface, to the far wall."""
 PAINT_MARGIN_PX = 6
 """Pixels around the true paint that count neither as painted nor as not painted: the asset's Gaussians straddle it."""
+MIN_RANKED = 6
+"""Edits from which a rank correlation is worth a word."""
 CELL_PX = 224
 """Of the contact sheet."""
 MIN_CELL_PX = 96
@@ -64,7 +66,7 @@ NOTES = (
     "`specks`: per cent of the true paint (2 px from its edge, where it differs from what is below) that is at least "
     "twice as near to the unpainted truth as to the painted one. `cracks`: per cent of the object's pixels whose alpha "
     "fell by more than 0.2; `see_through`: whose expected depth rose by more than 5 % of the object's radius. Both in "
-    "novel views. `added`: Gaussians. `seconds`: of the edit.",
+    "novel views. `aside`: PSNR without truth, from +-35 degrees (lift/aside.py). `added`: Gaussians.",
 )
 
 
@@ -121,6 +123,7 @@ class PaintedScore:
     specks: float | None
     cracks: float | None
     see_through: float | None
+    aside: float | None
     added: int
     seconds: float
 
@@ -139,6 +142,7 @@ class MethodMeans:
     specks: float | None
     cracks: float | None
     see_through: float | None
+    aside: float | None
     added: float | None
     seconds: float | None
 
@@ -198,7 +202,7 @@ def run(config: PaintedBench, report: Callable[[str], None] | None = None) -> li
         raise ValueError("bench painted: none of the objects could be painted")
     means = mean_scores(scores)
     write_sheet(config.out / "sheet.png", sheet(strips, CELL_PX, where))
-    tables.write_markdown(config.out / "painted.md", means, where, NOTES)
+    tables.write_markdown(config.out / "painted.md", means, where, (*NOTES, *aside_notes(scores)))
     return means
 
 
@@ -230,9 +234,13 @@ def measure_case(
     case: Case, chosen: dict[str, Method], perceptual: Any | None
 ) -> tuple[list[PaintedScore], list[Strip]]:
     """Every method's line, and its row of the contact sheet, the truth's first."""
+    from splatpainter.lift.aside import aside_score
+    from splatpainter.lift.edit_views import edit_views
+
     truth = Truth.of(case)
     camera, picture = truth.cameras[0], case.steps[0].edited.colors[0]
     edit = Edit(to_uint8(picture), camera, case.steps[0].masks[0])
+    (view,) = edit_views(case.asset, [camera], [edit.image], [case.steps[0].masks[0]])
     lines, strips = [], [Strip(f"{case.name}, {len(case.asset):,} Gaussians: the truth", truth.cells(truth.painted))]
     for name, method in chosen.items():
         start = time.perf_counter()
@@ -240,6 +248,7 @@ def measure_case(
         seconds = time.perf_counter() - start
         views = _drawn(after, truth.cameras)
         figures = truth.scores(views, perceptual)
+        figures["aside"] = aside_score(case.asset, after, view).psnr
         line = PaintedScore(case.name, name, **figures, added=len(after) - len(case.asset), seconds=seconds)
         lines.append(line)
         strips.append(Strip(_caption(line), truth.cells(_colors(views))))
@@ -348,6 +357,20 @@ def mean_scores(scores: Sequence[PaintedScore]) -> list[MethodMeans]:
             means[column] = float(np.mean(values)) if values else None
         rows.append(MethodMeans(name, len({score.object for score in group}), **means))
     return rows
+
+
+def aside_notes(scores: Sequence[PaintedScore]) -> list[str]:
+    """How well `aside`, which needs no truth, ranks edits as true novel views do; nothing where there are too few."""
+    from scipy.stats import rankdata
+
+    edits = [score for score in scores if score.method != "nothing" and score.aside is not None]
+    notes = []
+    for column in ("novel", "soft"):
+        pairs = np.array([(score.aside, value) for score in edits if (value := getattr(score, column)) is not None])
+        if len(pairs) >= MIN_RANKED and (np.ptp(pairs, axis=0) > 0).all():
+            ranks = rankdata(pairs, axis=0)
+            notes.append(f"{column} {np.corrcoef(ranks.T)[0, 1]:.2f}")
+    return [f"Rank correlation of `aside` over objects and methods: {', '.join(notes)}."] if notes else []
 
 
 def _check(config: PaintedBench) -> None:

@@ -125,9 +125,20 @@ def test_every_method_beats_nothing() -> None:
     soft = {line.method: line.soft or 0.0 for line in lines}
     assert list(soft) == ["nothing", "rounds", "split", "lift", "auto"]
     assert all(soft[name] > soft["nothing"] + 8 for name in soft if name != "nothing")
+    aside = {line.method: line.aside or 0.0 for line in lines}
+    assert all(aside[name] > aside["nothing"] + 5 for name in aside if name != "nothing")
     assert lines[0].added == 0 and lines[2].added > 0 and all(line.seconds >= 0 for line in lines)
     assert len(strips) == 6 and all(len(strip.cells) == 3 for strip in strips)
     assert strips[0].cells[0][1].shape[:2] == (96, 96)  # the paint's window, at least MIN_CELL_PX
+
+
+def test_the_note_about_the_score_from_the_side_is_its_rank_correlation() -> None:
+    one = painted.PaintedScore("a", "lift", 1.0, 1.0, 1.0, None, 1.0, 0.0, 0.0, 0.0, 1.0, 0, 0.1)
+    rising = [replace(one, novel=float(k), soft=-float(k), aside=float(k**3)) for k in range(6)]
+    ignored = [replace(one, method="nothing", aside=99.0), replace(one, aside=None)]
+    (note,) = painted.aside_notes([*rising, *ignored])
+    assert note.endswith("novel 1.00, soft -1.00.")
+    assert painted.aside_notes(rising[:5]) == []
 
 
 def test_bench_painted_writes_its_tables_and_keeps_its_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
