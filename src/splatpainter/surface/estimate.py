@@ -44,6 +44,15 @@ FIRST_TAU, TAU_RESIDUALS, MIN_TAU = 0.5, 2.0, 0.25
 """In the first round; afterwards in residuals of the round before, at least, in windows."""
 MIN_SLANT = 0.15
 """Cosine between normal and line of sight below which the step along the latter is bounded."""
+TRUST_WEIGHTS = (3.17, -9.77, 16.58, -4.93, -3.84, -2.38, 3.37, -2.47, -0.50, -0.41)
+"""Logistic regression: 1; residual, its square, at most 0.15 of it; thickness; 1 - agreement; cosine between normal and
+line of sight, its square; the step from the query to the surface in windows, up to 1 and beyond. Fitted on eight
+training objects (clean, and fitted by 3DGS from noisy points or true depths: each kind counts a third), 90,000 queries
+as cameras around make them; on five held-out objects AUC 0.85 / 0.61 / 0.68 and 0.83 over all kinds, calibrated to
+0.06 in every tenth."""
+MAX_TRUST_MOVE = 2.5
+FEW_PATCHES = 3.0
+"""Effective number of patches below which trust falls in proportion."""
 X, Y, Z, MXX, MXY, MXZ, MYY, MYZ, MZZ, NX, NY, NZ, MASS, FLATNESS, COLUMNS = range(15)
 """Columns of a patch: its mean; M, which takes the mean's offset from any point to the mean of the product of patch and
 window there (their covariance is h^2 (1 - M)); its unsigned normal; its weight; 0..1 how far it has a normal."""
@@ -78,6 +87,8 @@ class SurfacePoints:
     """[Q] float64 effective number of patches behind the estimate; 0: there is no surface."""
     agreement: np.ndarray = field(repr=False)
     """[Q] float64 0..1 mean |cosine| between the patches' normals and the surface's."""
+    trust: np.ndarray = field(repr=False)
+    """[Q] float64 0..1 probability that the height is off by less than 0.3 widths of the Gaussians seen there."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +119,26 @@ class Surface:
         queries = [np.ascontiguousarray(a, np.float64) for a in (points, directions, widths)]
         if count and len(s):
             parallel.run(_estimate, *lists, *patches, *queries, out)
-        return SurfacePoints(out[:, :3], out[:, 3:6], out[:, 6], out[:, 7], out[:, 8], out[:, 9], out[:, 10])
+        trust = _trust(out, queries[0], queries[1])
+        return SurfacePoints(out[:, :3], out[:, 3:6], out[:, 6], out[:, 7], out[:, 8], out[:, 9], out[:, 10], trust)
+
+
+def _trust(out: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """[Q] of what `_estimate` wrote (TRUST_WEIGHTS). No surface: 0; few patches: less, in proportion."""
+    window = np.where(out[:, 6] > 0, out[:, 6], 1.0)
+    with np.errstate(all="ignore"):  # the caller's NaN and infinite queries have no patches
+        move = np.abs(((out[:, :3] - points) * directions).sum(1)) / window
+        slant = np.clip(-(out[:, 3:6] * directions).sum(1), 0, 1)
+    move = np.clip(np.nan_to_num(move, nan=MAX_TRUST_MOVE), 0, MAX_TRUST_MOVE)
+    residual, thickness = np.clip(out[:, 7], 0, 1), np.clip(out[:, 8], 0, 1)
+    terms = (
+        np.ones(len(out)), residual, residual**2, np.minimum(residual, 0.15), thickness, 1 - out[:, 10],
+        np.nan_to_num(slant), np.nan_to_num(slant) ** 2, np.minimum(move, 1), np.maximum(move - 1, 0),
+    )  # fmt: skip
+    odds = np.zeros(len(out))
+    for weight, term in zip(TRUST_WEIGHTS, terms, strict=True):  # one by one: equal bits for any number of queries
+        odds += weight * term
+    return np.minimum(out[:, 9] / FEW_PATCHES, 1) / (1 + np.exp(-odds))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
