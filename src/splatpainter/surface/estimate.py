@@ -42,9 +42,9 @@ ROUNDS = 4
 """Of reweighting: patches off the surface by one `tau` (in windows) lose 0.4 of their vote."""
 FIRST_TAU, TAU_RESIDUALS, MIN_TAU = 0.5, 2.0, 0.25
 """In the first round; afterwards in residuals of the round before, at least, in windows."""
-MIN_SLANT = 0.15
+MIN_SLANT = 0.35
 """Cosine between normal and line of sight below which the step along the latter is bounded."""
-TRUST_WEIGHTS = (3.17, -9.77, 16.58, -4.93, -3.84, -2.38, 3.37, -2.47, -0.50, -0.41)
+TRUST_WEIGHTS = (3.37, -9.01, 15.02, -5.28, -3.81, -2.40, 2.58, -1.89, -0.49, -0.42)
 """Logistic regression: 1; residual, its square, at most 0.15 of it; thickness; 1 - agreement; cosine between normal and
 line of sight, its square; the step from the query to the surface in windows, up to 1 and beyond. Fitted on eight
 training objects (clean, and fitted by 3DGS from noisy points or true depths: each kind counts a third), 90,000 queries
@@ -74,7 +74,7 @@ class SurfacePoints:
     """What is known at Q queries."""
 
     points: np.ndarray = field(repr=False)
-    """[Q, 3] float64 on the surface, on the query's line of sight."""
+    """[Q, 3] float64 on the surface, on the query's line of sight unless that grazes the surface or misses it."""
     normals: np.ndarray = field(repr=False)
     """[Q, 3] float64 unit, towards the viewer."""
     windows: np.ndarray = field(repr=False)
@@ -238,7 +238,7 @@ def _estimate(
             for j in range(3):
                 n[j] *= scale
             tau, residual, thickness, agreement = FIRST_TAU, 1.0, 1.0, 0.0
-            height, effective, s0 = 0.0, 0.0, 0.0
+            height, left, effective, s0 = 0.0, 0.0, 0.0, 0.0
             for _ in range(ROUNDS):
                 s0, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
                 xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -310,6 +310,8 @@ def _estimate(
                 point[0] += step * dx
                 point[1] += step * dy
                 point[2] += step * dz
+                # What a line of sight that grazes the surface, or misses it, leaves is made up for along the normal.
+                left = height + step * slant
                 tau = min(max(TAU_RESIDUALS * residual, MIN_TAU), FIRST_TAU)
             if not s0 > 0.0:
                 continue
@@ -317,13 +319,13 @@ def _estimate(
                 share = min((residual - PRECISE_RESIDUAL) / (CLOUDY_RESIDUAL - PRECISE_RESIDUAL), 1.0)
                 share = share * share * (3.0 - 2.0 * share)
                 front = _front_height(near, count, means, axes, scales, opacities, point, n, h)
-                step = -share * front / max(-(n[0] * dx + n[1] * dy + n[2] * dz), MIN_SLANT)
-                step = min(max(step, -h), h)
+                slant = -(n[0] * dx + n[1] * dy + n[2] * dz)
+                step = min(max(-share * front / max(slant, MIN_SLANT), -h), h)
                 point[0] += step * dx
                 point[1] += step * dy
                 point[2] += step * dz
             for j in range(3):
-                out[q, j] = point[j]
+                out[q, j] = point[j] + left * n[j]
                 out[q, 3 + j] = n[j]
             out[q, 6], out[q, 7], out[q, 8] = h, residual, thickness
             out[q, 9], out[q, 10] = effective, agreement
