@@ -69,10 +69,13 @@ def resurface(
     """Lay a sheet under the masked pixels as far as the surface is trusted; None where it is nowhere.
 
     target: [H, W, 3] float32 0..1; mask: [H, W] bool."""
-    view = project(splats, camera, tiles=tiles_of_mask(mask))
+    import os
+    ring = int(os.environ.get("RING", 0))
+    reach = dilated(mask, ring)
+    view = project(splats, camera, tiles=tiles_of_mask(reach))
     before, alpha, _ = view.rasterize()
-    visible = visible_surface(surface, splats, view, mask & (alpha > MIN_COVER))
-    ys, xs = np.nonzero(mask & (alpha > MIN_COVER))
+    visible = visible_surface(surface, splats, view, reach & (alpha > MIN_COVER))
+    ys, xs = np.nonzero(reach & (alpha > MIN_COVER))
     pixels = visible.at(np.stack([xs, ys], 1) + 0.5)
     depth = np.zeros(mask.shape)
     depth[ys, xs] = pixels.depth
@@ -81,8 +84,9 @@ def resurface(
         return None
     depth[~covered] = 0
     near = NearSurface.of(visible, covered)
+    target = np.where(mask[..., None], target, before)
     candidates = _candidates(splats, view, covered)
-    tiles = project(splats, camera, gaussian_mask=candidates).tiles_of(candidates) | tiles_of_mask(mask)
+    tiles = project(splats, camera, gaussian_mask=candidates).tiles_of(candidates) | tiles_of_mask(reach)
     ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
     lattice = Lattice.of(splats.take(ids), camera)
     lattice, gone = _cut(lattice, candidates[ids], near, covered, camera, tiles)
@@ -202,7 +206,17 @@ def _assemble(
 ) -> Resurfaced:
     rest = lattice.splats()
     cells = flat_cells(target, covered, depth, camera.fx)
-    edge = np.ones(len(cells.sizes))
+    import os
+    padded = np.pad(target, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    high, low = target, target
+    for dy in range(3):
+        for dx in range(3):
+            part = padded[dy : dy + target.shape[0], dx : dx + target.shape[1]]
+            high, low = np.maximum(high, part), np.minimum(low, part)
+    contrast = (high - low).max(-1)
+    cx, cy = cells.centers.astype(np.int64).T
+    sharp = (contrast[cy, cx] > 0.15) & (cells.sizes == 1)
+    edge = np.where(sharp, float(os.environ.get("EDGE", 1)), 1.0)
     geometry, valid = sheet_geometry(visible, cells, edge)
     centers = cells.centers[valid]
     # Hosts: of the Gaussians that go, the one that made most of the pixel.
@@ -247,7 +261,14 @@ def _assemble(
     total = view.backproject(np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32))
     editable |= split[view.gaussian_ids]
     editable |= (sums.peak > 0.02) & (sums.weight > 0.6 * total.weight)
-    lifted = lift_colors(view, goal, np.ones(mask.shape, np.float32), editable, options.rounds)
+    inside = covered.astype(np.float32)
+    if os.environ.get("JOINT"):
+        lifted = lift_colors(view, goal, np.ones_like(inside), editable, int(os.environ.get("ROUNDS", options.rounds)))
+    else:
+        lifted = lift_colors(view, goal, inside, added, int(os.environ.get("ROUNDS", options.rounds)))
+        now = replace(view, projected=view.with_colors(lifted))
+        rest_colors = lift_colors(now, goal, np.ones(mask.shape, np.float32), editable & ~added, int(os.environ.get("ROUNDS2", options.rounds)))
+        lifted = np.where(added[:, None], lifted, rest_colors)
     moved = editable & (np.abs(lifted - np.maximum(view.unclamped_colors, 0)).max(1) > 1 / 1024)
     sh = both.sh.copy()
     at = view.gaussian_ids[moved]

@@ -16,12 +16,12 @@ FLAT_RANGE = 0.03
 """Colours within and around a cell that differ by less than this, 0..1, are one colour."""
 FLAT_DEPTH_CELLS = 0.08
 """The surface may leave a cell's plane by this share of the cell's edge."""
-WIDTH_CELLS = 0.6
+WIDTH_CELLS = float(__import__('os').environ.get('WC', 0.6))
 """Standard deviation of a sheet Gaussian, in edges of its cell: neighbours cover what lies between them."""
 THICKNESS = 0.1
 """Of a sheet Gaussian over its width."""
 SHEET_OPACITY = 0.95
-MAX_STRETCH = 4.0
+MAX_STRETCH = float(__import__("os").environ.get("STRETCH", 4))
 """A sheet Gaussian is stretched along a slanted surface at most this much."""
 
 

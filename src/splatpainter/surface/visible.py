@@ -43,7 +43,7 @@ MIN_PATCHES = 3.0
 """Effective number of patches from which it is."""
 MAX_DISAGREEMENT = 0.6
 """Distance between a plane and its neighbour's, in windows, up to which both are one surface."""
-MIN_AGREEING = 3
+MIN_AGREEING = int(__import__("os").environ.get("AGREE", 3))
 """Of a lattice point's eight neighbours: those that must lie on its plane."""
 
 
@@ -121,7 +121,7 @@ def visible_surface(surface: Surface, splats: Splats, view: ProjectedView, pixel
         (result.patches >= MIN_PATCHES)
         & (result.residuals < MAX_RESIDUAL)
         & (local[:, 2] > 0)
-        & (moved < 2.5 * result.windows)
+        & (moved < float(__import__("os").environ.get("MOVED", 2.5)) * result.windows)
     )
     trusted = sound & (_agreeing(index, local, normals, result.windows, sound) >= MIN_AGREEING)
     del position
