@@ -29,6 +29,7 @@ ORDER = (
     ("demo_asset",),
     ("lighting",),
     ("voxels",),
+    ("surface",),
     ("lift",),
     ("fit",),
     ("nn",),

@@ -30,6 +30,14 @@ class LocalOptions:
     """Pixels that are further than this from the picture afterwards get a Gaussian of their own; 1: none do."""
     rim_px: int = 24
     """Pixels around the mask that the detail layer may mend."""
+    sheet_rounds: int = 4
+    """Colour rounds of sheets."""
+    angle_limit: float = 80.0
+    """Degrees between the line of sight and the surface's normal from which one view's paint fades; 0: no limit."""
+    depth_edge_limit: float = 0.0
+    """Pixels beside an edge in depth that one view does not paint; 0: none."""
+    max_left_px: int = 12
+    """Edited pixels without a sheet up to which they are left as they are, not split."""
     damping: float = 0.3
     """What is left of SH bands >= 1 in a fully repainted Gaussian, 0..1."""
 

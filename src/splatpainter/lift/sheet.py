@@ -16,12 +16,16 @@ FLAT_RANGE = 0.03
 """Colours within and around a cell that differ by less than this, 0..1, are one colour."""
 FLAT_DEPTH_CELLS = 0.08
 """The surface may leave a cell's plane by this share of the cell's edge."""
-WIDTH_CELLS = float(__import__('os').environ.get('WC', 0.6))
+WIDTH_CELLS = 0.5
 """Standard deviation of a sheet Gaussian, in edges of its cell: neighbours cover what lies between them."""
+EDGE_CONTRAST = 0.15
+"""Range of the colours around a pixel from which it lies on an edge of the picture, ..."""
+EDGE_WIDTH = 0.7
+"""... where its Gaussian is narrower by this factor."""
 THICKNESS = 0.1
 """Of a sheet Gaussian over its width."""
 SHEET_OPACITY = 0.95
-MAX_STRETCH = float(__import__("os").environ.get("STRETCH", 4))
+MAX_STRETCH = 2.5
 """A sheet Gaussian is stretched along a slanted surface at most this much."""
 
 
@@ -107,15 +111,27 @@ def _is_plane(inverse: np.ndarray, size: int, fx: float) -> np.ndarray:
     return bend < FLAT_DEPTH_CELLS * size / fx * np.maximum(middle, 1e-30)
 
 
-def sheet_geometry(surface: VisibleSurface, cells: Cells, edge: np.ndarray) -> tuple[SheetGeometry, np.ndarray]:
-    """(Gaussians on the surface under C cells that have one, [C] bool which those are). edge: [C] factor of the width,
-    1 inside."""
-    camera = surface.camera
-    result = surface.at(cells.centers)
-    valid = result.depth > 0
-    z, normal = result.depth[valid], result.normals[valid]
-    pixel, width = cells.centers[valid], WIDTH_CELLS * cells.sizes[valid] * edge[valid]
-    return pixel_gaussians(camera, pixel, z, normal, width), valid
+def sheet_geometry(surface: VisibleSurface, cells: Cells, target: np.ndarray) -> tuple[SheetGeometry, np.ndarray]:
+    """(Gaussians on the surface under C cells that have one, [C] bool which those are). target: [H, W, 3]; those of
+    single pixels are narrower where it has edges."""
+    at = surface.at(cells.centers)
+    valid = at.depth > 0
+    xs, ys = cells.centers.astype(np.int64).T
+    sharp = (cells.sizes == 1) & (_contrast(target)[ys, xs] > EDGE_CONTRAST)
+    width = WIDTH_CELLS * cells.sizes * np.where(sharp, EDGE_WIDTH, 1)
+    geometry = pixel_gaussians(surface.camera, cells.centers[valid], at.depth[valid], at.normals[valid], width[valid])
+    return geometry, valid
+
+
+def _contrast(target: np.ndarray) -> np.ndarray:
+    """[H, W] range of the colours over the 3 x 3 pixels around each, largest channel."""
+    padded = np.pad(target, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    height, width = target.shape[:2]
+    parts = [padded[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)]
+    low, high = parts[0], parts[0]
+    for part in parts[1:]:
+        low, high = np.minimum(low, part), np.maximum(high, part)
+    return (high - low).max(-1)
 
 
 def pixel_gaussians(

@@ -43,7 +43,9 @@ MIN_PATCHES = 3.0
 """Effective number of patches from which it is."""
 MAX_DISAGREEMENT = 0.6
 """Distance between a plane and its neighbour's, in windows, up to which both are one surface."""
-MIN_AGREEING = int(__import__("os").environ.get("AGREE", 3))
+MAX_MOVE = 6.0
+"""Distance between where a line of sight meets Gaussians and where it meets their surface, in windows, at most."""
+MIN_AGREEING = 1
 """Of a lattice point's eight neighbours: those that must lie on its plane."""
 
 
@@ -106,7 +108,7 @@ def visible_surface(surface: Surface, splats: Splats, view: ProjectedView, pixel
     pixel = np.stack([xs, ys], 1) + 0.5
     rays = np.stack([(pixel[:, 0] - camera.cx) / camera.fx, (pixel[:, 1] - camera.cy) / camera.fy, np.ones(len(xs))], 1)
     depth, width = _front_depths(splats.take(ids), camera, rays)
-    rotation, position = camera.world_to_camera[:3, :3], camera.position
+    rotation = camera.world_to_camera[:3, :3]
     starts = (rays * depth[:, None] - camera.world_to_camera[:3, 3]) @ rotation
     lengths = np.linalg.norm(rays, axis=1)
     directions = (rays / lengths[:, None]) @ rotation
@@ -121,10 +123,9 @@ def visible_surface(surface: Surface, splats: Splats, view: ProjectedView, pixel
         (result.patches >= MIN_PATCHES)
         & (result.residuals < MAX_RESIDUAL)
         & (local[:, 2] > 0)
-        & (moved < float(__import__("os").environ.get("MOVED", 2.5)) * result.windows)
+        & (moved < MAX_MOVE * result.windows)
     )
     trusted = sound & (_agreeing(index, local, normals, result.windows, sound) >= MIN_AGREEING)
-    del position
     return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted)
 
 

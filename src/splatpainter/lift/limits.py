@@ -1,0 +1,82 @@
+"""What one view may paint: surfaces that it sees too much from the side, or across an edge in depth, it cannot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from splatpainter.surface.visible import VisibleSurface
+
+SOFT_DEGREES = 10.0
+"""From the angle limit on, over which paint fades."""
+EDGE_WINDOWS = 1.5
+"""A step in depth between neighbouring pixels by more than this, in windows of the surface, is an edge."""
+
+
+def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, depth_edge_limit: float) -> np.ndarray:
+    """[H, W] float32 0..1: how much of a pixel's paint this view lays down.
+
+    pixels: [H, W] bool, those that are asked for (others are 0). angle_limit: degrees between line of sight and normal
+    from which paint fades, over SOFT_DEGREES; 0: no limit. depth_edge_limit: pixels beside an edge in depth that are
+    left out, fading over as many again; 0: none. Where the surface is not trusted there is nothing to limit by: 1."""
+    out = pixels.astype(np.float32)
+    ys, xs = np.nonzero(pixels)
+    at = visible.at(np.stack([xs, ys], 1) + 0.5)
+    seen = at.depth > 0
+    camera = visible.camera
+    if angle_limit > 0:
+        rays = np.stack([(xs + 0.5 - camera.cx) / camera.fx, (ys + 0.5 - camera.cy) / camera.fy, np.ones(len(xs))], 1)
+        facing = -(rays * at.normals).sum(1) / np.linalg.norm(rays, axis=1)
+        angle = np.degrees(np.arccos(np.clip(facing, 0, 1)))
+        soft = min(SOFT_DEGREES, max(90.0 - angle_limit, 1e-3))
+        share = np.clip(1 - (angle - angle_limit) / soft, 0, 1)
+        out[ys, xs] *= np.where(seen, share, 1).astype(np.float32)
+    if depth_edge_limit > 0:
+        distance = _distance_to_edges(visible, pixels, at.depth, at.windows)
+        share = np.clip(distance / depth_edge_limit - 1, 0, 1)
+        out *= np.where(np.isfinite(distance), share, 1).astype(np.float32)
+    return out
+
+
+def _distance_to_edges(
+    visible: VisibleSurface, pixels: np.ndarray, depth: np.ndarray, windows: np.ndarray
+) -> np.ndarray:
+    """[H, W] pixels (chessboard distance, up to a bound; inf beyond) to the nearest pixel pair whose depths break."""
+    full = np.zeros(pixels.shape)
+    window = np.zeros(pixels.shape)
+    full[pixels], window[pixels] = depth, windows
+    edge = np.zeros(pixels.shape, bool)
+    for axis in (0, 1):
+        low = [slice(None), slice(None)]
+        high = [slice(None), slice(None)]
+        low[axis], high[axis] = slice(None, -1), slice(1, None)
+        a, b = full[tuple(low)], full[tuple(high)]
+        limit = EDGE_WINDOWS * np.maximum(window[tuple(low)], window[tuple(high)])
+        # A plane that is seen from the side is steep, not broken: what counts is the step against the slope beside it.
+        step = np.abs(b - a)
+        slope = np.zeros_like(step)
+        inner = [slice(None), slice(None)]
+        inner[axis] = slice(1, -1)
+        before, after = [slice(None), slice(None)], [slice(None), slice(None)]
+        before[axis], after[axis] = slice(None, -2), slice(2, None)
+        slope[tuple(inner)] = np.minimum(step[tuple(before)], step[tuple(after)])
+        broken = (a > 0) & (b > 0) & (step - slope > limit)
+        edge[tuple(low)] |= broken
+        edge[tuple(high)] |= broken
+    out = np.full(pixels.shape, math.inf)
+    if not edge.any():
+        return out
+    from splatpainter.lift.masks import dilated
+
+    reached = edge
+    out[edge] = 0.5
+    for distance in range(1, MAX_EDGE_PX + 1):
+        grown = dilated(reached, 1)
+        out[grown & ~reached] = distance + 0.5
+        reached = grown
+    return out
+
+
+MAX_EDGE_PX = 32
+"""Beyond which a pixel is not beside an edge."""
