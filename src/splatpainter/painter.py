@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
+    from splatpainter.surface.estimate import Surface
     from splatpainter.voxels.grid import VoxelGrid
 
 Mode = Literal["local", "global"]
@@ -84,6 +85,9 @@ class Asset:
     """[N] float32 0..1 after a global edit: seen (1) or predicted (towards 0)."""
     encoding: EncodedAsset | None = field(default=None, repr=False)
     """For a model's edits; None where none has needed it yet."""
+    original: Splats | None = field(default=None, repr=False)
+    """The first Gaussians of `splats` as they were before all edits, on whose surface sheets are laid; None: `splats`,
+    which has not been edited yet."""
 
     @cached_property
     def grid(self) -> VoxelGrid:
@@ -91,6 +95,13 @@ class Asset:
         from splatpainter.voxels.grid import voxelize
 
         return voxelize(self.splats)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """That of the original; made on first use, and handed on by edits."""
+        from splatpainter.surface.estimate import Surface
+
+        return Surface.of(self.splats if self.original is None else self.original)
 
     @cached_property
     def normals(self) -> np.ndarray:
@@ -111,7 +122,15 @@ class Asset:
         split from."""
         encoding = self.encoding
         encoding = None if encoding is None else replace(encoding, parent_ids=encoding.parent_ids[parents])
-        return replace(self, splats=splats, encoding=encoding)
+        original = self.splats if self.original is None else self.original
+        result = replace(self, splats=splats, encoding=encoding, original=original)
+        return result.with_surface_of(self)
+
+    def with_surface_of(self, other: Asset) -> Asset:
+        """This asset; it has the other's surface (of the same original) where that is known already."""
+        if "surface" in vars(other):
+            vars(self)["surface"] = other.surface
+        return self
 
 
 @dataclass(frozen=True)
@@ -243,14 +262,21 @@ class Painter:
             recolored = self._recolored(asset.splats, result.splats, lifted, views, mode)
             result = replace(result, splats=recolored)
             clock.lap("polish")
-        receipt = self._receipt(asset, result, views, mode, chosen, note)
+        receipt = self._receipt(asset, result, lifted, views, mode, chosen, note)
         clock.lap("receipt")
-        return replace(result, receipt=replace(receipt, seconds=clock.seconds))
+        return replace(result, receipt=replace(receipt, seconds=clock.seconds)).with_surface_of(asset)
 
     def _receipt(
-        self, asset: Asset, result: Asset, views: Sequence[EditView], mode: Mode, chosen: Method, note: str
+        self,
+        asset: Asset,
+        result: Asset,
+        lifted: LiftedEdit,
+        views: Sequence[EditView],
+        mode: Mode,
+        chosen: Method,
+        note: str,
     ) -> Receipt:
-        notes = [note, _beside(views) if mode == "local" else ""]
+        notes = [note, _beside(views) if mode == "local" else "", _beyond_limits(views, lifted.limited)]
         if chosen == "ttt":
             assert self.model is not None
             notes.append("polished: two rounds of the lift after the network" if self.polish else "")
@@ -268,6 +294,9 @@ class Painter:
             method=chosen,
             preset=self.preset if chosen == "ttt" else "lift",
             touched=touched,
+            replaced=np.intersect1d(lifted.replaced, touched),
+            removed=lifted.removed,
+            limited_px=tuple(round(value, 1) for value in lifted.limited),
             appended_rows=len(result.splats) - len(asset.splats),
             untouched_sha256_before=hashes[0],
             untouched_sha256_after=hashes[1],
@@ -342,7 +371,19 @@ class Painter:
         base, features = ("lift", False) if config is None else (config.base, config.lift_features)
         if mode == "local":
             options = self.local_options or LOCAL_DEFAULTS
-            return lift_local_views(asset.splats, asset.grid, views, base, options, features=features)
+            # Networks have learnt on split Gaussians.
+            surface = asset.surface if config is None else None
+            originals = len(asset.splats if asset.original is None else asset.original)
+            return lift_local_views(
+                asset.splats,
+                asset.grid,
+                views,
+                base,
+                options,
+                features=features,
+                surface=surface,
+                originals=originals,
+            )
         return lift_global_views(
             asset.splats,
             views,
@@ -449,6 +490,17 @@ def _beside(views: Sequence[EditView]) -> str:
     edited = sum(int(view.mask.sum()) for view in views)
     beside = edited - sum(int(_scored(view).sum()) for view in views)
     return f"{beside} edited pixels lie beside the asset and cannot be painted" if beside > 0.01 * edited else ""
+
+
+def _beyond_limits(views: Sequence[EditView], limited: Sequence[float]) -> str:
+    """A line about paint that the views' limits left out, or none."""
+    edited, left_out = sum(int(view.mask.sum()) for view in views), sum(limited)
+    if left_out <= 0.01 * edited:
+        return ""
+    return (
+        f"{left_out:.0f} edited pixels' worth of paint lies beyond the angle or depth-edge limit of its view and was "
+        "left out; paint it from the front"
+    )
 
 
 def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

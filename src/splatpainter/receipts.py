@@ -70,6 +70,13 @@ class Receipt:
     seconds: dict[str, float] = field(default_factory=dict)
     note: str = ""
     """One line about how the method was chosen, or what the format cannot hold."""
+    replaced: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    """[R] int64 ascending, part of `touched`: rows whose places Gaussians of a sheet took."""
+    removed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    """[E] int64 ascending, part of `touched`: rows that were emptied: of opacity 0, or of the smallest that a format
+    holds."""
+    limited_px: tuple[float, ...] = ()
+    """Per view, edited pixels' worth of paint that its limits left out."""
     precision: str = ""
     """Arithmetic of the networks, "float32" or "bfloat16" (nn.precision); "" where none ran, and not in the JSON."""
 
@@ -87,27 +94,33 @@ class Receipt:
             "preset": self.preset,
             "touched_rows": len(self.touched),
             "appended_rows": self.appended_rows,
-            "removed_rows": 0,
+            "replaced_rows": len(self.replaced),
+            "removed_rows": len(self.removed),
             "untouched_sha256_before": self.untouched_sha256_before,
             "untouched_sha256_after": self.untouched_sha256_after,
             "views": [{k: _finite(v) for k, v in asdict(view).items()} for view in self.views],
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
             "note": self.note,
         }
+        if any(self.limited_px):
+            record["limited_px"] = list(self.limited_px)
         if self.precision:
             record["precision"] = self.precision
-        text = json.dumps(record, indent=2)
-        runs = json.dumps(to_runs(self.touched).tolist(), separators=(",", ":"))
-        return text.removesuffix("\n}") + f',\n  "touched_runs": {runs}\n}}\n'
+        text = json.dumps(record, indent=2).removesuffix("\n}")
+        for name, rows in (("touched", self.touched), ("replaced", self.replaced), ("removed", self.removed)):
+            if name == "touched" or len(rows):
+                runs = json.dumps(to_runs(rows).tolist(), separators=(",", ":"))
+                text += f',\n  "{name}_runs": {runs}'
+        return text + "\n}\n"
 
     @staticmethod
     def from_json(text: str, where: str = "receipt") -> Receipt:
         """Parse `to_json`. Raises ValueError naming `where` and what is wrong."""
         try:
             data: dict[str, Any] = json.loads(text)
-            touched = from_runs(np.array(data["touched_runs"], np.int64).reshape(-1, 2), int(data["asset"]["rows"]))
-            if len(touched) != int(data["touched_rows"]):
-                raise ValueError(f"touched_rows is {data['touched_rows']}, its runs hold {len(touched)}")
+            touched, replaced, removed = (_rows(data, name) for name in ("touched", "replaced", "removed"))
+            if not (np.isin(replaced, touched).all() and np.isin(removed, touched).all()):
+                raise ValueError("replaced or removed rows are not among the touched ones")
             return Receipt(
                 _text(data["asset"]["sha256"]),
                 int(data["asset"]["rows"]),
@@ -123,11 +136,24 @@ class Receipt:
                 tuple(ViewScore(**{k: _number(v, none=True) for k, v in view.items()}) for view in data["views"]),
                 {_text(name): _number(value) for name, value in dict(data["seconds"]).items()},
                 _text(data.get("note", ""), 4000),
+                replaced,
+                removed,
+                tuple(float(_number(value)) for value in data.get("limited_px", ())),
                 _text(data.get("precision", "")),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             reason = " ".join(repr(error).split())
             raise ValueError(f"{where}: expected a receipt of splatpainter, got {reason[:300]}") from None
+
+
+def _rows(data: dict[str, Any], name: str) -> np.ndarray:
+    """[T] int64 the rows of a receipt's list; none where an older receipt has no such list. Raises ValueError."""
+    count = int(data.get(f"{name}_rows", 0))
+    runs = data["touched_runs"] if name == "touched" else data.get(f"{name}_runs", [])
+    rows = from_runs(np.array(runs, np.int64).reshape(-1, 2), int(data["asset"]["rows"]))
+    if len(rows) != count:
+        raise ValueError(f"{name}_rows is {count}, its runs hold {len(rows)}")
+    return rows
 
 
 def _text(value: Any, max_length: int = 200) -> str:

@@ -19,9 +19,10 @@ from splatpainter.lift.colors import refine_colors_local
 from splatpainter.lift.edit_views import EditView, errors_name, gaussians_in_views
 from splatpainter.lift.features import global_features, local_features, no_features
 from splatpainter.lift.global_edit import Predict, lift_global
-from splatpainter.lift.local_edit import lift_local
 from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS, GlobalOptions, LocalOptions, ResidualBase
+from splatpainter.lift.paint import paint_view
 from splatpainter.splats import Splats
+from splatpainter.surface.estimate import Surface
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 HINT_ROUNDS = 4
@@ -48,6 +49,12 @@ class LiftedEdit:
     """[N] float32 0..1, of a global lift: seen (1) or predicted (towards 0)."""
     detail: bool = False
     """Whether a network may append children (local, base "own": with "lift" the children are the lift's)."""
+    replaced: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    """[R] int64 ascending, part of `ids`: Gaussians of the asset whose indices sheet Gaussians took."""
+    removed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    """[E] int64 ascending, part of `ids`: those whose indices are empty now (opacity 0)."""
+    limited: tuple[float, ...] = ()
+    """Per view, edited pixels' worth of paint that its limits left out."""
 
     def parent_ids(self, count: int) -> np.ndarray:
         """[N + A] int64 the asset's Gaussian that each Gaussian of `splats` is or was split from. count: N."""
@@ -62,14 +69,18 @@ def lift_local_views(
     options: LocalOptions = LOCAL_DEFAULTS,
     *,
     features: bool = True,
+    surface: Surface | None = None,
+    originals: int | None = None,
 ) -> LiftedEdit:
     """A local edit: Gaussians that visibly make the edited pixels; later views win. splats: numpy, N Gaussians; grid:
-    its voxels; features: whether a network reads them. Raises ValueError, naming the view, where an edit reaches no
-    Gaussian."""
+    its voxels; features: whether a network reads them; surface: of the original, on which sheets are laid (None:
+    Gaussians are split, as networks know it); originals: how many of the N are the original's (default: all). Raises
+    ValueError, naming the view, where an edit reaches no Gaussian."""
     if base == "lift":
-        lifted, ids, parents = _one_after_the_other(splats, grid, views, options)
-        values = local_features(splats, lifted, ids, parents, views) if features else no_features(ids)
-        return LiftedEdit(lifted, ids, parents, values)
+        lifted = _one_after_the_other(splats, grid, views, options, surface, originals)
+        if not features:
+            return lifted
+        return replace(lifted, features=local_features(splats, lifted.splats, lifted.ids, lifted.parents, views))
     reached = gaussians_in_views(splats, grid, views)
     ids = np.flatnonzero(reached)
     values = no_features(ids)
@@ -103,27 +114,41 @@ def lift_global_views(
 
 
 def _one_after_the_other(
-    splats: Splats, grid: VoxelGrid, views: Sequence[EditView], options: LocalOptions
-) -> tuple[Splats, np.ndarray, np.ndarray]:
-    """Each view on the result of those before: (N + A Gaussians, [J] those that were changed or appended, [J] the ones
-    of `splats` that they come from). A view gets no detail layer where a later one shows the same part: from another
-    side its Gaussians stand in the way (SAME_PART)."""
+    splats: Splats,
+    grid: VoxelGrid,
+    views: Sequence[EditView],
+    options: LocalOptions,
+    surface: Surface | None,
+    originals: int | None,
+) -> LiftedEdit:
+    """Each view on the result of those before, without features. A view gets no detail layer where a later one shows
+    the same part: from another side its Gaussians stand in the way (SAME_PART)."""
     from splatpainter.voxels.raycast import editable_gaussians
 
-    parents, changed = np.arange(len(splats)), np.zeros(len(splats), bool)
+    count = len(splats)
+    parents, changed = np.arange(count), np.zeros(count, bool)
+    replaced, limited = np.zeros(count, bool), []
+    first = count if originals is None else originals
     again = _shown_again(splats, grid, views)
     for k, view in enumerate(views):
         with errors_name(view.name):
             grid = grid if k == 0 else voxelize(splats, grid.resolution)
             allowed = editable_gaussians(grid, splats, view.camera, view.mask)
             settings = replace(options, max_error=1.0) if again[k] else options
-            lifted = lift_local(splats, view.camera, view.edited, view.mask, settings, allowed)
-        changed[lifted.touched] = True
-        changed = np.append(changed, np.ones(len(lifted.parents), bool))
-        parents = np.append(parents, parents[lifted.parents])
-        splats = lifted.splats
+            painted = paint_view(splats, surface, view.camera, view.edited, view.mask, settings, allowed, first)
+        changed[painted.touched] = True
+        changed = np.append(changed, np.ones(len(painted.parents), bool))
+        replaced[painted.replaced[painted.replaced < count]] = True
+        limited.append(painted.limited)
+        parents = np.append(parents, parents[painted.parents])
+        splats = painted.splats
     ids = np.flatnonzero(changed)
-    return splats, ids, parents[ids]
+    empty = splats.opacities[:count] == 0
+    removed = np.flatnonzero(changed[:count] & empty)
+    taken = np.flatnonzero(replaced & ~empty)
+    return LiftedEdit(
+        splats, ids, parents[ids], no_features(ids), replaced=taken, removed=removed, limited=tuple(limited)
+    )
 
 
 def _shown_again(splats: Splats, grid: VoxelGrid, views: Sequence[EditView]) -> list[bool]:

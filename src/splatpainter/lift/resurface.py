@@ -182,8 +182,8 @@ def _sheet(
     tiles: np.ndarray,
     camera: Camera,
 ) -> tuple[Splats, np.ndarray]:
-    """(C Gaussians in the picture's colours, [C] their hosts among `rest`: of the Gaussians that go, the ones that weigh
-    most in their pixels)."""
+    """(C Gaussians in the picture's colours, [C] their hosts among `rest`: the Gaussians that go and weigh most in
+    their pixels)."""
     xs, ys = cells.centers.astype(np.int64).T
     view = project(rest, camera, gaussian_mask=gone, tiles=tiles) if gone.any() else project(rest, camera, tiles=tiles)
     heaviest = view.heaviest_gaussians()

@@ -129,7 +129,8 @@ class PainterAdapter:
     """A painter for one original."""
 
     def __init__(self, original: Splats, painter: Painter) -> None:
-        self._original, self._painter = original, painter
+        self._original, self._painter = bare(original), painter
+        self._bare = Asset(self._original)
         self._encoded: Asset | None = None
         self._grids: OrderedDict[tuple[int, ...], tuple[tuple[np.ndarray, ...], VoxelGrid]] = OrderedDict()
         self._gridding = threading.Lock()
@@ -141,7 +142,9 @@ class PainterAdapter:
         results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
         edits below. Raises ValueError as Painter.apply does."""
         numbered = replace(bare(below), origin=np.arange(len(below)))
-        asset = Asset(numbered)
+        asset = Asset(numbered, original=self._original)
+        if mode == "local":
+            vars(asset)["surface"] = self._bare.surface
         if self._painter.encodes(method, mode):
             base = self._base()
             assert base.encoding is not None and below.origin is not None
