@@ -36,6 +36,8 @@ MAX_GROWTHS = 4
 """... at most so often, ..."""
 GROWTH = 1.4
 """... by this factor."""
+MAX_SHRINKS = 24
+"""A window with too many patches in it shrinks by GROWTH at most so often, to a three thousandth."""
 MIN_MASS = 2e-3
 """Patches that weigh less than this share of the heaviest one are left out."""
 ROUNDS = 4
@@ -195,17 +197,17 @@ def _estimate(
             h = widths[q]
             for k in range(3):
                 point[k] = points[q, k]
-            if not (h > 0.0 and abs(point[0]) + abs(point[1]) + abs(point[2]) < 1e30):
+            if not (0.0 < h < 1e30 and abs(point[0]) + abs(point[1]) + abs(point[2]) < 1e30):
                 continue
             dx, dy, dz = directions[q, 0], directions[q, 1], directions[q, 2]
             # --- a window with enough patches in it
-            count, shrunk, total, largest = 0, False, 0.0, 0.0
-            for growth in range(2 * MAX_GROWTHS + 1):
+            count, shrinks, total, largest = 0, 0, 0.0, 0.0
+            for growth in range(MAX_GROWTHS + MAX_SHRINKS + 1):
                 count = gather(keys, level_starts, cell_sizes, reaches, corner, means, scales, point, h, SIGMAS, near)
                 if count > MAX_NEIGHBOURS:
-                    shrunk = True
-                    h /= GROWTH
                     count = 0
+                    shrinks += 1
+                    h /= GROWTH
                     continue
                 total, squares, largest = 0.0, 0.0, 0.0
                 for k in range(count):
@@ -214,7 +216,7 @@ def _estimate(
                     squares += mass[k] * mass[k]
                     largest = max(largest, mass[k])
                 effective = total * total / squares if squares > 0.0 else 0.0
-                if shrunk or effective >= MIN_PATCHES or growth >= MAX_GROWTHS:
+                if shrinks > 0 or effective >= MIN_PATCHES or growth >= MAX_GROWTHS:
                     break
                 h *= GROWTH
             if count < 1 or not total > 0.0:
@@ -318,7 +320,7 @@ def _estimate(
             if residual > PRECISE_RESIDUAL:
                 share = min((residual - PRECISE_RESIDUAL) / (CLOUDY_RESIDUAL - PRECISE_RESIDUAL), 1.0)
                 share = share * share * (3.0 - 2.0 * share)
-                front = _front_height(near, count, means, axes, scales, opacities, point, n, h)
+                front = _front_height(near, count, means, axes, scales, opacities, point, n, h, rows)
                 slant = -(n[0] * dx + n[1] * dy + n[2] * dz)
                 step = min(max(-share * front / max(slant, MIN_SLANT), -h), h)
                 point[0] += step * dx
@@ -332,10 +334,10 @@ def _estimate(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _front_height(near, count, means, axes, scales, opacities, point, n, h):
+def _front_height(near, count, means, axes, scales, opacities, point, n, h, rows):
     """Mean height over the plane (point, n), world units, at which rays against n have lost RAY_SHARE of their light to
     the patches near[:count], composited as a renderer does: by the order of their centres, each at the depth where it
-    is densest along the ray."""
+    is densest along the ray. rows: [count, >= 9] to write on."""
     # Two axes across n.
     if abs(n[0]) < 0.6:
         ax, ay, az = 0.0, n[2], -n[1]
@@ -350,36 +352,42 @@ def _front_height(near, count, means, axes, scales, opacities, point, n, h):
         x, y, z = means[i, 0] - point[0], means[i, 1] - point[1], means[i, 2] - point[2]
         centers[k] = -(x * n[0] + y * n[1] + z * n[2])
     order = np.argsort(centers)
+    # Seen along n each patch is an ellipse whose densest depth is a plane: rows hold both, nearest first.
+    for m in range(count):
+        i = near[order[m]]
+        x, y, z = means[i, 0] - point[0], means[i, 1] - point[1], means[i, 2] - point[2]
+        nn, na, nb, aa, ab, bb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for a in range(3):
+            qx, qy, qz = float(axes[i, a, 0]), float(axes[i, a, 1]), float(axes[i, a, 2])
+            s = 1.0 / float(scales[i, a])
+            cn, ca = (qx * n[0] + qy * n[1] + qz * n[2]) * s, (qx * ax + qy * ay + qz * az) * s
+            cb = (qx * bx + qy * by + qz * bz) * s
+            nn += cn * cn
+            na += cn * ca
+            nb += cn * cb
+            aa += ca * ca
+            ab += ca * cb
+            bb += cb * cb
+        row = rows[m]
+        row[0], row[1] = x * ax + y * ay + z * az, x * bx + y * by + z * bz
+        row[2], row[3], row[4] = aa - na * na / nn, ab - na * nb / nn, bb - nb * nb / nn
+        row[5], row[6], row[7] = -centers[order[m]], na / nn, nb / nn
+        row[8] = opacities[i]
     total, heights = 0.0, 0.0
     for ray in range(7):
         # The hexagon's first corner lies along the first axis.
-        angle = math.pi / 3.0 * ray
-        u = RAY_RADIUS * h * math.cos(angle) if ray < 6 else 0.0
-        v = RAY_RADIUS * h * math.sin(angle) if ray < 6 else 0.0
-        ox, oy, oz = point[0] + u * ax + v * bx, point[1] + u * ay + v * by, point[2] + u * az + v * bz
-        clear, last = 1.0, 0.0
+        u = RAY_RADIUS * h * math.cos(math.pi / 3.0 * ray) if ray < 6 else 0.0
+        v = RAY_RADIUS * h * math.sin(math.pi / 3.0 * ray) if ray < 6 else 0.0
+        clear = 1.0
         for m in range(count):
-            k = order[m]
-            i = near[k]
-            along, across, dot = 0.0, 0.0, 0.0
-            for a in range(3):
-                s = 1.0 / float(scales[i, a])
-                c = axes[i, a, 0] * n[0] + axes[i, a, 1] * n[1] + axes[i, a, 2] * n[2]
-                d = axes[i, a, 0] * (means[i, 0] - ox) + axes[i, a, 1] * (means[i, 1] - oy)
-                d += axes[i, a, 2] * (means[i, 2] - oz)
-                c *= s
-                d *= s
-                along += c * c
-                across += d * d
-                dot += c * d
-            exponent = across - dot * dot / along
+            row = rows[m]
+            du, dv = row[0] - u, row[1] - v
+            exponent = row[2] * du * du + 2.0 * row[3] * du * dv + row[4] * dv * dv
             if exponent > 9.0:
                 continue
-            last = dot / along
-            alpha = opacities[i] * math.exp(-0.5 * exponent)
-            clear *= 1.0 - min(alpha, 0.999)
+            clear *= 1.0 - min(row[8] * math.exp(-0.5 * exponent), 0.999)
             if 1.0 - clear >= RAY_SHARE:
-                heights += min(max(last, -h), h)
+                heights += min(max(row[5] + row[6] * du + row[7] * dv, -h), h)
                 total += 1.0
                 break
     return heights / total if total > 0.0 else 0.0

@@ -22,6 +22,8 @@ MAX_LEVELS = 24
 """Cell sizes double from level to level: a range of 16 million."""
 CELL_BITS = 20
 """Bits of a cell's index along each axis."""
+MAX_TESTED = 1 << 14
+"""Samples and columns that one search looks at: a million Gaussians at one point cost no more."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,13 @@ class SurfaceSamples:
                 ids, means, np.ascontiguousarray(axes, np.float32), scales, np.zeros(0, np.float32), none,
                 np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros(3),
             )  # fmt: skip
-        smallest = 2 * float(np.quantile(scales[:, 0], 0.1))
+        low, high = np.quantile(means, [0.001, 0.999], axis=0).astype(np.float64)
+        # No smaller than indices can tell apart over the asset without its outliers.
+        smallest = max(2 * float(np.quantile(scales[:, 0], 0.1)), float((high - low).max()) / (1 << (CELL_BITS - 1)))
         level = np.ceil(np.log2(np.maximum(2 * scales[:, 0].astype(np.float64) / smallest, 1)) - 1e-9)
         level = np.clip(level, 0, MAX_LEVELS - 1).astype(np.int64)
         # Far outliers share the outermost cells: indices are clamped, which finds a few neighbours too many there.
-        corner = np.quantile(means, 0.001, axis=0).astype(np.float64)
-        corner -= smallest * (1 << (CELL_BITS - 2))
+        corner = low - smallest * (1 << (CELL_BITS - 2))
         cells = np.floor((means.astype(np.float64) - corner) / (smallest * 2.0**level)[:, None])
         cells = np.clip(cells, 0, (1 << CELL_BITS) - 1).astype(np.int64)
         keys = (cells[:, 0] << 2 * CELL_BITS) | (cells[:, 1] << CELL_BITS) | cells[:, 2]
@@ -121,28 +124,45 @@ def cell_range(position, radius, corner, size):
 @njit(nogil=True, cache=True, error_model="numpy")
 def gather(keys, level_starts, cell_sizes, reaches, corner, means, scales, point, window, sigmas, out):
     """Indices of samples whose patch, widened by `window` (world units), reaches a point [3] within `sigmas` standard
-    deviations of its longest axis, into `out`; returns their number, or len(out) + 1 where they do not fit."""
-    count = 0
+    deviations of its longest axis, into `out`; returns their number, or len(out) + 1 where they do not fit or too many
+    (MAX_TESTED) had to be looked at. Costs as many steps as there are samples and occupied columns of cells near the
+    point, however small the cells are against the window."""
+    count, tested = 0, 0
+    mask = (1 << CELL_BITS) - 1
     for level in range(cell_sizes.shape[0]):
         size = cell_sizes[level]
         radius = sigmas * (reaches[level] ** 2 + window * window) ** 0.5
         x0, x1 = cell_range(point[0], radius, corner[0], size)
         y0, y1 = cell_range(point[1], radius, corner[1], size)
         z0, z1 = cell_range(point[2], radius, corner[2], size)
-        for x in range(x0, x1 + 1):
-            for y in range(y0, y1 + 1):
-                row = (x << 40) | (y << 20)
-                i = first_not_below(keys, level_starts[level], level_starts[level + 1], row | z0)
-                last = row | z1
-                while i < level_starts[level + 1] and keys[i] <= last:
-                    dx = float(means[i, 0]) - point[0]
-                    dy = float(means[i, 1]) - point[1]
-                    dz = float(means[i, 2]) - point[2]
-                    reach = float(scales[i, 0])
-                    if dx * dx + dy * dy + dz * dz < sigmas * sigmas * (reach * reach + window * window):
-                        if count == out.shape[0]:
-                            return count + 1
-                        out[count] = i
-                        count += 1
-                    i += 1
+        end = level_starts[level + 1]
+        i = first_not_below(keys, level_starts[level], end, (x0 << 2 * CELL_BITS) | (y0 << CELL_BITS) | z0)
+        while i < end:
+            key = keys[i]
+            x, y, z = key >> 2 * CELL_BITS, (key >> CELL_BITS) & mask, key & mask
+            if x > x1:
+                break
+            tested += 1
+            if tested > MAX_TESTED:
+                return out.shape[0] + 1
+            # Outside the box: on to its next cell in the order of keys.
+            if y < y0:
+                i = first_not_below(keys, i, end, (x << 2 * CELL_BITS) | (y0 << CELL_BITS) | z0)
+            elif y > y1 or (y == y1 and z > z1):
+                i = first_not_below(keys, i, end, ((x + 1) << 2 * CELL_BITS) | (y0 << CELL_BITS) | z0)
+            elif z > z1:
+                i = first_not_below(keys, i, end, (x << 2 * CELL_BITS) | ((y + 1) << CELL_BITS) | z0)
+            elif z < z0:
+                i = first_not_below(keys, i, end, (x << 2 * CELL_BITS) | (y << CELL_BITS) | z0)
+            else:
+                dx = float(means[i, 0]) - point[0]
+                dy = float(means[i, 1]) - point[1]
+                dz = float(means[i, 2]) - point[2]
+                reach = float(scales[i, 0])
+                if dx * dx + dy * dy + dz * dz < sigmas * sigmas * (reach * reach + window * window):
+                    if count == out.shape[0]:
+                        return count + 1
+                    out[count] = i
+                    count += 1
+                i += 1
     return count
