@@ -29,6 +29,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
     "splatpainter.lift.surface:warm": ("lift/surface.py", "rendering/cpu/geometry.py"),
     "splatpainter.lighting:warm": ("lighting.py",),
+    "splatpainter.surface.warm:warm": ("surface", "rendering/cpu/geometry.py"),
 }
 """Registry. "module:function" that calls every kernel of its package once with float32 arrays -> files and folders
 (relative to the package) whose edits make its compiled kernels stale. Entries are shared out between two processes in
