@@ -31,11 +31,15 @@ from splatpainter.lift.surface import outward_normals
 from splatpainter.rendering.profiles import Profile
 from splatpainter.sources.picture_reader import straight
 from splatpainter.splats import ColorSpace, Splats
+from splatpainter.surface.estimate import Surface
+from splatpainter.surface.visible import visible_surface
 
 Aov = Literal["alpha", "depth", "normal", "gaussian-ids", "coverage"]
 PictureFormat = Literal["png", "exr"]
 BITS: dict[PictureFormat, tuple[int, ...]] = {"png": (8, 16), "exr": (16, 32)}
 """Bits of a sample that each format can have, the default first."""
+MIN_SURFACE_ALPHA = 0.5
+"""Pixels with less alpha show no surface."""
 MAX_PNG_IDS = (1 << 24) - 1
 """Gaussians that three 8-bit channels can name."""
 
@@ -49,9 +53,11 @@ class Passes:
     alpha: np.ndarray
     """[H, W] float32 sum_i w_i, 0..1."""
     depth: np.ndarray
-    """[H, W] float32 sum_i w_i z_i / alpha: distance along the viewing direction, world units; 0 where alpha is 0."""
+    """[H, W] float32 sum_i w_i z_i / alpha: distance along the viewing direction, world units; 0 where alpha is 0. With
+    a surface: that of the surface, where one is trusted."""
     normal: np.ndarray | None = None
-    """[H, W, 3] float32 sum_i w_i n_i, made unit length: outward normals in world axes; 0 where nothing is drawn."""
+    """[H, W, 3] float32 sum_i w_i n_i, made unit length: outward normals in world axes; 0 where nothing is drawn.
+    With a surface: that of the surface (towards the viewer), where one is trusted."""
     gaussian_ids: np.ndarray | None = None
     """[H, W] int64 the Gaussian with the largest w_i; -1 where nothing is drawn."""
     coverage: np.ndarray | None = None
@@ -72,13 +78,14 @@ def draw_passes(
     profile: Profile = "inria",
     normals: np.ndarray | None = None,
     coverage: tuple[np.ndarray, np.ndarray] | None = None,
+    surface: Surface | None = None,
 ) -> Passes:
     """Draw colours, alpha, depth, and what `aovs` names besides.
 
     splats: numpy attributes. profile: as in `render`. normals: [N, 3] of `normals_of`, computed where they are
     wanted and not given (the same for all views of an asset). coverage: [N] bool Gaussians predicted and [N] bool
-    Gaussians seen, both False for Gaussians as they were. Raises ValueError as `render`, and for "coverage" without
-    one."""
+    Gaussians seen, both False for Gaussians as they were. surface: where given, depth and normal are the surface's
+    wherever it is trusted. Raises ValueError as `render`, and for "coverage" without one."""
     from splatpainter.rendering import render
     from splatpainter.rendering.cpu.projected_view import project
 
@@ -88,7 +95,8 @@ def draw_passes(
         )
     drawn = render(splats, camera, profile=profile)
     colors, alpha, depth = drawn.colors[0], drawn.alphas[0, ..., 0], drawn.depths[0, ..., 0]
-    if not {"normal", "gaussian-ids", "coverage"} & {*aovs}:
+    on_surface = surface is not None and bool({"normal", "depth"} & {*aovs})
+    if not {"normal", "gaussian-ids", "coverage"} & {*aovs} and not on_surface:
         return Passes(colors, alpha, depth)
     normal = gaussian_ids = parts = None
     frame = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
@@ -103,6 +111,15 @@ def draw_passes(
         summed = blend(normals_of(splats) if normals is None else normals)
         length = np.linalg.norm(summed, axis=-1, keepdims=True)
         normal = np.where(length > 1e-6, summed / np.maximum(length, 1e-6), 0).astype(np.float32)
+    if surface is not None and on_surface:
+        ys, xs = np.nonzero(alpha > MIN_SURFACE_ALPHA)
+        lattice = visible_surface(surface, splats, frame, alpha > MIN_SURFACE_ALPHA)
+        seen = lattice.at(np.stack([xs, ys], 1) + 0.5)
+        trusted = seen.depth > 0
+        ys, xs = ys[trusted], xs[trusted]
+        depth[ys, xs] = seen.depth[trusted]
+        if normal is not None:
+            normal[ys, xs] = seen.normals[trusted] @ camera.world_to_camera[:3, :3]
     if "gaussian-ids" in aovs:
         gaussian_ids = frame.heaviest_gaussians(profile)
     if "coverage" in aovs and coverage is not None:
@@ -169,6 +186,7 @@ def view_files(
     *,
     normals: np.ndarray | None = None,
     coverage: tuple[np.ndarray, np.ndarray] | None = None,
+    surface: Surface | None = None,
 ) -> dict[str, bytes]:
     """Render a view: file name -> its bytes, in the order of `options.file_names(stem)`. Arguments and errors besides
     as `draw_passes`; ValueError also where a library is missing or a PNG cannot number so many Gaussians.
@@ -182,7 +200,9 @@ def view_files(
         raise ValueError(
             f"gaussian-ids: a PNG numbers {MAX_PNG_IDS:,} Gaussians, got {len(splats):,}; use --format exr"
         )
-    passes = draw_passes(splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage)
+    passes = draw_passes(
+        splats, camera, options.aovs, profile=options.profile, normals=normals, coverage=coverage, surface=surface
+    )
     record: dict[str, Any] = json.loads(camera.to_json())
     if options.transparent:
         record[ALPHA_KEY] = options.transparent

@@ -4,6 +4,7 @@ import math
 import os
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,13 +31,15 @@ def patches(points, normals, seed=0, width=WIDTH, opacity=0.9):
 
 
 def splats_of(means, quats, scales, opacities):
-    arrays = (means, quats, scales, opacities, np.zeros((len(means), 1, 3)))
-    return Splats(*(np.asarray(array, np.float32) for array in arrays))
+    sh = np.zeros((len(means), 1, 3), np.float32)
+    means, quats, scales, opacities = (np.asarray(array, np.float32) for array in (means, quats, scales, opacities))
+    return Splats(means, quats, scales, opacities, sh)
 
 
 def joined(*parts):
     names = ("means", "quats", "scales", "opacities", "sh")
-    return Splats(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    means, quats, scales, opacities, sh = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+    return Splats(means, quats, scales, opacities, sh)
 
 
 def plane(count, seed=0, z=0.0, **options):
@@ -234,14 +237,15 @@ def test_one_search_looks_at_bounded_numbers_and_finds_what_brute_force_finds():
     s = SurfaceSamples.of(many)
     assert len(s.cell_sizes) > 4
     out = np.empty(count, np.int64)
+    search: Any = gather
+    arrays = (s.keys, s.level_starts, s.cell_sizes, s.reaches, s.min_corner, s.means, s.scales)
     for window in (1e-3, 0.02, 0.2):
         for point in rng.uniform(-1.2, 1.2, (20, 3)):
-            arrays = (s.keys, s.level_starts, s.cell_sizes, s.reaches, s.min_corner, s.means, s.scales)
-            found = gather(*arrays, point, window, 2.5, out)
+            found = search(*arrays, point, window, 2.5, out)
             square = ((s.means.astype(np.float64) - point) ** 2).sum(1)
             reach = s.scales[:, 0].astype(np.float64) ** 2 + window**2
             np.testing.assert_array_equal(np.sort(out[:found]), np.flatnonzero(square < 2.5**2 * reach))
-    assert gather(*arrays, np.zeros(3), 10.0, 2.5, np.empty(100, np.int64)) == 101
+    assert search(*arrays, np.zeros(3), 10.0, 2.5, np.empty(100, np.int64)) == 101
     assert samples.MAX_TESTED > 10 * estimate.MAX_NEIGHBOURS
 
 

@@ -63,7 +63,8 @@ class Config:
     bits: Annotated[Literal["8", "16", "32"] | None, arg(help_behavior_hint="")] = None
     """Of each colour sample: PNG 8 (default) or 16, EXR 16 (default) or 32."""
     aov: Annotated[str, arg(metavar="NAMES", help_behavior_hint="")] = ""
-    """Files beside each picture, names with commas between: alpha, depth, normal, gaussian-ids."""
+    """Files beside each picture, names with commas between: alpha, depth, normal, gaussian-ids. Depth and normal are
+    those of the surface on which edits are laid, weighted means over Gaussians where no surface is trusted."""
     profile: Profile = "inria"
     """Whose picture: inria as most assets were trained, playcanvas as PlayCanvas's tools render (about 1 % darker)."""
     frame: FrameOption = "auto"
@@ -128,12 +129,14 @@ def _save_all(
     splats: Splats, cameras: list[Camera], stems: list[str], out: Path, options: PictureOptions
 ) -> Iterator[None]:
     from splatpainter.kernels.compile import ensure_compiled
+    from splatpainter.surface.estimate import Surface
     from splatpainter.view_files import normals_of, view_files
 
     ensure_compiled()
     normals = normals_of(splats) if "normal" in options.aovs else None
+    surface = Surface.of(splats.numpy()) if {"normal", "depth"} & {*options.aovs} else None
     for camera, stem in zip(cameras, stems, strict=True):
-        for name, data in view_files(splats, camera, stem, options, normals=normals).items():
+        for name, data in view_files(splats, camera, stem, options, normals=normals, surface=surface).items():
             with files.writing(out / name) as file:
                 file.write(data)
         yield
