@@ -107,8 +107,8 @@ def receipt(**fields) -> Receipt:
 
 def test_the_keys_are_the_designs():
     data = json.loads(receipt().to_json())
-    design = ["asset", "output", "mode", "method", "preset", "touched_rows", "appended_rows", "removed_rows"]
-    design += ["untouched_sha256_before", "untouched_sha256_after", "views", "seconds"]
+    design = ["asset", "output", "mode", "method", "preset", "touched_rows", "appended_rows", "replaced_rows"]
+    design += ["removed_rows", "untouched_sha256_before", "untouched_sha256_after", "views", "seconds"]
     assert list(data) == [*design, "note", "touched_runs"]
     assert data["asset"] == {"sha256": "a" * 64, "rows": 10} and data["output"] == {"sha256": "b" * 64, "rows": 13}
     assert (data["touched_rows"], data["appended_rows"], data["removed_rows"]) == (5, 3, 0)
@@ -119,6 +119,22 @@ def test_the_keys_are_the_designs():
     # Where networks ran there is one more; receipts without it are as they were.
     further = json.loads(receipt(precision="float32").to_json())
     assert list(further) == [*design, "note", "precision", "touched_runs"] and further["precision"] == "float32"
+    # Sheets name the rows whose places they took, and those that they emptied.
+    sheets = receipt(replaced=np.array([0, 1, 7]), removed=np.array([2]), limited_px=(1.5, 0.0))
+    data = json.loads(sheets.to_json())
+    assert list(data) == [*design, "note", "limited_px", "touched_runs", "replaced_runs", "removed_runs"]
+    assert (data["replaced_rows"], data["removed_rows"], data["limited_px"]) == (3, 1, [1.5, 0.0])
+    assert data["replaced_runs"] == [[0, 2], [7, 1]] and data["removed_runs"] == [[2, 1]]
+
+
+def test_replaced_and_removed_rows_are_touched_ones():
+    text = receipt(replaced=np.array([0, 1, 7]), removed=np.array([2])).to_json()
+    for name, run in (("replaced_runs", "[[0,2],[7,1]]"), ("removed_runs", "[[2,1]]")):
+        assert f'"{name}": {run}' in text
+        with pytest.raises(ValueError, match="not among the touched"):
+            Receipt.from_json(text.replace(f'"{name}": {run}', f'"{name}": {run.replace("2,1", "3,1").replace("7,1", "8,1")}'))
+    with pytest.raises(ValueError, match="removed_rows is 2"):
+        Receipt.from_json(text.replace('"removed_rows": 1', '"removed_rows": 2'))
 
 
 def strict(text: str) -> dict:
@@ -132,7 +148,13 @@ def strict(text: str) -> dict:
 
 @pytest.mark.parametrize(
     "fields",
-    [{}, {"touched": np.zeros(0, np.int64)}, {"views": (), "seconds": {}, "note": ""}, {"precision": "bfloat16"}],
+    [
+        {},
+        {"touched": np.zeros(0, np.int64)},
+        {"views": (), "seconds": {}, "note": ""},
+        {"precision": "bfloat16"},
+        {"replaced": np.array([0, 2]), "removed": np.array([7, 9]), "limited_px": (2.5, 0.0)},
+    ],
 )
 def test_json_and_back_is_the_same(fields):
     text = receipt(**fields).to_json()

@@ -42,7 +42,9 @@ SURFACE_WINDOWS = 0.35
 MIN_PEAK = 0.02
 """Old Gaussians that remain before the sheet, and give some pixel of it more than this share, ..."""
 MIN_SHEET_SHARE = 0.6
-"""... and lie before it with this share of their weight, take part in the colour rounds."""
+"""... with this share of their weight before it, ..."""
+MIN_VISIBLE = 0.5
+"""... and this share of their alpha visible (behind the sheet they are not), take part in the colour rounds."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,8 @@ def resurface(
     patch = splats.take(ids)
     lattice, gone = _cut(Lattice.of(patch, camera), candidates[ids], near, covered, tiles)
     cells = flat_cells(target, covered, depth, camera.fx)
-    geometry, valid = sheet_geometry(visible, cells, target)
-    cells = Cells(cells.centers[valid], cells.sizes[valid])
+    geometry, index = sheet_geometry(visible, cells, target)
+    cells = Cells(cells.centers[index], cells.sizes[index])
     rest = lattice.splats()
     sheet, hosts = _sheet(rest, gone, geometry, cells, target, tiles, camera)
     remaining = np.flatnonzero(~gone)
@@ -224,7 +226,9 @@ def _painted(
     zeros, everywhere = np.zeros_like(goal), np.ones(covered.shape, np.float32)
     inside, total = view.backproject(zeros, covered.astype(np.float32)), view.backproject(zeros, everywhere).weight
     piece = np.append(split, np.zeros(len(joined) - first, bool))[view.gaussian_ids]
-    editable = added | piece | ((inside.peak > MIN_PEAK) & (inside.weight > MIN_SHEET_SHARE * total))
+    hanging = (inside.peak > MIN_PEAK) & (inside.weight > MIN_SHEET_SHARE * total)
+    hanging &= inside.weight > MIN_VISIBLE * inside.alpha
+    editable = added | piece | hanging
     lifted = lift_colors(view, goal, everywhere, editable, options.sheet_rounds)
     before = view.unclamped_colors
     moved = editable & (np.abs(lifted - np.maximum(before, 0)).max(1) > MIN_CHANGE)

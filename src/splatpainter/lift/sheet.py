@@ -16,17 +16,20 @@ FLAT_RANGE = 0.03
 """Colours within and around a cell that differ by less than this, 0..1, are one colour."""
 FLAT_DEPTH_CELLS = 0.08
 """The surface may leave a cell's plane by this share of the cell's edge."""
-WIDTH_CELLS = 0.5
-"""Standard deviation of a sheet Gaussian, in edges of its cell: neighbours cover what lies between them."""
+PIXEL_WIDTH, CELL_WIDTH = 0.55, 0.65
+"""Standard deviation of a sheet Gaussian, in edges of its cell, of cells of one pixel (which the renderer widens by half
+a pixel) and of larger ones: four neighbours stop 92 and 95 % of the light at the corner between them."""
 EDGE_CONTRAST = 0.15
 """Range of the colours around a pixel from which it lies on an edge of the picture, ..."""
 EDGE_WIDTH = 0.7
 """... where its Gaussian is narrower by this factor."""
 THICKNESS = 0.1
 """Of a sheet Gaussian over its width."""
-SHEET_OPACITY = 0.95
-MAX_STRETCH = 2.5
-"""A sheet Gaussian is stretched along a slanted surface at most this much."""
+SHEET_OPACITY = 0.97
+MAX_STRETCH = 2.0
+"""A sheet Gaussian is stretched along a slanted surface at most this much; where the surface is steeper ..."""
+MAX_ROW = 4
+"""... up to so many of them share the cell, one behind the other."""
 
 
 @dataclass(frozen=True)
@@ -88,15 +91,16 @@ def _block(values: np.ndarray, size: int, function) -> np.ndarray:
 
 
 def _around(values: np.ndarray, combine) -> np.ndarray:
-    """Of half-size blocks [2H, 2W, C]: each block of the full size with half a block around it, [H, W, C]."""
-    padded = np.pad(values, [(1, 1), (1, 1), (0, 0)], mode="edge")
+    """Of half-size blocks [2H, 2W, C]: each block of the full size with one block around it, [H, W, C]."""
+    padded = np.pad(values, [(2, 2), (2, 2), (0, 0)], mode="edge")
     height, width = values.shape[0] // 2, values.shape[1] // 2
-    out = None
-    for dy in range(4):
-        for dx in range(4):
-            part = padded[dy : dy + 2 * height : 2, dx : dx + 2 * width : 2]
-            out = part if out is None else combine(out, part)
-    assert out is not None
+    out = padded[: 2 * height : 2]
+    for dy in range(1, 6):
+        out = combine(out, padded[dy : dy + 2 * height : 2])
+    columns = out
+    out = columns[:, : 2 * width : 2]
+    for dx in range(1, 6):
+        out = combine(out, columns[:, dx : dx + 2 * width : 2])
     return out
 
 
@@ -112,15 +116,32 @@ def _is_plane(inverse: np.ndarray, size: int, fx: float) -> np.ndarray:
 
 
 def sheet_geometry(surface: VisibleSurface, cells: Cells, target: np.ndarray) -> tuple[SheetGeometry, np.ndarray]:
-    """(Gaussians on the surface under C cells that have one, [C] bool which those are). target: [H, W, 3]; those of
-    single pixels are narrower where it has edges."""
+    """(G Gaussians on the surface under C cells, [G] int64 the cell of each; cells without a surface have none). target:
+    [H, W, 3]; Gaussians of single pixels are narrower where it has edges."""
     at = surface.at(cells.centers)
-    valid = at.depth > 0
     xs, ys = cells.centers.astype(np.int64).T
-    sharp = (cells.sizes == 1) & (_contrast(target)[ys, xs] > EDGE_CONTRAST)
-    width = WIDTH_CELLS * cells.sizes * np.where(sharp, EDGE_WIDTH, 1)
-    geometry = pixel_gaussians(surface.camera, cells.centers[valid], at.depth[valid], at.normals[valid], width[valid])
-    return geometry, valid
+    single = cells.sizes == 1
+    sharp = single & (_contrast(target)[ys, xs] > EDGE_CONTRAST)
+    width = cells.sizes * np.where(single, PIXEL_WIDTH, CELL_WIDTH) * np.where(sharp, EDGE_WIDTH, 1)
+    chosen = np.flatnonzero(at.depth > 0)
+    rays = surface.camera.to_camera(surface.camera.unproject(at.depth[chosen], cells.centers[chosen]))
+    facing = -(rays * at.normals[chosen]).sum(1) / np.maximum(np.linalg.norm(rays, axis=1), 1e-30)
+    count = np.clip(np.ceil(1 / np.maximum(facing, 1e-3) / MAX_STRETCH), 1, MAX_ROW).astype(np.int64)
+    source = np.repeat(np.arange(len(chosen)), count)
+    step = np.arange(len(source)) - np.repeat(np.cumsum(count) - count, count)
+    shift = (step + 0.5) / count[source] - 0.5
+    index = chosen[source]
+    geometry = pixel_gaussians(
+        surface.camera,
+        cells.centers[index],
+        at.depth[index],
+        at.normals[index],
+        width[index],
+        cells.sizes[index],
+        count[source],
+        shift,
+    )
+    return geometry, index
 
 
 def _contrast(target: np.ndarray) -> np.ndarray:
@@ -135,10 +156,18 @@ def _contrast(target: np.ndarray) -> np.ndarray:
 
 
 def pixel_gaussians(
-    camera: Camera, pixels: np.ndarray, depth: np.ndarray, normals: np.ndarray, width_px: np.ndarray
+    camera: Camera,
+    pixels: np.ndarray,
+    depth: np.ndarray,
+    normals: np.ndarray,
+    width_px: np.ndarray,
+    cell_px: np.ndarray,
+    count: np.ndarray,
+    shift: np.ndarray,
 ) -> SheetGeometry:
-    """Flat Gaussians in the planes with `normals` ([C, 3] camera space) whose projections are about round, `width_px`
-    ([C], standard deviation) wide. pixels: [C, 2]; depth: [C] z."""
+    """Flat Gaussians in the planes with `normals` ([G, 3] camera space) whose projections are about round, `width_px`
+    ([G], standard deviation) wide, or shorter where `count` [G] of them share a cell of edge `cell_px` [G], each moved
+    by `shift` [G] (-0.5..0.5) of the cell along the slant. pixels: [G, 2]; depth: [G] z."""
     rays = np.stack(
         [(pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy, np.ones(len(pixels))], 1
     )
@@ -156,5 +185,9 @@ def pixel_gaussians(
     flip = np.linalg.det(rotation) < 0
     rotation[flip, :, 0] *= -1
     width = width_px * depth / camera.fx
-    scales = np.stack([width, width * np.minimum(1 / np.maximum(facing, 1e-3), MAX_STRETCH), width * THICKNESS], 1)
-    return SheetGeometry(camera.unproject(depth, pixels), matrix_to_quat(rotation), scales)
+    slanted = np.minimum(1 / np.maximum(facing, 1e-3), MAX_STRETCH * count)
+    scales = np.stack([width, width * slanted / count, width * THICKNESS], 1)
+    world_along = along @ camera.world_to_camera[:3, :3]
+    means = camera.unproject(depth, pixels)
+    means += (shift * cell_px * depth / camera.fx * slanted)[:, None] * world_along
+    return SheetGeometry(means, matrix_to_quat(rotation), scales)
