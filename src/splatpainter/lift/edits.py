@@ -77,7 +77,7 @@ def lift_local_views(
     Gaussians are split, as networks know it); originals: how many of the N are the original's (default: all). Raises
     ValueError, naming the view, where an edit reaches no Gaussian."""
     if base == "lift":
-        lifted = _one_after_the_other(splats, grid, views, options, surface, originals)
+        lifted = _one_after_the_other(splats, grid, views, options, surface if options.resurface else None, originals)
         if not features:
             return lifted
         return replace(lifted, features=local_features(splats, lifted.splats, lifted.ids, lifted.parents, views))

@@ -30,6 +30,8 @@ class LocalOptions:
     """Pixels that are further than this from the picture afterwards get a Gaussian of their own; 1: none do."""
     rim_px: int = 24
     """Pixels around the mask that the detail layer may mend."""
+    resurface: bool = True
+    """Lay sheets where the surface is trusted; False: split Gaussians everywhere."""
     sheet_rounds: int = 4
     """Colour rounds of sheets."""
     angle_limit: float = 80.0
