@@ -132,7 +132,7 @@ def test_what_a_lift_reads_holds_all_that_it_writes() -> None:
     splats = ground()
     edit = dab(RED, 30, 40)
     assert edit.mask is not None
-    read = read_set_of(splats, voxelize(splats), CAMERA, edit.mask)
+    read = read_set_of(splats, voxelize(splats), CAMERA, edit.mask, len(splats))
     assert read is not None and 0 < len(read.gaussian_ids) < len(splats) / 2
     painter = Painter.load("lift")
     done = painter.apply(painter.encode(splats), [edit])
@@ -144,12 +144,39 @@ def test_what_a_lift_reads_holds_all_that_it_writes() -> None:
     assert same_bits(done.splats.take(changed), again.splats.take(changed))
     here = replace(splats, sh=splats.sh.copy())
     here.sh[read.gaussian_ids[0]] += 1e-3
-    other = read_set_of(here, voxelize(here), CAMERA, edit.mask)
+    other = read_set_of(here, voxelize(here), CAMERA, edit.mask, len(here))
     assert other is not None and other.digest != read.digest
+    fewer = read_set_of(splats, voxelize(splats), CAMERA, edit.mask, int(read.gaussian_ids[-1]))
+    assert fewer is not None and fewer.digest != read.digest  # the last one's index is free for any sheet Gaussian
     nowhere = np.zeros((SIZE, SIZE), bool)
     nowhere[0, 0] = True
     aside = look_at((0, 0, 2.6), (1.6, 0, 0), width=SIZE, height=SIZE, fov=42)
-    assert read_set_of(splats, voxelize(splats), aside, nowhere[:, ::-1]) is None  # beside the sheet
+    assert read_set_of(splats, voxelize(splats), aside, nowhere[:, ::-1], len(splats)) is None  # beside the sheet
+
+
+def test_a_lift_whose_paint_is_half_sheet_and_half_split_reads_no_more() -> None:
+    """Beside the sheet's smooth half lies a cloud without a surface."""
+    rng = np.random.default_rng(5)
+    splats = ground()
+    cloud = np.flatnonzero((splats.means[:, 0] > -0.35) & (splats.means[:, 0] < 0.2))
+    means, scales = splats.means.copy(), splats.scales.copy()
+    means[cloud, 2] += rng.uniform(-0.4, 0.4, len(cloud)).astype(np.float32)
+    scales[cloud] = 0.06
+    splats = replace(splats, means=means, scales=scales)
+    edit = dab(RED, 50, 80, 14)
+    assert edit.mask is not None
+    painter = Painter.load("lift")
+    done = painter.apply(painter.encode(splats), [edit])
+    assert done.receipt is not None
+    assert 0 < len(done.receipt.replaced) < len(done.receipt.touched)
+    read = read_set_of(splats, voxelize(splats), CAMERA, edit.mask, len(splats))
+    assert read is not None and np.isin(done.receipt.touched, read.gaussian_ids).all()
+    elsewhere = replace(splats, sh=splats.sh.copy())
+    elsewhere.sh[np.setdiff1d(np.arange(len(splats)), read.gaussian_ids)] += 0.3
+    start = replace(painter.encode(elsewhere), original=splats)  # the surface stays the original's
+    again = painter.apply(start, [edit])
+    changed = np.append(done.receipt.touched, np.arange(len(splats), len(done.splats)))
+    assert same_bits(done.splats.take(changed), again.splats.take(changed))
 
 
 def test_a_delta_moves_only_where_all_its_rows_do() -> None:

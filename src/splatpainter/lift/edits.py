@@ -132,8 +132,10 @@ def _one_after_the_other(
     again = _shown_again(splats, grid, views)
     for k, view in enumerate(views):
         with errors_name(view.name):
-            grid = grid if k == 0 else voxelize(splats, grid.resolution)
-            allowed = editable_gaussians(grid, splats, view.camera, view.mask)
+            allowed = None
+            if surface is None:
+                grid = grid if k == 0 else voxelize(splats, grid.resolution)
+                allowed = editable_gaussians(grid, splats, view.camera, view.mask)
             settings = replace(options, max_error=1.0) if again[k] else options
             painted = paint_view(splats, surface, view.camera, view.edited, view.mask, settings, allowed, first)
         changed[painted.touched] = True

@@ -18,6 +18,7 @@ from splatpainter.splats import ATTRIBUTES, Splats
 
 MIN_VISIBLE_SHARE = 0.05
 """Mean share of a Gaussian that must reach the camera inside the mask (weight / alpha), or it is behind the surface."""
+NOTHING_THERE = "edit: no row of the asset contributes to the masked pixels; paint on the asset, or check the camera"
 WIDE_EDIT_FRACTION = 0.4
 """An edit of a larger share of the picture's pixels than this is one of what it shows as a whole."""
 MAX_DOUBT_WIDE = 0.8
@@ -45,15 +46,18 @@ def lift_local(
     mask: np.ndarray,
     options: LocalOptions = LOCAL_DEFAULTS,
     allowed: np.ndarray | None = None,
+    within: np.ndarray | None = None,
 ) -> LocalLift:
     """Write the masked pixels of `target` onto the splats.
 
-    target: [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may change (default: all).
+    target: [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may change (default: all);
+    within: [TH, TW] bool tiles of which nothing beyond is looked at.
     Raises ValueError when no Gaussian contributes to the masked pixels."""
     view = project(splats, camera, tiles=tiles_of_mask(mask))
     reached = gaussians_in_mask(splats, camera, mask, allowed, view)
     editable = reached & ~_hopeless(splats, view, mask, reached, options)
     tiles = project(splats, camera, gaussian_mask=editable).tiles_of(editable)
+    tiles = tiles if within is None else tiles & within
     ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
     patch = before = Patch.of(splats.take(ids), camera, tiles, target, mask, editable[ids])
     for _ in range(options.max_halvings):
@@ -85,9 +89,7 @@ def gaussians_in_mask(
     if allowed is not None:
         reached &= allowed
     if not reached.any():
-        raise ValueError(
-            "edit: no row of the asset contributes to the masked pixels; paint on the asset, or check the camera"
-        )
+        raise ValueError(NOTHING_THERE)
     return reached
 
 

@@ -11,15 +11,17 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.limits import paintable
-from splatpainter.lift.local_edit import WIDE_EDIT_FRACTION, lift_local
+from splatpainter.lift.local_edit import NOTHING_THERE, WIDE_EDIT_FRACTION, gaussians_in_mask, lift_local
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.resurface import MIN_COVER, RING_PX, resurface
-from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
 
+MIN_ALPHA = 0.1
+"""Of a pixel that is painted at all: up to this it shows the faint rims of what lies beside it."""
 MIN_PAINT = 1 / 64
 """Share of a pixel's paint below which the limits leave it out."""
 
@@ -56,7 +58,8 @@ def paint_view(
 
     surface: of the original; None, and edits of most of a picture: Gaussians are split, nothing is resurfaced. edited:
     [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may be split and recoloured where there
-    is no sheet (default: all); first_appended: number of Gaussians of the original (default: N).
+    is no surface (default: all; where there is one, those that visibly make the masked pixels may); first_appended:
+    number of Gaussians of the original (default: N).
     Raises ValueError when no Gaussian contributes to the masked pixels."""
     none = np.zeros(0, np.int64)
     if surface is None or mask.mean() > WIDE_EDIT_FRACTION:
@@ -69,10 +72,12 @@ def paint_view(
     visible = visible_surface(surface, splats, view, reach & solid)
     share = paintable(visible, mask & solid, options.angle_limit, options.depth_edge_limit)
     limited = float((mask & solid).sum() - share.sum())
-    share[mask & ~solid] = 1
+    share[mask & ~solid & (alpha > MIN_ALPHA)] = 1
     target = (before + share[..., None] * (edited - before)).astype(np.float32)
     painted = share > MIN_PAINT
     if not painted.any():
+        if not limited:
+            raise ValueError(NOTHING_THERE)
         raise ValueError(
             "edit: every edited pixel lies beyond the limits of this view; paint it from the front, or pass "
             "angle_limit 0 and depth_edge_limit 0"
@@ -82,13 +87,35 @@ def paint_view(
     target = np.where(painted[..., None], target, before)
     sheet = resurface(splats, view, visible, before, target, pixels, options, first)
     if sheet is None:
-        lifted = lift_local(splats, camera, target, painted, options, allowed)
+        may = read_by_edit(splats, camera, mask, view)[1]
+        lifted = lift_local(splats, camera, target, painted, options, may)
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, limited)
     result = PaintedView(sheet.splats, sheet.touched, sheet.parents, sheet.replaced, sheet.removed, limited)
     left = painted & ~sheet.covered
     if left.sum() <= options.max_left_px:
         return result
-    return _then_split(result, camera, target, left, options, allowed, len(splats))
+    tiles, may = read_by_edit(splats, camera, mask, view)
+    return _then_split(result, camera, target, left, options, may, tiles)
+
+
+def read_by_edit(
+    splats: Splats, camera: Camera, mask: np.ndarray, view: ProjectedView | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """([TH, TW] bool the tiles that `paint_view` works on: those of the mask and of RING_PX around it, and of all
+    Gaussians that make these pixels; [N] bool those that visibly make masked ones, the only ones that may be split).
+    view: the splats in the tiles of the mask and its ring, if at hand.
+
+    Of the splats a painted view depends on nothing but the Gaussians of these tiles, in their order, and on how many of
+    them lie before `first_appended`; without a surface also on which of those that may be split are `allowed`. Raises
+    ValueError where no Gaussian contributes to the masked pixels."""
+    reach = dilated(mask, RING_PX)
+    under = tiles_of_mask(reach)
+    view = view or project(splats, camera, tiles=under)
+    sums = view.backproject(np.zeros((*mask.shape, 3), np.float32), reach.astype(np.float32))
+    touching = np.zeros(len(splats), bool)
+    touching[view.gaussian_ids[sums.alpha > 0]] = True
+    tiles = under | project(splats, camera, gaussian_mask=touching).tiles_of(touching)
+    return tiles, gaussians_in_mask(splats, camera, mask, None, view)
 
 
 def _then_split(
@@ -97,16 +124,15 @@ def _then_split(
     target: np.ndarray,
     mask: np.ndarray,
     options: LocalOptions,
-    allowed: np.ndarray | None,
-    count: int,
+    allowed: np.ndarray,
+    tiles: np.ndarray,
 ) -> PaintedView:
-    """The pixels that have no sheet, by splitting; those that no Gaussian makes stay as they are."""
-    splats = first.splats
-    may = np.ones(len(splats), bool)
-    if allowed is not None:
-        may[:count] = allowed
+    """The pixels that have no sheet, by splitting; those that no Gaussian makes stay as they are. allowed: [N] bool
+    Gaussians that may be split, beside the new ones; tiles: [TH, TW] bool, nothing beyond them is looked at."""
+    splats, count = first.splats, len(allowed)
+    may = np.append(allowed, np.ones(len(splats) - count, bool))
     try:
-        lifted = lift_local(splats, camera, target, mask, options, may)
+        lifted = lift_local(splats, camera, target, mask, options, may, tiles)
     except ValueError:
         return first
     touched = lifted.touched[lifted.touched < count]

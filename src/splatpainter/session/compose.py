@@ -306,7 +306,7 @@ class Replay:
                 return None
             (view,) = layer.views
             grid = self._adapter.grid(state.splats)
-            self._read_sets[pair] = read_set_of(state.splats, grid, view.camera, self.mask(view))
+            self._read_sets[pair] = read_set_of(state.splats, grid, view.camera, self.mask(view), len(self.original))
         self._read_sets.move_to_end(pair)
         read = self._read_sets[pair]
         while (

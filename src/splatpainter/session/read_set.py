@@ -1,11 +1,14 @@
 """What a local lift reads of the Gaussians below it, so that a layer need not be painted again where nothing changed
 there.
 
-A local lift of one view (lift/local_edit.py) looks at the Gaussians of the tiles under its mask, finds those that it
-reaches, and works on all Gaussians of the tiles that these touch. `read_set_of` takes that set, or a larger one. Two
-arrangements of layers that give it the same Gaussians, in the same order, give the lift's arithmetic the same numbers,
-so its result is the same bit for bit; only their ids in the asset may differ, and `renumber` changes those. Gaussians
-behind the surface count: splitting may let them through. Knows no layers and no cache.
+A local lift of one view (lift/paint.py) looks at the Gaussians of the tiles under its mask and RING_PX around it, and
+works on all Gaussians of the tiles that those touch which make these pixels: first for a sheet, then for what is left
+without one, by splitting (`lift.paint.read_by_edit`). `read_set_of` takes that set. Two arrangements of layers that
+give it the same Gaussians, in the same order, give the lift's arithmetic the same numbers, so its result is the same
+bit for bit; only their ids in the asset may differ, and `renumber` changes those. The surface is the original's, which
+is the same in all arrangements; how many of the set are the original's counts, because only the others' indices are
+free for any sheet Gaussian. Gaussians behind the surface count:
+splitting may let them through. Knows no layers and no cache.
 """
 
 from __future__ import annotations
@@ -28,27 +31,33 @@ class ReadSet:
     gaussian_ids: np.ndarray = field(repr=False)
     """[R] int32 ascending."""
     digest: str
-    """Hash of their values in order, and of which of them the edit reaches (by voxels of the asset)."""
+    """Hash of their values in order, of how many are the original's, and of which of them the edit may split."""
 
 
-def read_set_of(splats: Splats, grid: VoxelGrid, camera: Camera, mask: np.ndarray) -> ReadSet | None:
+def read_set_of(
+    splats: Splats, grid: VoxelGrid, camera: Camera, mask: np.ndarray, originals: int | None = None
+) -> ReadSet | None:
     """What a local lift of the masked pixels ([H, W] bool) reads of `splats`, whose voxels are `grid`; None where it
-    could not be applied."""
-    from splatpainter.lift.local_edit import gaussians_in_mask
-    from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
+    could not be applied. originals: how many of the first are the original's, on whose surface sheets are laid; None:
+    the edit knows no surface, and splits only Gaussians that the voxels let it."""
+    from splatpainter.lift.paint import read_by_edit
+    from splatpainter.rendering.cpu.projected_view import project
     from splatpainter.voxels.raycast import editable_gaussians, inside
 
     if inside(grid, grid.occupancy, camera.position):
         return None
-    under = tiles_of_mask(mask)
-    allowed = editable_gaussians(grid, splats, camera, mask)
     try:
-        reached = gaussians_in_mask(splats, camera, mask, allowed, project(splats, camera, tiles=under))
+        tiles, may_split = read_by_edit(splats, camera, mask)
     except ValueError:
         return None
-    area = under | project(splats, camera, gaussian_mask=reached).tiles_of(reached)
-    gaussian_ids = np.sort(project(splats, camera, tiles=area).gaussian_ids)
-    digest = hashlib.sha256(np.packbits(reached[gaussian_ids]).tobytes())
+    if originals is None:
+        may_split &= editable_gaussians(grid, splats, camera, mask)
+        if not may_split.any():
+            return None
+    gaussian_ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
+    first = len(splats) if originals is None else originals
+    digest = hashlib.sha256(np.packbits(may_split[gaussian_ids]).tobytes())
+    digest.update(int(np.searchsorted(gaussian_ids, first)).to_bytes(8, "little"))
     for name in ATTRIBUTES:
         digest.update(np.asarray(getattr(splats, name)[gaussian_ids], "<f4").tobytes())
     return ReadSet(gaussian_ids.astype(np.int32), digest.hexdigest())
