@@ -37,14 +37,11 @@ WINDOW_WIDTHS = 1.3
 """First window in widths of the Gaussian that is seen."""
 MIN_WINDOW_PX = 1.5
 """... and in pixels, at least."""
-MAX_RESIDUAL = 0.45
-"""rms distance of patches from the surface, in windows, from which it is not trusted."""
-MIN_PATCHES = 3.0
-"""Effective number of patches from which it is."""
+MIN_TRUST = 0.3
+"""From which a height is used. Held-out objects: it keeps 99.5 % of what is seen of clean assets (what it drops is off
+by 1.7 widths in the median), 84 to 90 % of fitted ones (dropped: 0.6 widths) and 93 to 99 % of six captures."""
 MAX_DISAGREEMENT = 0.6
 """Distance between a plane and its neighbour's, in windows, up to which both are one surface."""
-MAX_MOVE = 6.0
-"""Distance between where a line of sight meets Gaussians and where it meets their surface, in windows, at most."""
 MIN_AGREEING = 1
 """Of a lattice point's eight neighbours: those that must lie on its plane."""
 
@@ -118,13 +115,7 @@ def visible_surface(surface: Surface, splats: Splats, view: ProjectedView, pixel
     result = surface.at(starts, directions, window)
     local = result.points @ rotation.T + camera.world_to_camera[:3, 3]
     normals = result.normals @ rotation.T
-    moved = np.abs(((result.points - starts) * directions).sum(1))
-    sound = (
-        (result.patches >= MIN_PATCHES)
-        & (result.residuals < MAX_RESIDUAL)
-        & (local[:, 2] > 0)
-        & (moved < MAX_MOVE * result.windows)
-    )
+    sound = (result.trust >= MIN_TRUST) & (local[:, 2] > 0)
     trusted = sound & (_agreeing(index, local, normals, result.windows, sound) >= MIN_AGREEING)
     return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted)
 
