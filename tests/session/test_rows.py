@@ -12,7 +12,7 @@ import splatpainter as sp
 from splatpainter.cameras import look_at
 from splatpainter.painter import Edit
 from splatpainter.session import Session
-from tests.support.lift_scenes import differing, disk, same_bits, sheet
+from tests.support.lift_scenes import db, differing, disk, same_bits, sheet
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, SIZE, dab, flat
 
 SIDE = look_at((1.5, 0, 2.6), (0, 0, 0), width=SIZE, height=SIZE, fov=42)
@@ -56,16 +56,55 @@ def test_erasing_a_part_leaves_the_rest_and_no_holes():
         assert gone < 0.1 and kept < 0.1
 
 
+def test_what_is_left_of_erased_paint_is_sharp_and_the_originals_stay_behind_it():
+    """Fine paint on coarse Gaussians; half of it erased, then the other half."""
+    camera = CAMERA.resized(128, 128)
+    splats = sheet(30, degree=1, opacity=0.95)
+    mask = np.zeros((128, 128), bool)
+    mask[44:84, 30:98] = True
+    y, x = np.mgrid[:128, :128] // 6
+    picture = np.where(((x + y) % 2 > 0)[..., None], RED, (0.95, 0.9, 0.2)).astype(np.float32)
+    left, right = disk(camera, 44, 64, 26), disk(camera, 84, 64, 50)
+    with Session(splats) as session:
+        session.add("paint", [Edit(picture, camera, mask)])
+        painted = session.splats
+        session.add("erase", [Edit(np.zeros((128, 128, 3)), camera, left)])
+        half = session.splats
+        original, paint, now = (sp.render(each, camera) for each in (splats, painted, half))
+        assert (now.alphas > paint.alphas - 0.1).all()
+        inner = left & disk(camera, 44, 64, 24)
+        assert db(now.colors[0], original.colors[0], inner) > 34 and db(paint.colors[0], original.colors[0], inner) < 15
+        rest = mask & ~disk(camera, 44, 64, 28)
+        assert db(now.colors[0], paint.colors[0], rest) > 34
+        side = look_at((1.3, 0.3, 2.5), (0, 0, 0), width=128, height=128, fov=42)
+        assert (sp.render(half, side).alphas > sp.render(painted, side).alphas - 0.15).all()
+        lost = [int(differing(splats, each)[: len(splats)].sum()) for each in (painted, half)]
+        assert lost[1] < 0.8 * lost[0]
+        session.add("erase", [Edit(np.zeros((128, 128, 3)), camera, left | right)])
+        assert same_bits(session.splats.take(np.arange(len(splats))), splats)
+        assert (session.splats.opacities[len(splats) :] == 0).all()
+        assert session.verify(repaint=True) == []
+
+
 def test_erasing_can_be_partial_and_needs_a_mask():
     with Session(sheet(24, degree=1, opacity=0.95)) as session:
         session.add("paint", [dab(RED, radius=6)])
         painted = session.splats
         layer = session.add("erase", [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 16, 16, 14))], opacity=0.5)
-        rows = np.flatnonzero(differing(session.original, painted))
-        same_place = rows[(painted.scales[rows] == session.original.scales[rows]).all(1)]
-        middle = (session.original.sh[same_place].astype(np.float64) + painted.sh[same_place]) / 2
-        np.testing.assert_allclose(session.splats.sh[same_place], middle, atol=1e-6)
-        np.testing.assert_allclose(session.splats.opacities[24 * 24 :], painted.opacities[24 * 24 :] / 2, rtol=1e-6)
+        original, now = session.original, session.splats
+        for name in ("means", "quats", "scales", "opacities"):
+            assert getattr(now, name) is getattr(painted, name)  # nothing moves
+        pictures = [sp.render(splats, CAMERA).colors[0] for splats in (original, painted, now)]
+        inside = disk(CAMERA, 16, 16, 12)
+        assert db(pictures[0], pictures[1], inside) < 20
+        assert db(pictures[2], (pictures[0] + pictures[1]) / 2, inside) > 38
+        rows = np.flatnonzero(differing(original, painted)[: len(original)])
+        same_place = rows[(painted.scales[rows] == original.scales[rows]).all(1) & (painted.opacities[rows] > 0)]
+        middle = (original.sh[same_place].astype(np.float64) + painted.sh[same_place]) / 2
+        recolored = differing(painted, now)[same_place]
+        np.testing.assert_allclose(now.sh[same_place][recolored], middle[recolored], atol=1e-6)
+        session.set(layer.id, opacity=1.0)
+        assert same_bits(session.splats.take(np.arange(24 * 24)), original)
         session.set(layer.id, visible=False)
         assert same_bits(session.splats, painted)
         with pytest.raises(ValueError, match="expected a mask for a view of kind erase"):

@@ -33,11 +33,11 @@ from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.session.conflicts import EditedIds, policy_strength
 from splatpainter.session.delta import Delta, bare, between, no_delta
 from splatpainter.session.document import Document, Layer, View, digest
+from splatpainter.session.eraser import erase_delta, fade_delta
 from splatpainter.session.layer_blending import (
     AdjustmentFunction,
     adjust_sh,
     blend_delta,
-    erase_delta,
     reached_gaussians,
 )
 from splatpainter.session.layer_factory import decode_mask, decode_picture
@@ -71,6 +71,10 @@ RECORDED_NAMES = {
     "rim_px": "rim",
 }
 """Fields of LocalOptions -> their names in projects: results of layers are found by them."""
+SHEETS = "sheets-1"
+"""What stands in the fingerprints of painters that lay sheets. Layers of older ones are lifted as they were made:
+split, without sheets, blended and erased from the colours of parents."""
+WITHOUT_SHEETS = "lifted without sheets, as it was made; set its method to paint it anew"
 GRID_ATTRIBUTES = ("means", "quats", "scales", "opacities")
 """What a voxel grid depends on."""
 MAX_GRIDS = 2
@@ -136,15 +140,21 @@ class PainterAdapter:
         self._gridding = threading.Lock()
 
     def apply(
-        self, below: Splats, state: RefineState | None, edits: Sequence[Edit], mode: Mode, method: Method
+        self,
+        below: Splats,
+        state: RefineState | None,
+        edits: Sequence[Edit],
+        mode: Mode,
+        method: Method,
+        sheets: bool = True,
     ) -> tuple[Splats, Asset]:
         """(the Gaussians below as the painter got them, what it made of them). below: [N] with `origin`; in both
         results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
-        edits below. Raises ValueError as Painter.apply does."""
+        edits below; sheets: False for layers of painters that knew none. Raises ValueError as Painter.apply does."""
         numbered = replace(bare(below), origin=np.arange(len(below)))
         asset = Asset(numbered, original=self._original)
         if mode == "local":
-            vars(asset)["surface"] = self._bare.surface
+            vars(asset)["surface"] = self._bare.surface if sheets else None
         if self._painter.encodes(method, mode):
             base = self._base()
             assert base.encoding is not None and below.origin is not None
@@ -217,7 +227,7 @@ class Replay:
         if layer.kind == "merged":
             return self._over_merged(below, layer, document, strict, progress, step)
         strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
-        result_key = digest(f"{below.key} {layer.key}")
+        result_key = digest(f"{below.key} {layer.key}{' fade' if _fades(layer) else ''}")
         key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}")
         cached = self._cached(key, below, layer)
         if cached is not None:
@@ -335,7 +345,9 @@ class Replay:
         """What a layer makes of a state; nothing is cached. Raises ValueError where it cannot be applied."""
         splats = below.splats
         if layer.kind == "erase":
-            return LayerResult(erase_delta(splats, self.original, self._reached(splats, layer.views)))
+            views = [(view.camera, self.mask(view)) for view in layer.views]
+            delta = fade_delta if _fades(layer) else erase_delta
+            return LayerResult(delta(splats, self.original, views, reached_gaussians(splats, views)))
         if layer.kind == "look" and not any(view.picture for view in layer.views):
             adjusted = replace(splats, sh=adjust_sh(splats.sh, layer.parameters, self.adjustments))
             if layer.views:
@@ -345,7 +357,10 @@ class Replay:
 
     def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
         edits = [self._edit(view, layer) for view in layer.views]
-        numbered, asset = self._adapter.apply(below.splats, below.painter_state, edits, layer.mode, layer.method)
+        sheets = lays_sheets(layer.painter)
+        numbered, asset = self._adapter.apply(
+            below.splats, below.painter_state, edits, layer.mode, layer.method, sheets
+        )
         parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
         facts: dict[str, Any] = {}
         if asset.receipt is not None:
@@ -353,7 +368,12 @@ class Replay:
             names = ("method", "preset", "note", "views", "precision")
             facts = {name: record[name] for name in names if name in record}
             facts["stages"] = record["seconds"]
-        if layer.painter != fingerprint(self.painter, layer.method):
+        now = fingerprint(self.painter, layer.method)
+        if not sheets:
+            now = " ".join(word for word in now.split(" ") if word != SHEETS)
+            if layer.mode == "local" and layer.method != "ttt":
+                facts["note"] = "; ".join(filter(None, (facts.get("note"), WITHOUT_SHEETS)))
+        if layer.painter != now:
             notes = (facts.get("note"), "computed by another painter than it was made with")
             facts["note"] = "; ".join(filter(None, notes))
         confidence = asset.confidence
@@ -406,7 +426,7 @@ class Replay:
 def fingerprint(painter: Painter, method: Method) -> str:
     """What of a painter decides the results of a method, as text: its settings, the hash of its weights, and bf16 where
     its networks are rounded to that. method: not "auto"."""
-    settings = f"{painter.local_options!r} {painter.global_options!r}"
+    settings = f"{painter.local_options!r} {painter.global_options!r} {SHEETS}"
     for name, recorded in RECORDED_NAMES.items():
         settings = settings.replace(f"{name}=", f"{recorded}=")
     if method != "ttt" or painter.model is None:
@@ -418,6 +438,11 @@ def fingerprint(painter: Painter, method: Method) -> str:
     device = next(painter.model.parameters()).device
     rounded = " bfloat16" if resolve(painter.precision, device) == "bfloat16" else ""
     return f"ttt {settings} polish={painter.polish} {_DIGESTS[painter.model]}{rounded}"
+
+
+def lays_sheets(painter: str) -> bool:
+    """Whether a painter of this fingerprint knows sheets."""
+    return SHEETS in painter.split()
 
 
 _DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()
@@ -446,6 +471,12 @@ def _within(mask: np.ndarray, below: Splats, above: Splats) -> Splats:
 
 def _is_visible(layer: Layer) -> bool:
     return layer.visible and layer.opacity > 0
+
+
+def _fades(layer: Layer) -> bool:
+    """Whether a layer is an eraser that only fades (eraser.fade_delta)."""
+    partial = layer.opacity < 1 or layer.blend != "normal"
+    return layer.kind == "erase" and partial and lays_sheets(layer.painter)
 
 
 def _ancestors(state: LayerState, count: int) -> np.ndarray:

@@ -27,12 +27,6 @@ L(c) = 0.3 r + 0.59 g + 0.11 b, and the base colour is pulled into 0..1 as in "C
 *Adjustments* (layers of kind "look") are pure functions of each Gaussian's colour, which know no views and no
 neighbours: `f(sh [N, K, 3], parameters) -> sh [N, K, 3]`. A session takes a table of them by name, and the layer's
 parameters say which ({"look": name, ...}). They are cheap, so their results are not stored.
-
-*The eraser*: Gaussians that masks reach go back to what they were in the original; none is removed. A Gaussian of the
-original and those that were split from it are one family. Of one that is reached, the colours return to those of the
-original. Where every Gaussian of a family that is still visible has the original's colours then, its geometry returns
-too: the old one has the original's bytes again and the appended ones get opacity 0. Where only a part of a family is
-reached its Gaussians stay where they are, or the split one would cover its unreached children, or leave a hole.
 """
 
 from __future__ import annotations
@@ -45,10 +39,10 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
-from splatpainter.session.delta import Delta, bare
+from splatpainter.session.delta import Delta
 from splatpainter.session.document import Blend
 from splatpainter.sources.color_grading import GRADE, grade_sh
-from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
+from splatpainter.splats import SH_C0, Splats
 
 AdjustmentFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
 MIN_INSIDE_SHARE = 0.5
@@ -186,33 +180,3 @@ def reached_gaussians(splats: Splats, views: Sequence[tuple[Camera, np.ndarray]]
             reached[under] |= np.isin(family, splats.origin[reached]) & (family >= 0)
         out |= reached
     return out
-
-
-def erase_delta(below: Splats, original: Splats, reached: np.ndarray) -> Delta:
-    """The delta that takes Gaussians (reached: [N] bool) of an edited asset back. `below.origin` [N]: the original's
-    Gaussian that each comes from (-1: none; such ones are hidden)."""
-    n, first = len(below), len(original)
-    family = np.arange(n) if below.origin is None else below.origin
-    has_family = family >= 0
-    source = np.where(has_family, family, 0)
-    visible = below.opacities > 0
-    visible[:first] = True
-    painted = (below.sh.view(np.uint32) != original.sh[source].view(np.uint32)).reshape(n, -1).any(1)
-    restored_families = np.zeros(first, bool)
-    restored_families[source[has_family & reached]] = True
-    restored_families[source[has_family & visible & painted & ~reached]] = False
-    chosen = np.flatnonzero(reached | (has_family & restored_families[source]))
-    source, has_family = source[chosen], has_family[chosen]
-    restored = has_family & restored_families[source]
-    values = {name: getattr(below, name)[chosen] for name in ATTRIBUTES}
-    values["sh"][has_family] = original.sh[source[has_family]]
-    old = restored & (chosen < first)
-    for name in ATTRIBUTES:
-        values[name][old] = getattr(original, name)[source[old]]
-    values["opacities"][(restored & (chosen >= first)) | ~has_family] = 0
-    differs = np.zeros(len(chosen), bool)
-    for name in ATTRIBUTES:
-        before, after = getattr(below, name)[chosen].view(np.uint32), values[name].view(np.uint32)
-        differs |= (before != after).reshape(len(chosen), -1).any(1)
-    none = bare(below.take(np.zeros(0, np.int64)))
-    return Delta(n, chosen[differs], Splats(**values).take(differs), none, np.zeros(0, np.int64))
