@@ -48,6 +48,23 @@ def test_round_trip(degree, seed):
     np.testing.assert_array_equal(again.gaussian_ids, delta.gaussian_ids)
 
 
+def test_a_base_makes_it_version_2_and_travels_with_it():
+    before = asset(6, 1)
+    after = edited(before, 2)
+    delta = between(before, after)
+    base = np.random.default_rng(0).normal(size=(len(delta.gaussian_ids) + len(delta.appended), 4, 3))
+    delta = replace(delta, base=base.astype(np.float32))
+    parts = list(encode(delta))
+    again = decode(parts)
+    assert again.base is not None and same_bits(again.apply(before), after)
+    np.testing.assert_array_equal(again.base, delta.base)
+    plain = list(encode(replace(delta, base=None)))
+    assert len(plain) == len(parts) - 1 and decode(plain).base is None
+    for damaged in ([plain[0], *parts[1:]], [parts[0], *plain[1:]], [*parts[:-1], parts[1]]):
+        with pytest.raises(ValueError, match=r"^delta: damaged \(.*\)$"):
+            decode(damaged)
+
+
 def test_minus_zero_and_nan_payloads_survive():
     before = asset(3)
     after = replace(before, sh=before.sh.copy())

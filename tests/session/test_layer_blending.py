@@ -9,11 +9,13 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.painter import Painter
+from splatpainter.session import Session
+from splatpainter.session.appearance import with_base
 from splatpainter.session.delta import Delta, between
 from splatpainter.session.layer_blending import blend_delta, blend_sh, mix_sh
 from splatpainter.splats import Splats
-from tests.support.lift_scenes import bits, db, differing, front, sheet
-from tests.support.session_scenes import RED, asset, dab
+from tests.support.lift_scenes import bits, db, differing, disk, front, same_bits, sheet
+from tests.support.session_scenes import BLUE, RED, asset, dab
 
 Y0 = 0.28209479177387814
 
@@ -129,9 +131,43 @@ def test_a_picture_at_half_opacity_is_half_way():
     done = painter.apply(painter.encode(replace(splats, origin=np.arange(len(splats)))), [edit])
     assert done.splats.origin is not None and len(done.splats) > len(splats)
     delta = between(splats, done.splats, done.splats.origin[len(splats) :])
-    assert (delta.parent_ids >= 0).all()
+    assert (delta.parent_ids >= 0).all() and delta.base is None
+    delta = with_base(splats, delta, [camera])
+    assert delta.base is not None and len(delta.base) == len(delta.gaussian_ids) + len(delta.appended)
     pictures = [sp.render(blend_delta(splats, delta, o).apply(splats), camera).colors[0] for o in (1e-6, 0.5, 1.0)]
     nothing = sp.render(splats, camera).colors[0]
-    np.testing.assert_allclose(pictures[1], (pictures[0] + pictures[2]) / 2, atol=2e-3)
-    assert db(pictures[0], nothing) > 28  # split, in the colours of before
+    inside = edit.mask
+    assert db(pictures[0], nothing, inside) > 38 and db(pictures[0], nothing) > 38
+    assert db(pictures[1], (nothing + pictures[2]) / 2, inside) > 38
     assert db(pictures[2], nothing) < 22
+    assert same_bits(blend_delta(splats, delta, 1.0).apply(splats), done.splats)
+    # From the colours of parents the sheet would start blocky.
+    blocky = sp.render(blend_delta(splats, replace(delta, base=None), 1e-6).apply(splats), camera).colors[0]
+    assert db(blocky, nothing, inside) < db(pictures[0], nothing, inside) - 3
+
+
+def test_blend_modes_of_a_sheet_act_on_the_picture_below():
+    splats, camera = sheet(16, opacity=0.95), front(64)
+    edit = dab(RED, 32, 32, 10, camera)
+    with Session(splats, painter=Painter.load("lift")) as session:
+        layer = session.add("paint", [edit], blend="luminosity")
+        below, paint = (sp.render(each, camera).colors[0] for each in (splats, session.splats))
+        inside = disk(camera, 32, 32, 8)
+        luma = np.array([0.3, 0.59, 0.11])
+        np.testing.assert_allclose((paint @ luma)[inside].mean(), np.array(RED) @ luma, atol=0.02)
+        np.testing.assert_allclose(
+            paint[inside] - (paint @ luma)[inside][:, None], below[inside] - (below @ luma)[inside][:, None], atol=0.06
+        )
+        session.set(layer.id, blend="normal", opacity=0.5)
+        half, rows = session.splats, len(session.splats)
+        session.set(layer.id, opacity=1.0)
+        full = sp.render(session.splats, camera).colors[0]
+        assert db(sp.render(half, camera).colors[0], (below + full) / 2, inside) > 38
+        merged = session.merge([layer.id, session.add("paint", [dab(BLUE, 36, 34, 7, camera)]).id])
+        both = sp.render(session.splats, camera).colors[0]
+        session.set(merged.id, opacity=0.5)
+        wide = disk(camera, 34, 33, 12)
+        assert db(sp.render(session.splats, camera).colors[0], (below + both) / 2, wide) > 36
+        assert session.verify(repaint=True) == []
+        session.undo(), session.undo(), session.undo(), session.undo()
+        assert same_bits(session.splats, half) and rows == len(half)

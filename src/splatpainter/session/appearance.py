@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.session.delta import Delta
 from splatpainter.splats import Splats
 
 LOOK_ROUNDS = 8
@@ -50,3 +51,19 @@ def moved_gaussians(before: Splats, after: Splats) -> np.ndarray:
         if old is not new:
             out[:n] |= (old.view(np.uint32) != new[:n].view(np.uint32)).any(1)
     return out
+
+
+def with_base(below: Splats, delta: Delta, cameras: Sequence[Camera]) -> Delta:
+    """The delta with the SH from which its opacity and blend start: those below, and for Gaussians that moved or came
+    the ones with which the cameras see what they saw before; as it is where none moved."""
+    after = delta.apply(below)
+    moved = moved_gaussians(below, after)
+    if not moved.any():
+        return delta
+    n, ids, parents = len(below), delta.gaussian_ids, delta.parent_ids
+    start = after.sh.copy()
+    start[ids] = below.sh[ids]
+    start[n:][parents >= 0] = below.sh[parents[parents >= 0]]
+    pictures = [(camera, picture_of(below, camera)) for camera in cameras]
+    sh = fitted_sh(replace(after, sh=start), moved, pictures)
+    return replace(delta, base=np.concatenate([sh[ids], sh[n:]]))

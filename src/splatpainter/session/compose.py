@@ -30,6 +30,7 @@ import numpy as np
 
 from splatpainter.nn.precision import resolve
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
+from splatpainter.session.appearance import with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength
 from splatpainter.session.delta import Delta, bare, between, no_delta
 from splatpainter.session.document import Document, Layer, View, digest
@@ -210,6 +211,7 @@ class Replay:
         """Key of a layer -> {key of the state below: key of its result}, the latest last."""
         self._read_sets: OrderedDict[tuple[str, str], ReadSet | None] = OrderedDict()
         """(key of the state below, key of a layer) -> what it reads there."""
+        self._merged: tuple[tuple[str, str], Delta] | None = None
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)
 
     def compose(self, document: Document, progress: Progress | None = None, strict: str | None = None) -> LayerState:
@@ -243,6 +245,11 @@ class Replay:
             if stored:
                 self._store.put(result_key, result)
         self._note_placement(below, layer, result_key)
+        if result.delta.base is None and _mixes(layer, strength) and _has_base(layer):
+            based = with_base(below.splats, result.delta, [view.camera for view in layer.views])
+            if based is not result.delta:
+                result = replace(result, delta=based)
+                self._store.put(result_key, result)
         delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength)
         splats = delta.apply(below.splats)
         span = (len(below.splats), len(splats))
@@ -274,10 +281,22 @@ class Replay:
         facts = (*below.facts, (layer.id, total), *inner_facts)
         if (layer.opacity, layer.blend) == (1, "normal"):
             return replace(state, facts=facts)
-        delta = between(below.splats, state.splats, _ancestors(state, len(below.splats)))
+        delta = self._merged_delta(below, state, layer)
         splats = blend_delta(below.splats, delta, layer.opacity, layer.blend).apply(below.splats)
         key = digest(f"{below.key} merged {state.key} {layer.opacity!r} {layer.blend}")
         return replace(state, key=key, splats=splats, facts=facts)
+
+    def _merged_delta(self, below: LayerState, state: LayerState, layer: Layer) -> Delta:
+        """What a merged layer did, for another opacity or blend; the latest one is cached, for sliders."""
+        key = (below.key, state.key)
+        if self._merged is None or self._merged[0] != key:
+            delta = between(below.splats, state.splats, _ancestors(state, len(below.splats)))
+            leaves = [leaf for leaf in layer.leaves() if _is_visible(leaf)]
+            if any(map(_has_base, leaves)):
+                cameras = [view.camera for leaf in leaves if _has_base(leaf) for view in leaf.views]
+                delta = with_base(below.splats, delta, cameras)
+            self._merged = (key, delta)
+        return self._merged[1]
 
     def _note_placement(self, below: LayerState, layer: Layer, result_key: str) -> None:
         """Remember where a layer's result can be had from."""
@@ -471,6 +490,17 @@ def _within(mask: np.ndarray, below: Splats, above: Splats) -> Splats:
 
 def _is_visible(layer: Layer) -> bool:
     return layer.visible and layer.opacity > 0
+
+
+def _mixes(layer: Layer, strength: np.ndarray | None) -> bool:
+    """Whether a layer's opacity and blend, or a policy's factors of the former, mix colours with those below."""
+    partial = strength is not None and bool(((strength > 0) & (strength < 1)).any())
+    return layer.opacity < 1 or layer.blend != "normal" or partial
+
+
+def _has_base(layer: Layer) -> bool:
+    """Whether a layer's opacity starts from colours fitted to what its views saw before."""
+    return layer.kind in ("paint", "picture", "clone") and lays_sheets(layer.painter)
 
 
 def _fades(layer: Layer) -> bool:

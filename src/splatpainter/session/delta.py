@@ -48,6 +48,9 @@ class Delta:
     """A Gaussians, which become number N, N + 1, ..."""
     parent_ids: np.ndarray = field(repr=False)
     """[A] int64 the Gaussian below that each appended one was made from, -1: none."""
+    base: np.ndarray | None = field(default=None, repr=False)
+    """[T + A, K, 3] SH with which the changed and the appended Gaussians look as those below did (appearance.py); None:
+    the SH of the same index and of the parents."""
 
     def apply(self, below: Splats) -> Splats:
         """The Gaussians after. Arrays in which no bit changes are shared with `below`."""
@@ -94,15 +97,16 @@ def no_delta(below: Splats) -> Delta:
 
 def encode(delta: Delta) -> Iterator[bytes]:
     """Parts of zstd with checksums, made one at a time: a JSON head, then ids, parents and the attributes of the
-    changed and of the appended Gaussians, little-endian float32, one after the other."""
+    changed and of the appended Gaussians, little-endian float32, one after the other; in version 2 then the base."""
     import zstandard
 
     pack = zstandard.ZstdCompressor(level=3, write_checksum=True).compress
     head = {"count": delta.count, "rows": len(delta.gaussian_ids), "appended": len(delta.appended)}
     head["coefficients"] = int(delta.values.sh.shape[1])
-    yield pack(json.dumps({"version": 1, **head}).encode())
+    version, base = (1, ()) if delta.base is None else (2, (np.asarray(delta.base, "<f4"),))
+    yield pack(json.dumps({"version": version, **head}).encode())
     steps = np.diff(delta.gaussian_ids, prepend=0)  # small numbers, most of them 1
-    for column in (steps, delta.parent_ids, *_columns(delta.values), *_columns(delta.appended)):
+    for column in (steps, delta.parent_ids, *_columns(delta.values), *_columns(delta.appended), *base):
         data = np.ascontiguousarray(column).reshape(-1).view(np.uint8)
         for start in range(0, max(len(data), 1), PART_BYTES):
             yield pack(data[start : start + PART_BYTES].tobytes())
@@ -142,7 +146,7 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
 
     try:
         head = json.loads(unpack(next(source)))
-        if head["version"] != 1 or head["coefficients"] not in SH_COUNTS:
+        if head["version"] not in (1, 2) or head["coefficients"] not in SH_COUNTS:
             raise ValueError(f"unknown layout {head}")
         n, t, a, k = (int(head[name]) for name in ("count", "rows", "appended", "coefficients"))
         if not (0 <= t <= n <= MAX_GAUSSIANS and 0 <= a <= MAX_GAUSSIANS):
@@ -154,9 +158,12 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
         if a and not (parent_ids.min() >= -1 and parent_ids.max() < n):
             raise ValueError("parents are out of range")
         values, appended = _gaussians(column, t, k), _gaussians(column, a, k)
+        base = None
+        if head["version"] == 2:
+            base = column((t + a) * k * 3, "<f4").reshape(t + a, k, 3).copy()
         if next(source, None) is not None:
             raise ValueError("more parts than expected")
-        return Delta(n, gaussian_ids, values, appended, parent_ids)
+        return Delta(n, gaussian_ids, values, appended, parent_ids, base)
     except StopIteration:
         raise ValueError(f"{where}: damaged (parts are missing)") from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, zstandard.ZstdError) as error:

@@ -6,12 +6,14 @@ with b the SH coefficients of a Gaussian below and p the new ones,
 
     sh = b + o (m - b),   m = what the blend mode makes of b and p
 
-and *geometry is the layer's* for every o > 0: means, quaternions and scales are the new ones. An appended Gaussian
-takes as b the colours of the one that it was split from. So a Gaussian that was split stays covered by its children,
-which start in its colour: scaling their opacity instead would tear holes, because it has shrunk itself. Pictures are
-linear in colours, so the picture at o is the linear mix of the one at 0+ and the one at 1; what is not continuous is
-only the small difference between a Gaussian and its children of the same colour. The opacity of one whose geometry is
-unchanged is mixed like a colour (an eraser fades what it hides); of another it is the layer's.
+and *geometry is the layer's* for every o > 0: means, quaternions and scales are the new ones, and what it emptied is
+empty. Gaussians that moved (one of a sheet may have taken the index of any) or were appended take as b the colours with
+which they look, from the layer's views, as the Gaussians below did (appearance.with_base); without these, as in layers
+of older projects, those of the same index and of the one that each was split from. So a Gaussian that was split stays
+covered by its children, which start in its colour: scaling their opacity instead would tear holes, because it has
+shrunk itself. Pictures are linear in colours, so the picture at o is the linear mix of the one at 0+ and the one at 1;
+what is not continuous is only the small difference between a Gaussian and its children of the same colour. The opacity
+of one whose geometry is unchanged is mixed like a colour (an eraser fades what it hides); of another it is the layer's.
 
 Modes act on the constant band's display colour 0.5 + Y_0 sh_0, and on bands >= 1 by the same linear formula:
 
@@ -67,11 +69,18 @@ def blend_delta(
     for name in ("means", "quats", "scales"):
         moved |= (getattr(old, name) != getattr(new, name)).any(1)
     faded = old.opacities + share[some] * (new.opacities - old.opacities)
+    if delta.base is not None:
+        moved |= new.opacities == 0
     exact = moved | (share[some] == 1)
     opacities = np.where(exact, new.opacities, faded).astype(np.float32)
-    values = replace(new, opacities=opacities, sh=mix_sh(old.sh, new.sh, share[some], blend))
+    count = len(delta.gaussian_ids)
+    old_sh = old.sh if delta.base is None else delta.base[:count][some]
+    values = replace(new, opacities=opacities, sh=mix_sh(old_sh, new.sh, share[some], blend))
     tail = delta.appended.take(some_tail)
-    parent_sh = np.where((parent_ids >= 0)[:, None, None], below.sh[np.maximum(parent_ids, 0)], tail.sh)
+    if delta.base is not None:
+        parent_sh = delta.base[count:][some_tail]
+    else:
+        parent_sh = np.where((parent_ids >= 0)[:, None, None], below.sh[np.maximum(parent_ids, 0)], tail.sh)
     tail = replace(tail, sh=mix_sh(parent_sh, tail.sh, tail_share[some_tail], blend))
     return Delta(delta.count, gaussian_ids, values, tail, parent_ids)
 
