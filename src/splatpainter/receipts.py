@@ -75,6 +75,9 @@ class Receipt:
     removed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
     """[E] int64 ascending, part of `touched`: rows that were emptied: of opacity 0, or of the smallest that a format
     holds."""
+    aside: tuple[tuple[float | None, float], ...] = ()
+    """Per view of a local edit, where asked for: (PSNR in dB of the edit seen from the side, against the picture moved
+    there over the surface; None where nothing can be compared, share 0..1 of the paint that was)."""
     limited_px: tuple[float, ...] = ()
     """Per view, edited pixels' worth of paint that its limits left out."""
     precision: str = ""
@@ -102,6 +105,8 @@ class Receipt:
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
             "note": self.note,
         }
+        if self.aside:
+            record["aside"] = [{"psnr": _finite(psnr), "covered": round(share, 3)} for psnr, share in self.aside]
         if any(self.limited_px):
             record["limited_px"] = list(self.limited_px)
         if self.precision:
@@ -138,6 +143,7 @@ class Receipt:
                 _text(data.get("note", ""), 4000),
                 replaced,
                 removed,
+                tuple((_number(s["psnr"], none=True), _number(s["covered"])) for s in data.get("aside", ())),
                 tuple(float(_number(value)) for value in data.get("limited_px", ())),
                 _text(data.get("precision", "")),
             )

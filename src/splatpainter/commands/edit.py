@@ -17,6 +17,7 @@ from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.io import files, read, write
+from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, Verification, prove
@@ -62,6 +63,11 @@ class Config:
     """Weights: compact, paper, a folder of weights, or lift (none); auto: compact where its weights are, else lift."""
     precision: Precision = "auto"
     """Arithmetic of the networks; auto: what SPLATPAINTER_PRECISION says, else bfloat16 where the machine has it."""
+    angle_limit: float = LOCAL_DEFAULTS.angle_limit
+    """Degrees between the line of sight and the surface's normal from which paint of a local edit fades; 0: no
+    limit."""
+    depth_edge_limit: float = LOCAL_DEFAULTS.depth_edge_limit
+    """Pixels beside an edge in depth that a local edit leaves out; 0: none."""
     polish: bool = False
     """After the networks, two colour rounds of the lift: nearer to the picture, further from what was learnt."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
@@ -120,6 +126,8 @@ def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method, p
 def _painter(config: Config) -> Painter:
     """Before anything is read that takes time: weights that are missing or wrong are the likeliest complaint."""
     painter = Painter.load(config.preset, modes=[config.mode], polish=config.polish, precision=config.precision)
+    limits = {"angle_limit": config.angle_limit, "depth_edge_limit": config.depth_edge_limit}
+    painter = replace(painter, aside=True, local_options=replace(LOCAL_DEFAULTS, **limits))
     method = painter.choose(config.method, config.mode)[0]
     if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
         raise ValueError(
@@ -196,10 +204,17 @@ def _lines(
     for source, view in zip(sources, receipt.views, strict=True):
         inside = f"{decibels(view.psnr_before)} -> {decibels(view.psnr_after)} against the picture, where it was edited"
         lines.append(f"{source.path}: {inside}; elsewhere {decibels(view.psnr_outside)} against before")
+    for source, (psnr, share) in zip(sources, receipt.aside, strict=False):
+        if psnr is not None:
+            lines.append(f"{source.path}: {decibels(psnr)} seen from the side, {100 * share:.0f} % of the paint")
     again = f", {rounded:,} more rounded anew by the format" if rounded else ""
-    lines.append(
-        f"{count(len(receipt.touched) - rounded, 'Gaussian')} changed{again}, {receipt.appended_rows:,} appended"
+    sheet = (
+        f" (of them {len(receipt.replaced):,} replaced and {len(receipt.removed):,} removed under a sheet)"
+        if len(receipt.replaced) + len(receipt.removed)
+        else ""
     )
+    changed = count(len(receipt.touched) - rounded, "Gaussian")
+    lines.append(f"{changed} changed{sheet}{again}, {receipt.appended_rows:,} appended")
     lines.append(
         f"{verification.same:,} of {count(verification.rows, 'Gaussian')} {same_words(verification)}, verified"
     )

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from splatpainter.lift.masks import dilated
+from splatpainter.lift.options import MAX_DEPTH_EDGE_LIMIT_PX
 from splatpainter.surface.visible import VisibleSurface
 
 SOFT_DEGREES = 10.0
@@ -67,16 +69,10 @@ def _distance_to_edges(
     out = np.full(pixels.shape, math.inf)
     if not edge.any():
         return out
-    from splatpainter.lift.masks import dilated
-
     reached = edge
     out[edge] = 0.5
-    for distance in range(1, MAX_EDGE_PX + 1):
+    for distance in range(1, 2 * int(MAX_DEPTH_EDGE_LIMIT_PX) + 1):
         grown = dilated(reached, 1)
         out[grown & ~reached] = distance + 0.5
         reached = grown
     return out
-
-
-MAX_EDGE_PX = 32
-"""Beyond which a pixel is not beside an edge."""

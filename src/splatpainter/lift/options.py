@@ -9,6 +9,10 @@ ResidualBase = Literal["own", "lift"]
 """What a network's residual is added to: the asset as it is, or the lift's answer."""
 
 
+MAX_DEPTH_EDGE_LIMIT_PX = 16.0
+"""Largest strip beside an edge in depth that can be left out, pixels."""
+
+
 @dataclass(frozen=True)
 class LocalOptions:
     """How a local lift trades detail for Gaussians."""
@@ -42,6 +46,14 @@ class LocalOptions:
     """Edited pixels without a sheet up to which they are left as they are, not split."""
     damping: float = 0.3
     """What is left of SH bands >= 1 in a fully repainted Gaussian, 0..1."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.angle_limit <= 90:
+            raise ValueError(f"angle limit: expected 0 (none) to 90 degrees, got {self.angle_limit:g}")
+        if not 0 <= self.depth_edge_limit <= MAX_DEPTH_EDGE_LIMIT_PX:
+            raise ValueError(
+                f"depth-edge limit: expected 0 (none) to {MAX_DEPTH_EDGE_LIMIT_PX:g} px, got {self.depth_edge_limit:g}"
+            )
 
 
 @dataclass(frozen=True)

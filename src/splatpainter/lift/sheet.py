@@ -17,8 +17,8 @@ FLAT_RANGE = 0.03
 FLAT_DEPTH_CELLS = 0.08
 """The surface may leave a cell's plane by this share of the cell's edge."""
 PIXEL_WIDTH, CELL_WIDTH = 0.55, 0.65
-"""Standard deviation of a sheet Gaussian, in edges of its cell, of cells of one pixel (which the renderer widens by half
-a pixel) and of larger ones: four neighbours stop 92 and 95 % of the light at the corner between them."""
+"""Standard deviation of a sheet Gaussian, in edges of its cell, of one pixel (which the renderer widens by half a
+pixel) and of larger ones: four of the latter stop 95 % of the light at the corner between them."""
 EDGE_CONTRAST = 0.15
 """Range of the colours around a pixel from which it lies on an edge of the picture, ..."""
 EDGE_WIDTH = 0.7
@@ -116,8 +116,8 @@ def _is_plane(inverse: np.ndarray, size: int, fx: float) -> np.ndarray:
 
 
 def sheet_geometry(surface: VisibleSurface, cells: Cells, target: np.ndarray) -> tuple[SheetGeometry, np.ndarray]:
-    """(G Gaussians on the surface under C cells, [G] int64 the cell of each; cells without a surface have none). target:
-    [H, W, 3]; Gaussians of single pixels are narrower where it has edges."""
+    """(G Gaussians on the surface under C cells, [G] int64 the cell of each; cells without a surface have none).
+    target: [H, W, 3]; Gaussians of single pixels are narrower where it has edges."""
     at = surface.at(cells.centers)
     xs, ys = cells.centers.astype(np.int64).T
     single = cells.sizes == 1
