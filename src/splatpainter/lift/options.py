@@ -38,6 +38,8 @@ class LocalOptions:
     """Lay sheets where the surface is trusted; False: split Gaussians everywhere."""
     sheet_rounds: int = 4
     """Colour rounds of sheets."""
+    max_pieces: int = 12_000
+    """Pieces of Gaussians across the edge of a sheet from which on none is halved any more."""
     angle_limit: float = 80.0
     """Degrees between the line of sight and the surface's normal from which one view's paint fades; 0: no limit."""
     depth_edge_limit: float = 0.0

@@ -14,11 +14,11 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
-from splatpainter.lift.masks import dilated
+from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.sheet import SHEET_OPACITY, Cells, SheetGeometry, flat_cells, sheet_geometry
-from splatpainter.lift.split import Lattice
+from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
@@ -32,13 +32,21 @@ INSIDE = 0.85
 """Share of a Gaussian's footprint under the sheet from which all of it goes, ..."""
 OUTSIDE = 0.08
 """... and up to which all of it stays."""
-RIM_GOAL_PX = 1.4
+RIM_GOAL_PX = 2.2
 """Gaussians across the sheet's edge are halved until they are no wider than this (standard deviation)."""
 MAX_RIM_HALVINGS = 8
 NORMAL_SIGMAS = 2.0
 """Standard deviations along the surface's normal within which a Gaussian touches the surface, ..."""
 SURFACE_WINDOWS = 0.35
 """... beside this share of the window in which the surface was estimated."""
+MAX_CUT_PX = 8.0
+"""Gaussians longer than this (standard deviation) are not cut at the sheet's edge, ..."""
+MIN_HANDLED = 0.85
+"""... and where less than this share of the light comes from those that a sheet replaces there is none, ..."""
+CLEAR_RADIUS_PX = 2
+"""... by the majority of the pixels around; ..."""
+MIN_CLEAR = 0.5
+"""... if that leaves less than this share of the pixels, the edit gets no sheet at all."""
 MIN_PEAK = 0.02
 """Old Gaussians that remain before the sheet, and give some pixel of it more than this share, ..."""
 MIN_SHEET_SHARE = 0.6
@@ -89,13 +97,22 @@ def resurface(
     if not covered.any():
         return None
     near = NearSurface.of(visible, covered)
+    clear = covered & _is_clear(splats, view, near, covered)
+    if clear.sum() < MIN_CLEAR * covered.sum():
+        return None
+    covered = without_islands(clear)
+    if not covered.any():
+        return None
+    near = NearSurface.of(visible, covered)
     candidates = np.zeros(len(splats), bool)
     sums = view.backproject(np.zeros_like(before), covered.astype(np.float32))
     candidates[view.gaussian_ids[sums.alpha > 0]] = True
+    seen = np.zeros(len(splats), bool)
+    seen[view.gaussian_ids[sums.peak > options.min_share]] = True
     tiles = project(splats, camera, gaussian_mask=candidates).tiles_of(candidates) | tiles_of_mask(pixels)
     ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
     patch = splats.take(ids)
-    lattice, gone = _cut(Lattice.of(patch, camera), candidates[ids], near, covered, tiles)
+    lattice, gone = _cut(Lattice.of(patch, camera), candidates[ids], seen[ids], near, covered, tiles, options)
     cells = flat_cells(target, covered, depth, camera.fx)
     geometry, index = sheet_geometry(visible, cells, target)
     cells = Cells(cells.centers[index], cells.sizes[index])
@@ -103,7 +120,7 @@ def resurface(
     sheet, hosts = _sheet(rest, gone, geometry, cells, target, tiles, camera)
     remaining = np.flatnonzero(~gone)
     goal = np.where(covered[..., None], target, project(patch, camera, tiles=tiles).rasterize()[0])
-    split = lattice.level[remaining].any(1)
+    split = lattice.level[remaining].max(1) > 0
     joined = _painted(rest.take(remaining).append(sheet), split, camera, tiles, goal, covered, options)
     return _assemble(splats, ids, lattice, gone, joined, hosts, covered, first_appended)
 
@@ -112,6 +129,24 @@ def without_islands(mask: np.ndarray) -> np.ndarray:
     """[H, W] bool without parts that nowhere hold a 3 x 3 block (those parts' surroundings within 3 pixels stay)."""
     core = ~dilated(~mask, 1)
     return mask & dilated(core, 3)
+
+
+def _is_clear(splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray) -> np.ndarray:
+    """[H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
+    surface, and under the sheet, or are small enough to be cut at its edge. Elsewhere, in the fog of captures, a veil
+    would stay before the sheet."""
+    ids = view.gaussian_ids
+    zeros, inside = np.zeros((*covered.shape, 3), np.float32), covered.astype(np.float32)
+    sums = view.backproject(zeros, inside)
+    share = sums.alpha / np.maximum(view.backproject(zeros, np.ones_like(inside)).alpha, 1e-9)
+    patch = splats.take(ids)
+    small = projected_sizes(patch, view.camera).max(1) < MAX_CUT_PX
+    handled = (sums.weight > 0) & (small | (share > INSIDE))
+    handled[handled] = near.touches(patch.take(handled))
+    weight = view.rasterize(np.repeat(handled[:, None], 3, 1).astype(np.float32))[0][..., 0]
+    image, alpha, _ = view.rasterize(np.zeros((len(ids), 3), np.float32))
+    weight = weight - image[..., 0]  # over black
+    return box_mean((weight > MIN_HANDLED * alpha).astype(np.float32), CLEAR_RADIUS_PX) > 0.5
 
 
 @dataclass(frozen=True)
@@ -151,10 +186,16 @@ class NearSurface:
 
 
 def _cut(
-    lattice: Lattice, candidates: np.ndarray, near: NearSurface, covered: np.ndarray, tiles: np.ndarray
+    lattice: Lattice,
+    candidates: np.ndarray,
+    seen: np.ndarray,
+    near: NearSurface,
+    covered: np.ndarray,
+    tiles: np.ndarray,
+    options: LocalOptions,
 ) -> tuple[Lattice, np.ndarray]:
-    """Halve Gaussians that lie across the sheet's edge: (the lattice, [S'] bool those that go). candidates: [S]
-    bool."""
+    """Halve Gaussians that lie across the sheet's edge: (the lattice, [S'] bool those that go). candidates: [S] bool;
+    seen: [S] bool, those that make the picture: what is hidden behind them goes or stays as one."""
     inside, zeros = covered.astype(np.float32), np.zeros((*covered.shape, 3), np.float32)
     active, camera = candidates, near.camera
     for turn in range(MAX_RIM_HALVINGS + 1):
@@ -167,8 +208,8 @@ def _cut(
         chosen = np.flatnonzero(active & (share > OUTSIDE))
         touching[chosen] = near.touches(splats.take(chosen))
         across = touching & (share < INSIDE)
-        wide = across & (lattice.widths.max(1) > RIM_GOAL_PX)
-        if turn == MAX_RIM_HALVINGS or not wide.any():
+        wide = across & seen[lattice.parent] & (lattice.widths.max(1) > RIM_GOAL_PX)
+        if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:
             break
         lattice, source = lattice.halved(wide, RIM_GOAL_PX)
         active = touching[source]

@@ -1,0 +1,249 @@
+"""Sheets: what is under them goes, what is not stays bit for bit, and nothing shows through from other sides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import splatpainter as sp
+from splatpainter.cameras import look_at
+from splatpainter.lift.limits import paintable
+from splatpainter.lift.nearest import nearest_pixels
+from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
+from splatpainter.lift.paint import PaintedView, paint_view
+from splatpainter.lift.sheet import MAX_CELL_PX, flat_cells
+from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.splats import Splats
+from splatpainter.surface.estimate import Surface
+from splatpainter.surface.visible import visible_surface
+from splatpainter.transforms import fibonacci_sphere, matrix_to_quat
+from tests.support.lift_scenes import back, db, differing, disk, front, same_bits, sheet
+
+RED = np.array((0.9, 0.1, 0.1), np.float32)
+FRONT, REAR = front(128), back(128)
+
+
+def wall(gap: float = 0.25) -> Splats:
+    """Two sheets, `gap` apart: the width of a Gaussian is 0.034."""
+    return sheet(45, degree=1, opacity=0.98).append(sheet(45, z=-gap, degree=1, opacity=0.98))
+
+
+def ball(count: int = 6000) -> Splats:
+    """A sphere of radius 1 of flat Gaussians."""
+    normals = fibonacci_sphere(count)
+    side = np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0, 0), (0, 1.0, 0)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    axes = np.stack([side, np.cross(normals, side), normals], 2)
+    width = 0.6 * np.sqrt(4 * np.pi / count)
+    scales = np.tile([width, width, 0.1 * width], (count, 1))
+    sh = np.zeros((count, 1, 3))
+    arrays = (normals, matrix_to_quat(axes), scales, np.full(count, 0.95), sh)
+    return Splats(*(array.astype(np.float32) for array in arrays))
+
+
+def draw(splats: Splats, camera=FRONT) -> np.ndarray:
+    return sp.render(splats, camera).colors[0]
+
+
+def paint(splats: Splats, mask: np.ndarray, camera=FRONT, options: LocalOptions = LOCAL_DEFAULTS) -> PaintedView:
+    picture = np.where(mask[..., None], RED, draw(splats, camera)).astype(np.float32)
+    return paint_view(splats, Surface.of(splats), camera, picture, mask, options)
+
+
+def test_a_painted_wall_is_painted_and_its_other_side_is_not():
+    splats, mask = wall(), disk(FRONT, 64, 64, 20)
+    result = paint(splats, mask)
+    inner = disk(FRONT, 64, 64, 17)
+    assert db(draw(result.splats), np.broadcast_to(RED, (128, 128, 3)), inner) > 26
+    assert db(draw(result.splats), draw(splats), ~disk(FRONT, 64, 64, 24)) > 45
+    assert db(draw(result.splats, REAR), draw(splats, REAR), np.ones((128, 128), bool)) > 45
+    for angle in (-50, -30, 30, 50):
+        eye = 3 * np.array([np.sin(np.radians(angle)), 0, np.cos(np.radians(angle))])
+        side = look_at(eye, (0, 0, 0), width=128, height=128, background=FRONT.background)
+        before, after = sp.render(splats, side), sp.render(result.splats, side)
+        assert (after.alphas > before.alphas - 0.1).all(), "no cracks"
+        assert after.depths[before.alphas > 0.99].max() < before.depths[before.alphas > 0.99].max() + 0.05
+
+
+def test_rows_are_what_the_result_says():
+    splats = wall()
+    result = paint(splats, disk(FRONT, 64, 64, 20))
+    np.testing.assert_array_equal(result.touched, np.flatnonzero(differing(splats, result.splats)))
+    assert len(result.replaced) > 50 and np.isin(result.replaced, result.touched).all()
+    assert np.isin(result.removed, result.touched).all()
+    assert not np.isin(result.removed, result.replaced).any()
+    assert (result.splats.opacities[result.removed] == 0).all()
+    assert (result.touched < 45 * 45).all(), "the rear sheet keeps its bits"
+    assert len(result.parents) == len(result.splats) - len(splats)
+    assert (result.parents >= 0).all() and (result.parents < 45 * 45).all()
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "3"])
+def test_bits_are_the_same_for_any_number_of_threads(threads: str, monkeypatch: pytest.MonkeyPatch):
+    splats, mask = ball(), disk(FRONT, 64, 60, 16)
+    expected = paint(splats, mask)
+    monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+    result = paint(splats, mask)
+    assert same_bits(result.splats, expected.splats)
+
+
+def test_flat_paint_needs_few_gaussians_and_detail_many():
+    splats, mask = sheet(45, degree=1, opacity=0.98), disk(FRONT, 64, 64, 28)
+    flat = paint(splats, mask)
+    rng = np.random.default_rng(0)
+    picture = np.where(mask[..., None], rng.random((128, 128, 3)), draw(splats)).astype(np.float32)
+    busy = paint_view(splats, Surface.of(splats), FRONT, picture, mask)
+    assert len(flat.splats) - len(splats) < 0.6 * mask.sum()
+    assert len(busy.splats) > len(flat.splats) + 0.3 * mask.sum()
+
+
+def test_what_lies_before_the_surface_at_a_distance_stays():
+    bar = replace(sheet(8, z=0.7, half=0.1, opacity=0.98))
+    splats = sheet(45, degree=1, opacity=0.98).append(bar)
+    mask = disk(FRONT, 64, 64, 30)
+    mask &= sp.render(bar, FRONT).alphas[0, ..., 0] < 0.01
+    result = paint(splats, mask)
+    assert not differing(splats, result.splats)[45 * 45 :].any()
+
+
+def test_a_cloud_has_no_surface_and_is_split_as_before():
+    rng = np.random.default_rng(3)
+    n = 4000
+    cloud = Splats(
+        *(
+            a.astype(np.float32)
+            for a in (
+                rng.normal(size=(n, 3)) * 0.4,
+                rng.normal(size=(n, 4)),
+                np.exp(rng.normal(size=(n, 3)) * 0.8 - 3.2),
+                rng.uniform(0.02, 0.3, n),
+                rng.normal(size=(n, 1, 3)) * 0.3,
+            )
+        )
+    )
+    mask = disk(FRONT, 64, 64, 14)
+    result = paint(cloud, mask)
+    before, after = draw(cloud), draw(result.splats)
+    target = np.broadcast_to(RED, before.shape)
+    assert db(after, target, mask) > db(before, target, mask) + 4
+    assert db(after, before, ~disk(FRONT, 64, 64, 22)) > 30
+
+
+@pytest.mark.parametrize("count", [1, 3, 50])
+def test_a_handful_of_gaussians_is_painted(count: int):
+    few = ball(count)
+    few = replace(few, scales=np.full_like(few.scales, 0.5))
+    mask = disk(FRONT, 64, 64, 10)
+    result = paint(few, mask)
+    assert db(draw(result.splats), np.broadcast_to(RED, (128, 128, 3)), mask) > 12
+    assert np.isfinite(result.splats.means).all()
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_units_do_not_matter(factor: float):
+    splats, mask = wall(), disk(FRONT, 64, 64, 20)
+    scaled = replace(splats, means=splats.means * np.float32(factor), scales=splats.scales * np.float32(factor))
+    matrix = FRONT.world_to_camera.copy()
+    matrix[:3, 3] *= factor
+    camera = replace(FRONT, world_to_camera=matrix)
+    one, two = paint(splats, mask), paint(scaled, mask, camera)
+    assert abs(len(one.splats) - len(two.splats)) <= 0.02 * len(one.splats)
+    assert db(draw(one.splats), draw(two.splats, camera), np.ones((128, 128), bool)) > 40
+
+
+# Limits
+
+
+def visible_of(splats: Splats, camera=FRONT):
+    view = project(splats, camera)
+    solid = view.rasterize()[1] > 0.6
+    return visible_surface(Surface.of(splats), splats, view, solid), solid
+
+
+def test_the_angle_limit_fades_what_is_seen_from_the_side():
+    visible, solid = visible_of(ball())
+    free, limited = (paintable(visible, solid, limit, 0.0) for limit in (0.0, 50.0))
+    np.testing.assert_array_equal(free, solid)
+    ys, xs = np.nonzero(solid)
+    # The true angle: on a sphere the ray's distance from its centre is the sine.
+    rays = np.stack([(xs + 0.5 - FRONT.cx) / FRONT.fx, (ys + 0.5 - FRONT.cy) / FRONT.fy, np.ones(len(xs))], 1)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    center = FRONT.to_camera(np.zeros((1, 3)))[0]
+    distance = np.linalg.norm(center - (rays @ center)[:, None] * rays, axis=1)
+    angle = np.degrees(np.arcsin(np.clip(distance, 0, 1)))
+    share = limited[ys, xs]
+    assert (share[angle < 45] > 0.99).all()
+    assert (share[(angle > 66) & (angle < 80)] < 0.2).mean() > 0.97
+    assert 0.2 < share[(angle > 53) & (angle < 57)].mean() < 0.8
+
+
+def test_the_depth_edge_limit_leaves_out_a_strip_on_both_sides_of_a_step():
+    step = sheet(45, opacity=0.98).append(sheet(30, z=0.6, half=0.45, opacity=0.98))
+    visible, solid = visible_of(step)
+    free, limited = (paintable(visible, solid, 0.0, limit) for limit in (0.0, 3.0))
+    np.testing.assert_array_equal(free, solid)
+    depth = sp.render(step, FRONT).depths[0, ..., 0]
+    near = depth < 2.7
+    assert near[64, 64] and not near[64, 20]
+    column = np.flatnonzero(near[64])
+    edges = [column[0] - 0.5, column[-1] + 0.5]
+    for x in range(16, 112):
+        distance = min(abs(x - edge) for edge in edges)
+        if distance < 1:
+            assert limited[64, x] < 0.5, x
+        if distance > 9:
+            assert limited[64, x] == 1, x
+
+
+@pytest.mark.parametrize("limits", [{"angle_limit": -1.0}, {"angle_limit": 91.0}, {"depth_edge_limit": 17.0}])
+def test_limits_out_of_range_are_refused(limits: dict[str, float]):
+    with pytest.raises(ValueError, match="limit: expected 0"):
+        LocalOptions(**limits)
+    with pytest.raises(ValueError, match="limit: expected 0"):
+        LocalOptions(**{name: float("nan") for name in limits})
+
+
+def test_paint_beyond_the_limits_alone_is_refused():
+    splats = ball()
+    visible, solid = visible_of(splats)
+    mask = solid & (paintable(visible, solid, 60.0, 0.0) == 0) & disk(FRONT, 64, 64, 40)
+    with pytest.raises(ValueError, match="beyond the limits"):
+        paint(splats, mask, options=LocalOptions(angle_limit=30.0))
+
+
+# Parts
+
+
+def test_the_nearest_set_pixel():
+    rng = np.random.default_rng(0)
+    for density in (0.002, 0.02, 0.5):
+        mask = rng.random((61, 83)) < density
+        mask[5, 7] = True
+        nearest = nearest_pixels(mask)
+        assert mask.ravel()[nearest].all()
+        ys, xs = np.mgrid[:61, :83]
+        sy, sx = np.divmod(nearest, 83)
+        got = np.hypot(sy - ys, sx - xs)
+        py, px = np.nonzero(mask)
+        best = np.sqrt(((ys[..., None] - py) ** 2 + (xs[..., None] - px) ** 2).min(-1))
+        assert (got >= best - 1e-9).all() and (got - best).max() < 0.5
+    assert (nearest_pixels(np.zeros((4, 5), bool)) == -1).all()
+
+
+def test_cells_cover_every_pixel_once_and_are_large_only_where_nothing_changes():
+    covered = disk(FRONT, 60, 70, 45)
+    target = np.full((128, 128, 3), 0.4, np.float32)
+    target[:, 64:] = (0.9, 0.2, 0.1)
+    cells = flat_cells(target, covered, np.where(covered, 2.0, 0.0), FRONT.fx)
+    count = np.zeros(covered.shape, int)
+    for (x, y), size in zip(cells.centers, cells.sizes, strict=True):
+        low_x, low_y = int(x - size / 2), int(y - size / 2)
+        part = (slice(low_y, low_y + int(size)), slice(low_x, low_x + int(size)))
+        count[part] += 1
+        assert np.ptp(target[part].reshape(-1, 3), 0).max() == 0
+        if size > 1:
+            assert min(abs(low_x - 64), abs(low_x + size - 64)) >= size or not 0 < 64 - low_x + size < 3 * size
+    np.testing.assert_array_equal(count, covered)
+    assert cells.sizes.max() == MAX_CELL_PX
