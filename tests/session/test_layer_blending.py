@@ -169,5 +169,6 @@ def test_blend_modes_of_a_sheet_act_on_the_picture_below():
         wide = disk(camera, 34, 33, 12)
         assert db(sp.render(session.splats, camera).colors[0], (below + both) / 2, wide) > 36
         assert session.verify(repaint=True) == []
-        session.undo(), session.undo(), session.undo(), session.undo()
+        for _ in range(4):
+            session.undo()
         assert same_bits(session.splats, half) and rows == len(half)

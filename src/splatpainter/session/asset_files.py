@@ -242,9 +242,14 @@ def _members(path: Path) -> list[Path]:
 
 
 def receipt_between(original: Splats, edited: Splats, preset: str, note: str, precision: str = "") -> Receipt:
-    """The receipt of a whole session: original against edited. No file yet, so `output_sha256` is empty."""
+    """The receipt of a whole session: original against edited. No file yet, so `output_sha256` is empty. Rows of which
+    mean, rotation and scales are all others count as replaced."""
     touched = changed_rows(original, edited)
     before, after = untouched_hashes(original, edited, touched)
+    empty = (edited.opacities[touched] == 0) & (original.opacities[touched] > 0)
+    taken = ~empty
+    for name in ("means", "quats", "scales"):
+        taken &= (getattr(original, name)[touched] != getattr(edited, name)[touched]).any(1)
     return Receipt(
         asset_sha256=original.sha256,
         asset_rows=len(original),
@@ -254,6 +259,8 @@ def receipt_between(original: Splats, edited: Splats, preset: str, note: str, pr
         method="layers",
         preset=preset,
         touched=touched,
+        replaced=touched[taken],
+        removed=touched[empty],
         appended_rows=len(edited) - len(original),
         untouched_sha256_before=before,
         untouched_sha256_after=after,
