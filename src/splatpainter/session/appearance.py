@@ -15,7 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.session.delta import Delta
 from splatpainter.splats import Splats
 
-LOOK_ROUNDS = 8
+LOOK_ROUNDS = 16
 """Colour rounds in each view."""
 
 

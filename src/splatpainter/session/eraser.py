@@ -2,8 +2,8 @@
 way. None is removed. Pure.
 
 A Gaussian of the original and those that were split from it, or lie in place of it (a sheet's, of which it is the
-host), are one family. *Reached* are those of which a masked view shows most inside its mask, and those of their
-families that lie hidden there (layer_blending.reached_gaussians).
+host), are one family. *Reached* are those of which a masked view shows most inside its mask, those of their families
+that lie hidden there (layer_blending.reached_gaussians), and what lies hidden right behind them.
 
 1. An original that only changed its colour and is reached has the original's colours again.
 2. One that lost its place (split, replaced by a sheet's, emptied) *returns*, byte for byte, where some of its family is
@@ -47,6 +47,10 @@ MIN_SEEN_PX = 0.05
 """Pixels of weight from which a view shows a Gaussian."""
 FAINT = 0.05
 """Peak alpha with which footprints are measured, so that nothing hides anything."""
+HIDDEN_IN_MASK = 0.5
+"""Share of a footprint that the mask must hold of what is hidden right behind a reached Gaussian, ..."""
+NEAR_SIZES = 3.0
+"""... within so many largest scales of both, to count as reached with it."""
 NEAREST_BLOCK = 1 << 22
 """Distances in memory at a time."""
 
@@ -65,6 +69,15 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     moved[:first] |= (below.opacities[:first] == 0) & (original.opacities > 0)
     visible = below.opacities > 0
     seen = _Seen.of(below, original, views)
+    masks = [mask for _, mask in views]
+    # Of a sheet and its rim some lie hidden right behind those that are seen.
+    recolored = np.zeros(n, bool)
+    recolored[:first] = (below.sh[:first] != original.sh).any((1, 2))
+    behind = visible & (moved | recolored) & ~reached & (seen.weight < MIN_SEEN_PX)
+    behind[behind] = _largest_share(below.take(behind), views, masks) > HIDDEN_IN_MASK
+    front = below.take(reached & visible & moved)
+    reached = reached.copy()
+    reached[behind] = _is_near(below.take(behind), front)
 
     # What returns.
     contrast = np.abs(base_color(below.sh) - base_color(original.sh[source])).max(1)
@@ -73,7 +86,7 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     paint = visible & ~reached & (over_paint > MAX_OVERLAP) & (contrast > PAINT_CONTRAST) | unseen_paint
     lost = np.flatnonzero(moved[:first])
     missing_ones = original.take(lost)
-    in_mask = _largest_share(missing_ones, views, [mask for _, mask in views])
+    in_mask = _largest_share(missing_ones, views, masks)
     sticks_out = _largest_share(missing_ones, views, seen.paint) > MAX_OVERLAP
     blocked = np.zeros(first, bool)
     blocked[source[has_family & unseen_paint]] = True
@@ -81,7 +94,11 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     erased[source[has_family & reached]] = True
     orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > MIN_IN_MASK)]
     stand_ins = np.flatnonzero(visible & moved)
-    erased[orphans] |= reached[stand_ins[_nearest(original.means[orphans], below.means[stand_ins])]]
+    erased[orphans] = reached[stand_ins[_nearest(original.means[orphans], below.means[stand_ins])]]
+    orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > HIDDEN_IN_MASK)]
+    erased[orphans] = _is_near(original.take(orphans), front)
+    orphans = orphans[~erased[orphans]]
+    erased[orphans] = ~_is_near(original.take(orphans), below.take(visible & moved & ~reached))  # nobody else's
     returns = np.zeros(first, bool)
     returns[lost] = erased[lost] & ~blocked[lost] & (in_mask > MIN_IN_MASK) & ~sticks_out
 
@@ -93,8 +110,8 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
 
     back = np.flatnonzero(returns)
     arrays = {name: getattr(below, name).copy() for name in ATTRIBUTES}
-    recolored = reached & ~hidden & has_family
-    arrays["sh"][recolored] = original.sh[source[recolored]]
+    old_look = reached & ~hidden & has_family
+    arrays["sh"][old_look] = original.sh[source[old_look]]
     tail = bare(replace(below, sh=arrays["sh"]).take(occupants))
     for name in ATTRIBUTES:
         arrays[name][back] = getattr(original, name)[back]
@@ -186,6 +203,15 @@ def _nearest(points: np.ndarray, candidates: np.ndarray) -> np.ndarray:
             squared = squared + (block[:, axis, None] - candidates[None, :, axis]) ** 2
         out[start : start + size] = np.argmin(squared, 1)
     return out
+
+
+def _is_near(splats: Splats, others: Splats) -> np.ndarray:
+    """[len(splats)] bool: those that lie within NEAR_SIZES of their own and the nearest other one's largest scales."""
+    if not len(splats) or not len(others):
+        return np.zeros(len(splats), bool)
+    nearest = _nearest(splats.means, others.means)
+    distance = np.sqrt(((splats.means - others.means[nearest]) ** 2).sum(1))
+    return distance < NEAR_SIZES * (splats.scales.max(1) + others.scales.max(1)[nearest])
 
 
 def _difference(below: Splats, after: Splats, parent_ids: np.ndarray) -> Delta:
