@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import splatpainter as sp
+from splatpainter.painter import Painter
 from splatpainter.session import Session
 from splatpainter.session.compose import LayerResult, LayerState, Replay
 from splatpainter.session.database import APPLICATION_ID, VERSION
@@ -474,3 +475,21 @@ def test_parameters_of_layers_are_json(path):
                 session.set(layer.id, parameters=wrong)
     with load(path) as session:
         assert session.layers[0].parameters == {"brush": {"size": 3.5}, "seeds": [1, 2]}
+
+
+@pytest.mark.parametrize("ending", [".glb", ".spz"])
+def test_an_export_of_rows_that_cannot_be_drawn_proves_itself_in_another_format(tmp_path: Path, ending: str) -> None:
+    splats = asset(8)
+    splats.means[3], splats.means[4, 1], splats.means[5] = np.nan, 4e37, -np.inf
+    splats.sh[6], splats.quats[7] = np.inf, 0
+    sp.write(tmp_path / "vase.ply", splats)
+    with Session(tmp_path / "vase.ply", painter=Painter()) as session:
+        session.add("paint", [dab(RED)], method="lift")
+        receipt, found = session.export(tmp_path / f"painted{ending}")
+    assert found.ok and receipt.appended_rows == found.appended > 0
+    back = sp.read(tmp_path / f"painted{ending}")
+    assert back.drawable.all() and not back.opacities[3:8].any()
+    if ending == ".glb":  # a row that stays hidden stays where it was, and widens no bounds
+        assert not set(range(3, 8)) & set(receipt.touched.tolist())
+        np.testing.assert_array_equal(back.means[6:8], splats.means[6:8])
+        assert not back.means[[3, 5]].any() and back.means[4, 1] == 0

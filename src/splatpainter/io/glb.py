@@ -305,7 +305,7 @@ def write_glb(path: Path, splats: Splats) -> None:
 
 def _fresh(splats: Splats) -> gltf.Glb:
     """A file with nothing but the rows, in glTF's frame, with the fallback colours the standard asks for."""
-    local = _unit(axes.move(drawable_rows(splats), HALF_TURN))
+    local = _unit(axes.move(drawable_rows(splats, row_by_row=True), HALF_TURN))
     values = _columns(local) | {"COLOR_0": _fallback(local, linear=splats.color_space == "srgb")}
     doc: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "SplatPainter"},
@@ -332,7 +332,8 @@ def _edited(splats: Splats, same: Unchanged, old: GlbFile, path: Path) -> gltf.G
     """The source with the rows of `splats`. Raises ValueError: no row of a primitive is left."""
     doc, binary = copy.deepcopy(old.glb.doc), bytearray(old.glb.binary)
     work = _Work(doc, binary, _shared(doc), old.glb, path)
-    rows, primitive_of_rows = drawable_rows(splats), _primitive_of_rows(same.source_rows, old.primitives)
+    rows = drawable_rows(splats, row_by_row=True)
+    primitive_of_rows = _primitive_of_rows(same.source_rows, old.primitives)
     for number, one in enumerate(old.primitives):
         in_primitive = primitive_of_rows == number
         if not in_primitive.any():

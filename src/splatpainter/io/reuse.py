@@ -64,11 +64,14 @@ def unchanged(splats: Splats, format: str) -> Unchanged | None:
     return Unchanged(rows, **masks, base=base, rest=rest, identity=identity)
 
 
-def drawable_rows(splats: Splats) -> Splats:
+def drawable_rows(splats: Splats, row_by_row: bool = False) -> Splats:
     """Rows that cannot be drawn (NaN, infinite, zero scale or quaternion) made finite and fully transparent.
 
     Quantised formats cannot say NaN; such rows are not drawn by any renderer, so opacity 0 keeps the picture and the
-    row count. Opacities are cut to 0..1. Nothing is copied where every row can be drawn.
+    row count. Opacities are cut to 0..1. Nothing is copied where every row can be drawn. Their means become the mean of
+    the other rows, so that no range to be quantised grows. row_by_row: no row depends on another one, so that the same
+    row is the same in an edited asset: means stay where they are, coordinates that are not within MAX_MAGNITUDE become
+    0; for formats of floats.
     """
     if not len(splats):
         return splats
@@ -76,8 +79,13 @@ def drawable_rows(splats: Splats) -> Splats:
     opacities = np.clip(np.nan_to_num(splats.opacities, nan=0.0), 0, 1)
     if not bad.any():
         return replace(splats, opacities=opacities)
-    good = splats.means[~bad]
-    center = good.mean(0) if len(good) else np.zeros(3, np.float32)
+    if row_by_row:
+        means = splats.means[bad]
+        with np.errstate(invalid="ignore"):  # signalling NaNs
+            center = np.where(np.abs(means) <= MAX_MAGNITUDE, means, np.float32(0))
+    else:
+        good = splats.means[~bad]
+        center = good.mean(0) if len(good) else np.zeros(3, np.float32)
     values = {name: getattr(splats, name).copy() for name in ATTRIBUTES}
     values["means"][bad], values["quats"][bad], values["scales"][bad], values["sh"][bad] = center, (1, 0, 0, 0), 1e-6, 0
     values["opacities"] = np.where(bad, 0, opacities).astype(np.float32)
