@@ -22,7 +22,7 @@ from splatpainter.server.commands.files import ReceiptShow
 from splatpainter.server.commands.layers import ConflictsList, Redo
 from splatpainter.server.hub import Hub
 from splatpainter.server.protocol import Answer
-from splatpainter.session import project_file
+from splatpainter.session import Session, project_file
 from splatpainter.splats import rows_sha256
 from tests.support.studio_scenes import Live, Mirror, ball, dab, live, make_studio, view, wire
 
@@ -390,6 +390,49 @@ def test_another_asset_replaces_the_session_for_everybody(studio: Live, tmp_path
         broken = studio.http.post("/api/blobs?name=bad.ply", content=b"ply\nformat ascii 1.0\nend_header\n").json()
         assert not one.ask("asset.open", blob=broken.get("blob", "0" * 64))["ok"]
         assert studio.studio.session is session
+
+
+@pytest.mark.parametrize("count", [8, 3000])
+def test_a_stroke_ends_with_the_asset_that_it_was_begun_on(studio: Live, tmp_path: Path, count: int) -> None:
+    """Both sessions are at version 1: nothing but the session itself tells their Gaussians apart."""
+    write(tmp_path / "other.ply", ball(count, seed=3))
+    box = {"x": 36, "y": 36, "width": 24, "height": 24}
+    with studio.greeted() as one, studio.greeted() as two:
+        started = one.do("paint.begin", camera=wire(view()))
+        one.do("paint.dab", stroke=started["stroke"], rgba=dab(24, RED), **box)
+        two.do("asset.open", blob=studio.send((tmp_path / "other.ply").read_bytes(), "other.ply"))
+        session = studio.studio.session
+        assert session.version == 1 and len(session.splats) == count
+        for do, fields in (("paint.dab", {"rgba": dab(24, RED), **box}), ("paint.end", {})):
+            answer = one.ask(do, stroke=started["stroke"], **fields)
+            assert not answer["ok"] and answer["error"]["kind"] == "input", answer
+            assert "no such stroke" in answer["error"]["message"] and answer["error"]["hint"] == "begin a new one"
+        assert not session.layers
+        again = one.do("paint.begin", camera=wire(view()))
+        one.do("paint.dab", stroke=again["stroke"], rgba=dab(24, RED), **box)
+        assert one.do("paint.end", stroke=again["stroke"])["version"] == 2
+
+
+def test_a_closed_studio_leaves_no_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads that go on compiling exchange the process's warning filters while others rely on theirs."""
+    begun, may_end = threading.Event(), threading.Event()
+
+    def slow(self: Session) -> None:
+        begun.set()
+        may_end.wait(60)
+
+    monkeypatch.setattr(Session, "prepare", slow)
+    made = make_studio(tmp_path)
+    made.prepare_edit()
+    made.prepare_edit()  # one is at it
+    assert begun.wait(60)
+    closing = threading.Thread(target=made.close)
+    closing.start()
+    names = [thread.name for thread in threading.enumerate()]
+    assert names.count("studio-prepare") == 1 and closing.is_alive()
+    may_end.set()
+    closing.join(60)
+    assert not closing.is_alive() and "studio-prepare" not in [thread.name for thread in threading.enumerate()]
 
 
 def test_looks_are_previewed_on_every_gaussian_and_taken_back(studio: Live) -> None:

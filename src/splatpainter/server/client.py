@@ -111,10 +111,11 @@ class Client:
         self._state_due = True
         self._wake.set()
 
-    def show_preview(self, frame: bytes | None, gaussian_ids: np.ndarray | None) -> None:
-        """Send a preview, if there is one, and end the one before where its page's `clear_preview` says so."""
+    def show_preview(self, frame: bytes | None, gaussian_ids: np.ndarray | None, session: str) -> None:
+        """Send a preview, if there is one, and end the one before where its page's `clear_preview` says so. session: id
+        of the one that was open when it was begun; it is dropped where another one is open by now."""
         if frame is not None and gaussian_ids is not None:
-            self._append(_Preview(frame, gaussian_ids, self.hub.studio.session_id))
+            self._append(_Preview(frame, gaussian_ids, session))
         self._wake.set()
 
     def _append(self, item: str | _Preview | Greeting) -> None:

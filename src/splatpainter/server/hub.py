@@ -84,10 +84,10 @@ class Hub:
         """Run a command and return its answer. Raises CommandError where it failed; nothing has changed then."""
         handler = self.handlers[type(command)]
         context = CommandContext(self.studio, page, ticket)
-        seconds, opened = 0.0, False
+        seconds, opened, before = 0.0, False, ""
 
         def job() -> Answer:
-            nonlocal seconds, opened
+            nonlocal seconds, opened, before
             start, before = time.perf_counter(), self.studio.session_id
             try:
                 answer = handler.run(context, command)
@@ -104,7 +104,7 @@ class Hub:
             raise CommandError(self.studio.public_problem(problem_of(error))) from error
         if client is not None:  # the page may have another connection by now
             client.page.clear_preview |= context.clear_preview
-            (client.page.client or client).show_preview(context.preview, context.previewed_ids)
+            (client.page.client or client).show_preview(context.preview, context.previewed_ids, before)
         if handler.writes:
             self.mark_dirty()
         if handler.writes and opened:

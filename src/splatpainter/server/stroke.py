@@ -6,17 +6,20 @@ change colours of Gaussians that are there; when the pen goes up, the chosen met
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
+from splatpainter.jsonio import brief
 from splatpainter.lift.colors import MAX_COLOR, recolor
 from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE
 from splatpainter.lift.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import sirt_steps
+from splatpainter.session import Session
 from splatpainter.splats import Splats
 
 SIRT_STEPS = 3
@@ -54,10 +57,17 @@ class _Canvas:
 class Stroke:
     """One stroke of one page; used by one thread at a time."""
 
-    def __init__(self, camera: Camera, erase: bool = False) -> None:
+    def __init__(self, camera: Camera, erase: bool = False, session: Session | None = None) -> None:
+        """session: what it is drawn on (`belongs_to`). Versions are numbers of one session: of another one, `version`
+        may be the same and every Gaussian different."""
         self.camera, self.erase = camera, erase
+        self._session = None if session is None else weakref.ref(session)
         self.rgba = np.zeros((camera.height, camera.width, 4), np.uint8)
         self._canvas: _Canvas | None = None
+
+    def belongs_to(self, session: Session) -> bool:
+        """Whether it was begun on this session, and not on one that was replaced since."""
+        return self._session is not None and self._session() is session
 
     def prepare(self, splats: Splats, original: Splats, version: int) -> None:
         """Project the asset (numpy) as it now is, unless that was done for this version."""
@@ -79,7 +89,8 @@ class Stroke:
         ValueError where it is not inside the view, or the bytes are not that many."""
         if x + width > self.camera.width or y + height > self.camera.height:
             size = f"{self.camera.width}x{self.camera.height}"
-            raise ValueError(f"dab: expected a rectangle inside the view of {size}, got {width}x{height} at {x}, {y}")
+            corner = f"{brief(x)}, {brief(y)}"
+            raise ValueError(f"dab: expected a rectangle inside the view of {size}, got {width}x{height} at {corner}")
         if len(rgba) != width * height * 4:
             raise ValueError(f"dab: expected {width * height * 4} bytes of RGBA, got {len(rgba)}")
         self.rgba[y : y + height, x : x + width] = np.frombuffer(rgba, np.uint8).reshape(height, width, 4)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import re
 import secrets
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -68,6 +69,7 @@ class Studio:
         self.blobs = Blobs(options.limits)
         self.scratch = ScratchFolder("studio")
         self.downloads = Downloads(self.scratch.path)
+        self._preparing: threading.Thread | None = None
         self.exports: deque[ExportedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
@@ -94,6 +96,12 @@ class Studio:
             raise
         self.exports.clear()
         _close(old, self.projects)
+
+    def prepare_edit(self) -> None:
+        """Make what the next local edit needs in a thread of its own, unless one is at it; `close` waits for it."""
+        if self._preparing is None or not self._preparing.is_alive():
+            self._preparing = threading.Thread(target=self.session.prepare, name="studio-prepare", daemon=True)
+            self._preparing.start()
 
     def _adopt(self, session: Session, name: str) -> None:
         session_id, lists, snapshot = secrets.token_hex(8), describe.Lists(), session.snapshot
@@ -162,7 +170,9 @@ class Studio:
         raise ValueError(f"blob {sha256[:12]}...: not here (any more)")
 
     def close(self) -> None:
-        """Leave nothing but the project file."""
+        """Leave nothing but the project file: no thread either."""
+        if self._preparing is not None:
+            self._preparing.join()
         _close(self.session, self.projects)
         self.blobs.close()
         self.scratch.close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import binascii
 import secrets
-import threading
 from pathlib import Path
 from typing import Any, Literal
 
@@ -43,6 +42,7 @@ from splatpainter.server.protocol import (
     Unit,
 )
 from splatpainter.server.stroke import Stroke
+from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
 from splatpainter.sources.edit_files import FileEdit, unmultiplied
 from splatpainter.sources.picture_reader import read_picture
@@ -65,11 +65,11 @@ class PaintBegin(Command):
 
 @command(PaintBegin)
 def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
-    studio = context.studio
-    stroke = Stroke(request.camera.to_camera(), request.kind == "erase")
-    now = studio.session.snapshot
-    stroke.prepare(now.splats, studio.original, now.version)
-    threading.Thread(target=studio.session.prepare, daemon=True).start()  # ready when the pen goes up
+    session = context.studio.session
+    stroke = Stroke(request.camera.to_camera(), request.kind == "erase", session)
+    now = session.snapshot
+    stroke.prepare(now.splats, session.original, now.version)
+    context.studio.prepare_edit()  # ready when the pen goes up
     context.clear_preview = True
     name = secrets.token_hex(6)
     context.page.strokes = {name: stroke}
@@ -94,14 +94,15 @@ class PaintDab(Command):
 
 @command(PaintDab)
 def dab(context: CommandContext, request: PaintDab) -> Previewed:
-    studio, stroke = context.studio, _stroke(context, request.stroke)
+    session = context.studio.session
+    stroke = _stroke(context, request.stroke, session)
     try:
         rgba = base64.b64decode(request.rgba, validate=True)
     except binascii.Error:
         raise ValueError("dab: expected base64 of RGBA bytes") from None
     box = stroke.patch(request.x, request.y, request.width, request.height, rgba)
-    now = studio.session.snapshot
-    ids, sh = stroke.preview(now.splats, studio.original, now.version, box)
+    now = session.snapshot
+    ids, sh = stroke.preview(now.splats, session.original, now.version, box)
     if len(ids):
         context.preview = frames.preview_colors(sh, ids, len(now.splats), now.version)
         context.previewed_ids = ids
@@ -124,12 +125,12 @@ class PaintEnd(Command):
 
 @command(PaintEnd, writes=True)
 def end(context: CommandContext, request: PaintEnd) -> LayerMade:
-    studio, stroke = context.studio, _stroke(context, request.stroke)
+    session = context.studio.session
+    stroke = _stroke(context, request.stroke, session)
     if not stroke.mask.any():
         raise ValueError("stroke: nothing was painted")
-    session = studio.session
     now = session.snapshot
-    picture = stroke.picture(now.splats, studio.original, now.version)
+    picture = stroke.picture(now.splats, session.original, now.version)
     image = from_display(picture.astype(np.float32), now.splats.color_space)
     edit = Edit(image, stroke.camera, stroke.mask, request.name)
     kind = "erase" if stroke.erase else "paint"
@@ -230,8 +231,10 @@ def _eraser_from_upload(context: CommandContext, view: EditedView) -> Edit:
     return Edit(np.zeros((camera.height, camera.width, 3), np.float32), camera, mask, "erase")
 
 
-def _stroke(context: CommandContext, name: str) -> Stroke:
+def _stroke(context: CommandContext, name: str, session: Session) -> Stroke:
+    """A page's stroke on this session. Raises ValueError where there is none: another asset may have been opened."""
     stroke = context.page.strokes.get(name)
-    if stroke is None:
+    if stroke is None or not stroke.belongs_to(session):
+        context.page.strokes.pop(name, None)
         raise ValueError("stroke: there is no such stroke (any more); begin a new one")
     return stroke
