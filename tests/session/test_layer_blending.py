@@ -12,8 +12,8 @@ from splatpainter.painter import Painter
 from splatpainter.session import Session
 from splatpainter.session.appearance import with_base
 from splatpainter.session.delta import Delta, between
-from splatpainter.session.layer_blending import blend_delta, blend_sh, mix_sh
-from splatpainter.splats import Splats
+from splatpainter.session.layer_blending import ADJUSTMENTS, adjust_sh, blend_delta, blend_sh, mix_sh
+from splatpainter.splats import MAX_MAGNITUDE, Splats
 from tests.support.lift_scenes import bits, db, differing, disk, front, same_bits, sheet
 from tests.support.session_scenes import BLUE, RED, asset, dab
 
@@ -171,3 +171,51 @@ def test_blend_modes_of_a_sheet_act_on_the_picture_below():
         for _ in range(4):
             session.undo()
         assert same_bits(session.splats, half) and rows == len(half)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"look": "gain", "gain": [3e38, 1e30, -1e30]},
+        {"look": "gain", "gain": [3e38] * 3, "offset": [-3e38] * 3},
+        {"look": "grade", "exposure": 1, "strength": 3e38},
+    ],
+    ids=["gain", "gain and offset", "grade"],
+)
+@pytest.mark.filterwarnings("error")
+def test_an_adjustment_that_overflows_stops_where_gaussians_are_drawn(parameters):
+    splats = asset()
+    splats.sh[2:4] = [[[3e38]], [[-np.inf]]]  # of a file's rows that cannot be drawn
+    drawable = splats.drawable
+    assert (~drawable).sum() == 2
+    edited = replace(splats, sh=adjust_sh(splats.sh, parameters, ADJUSTMENTS))
+    assert (edited.drawable == drawable).all() and np.abs(edited.sh[drawable]).max() == np.float32(MAX_MAGNITUDE / 100)
+    for mode in ("normal", "color"):
+        half = blend_delta(splats, between(splats, edited), 0.5, mode).apply(splats)
+        assert (half.drawable == drawable).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_ordinary_adjustment_is_not_limited():
+    sh = asset().sh.copy()
+    sh[0, 0] = 9e14  # drawn, and beyond what an overflow is limited to
+    out = adjust_sh(sh, {"look": "gain", "gain": [1, 0.5, 2]}, ADJUSTMENTS)
+    np.testing.assert_array_equal(out[:, 1:], sh[:, 1:] * np.array([1, 0.5, 2], np.float32))
+    assert out[0, 0, 1] == pytest.approx(4.5e14)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"look": [[[["deep"] * 500]]]},
+        {"look": "x" * 5000},
+        {"look": "gain", "gain": ["x" * 5000] * 3},
+        {"look": "gain", "gain": [1e300, 1, 1]},
+        {"look": "grade", "exposure": 1e300},
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_wrong_parameters_of_an_adjustment_are_one_short_line(parameters):
+    with pytest.raises(ValueError, match="^look: expected") as caught:
+        adjust_sh(asset().sh, parameters, ADJUSTMENTS)
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 150

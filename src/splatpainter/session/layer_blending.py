@@ -41,10 +41,11 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
+from splatpainter.jsonio import brief
 from splatpainter.session.delta import Delta
 from splatpainter.session.document import Blend
 from splatpainter.sources.color_grading import GRADE, grade_sh
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import MAX_MAGNITUDE, SH_C0, Splats
 
 AdjustmentFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
 MIN_INSIDE_SHARE = 0.5
@@ -85,6 +86,7 @@ def blend_delta(
     return Delta(delta.count, gaussian_ids, values, tail, parent_ids)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of Gaussians that cannot be drawn
 def mix_sh(old: np.ndarray, new: np.ndarray, share: np.ndarray, blend: Blend) -> np.ndarray:
     """[M, K, 3] SH between `old` and the blend of both, by `share` [M] of 0..1."""
     full = blend_sh(old, new, blend)
@@ -92,6 +94,7 @@ def mix_sh(old: np.ndarray, new: np.ndarray, share: np.ndarray, blend: Blend) ->
     return np.where(part == 1, full, old + part * (full - old)).astype(np.float32)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of Gaussians that cannot be drawn
 def blend_sh(old: np.ndarray, new: np.ndarray, blend: Blend) -> np.ndarray:
     """[M, K, 3] SH of `new` over `old` in full."""
     if blend == "normal":
@@ -141,14 +144,25 @@ ADJUSTMENTS: dict[str, AdjustmentFunction] = {"gain": gain, GRADE: grade_sh}
 def adjust_sh(
     sh: np.ndarray, parameters: Mapping[str, Any], adjustments: Mapping[str, AdjustmentFunction]
 ) -> np.ndarray:
-    """[N, K, 3] float32 after the function that a layer's parameters name. Raises ValueError for one that this session
-    does not have, and where it gives another shape."""
+    """[N, K, 3] float32 after the function that a layer's parameters name. A coefficient that it would take so far that
+    its Gaussian could not be drawn any more (MAX_MAGNITUDE) stops before, and one that it makes NaN becomes 0; those
+    that were beyond already are taken as they come. Raises ValueError for a function that this session does not have,
+    parameters whose powers overflow, and where it gives another shape."""
     name = parameters.get("look")
     if not isinstance(name, str) or name not in adjustments:
-        raise ValueError(f"look: expected parameters with a look of {', '.join(sorted(adjustments))}, got {name!r}")
-    out = np.asarray(adjustments[name](sh, parameters), np.float32)
-    if out.shape != sh.shape:
-        raise ValueError(f"look: expected SH of shape {list(sh.shape)} back, got {list(out.shape)}")
+        listed = ", ".join(sorted(adjustments))
+        raise ValueError(f"look: expected parameters with a look of {listed}, got {brief(name)}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        try:
+            out = np.asarray(adjustments[name](sh, parameters), np.float32)
+        except OverflowError as error:  # of Python's own floats
+            raise ValueError(f"look: expected smaller parameters ({error})") from None
+        if out.shape != sh.shape:
+            raise ValueError(f"look: expected SH of shape {list(sh.shape)} back, got {list(out.shape)}")
+        limit = MAX_MAGNITUDE / 100  # no sum over 25 coefficients of three channels exceeds MAX_MAGNITUDE
+        if out.size and not (-limit <= out.min() and out.max() <= limit):
+            leaving = ~(np.abs(out) <= limit) & (np.abs(sh) <= limit)
+            out = np.where(leaving, np.nan_to_num(np.clip(out, -limit, limit)), out).astype(np.float32)
     return out
 
 
@@ -158,7 +172,7 @@ def _three(parameters: Mapping[str, Any], name: str, default: float) -> np.ndarr
     except (TypeError, ValueError, OverflowError):
         values = np.zeros(0)
     if values.shape != (3,) or not np.isfinite(values).all():
-        raise ValueError(f"look: expected three numbers as {name}, got {parameters.get(name)!r}")
+        raise ValueError(f"look: expected three float32 numbers as {name}, got {brief(parameters.get(name))}")
     return values
 
 

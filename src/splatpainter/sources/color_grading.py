@@ -232,6 +232,7 @@ def grade_sh(sh: np.ndarray, settings: Mapping[str, Any]) -> np.ndarray:
     return np.concatenate(each(lambda piece: _graded(piece, function), pieces)) if pieces else sh
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of Gaussians that cannot be drawn; in each thread
 def _graded(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     base = np.clip(np.nan_to_num(base_color(sh)), 0, 1).astype(np.float32)
     new = function(base)
