@@ -17,6 +17,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from splatpainter.kernels.compile import ensure_compiled, run_group
 from splatpainter.server.app import create_app
 from splatpainter.server.client import protocol_hash
 from splatpainter.server.commands import COMMANDS
@@ -60,6 +61,10 @@ class StudioTarget(Target):
         self.files: list[Target] = [kind(folder / kind.__name__) for kind in (*READERS, ProjectTarget)]
         self.schemas = {name: kind.model_json_schema() for name, kind in COMMANDS.items()}
         self.camera = json.loads(camera(24).to_json())
+
+    def warm_up(self) -> None:
+        ensure_compiled(progress=False)  # a command that compiles takes ten seconds of CPU, on a busy machine a minute
+        run_group(0, 1)
 
     # ---- making scripts
 

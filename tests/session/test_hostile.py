@@ -14,6 +14,7 @@ import pytest
 import splatpainter as sp
 from splatpainter.session import database, delta
 from splatpainter.session.asset_files import is_local_path, is_plain_name
+from splatpainter.session.document import Document, Layer, move_layer, resolve_conflict
 from splatpainter.session.project_file import Project
 from splatpainter.session.scratch import OWNER, ScratchFolder, sweep_folder, sweep_scratch
 from tests.support.session_scenes import BLUE, RED, asset, dab, flat, load, print_of, two_layers
@@ -139,6 +140,56 @@ def test_a_name_of_5000_characters_is_refused_in_a_short_line(tmp_path: Path, pa
     with pytest.raises(ValueError, match="damaged project file") as caught:
         load(path)
     assert str(caught.value).isprintable() and len(str(caught.value)) < len(str(path)) + 400
+
+
+NESTED: list = []
+for _ in range(200):
+    NESTED = [{"children": NESTED}]
+LONG = {
+    "method": NESTED,
+    "kind": "x" * 5000,
+    "blend": ["x"] * 2000,
+    "mode": {"x" * 5000: 1},
+    "name": "x" * 5000,
+    "opacity": "x" * 5000,
+    "thumbnail": "x" * 5000,
+    "parameters": ["x" * 5000],
+}
+
+
+@pytest.mark.parametrize("field", LONG)
+def test_a_layer_is_refused_in_a_line_that_quotes_little_of_it(path: Path, field: str) -> None:
+    two_layers(path)
+    wrong = "'$.opacity', 2, '$.name'" if field == "name" else f"'$.{field}'"
+    changed(path, LAYER.format(f"{wrong}, json(?)"), values=(json.dumps(LONG[field]),))
+    with pytest.raises(ValueError, match="layer: damaged") as caught:
+        load(path)
+    assert str(caught.value).isprintable() and len(str(caught.value)) < len(str(path)) + 400
+
+
+@pytest.mark.parametrize("value", ["/" + "x" * 5000, "/" + "x/" * 2000 + "x.ply"])
+def test_a_path_of_5000_characters_is_refused_in_a_short_line(tmp_path: Path, path: Path, value: str) -> None:
+    sp.write(tmp_path / "vase.ply", asset(6))
+    flat(tmp_path / "vase.ply", path, embed=False).close()
+    changed(path, "UPDATE facts SET value = ? WHERE name = 'path'", values=(value,))
+    for how in ({}, {"folder": tmp_path}, {"embedded": True}):
+        with pytest.raises(ValueError, match="its original|names a file as its original") as caught:
+            load(path, **how)
+        assert str(caught.value).isprintable() and len(str(caught.value)) < len(str(path)) + 450
+
+
+def test_unknown_layers_are_refused_in_a_short_line(path: Path) -> None:
+    document = Document(tuple(Layer(f"{k}" + "x" * 100, "red", "paint") for k in range(200)))
+    for change in (
+        lambda: document.index("y" * 5000),
+        lambda: document.index(str(NESTED)),
+        lambda: resolve_conflict(document, "y" * 5000, "z" * 5000, "first"),
+        lambda: resolve_conflict(document, "1", "2", "y" * 5000),  # type: ignore[arg-type]
+        lambda: move_layer(document, document.layers[0].id, 10**4000),
+    ):
+        with pytest.raises(ValueError, match="expected") as caught:
+            change()
+        assert str(caught.value).isprintable() and len(str(caught.value)) < 500
 
 
 def bomb(head: dict, parts: int) -> list[bytes]:
@@ -270,6 +321,8 @@ def test_names_and_paths_of_all_systems() -> None:
         assert not is_plain_name(name, windows=False) and not is_plain_name(name, windows=True)
     for name in ("CON", "con.ply", "Nul.tar.ply", "lpt9.x", "a:b.ply", "C:x", "x.ply.", "x "):
         assert is_plain_name(name, windows=False) and not is_plain_name(name, windows=True)
+    for name in ("x" * 256, "\u00e9" * 128, "\ud800" * 86):  # bytes count
+        assert not is_plain_name(name, windows=False) and is_plain_name(name[:85], windows=False)
     assert is_plain_name("vase.ply", windows=True) and is_plain_name("context.ply", windows=True)
     assert is_local_path("C:\\x\\vase.ply", windows=True) and is_local_path("/x/vase.ply", windows=False)
     for name in ("\\\\server\\share\\x.ply", "//server/share/x.ply", "\\\\?\\C:\\x", "\\\\.\\pipe\\x", "x.ply", "C:x"):

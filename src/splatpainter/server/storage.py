@@ -21,6 +21,7 @@ from pathlib import Path
 from splatpainter import demo_asset
 from splatpainter.io import files, format_of_name, read, write
 from splatpainter.io.axes import flip
+from splatpainter.jsonio import brief
 from splatpainter.server.upload_sniffing import UploadInfo, sniff
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.splats import Splats
@@ -103,7 +104,7 @@ class Projects:
         for project in self.recent():
             if project.id == id:
                 return project.path
-        raise ValueError(f"project {id!r}: not among the recent ones (any more)")
+        raise ValueError(f"project {brief(id)}: not among the recent ones (any more)")
 
 
 @dataclass

@@ -33,7 +33,7 @@ from splatpainter.receipts import Receipt, Verification, changed_rows, prove, un
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts
 from splatpainter.session.delta import PART_BYTES, Delta, bare, decode, encode
-from splatpainter.session.document import Layer
+from splatpainter.session.document import MAX_REASON, Layer
 from splatpainter.session.project_file import Project, check_free
 from splatpainter.session.scratch import scratch_folder
 from splatpainter.splats import Frame, Splats
@@ -59,6 +59,12 @@ LAYER_FILE_ERRORS = (
 """What reading a file that is no layer file raises."""
 MAX_MEMBER_BYTES = 1 << 28
 """Of one picture in a layer file."""
+
+
+MAX_PATH_LENGTH = 300
+"""Characters of a path that a project names, in an error."""
+MAX_NAME_BYTES = 255
+"""Of a file name: no usual file system allows more."""
 
 
 @dataclass(frozen=True)
@@ -157,12 +163,13 @@ def _named_file(project: Path, name: str, rule: OriginalRule) -> Path:
         raise ValueError(f"{project}: its original is named by a network or device path; load with original=PATH")
     else:
         path = Path(name)
+    name = files.printable(str(path), MAX_PATH_LENGTH)
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
-        raise ValueError(f"{project}: its original {path} is gone; load with original=PATH if it moved") from None
+        raise ValueError(f"{project}: its original {name} is gone; load with original=PATH if it moved") from None
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise ValueError(f"{project}: its original {path} is neither a file nor a folder; load with original=PATH")
+        raise ValueError(f"{project}: its original {name} is neither a file nor a folder; load with original=PATH")
     return path
 
 
@@ -192,6 +199,8 @@ def is_plain_name(name: str, windows: bool = os.name == "nt") -> bool:
     """Whether a name stands for an entry of its folder and nothing else. windows: also of a folder there, where colons
     name streams and drives, and some words devices."""
     if name in ("", ".", "..") or re.search(r"[/\\\x00-\x1f]", name):
+        return False
+    if len(name.encode(errors="surrogatepass")) > MAX_NAME_BYTES:
         return False
     if not windows:
         return True
@@ -369,7 +378,8 @@ def read_layer(path: Path) -> tuple[Layer, dict[str, bytes]]:
             layer = Layer.parse(record.get("layer") or {}, str(path))
             blobs = {name: _member(bundle, f"{name}.png") for name in layer.blobs()}
     except LAYER_FILE_ERRORS as error:
-        raise ValueError(f"{path}: expected a {LAYER_SUFFIX} file ({str(error).removeprefix(f'{path}: ')})") from None
+        reason = files.printable(str(error).removeprefix(f"{path}: "), MAX_REASON)
+        raise ValueError(f"{path}: expected a {LAYER_SUFFIX} file ({reason})") from None
     for name, data in blobs.items():
         if files.sha256(data) != name:
             raise ValueError(f"{path}: damaged (picture {name[:12]}...)")

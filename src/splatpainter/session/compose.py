@@ -402,7 +402,7 @@ class Replay:
         if layer.mode == "global" and layer.parameters.get(WITHIN):
             masked = [view for view in layer.views if view.mask is not None]
             if not masked:
-                raise ValueError(f"layer {layer.name!r}: expected a mask in one of its views to stay within")
+                raise ValueError(f"{layer.title}: expected a mask in one of its views to stay within")
             splats = _within(self._reached(below.splats, masked), below.splats, splats)
         painter_state = None if asset.encoding is None else asset.encoding.state
         return LayerResult(between(numbered, splats, parent_ids), facts, confidence, painter_state)
@@ -413,8 +413,7 @@ class Replay:
 
     def _edit(self, view: View, layer: Layer) -> Edit:
         assert view.picture is not None, "a painted layer has pictures"
-        where = f"layer {layer.name!r}"
-        image = decode_picture(self._store.blob(view.picture), view.camera, where, self.original.color_space)
+        image = decode_picture(self._store.blob(view.picture), view.camera, layer.title, self.original.color_space)
         return Edit(image, view.camera, None if view.mask is None else self.mask(view), layer.name)
 
     def mask(self, view: View) -> np.ndarray:

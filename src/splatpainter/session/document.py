@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from splatpainter.cameras import Camera
+from splatpainter.io.files import printable
+from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS, Method, Mode
 
 Kind = Literal["paint", "picture", "look", "clone", "erase", "merged"]
@@ -22,6 +24,10 @@ MAX_NESTING = 16
 """Of merged layers inside merged layers."""
 MAX_VIEW_PIXELS = 64_000_000
 """Pixels of one view."""
+MAX_REASON = 300
+"""Characters of a reason that may quote what a damaged layer or document holds."""
+MAX_LISTED_IDS = 20
+"""Of an error."""
 
 
 @dataclass(frozen=True)
@@ -79,20 +85,25 @@ class Layer:
             ("method", self.method, Method),
         ):
             if value not in get_args(choices):
-                raise ValueError(
-                    f"layer {self.name!r}: expected {name} of {', '.join(get_args(choices))}, got {value!r}"
-                )
+                listed = ", ".join(get_args(choices))
+                raise ValueError(f"{self.title}: expected {name} of {listed}, got {brief(value)}")
         if not 0 <= self.opacity <= 1:
-            raise ValueError(f"layer {self.name!r}: expected an opacity of 0 to 1, got {self.opacity}")
+            raise ValueError(f"{self.title}: expected an opacity of 0 to 1, got {self.opacity}")
         try:  # a copy, which nobody else changes
             text = json.dumps(self.parameters, allow_nan=False, ensure_ascii=False)
             f"{self.id} {self.name} {self.painter} {text}".encode()  # halves of surrogate pairs are no text
             parameters = json.loads(text)
         except (TypeError, ValueError, RecursionError) as error:
-            raise ValueError(f"layer {self.name!r}: expected parameters that JSON can hold ({error})") from None
+            reason = printable(str(error), MAX_REASON)
+            raise ValueError(f"{self.title}: expected parameters that JSON can hold ({reason})") from None
         object.__setattr__(self, "parameters", parameters)
         if (self.kind == "merged") != bool(self.layers):
-            raise ValueError(f"layer {self.name!r}: a merged layer, and no other, holds layers")
+            raise ValueError(f"{self.title}: a merged layer, and no other, holds layers")
+
+    @property
+    def title(self) -> str:
+        """Its name in errors, cut."""
+        return f"layer {printable(self.name, 80)!r}"
 
     def record(self) -> dict[str, Any]:
         """JSON object of all fields."""
@@ -136,7 +147,7 @@ class Layer:
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             reason = f"has no {error}" if isinstance(error, KeyError) else str(error).removeprefix(f"{where}: ")
-            raise ValueError(f"{where}: {reason}") from None
+            raise ValueError(f"{where}: {printable(reason, MAX_REASON)}") from None
 
     def blobs(self) -> set[str]:
         """Hashes of all pictures, masks and thumbnails, those of merged layers too."""
@@ -165,7 +176,7 @@ class Document:
         """Index of a layer by its id, 0 the lowest. Raises ValueError for an unknown one."""
         ids = [entry.id for entry in self.layers]
         if layer not in ids:
-            raise ValueError(f"layer: expected one of {', '.join(ids) or 'none'}, got {layer!r}")
+            raise ValueError(f"layer: expected one of {_listed(ids)}, got {brief(layer)}")
         return ids.index(layer)
 
     def leaf_ids(self) -> set[str]:
@@ -226,13 +237,20 @@ def merge_layers(document: Document, layers: Sequence[str], name: str | None = N
 def resolve_conflict(document: Document, lower: str, upper: str, policy: Policy) -> Document:
     """With another winner where two layers changed the same Gaussians ("latest" is what happens anyway)."""
     if policy not in get_args(Policy):
-        raise ValueError(f"conflict: expected latest, first or blend, got {policy!r}")
+        raise ValueError(f"conflict: expected latest, first or blend, got {brief(policy)}")
     ids = document.leaf_ids()
     if lower not in ids or upper not in ids or lower == upper:
-        raise ValueError(f"conflict: expected two of the layers {', '.join(sorted(ids))}, got {lower!r}, {upper!r}")
+        got = f"{brief(lower)}, {brief(upper)}"
+        raise ValueError(f"conflict: expected two of the layers {_listed(sorted(ids))}, got {got}")
     rest = [entry for entry in document.policies if entry[:2] != (lower, upper)]
     new = [] if policy == "latest" else [(lower, upper, policy)]
     return replace(document, policies=tuple(rest + new))
+
+
+def _listed(ids: Sequence[str]) -> str:
+    """Ids of layers for an error."""
+    more = ", ..." if len(ids) > MAX_LISTED_IDS else ""
+    return printable(", ".join(ids[:MAX_LISTED_IDS]), MAX_REASON) + more if ids else "none"
 
 
 def _numbered(layer: Layer, start: int) -> tuple[Layer, int]:
@@ -246,7 +264,7 @@ def _numbered(layer: Layer, start: int) -> tuple[Layer, int]:
 
 def _checked_index(index: int, count: int) -> int:
     if not 0 <= index < count:
-        raise ValueError(f"layer: expected an index of 0 to {count - 1}, got {index}")
+        raise ValueError(f"layer: expected an index of 0 to {count - 1}, got {brief(index)}")
     return index
 
 

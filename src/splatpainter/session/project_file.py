@@ -20,11 +20,12 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files
+from splatpainter.jsonio import brief
 from splatpainter.session import database
 from splatpainter.session.compose import LayerResult
 from splatpainter.session.database import ContentError, Database, closed_on_error, is_unwritable, one_line
 from splatpainter.session.delta import decode, encode
-from splatpainter.session.document import Document, Layer, Policy, digest
+from splatpainter.session.document import MAX_REASON, Document, Layer, Policy, digest
 from splatpainter.session.lock import ProjectLock
 
 if TYPE_CHECKING:
@@ -257,7 +258,8 @@ class Project:
                 raise ValueError("two layers have one id")
             return Document(layers, _policies(json.loads(policies[0][0])), highest[0][0])
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
-            raise ValueError(f"{where}: damaged ({str(error).removeprefix(f'{where}: ')})") from None
+            reason = files.printable(str(error).removeprefix(f"{where}: "), MAX_REASON)
+            raise ValueError(f"{where}: damaged ({reason})") from None
 
     # ---- writing: each of these is one durable transaction
 
@@ -313,7 +315,7 @@ class Project:
             bookmarks = self.bookmarks()
             with self._writing() as db:
                 if not db.execute("DELETE FROM bookmarks WHERE CAST(id AS TEXT) = ?", (bookmark,)).rowcount:
-                    raise ValueError(f"bookmark: there is none with id {bookmark!r}")
+                    raise ValueError(f"bookmark: there is none with id {brief(bookmark)}")
             self._bookmarks = [entry for entry in bookmarks if entry.id != bookmark]
 
     def set_fact(self, name: str, value: str) -> None:

@@ -30,6 +30,7 @@ from splatpainter.cameras import AUTO_UP, UPS, Camera
 from splatpainter.image_files import Alpha
 from splatpainter.io import read
 from splatpainter.io.files import printable
+from splatpainter.jsonio import brief
 from splatpainter.painter import Edit, Method, Mode, Painter
 from splatpainter.receipts import Receipt, Verification
 from splatpainter.rendering.profiles import Profile
@@ -458,7 +459,7 @@ class Session:
             cursor += by
             if not 0 <= cursor < len(steps):
                 if strict:
-                    raise ValueError(f"history: expected an index of 0 to {len(steps) - 1}, got {cursor}")
+                    raise ValueError(f"history: expected an index of 0 to {len(steps) - 1}, got {brief(cursor)}")
                 return False
             document = self._project.document(steps[cursor].id)
             state = self._replay.compose(document, self.progress)
