@@ -230,13 +230,13 @@ def bend_cell(rng: random.Random, value: Any) -> Any:
     if isinstance(value, int):
         return max(-(2**63), min(2**63 - 1, bend_integer(rng, value)))
     if isinstance(value, str):
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, RecursionError):  # it was bent before, and may be a hundred thousand "["
             return json_bytes(rng, bend_json(rng, json.loads(value))).decode()
         return value[: rng.randrange(len(value) + 1)] + rng.choice(TEXTS)
     if isinstance(value, bytes):
         with contextlib.suppress(zstandard.ZstdError):
             content = zstandard.ZstdDecompressor().decompress(value, max_output_size=1 << 20)
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError, RecursionError):
                 content = json_bytes(rng, bend_json(rng, json.loads(content)))
                 return zstandard.ZstdCompressor(level=1).compress(content)
             content = bend_bytes(rng, content, moves=maybe(rng, 0.3))

@@ -178,6 +178,18 @@ def test_a_path_of_5000_characters_is_refused_in_a_short_line(tmp_path: Path, pa
         assert str(caught.value).isprintable() and len(str(caught.value)) < len(str(path)) + 450
 
 
+def test_a_packed_original_is_refused_in_a_line_that_quotes_little_of_it(path: Path) -> None:
+    import zstandard
+
+    flat(None, path).close()
+    for head in ({"version": [256] * 500}, {"version": 1, "coefficients": 1, "count": "x" * 5000}):
+        part = zstandard.ZstdCompressor().compress(json.dumps(head).encode())
+        changed(path, "UPDATE original SET bytes = ? WHERE part = 0", values=(part,))
+        with pytest.raises(ValueError, match="the original: damaged") as caught:
+            load(path)
+        assert str(caught.value).isprintable() and len(str(caught.value)) < len(str(path)) + 400
+
+
 def test_unknown_layers_are_refused_in_a_short_line(path: Path) -> None:
     document = Document(tuple(Layer(f"{k}" + "x" * 100, "red", "paint") for k in range(200)))
     for change in (

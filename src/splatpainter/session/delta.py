@@ -15,7 +15,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.comparison import float_bits
+from splatpainter.io.files import printable
 from splatpainter.receipts import changed_rows
+from splatpainter.session.document import MAX_REASON
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
 
 PART_BYTES = 1 << 20
@@ -167,7 +169,7 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
     except StopIteration:
         raise ValueError(f"{where}: damaged (parts are missing)") from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, zstandard.ZstdError) as error:
-        raise ValueError(f"{where}: damaged ({error})") from None
+        raise ValueError(f"{where}: damaged ({printable(str(error), MAX_REASON)})") from None
 
 
 @dataclass(frozen=True)
