@@ -70,12 +70,12 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     visible = below.opacities > 0
     seen = _Seen.of(below, original, views)
     masks = [mask for _, mask in views]
-    # Of a sheet and its rim some lie hidden right behind those that are seen.
+    # Of a sheet and its rim some lie hidden, or nearly so, right behind those that are seen.
     recolored = np.zeros(n, bool)
     recolored[:first] = (below.sh[:first] != original.sh).any((1, 2))
-    behind = visible & (moved | recolored) & ~reached & (seen.weight < MIN_SEEN_PX)
+    behind = visible & (moved | recolored) & ~reached
     behind[behind] = _largest_share(below.take(behind), views, masks) > HIDDEN_IN_MASK
-    front = below.take(reached & visible & moved)
+    front = below.take(reached & visible & (moved | recolored))
     reached = reached.copy()
     reached[behind] = _is_near(below.take(behind), front)
 
