@@ -69,15 +69,10 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     moved[:first] |= (below.opacities[:first] == 0) & (original.opacities > 0)
     visible = below.opacities > 0
     seen = _Seen.of(below, original, views)
+    changed = moved.copy()
+    changed[:first] |= (below.sh[:first] != original.sh).any((1, 2))
     masks = [mask for _, mask in views]
-    # Of a sheet and its rim some lie hidden, or nearly so, right behind those that are seen.
-    recolored = np.zeros(n, bool)
-    recolored[:first] = (below.sh[:first] != original.sh).any((1, 2))
-    behind = visible & (moved | recolored) & ~reached
-    behind[behind] = _largest_share(below.take(behind), views, masks) > HIDDEN_IN_MASK
-    front = below.take(reached & visible & (moved | recolored))
-    reached = reached.copy()
-    reached[behind] = _is_near(below.take(behind), front)
+    reached, front = _with_hidden(below, views, reached, changed)
 
     # What returns.
     contrast = np.abs(base_color(below.sh) - base_color(original.sh[source])).max(1)
@@ -94,7 +89,8 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
     erased[source[has_family & reached]] = True
     orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > MIN_IN_MASK)]
     stand_ins = np.flatnonzero(visible & moved)
-    erased[orphans] = reached[stand_ins[_nearest(original.means[orphans], below.means[stand_ins])]]
+    if len(stand_ins):
+        erased[orphans] = reached[stand_ins[_nearest(original.means[orphans], below.means[stand_ins])]]
     orphans = lost[~erased[lost] & ~visible[lost] & (in_mask > HIDDEN_IN_MASK)]
     erased[orphans] = _is_near(original.take(orphans), front)
     orphans = orphans[~erased[orphans]]
@@ -127,12 +123,15 @@ def erase_delta(below: Splats, original: Splats, views: Views, reached: np.ndarr
 def fade_delta(below: Splats, original: Splats, views: Views, reached: np.ndarray) -> Delta:
     """The delta that gives Gaussians (reached: [N] bool) of an edited asset the colours with which they look as the
     original did; geometry and opacities stay."""
-    first, family = len(original), _families(below)
+    n, first, family = len(below), len(original), _families(below)
+    moved = np.ones(n, bool)
+    moved[:first] = moved_gaussians(original, below.take(np.arange(first)))
+    changed = moved.copy()
+    changed[:first] |= (below.sh[:first] != original.sh).any((1, 2))
+    reached, _ = _with_hidden(below, views, reached, changed)
     recolored = reached & (family >= 0)
     sh = below.sh.copy()
     sh[recolored] = original.sh[family[recolored]]
-    moved = np.ones(len(below), bool)
-    moved[:first] = moved_gaussians(original, below.take(np.arange(first)))
     start = bare(replace(below, sh=sh))
     after = replace(start, sh=fitted_sh(start, reached & moved, _Seen.of(below, original, views).targets))
     return _difference(below, after, np.zeros(0, np.int64))
@@ -161,6 +160,18 @@ class _Seen:
             paint.append(~mask & (np.abs(now - before).max(-1) > PAINT_CONTRAST))
             weight[view.gaussian_ids] += view.backproject(now, np.ones(mask.shape, np.float32)).weight
         return _Seen(targets, paint, weight)
+
+
+def _with_hidden(below: Splats, views: Views, reached: np.ndarray, changed: np.ndarray) -> tuple[np.ndarray, Splats]:
+    """([N] bool reached, with what lies hidden, or nearly so, right behind: of a sheet and its rim there is some; those
+    in front). changed: [N] bool, Gaussians that are not as in the original."""
+    visible = below.opacities > 0
+    front = below.take(reached & visible & changed)
+    behind = visible & changed & ~reached
+    behind[behind] = _largest_share(below.take(behind), views, [mask for _, mask in views]) > HIDDEN_IN_MASK
+    reached = reached.copy()
+    reached[behind] = _is_near(below.take(behind), front)
+    return reached, front
 
 
 def _families(below: Splats) -> np.ndarray:
@@ -192,10 +203,8 @@ def _share_of(splats: Splats, camera: Camera, chosen: np.ndarray) -> np.ndarray:
 
 
 def _nearest(points: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-    """[P] int64 index of the candidate nearest to each point. points: [P, 3]; candidates: [C, 3]."""
+    """[P] int64 index of the candidate nearest to each point. points: [P, 3]; candidates: [C, 3], C > 0."""
     out = np.zeros(len(points), np.int64)
-    if not len(candidates):
-        return out[:0]
     size = max(NEAREST_BLOCK // len(candidates), 1)
     for start in range(0, len(points), size):
         block, squared = points[start : start + size], 0.0
