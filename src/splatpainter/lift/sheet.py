@@ -58,6 +58,14 @@ def flat_cells(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: f
     """Pixels of `covered` ([H, W] bool) in cells of 1, 2, 4 ... MAX_CELL_PX pixels: large ones where the picture
     (target [H, W, 3]) has one colour in them and around them and the inverse of the depth ([H, W], > 0 where covered)
     is linear, as it is on a plane."""
+    rows, columns = np.flatnonzero(covered.any(1)), np.flatnonzero(covered.any(0))
+    top, x_first = (int(lines[0]) // MAX_CELL_PX * MAX_CELL_PX for lines in (rows, columns))
+    window = (slice(top, int(rows[-1]) + 1), slice(x_first, int(columns[-1]) + 1))
+    cells = _cells_of_window(target[window], covered[window], depth[window], fx)
+    return Cells(cells.centers + (x_first, top), cells.sizes)
+
+
+def _cells_of_window(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: float) -> Cells:
     height, width = covered.shape
     pad = [(0, -height % MAX_CELL_PX), (0, -width % MAX_CELL_PX)]
     left = np.pad(covered, pad)
@@ -66,9 +74,13 @@ def flat_cells(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: f
     solid = left.copy()
     centers, sizes = [], []
     size = MAX_CELL_PX
+    ranges = {1: (colors, colors)}
+    for half in (1 << k for k in range(1, MAX_CELL_PX.bit_length() - 1)):
+        low, high = ranges[half // 2]
+        ranges[half] = _halved(low, np.minimum), _halved(high, np.maximum)
     while size > 1:
         half = size // 2
-        low, high = _block(colors, half, np.min), _block(colors, half, np.max)
+        low, high = ranges[half]
         span = (_around(high, np.maximum) - _around(low, np.minimum)).max(-1)
         full = _around(_block(solid, half, np.all)[..., None], np.minimum)[..., 0]
         unused = _block(left, size, np.all)
@@ -82,6 +94,12 @@ def flat_cells(target: np.ndarray, covered: np.ndarray, depth: np.ndarray, fx: f
     centers.append(np.stack([xs, ys], 1) + 0.5)
     sizes.append(np.ones(len(ys)))
     return Cells(np.concatenate(centers), np.concatenate(sizes))
+
+
+def _halved(values: np.ndarray, combine) -> np.ndarray:
+    """[2H, 2W, C] reduced over blocks of 2 x 2."""
+    rows = combine(values[::2], values[1::2])
+    return combine(rows[:, ::2], rows[:, 1::2])
 
 
 def _block(values: np.ndarray, size: int, function) -> np.ndarray:
