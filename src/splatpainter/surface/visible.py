@@ -31,7 +31,7 @@ STOPPED_LIGHT = 0.5
 """A line of sight meets the surface where this much of its light has been stopped."""
 MAX_STEP_PX = 4
 """Largest spacing of the lattice, pixels."""
-STEP_WIDTHS = 1.3
+STEP_WIDTHS = 0.9
 """Spacing of the lattice in widths of the Gaussians that are seen."""
 WINDOW_WIDTHS = 1.3
 """First window in widths of the Gaussian that is seen."""
