@@ -132,7 +132,9 @@ def test_replaced_and_removed_rows_are_touched_ones():
     for name, run in (("replaced_runs", "[[0,2],[7,1]]"), ("removed_runs", "[[2,1]]")):
         assert f'"{name}": {run}' in text
         with pytest.raises(ValueError, match="not among the touched"):
-            Receipt.from_json(text.replace(f'"{name}": {run}', f'"{name}": {run.replace("2,1", "3,1").replace("7,1", "8,1")}'))
+            Receipt.from_json(
+                text.replace(f'"{name}": {run}', f'"{name}": {run.replace("2,1", "3,1").replace("7,1", "8,1")}')
+            )
     with pytest.raises(ValueError, match="removed_rows is 2"):
         Receipt.from_json(text.replace('"removed_rows": 1', '"removed_rows": 2'))
 

@@ -39,8 +39,13 @@ def ball(count: int = 6000) -> Splats:
     width = 0.6 * np.sqrt(4 * np.pi / count)
     scales = np.tile([width, width, 0.1 * width], (count, 1))
     sh = np.zeros((count, 1, 3))
-    arrays = (normals, matrix_to_quat(axes), scales, np.full(count, 0.95), sh)
-    return Splats(*(array.astype(np.float32) for array in arrays))
+    return splats_of(normals, matrix_to_quat(axes), scales, np.full(count, 0.95), sh)
+
+
+def splats_of(means, quats, scales, opacities, sh) -> Splats:
+    """Of arrays of any floats."""
+    means, quats, scales, opacities, sh = (a.astype(np.float32) for a in (means, quats, scales, opacities, sh))
+    return Splats(means, quats, scales, opacities, sh)
 
 
 def draw(splats: Splats, camera=FRONT) -> np.ndarray:
@@ -111,17 +116,12 @@ def test_what_lies_before_the_surface_at_a_distance_stays():
 def test_a_cloud_has_no_surface_and_is_split_as_before():
     rng = np.random.default_rng(3)
     n = 4000
-    cloud = Splats(
-        *(
-            a.astype(np.float32)
-            for a in (
-                rng.normal(size=(n, 3)) * 0.4,
-                rng.normal(size=(n, 4)),
-                np.exp(rng.normal(size=(n, 3)) * 0.8 - 3.2),
-                rng.uniform(0.02, 0.3, n),
-                rng.normal(size=(n, 1, 3)) * 0.3,
-            )
-        )
+    cloud = splats_of(
+        rng.normal(size=(n, 3)) * 0.4,
+        rng.normal(size=(n, 4)),
+        np.exp(rng.normal(size=(n, 3)) * 0.8 - 3.2),
+        rng.uniform(0.02, 0.3, n),
+        rng.normal(size=(n, 1, 3)) * 0.3,
     )
     mask = disk(FRONT, 64, 64, 14)
     result = paint(cloud, mask)
@@ -201,9 +201,9 @@ def test_the_depth_edge_limit_leaves_out_a_strip_on_both_sides_of_a_step():
 @pytest.mark.parametrize("limits", [{"angle_limit": -1.0}, {"angle_limit": 91.0}, {"depth_edge_limit": 17.0}])
 def test_limits_out_of_range_are_refused(limits: dict[str, float]):
     with pytest.raises(ValueError, match="limit: expected 0"):
-        LocalOptions(**limits)
+        replace(LOCAL_DEFAULTS, **limits)
     with pytest.raises(ValueError, match="limit: expected 0"):
-        LocalOptions(**{name: float("nan") for name in limits})
+        replace(LOCAL_DEFAULTS, **{name: float("nan") for name in limits})
 
 
 def test_paint_beyond_the_limits_alone_is_refused():

@@ -214,13 +214,13 @@ def _nearest(points: np.ndarray, candidates: np.ndarray) -> np.ndarray:
     return out
 
 
-def _is_near(splats: Splats, others: Splats) -> np.ndarray:
+def _is_near(splats: Splats, visible: Splats) -> np.ndarray:
     """[len(splats)] bool: those that lie within NEAR_SIZES of their own and the nearest other one's largest scales."""
-    if not len(splats) or not len(others):
+    if not len(splats) or not len(visible):
         return np.zeros(len(splats), bool)
-    nearest = _nearest(splats.means, others.means)
-    distance = np.sqrt(((splats.means - others.means[nearest]) ** 2).sum(1))
-    return distance < NEAR_SIZES * (splats.scales.max(1) + others.scales.max(1)[nearest])
+    nearest = _nearest(splats.means, visible.means)
+    distance = np.sqrt(((splats.means - visible.means[nearest]) ** 2).sum(1))
+    return distance < NEAR_SIZES * (splats.scales.max(1) + visible.scales.max(1)[nearest])
 
 
 def _difference(below: Splats, after: Splats, parent_ids: np.ndarray) -> Delta:
