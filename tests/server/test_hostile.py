@@ -30,7 +30,7 @@ from splatpainter.server.launch import listen, make_server
 from splatpainter.server.limits import MAX_COMMAND_BYTES, MAX_JSON_SEPARATORS, ConnectionLimits
 from splatpainter.server.protocol import Answer, Hello, first_fault
 from splatpainter.server.security import Access
-from splatpainter.server.storage import Blobs, UploadLimits
+from splatpainter.server.storage import Blobs, Folder, UploadLimits
 from splatpainter.session import Session
 from tests.support.studio_scenes import Live, ball, make_studio, view, wire
 
@@ -503,3 +503,11 @@ def test_names_of_fields_are_told_in_one_line() -> None:
         Hello.model_validate({"id": 1, "do": "hello", "schema_hash": "0", "\n" * 300: 1})
     line = first_fault(caught.value, "hello")
     assert "\n" not in line and len(line) < 200 and "not permitted" in line
+
+
+@pytest.mark.parametrize("name", ["x" * 300 + ".json", "\u00e9" * 150])
+def test_names_that_no_folder_can_hold_are_refused(tmp_path: Path, name: str) -> None:
+    for new in (False, True):
+        with pytest.raises(ValueError, match="at most 255 bytes") as caught:
+            Folder(tmp_path).file(name, new=new)
+        assert str(caught.value).isprintable() and len(str(caught.value)) < 150

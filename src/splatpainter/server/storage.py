@@ -23,6 +23,7 @@ from splatpainter.io import files, format_of_name, read, write
 from splatpainter.io.axes import flip
 from splatpainter.jsonio import brief
 from splatpainter.server.upload_sniffing import UploadInfo, sniff
+from splatpainter.session.asset_files import MAX_NAME_BYTES
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.splats import Splats
 from splatpainter.user_folders import cache_folder
@@ -47,6 +48,8 @@ class Folder:
         """The file of that name. Raises ValueError: no plain name, hidden, outside (a link), missing."""
         if not name or name.startswith(".") or Path(name).name != name or re.search(r"[/\\:\x00-\x1f]", name):
             raise ValueError(f"{name!r}: expected a plain file name")
+        if len(name.encode(errors="surrogatepass")) > MAX_NAME_BYTES:
+            raise ValueError(f"{brief(name)}: expected a file name of at most {MAX_NAME_BYTES} bytes")
         try:
             path = (self.root / name).resolve()
         except (OSError, RuntimeError):  # a circle of links
