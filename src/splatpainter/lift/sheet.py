@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.surface.visible import VisibleSurface
+from splatpainter.surface.visible import PixelSurface, VisibleSurface
 from splatpainter.transforms import matrix_to_quat
 
 MAX_CELL_PX = 8
@@ -30,6 +30,10 @@ MAX_STRETCH = 2.0
 """A sheet Gaussian is stretched along a slanted surface at most this much; where the surface is steeper ..."""
 MAX_ROW = 4
 """... up to so many of them share the cell, one behind the other."""
+MAX_LENGTH_APART = 1.2
+"""Length of the surface under a cell over its distance to that under the next one along the slant, at most."""
+MAX_OPEN_STRETCH = 2.0
+"""Stretch beside a place without a surface, at most."""
 
 
 @dataclass(frozen=True)
@@ -142,9 +146,8 @@ def sheet_geometry(surface: VisibleSurface, cells: Cells, target: np.ndarray) ->
     sharp = single & (_contrast(target)[ys, xs] > EDGE_CONTRAST)
     width = cells.sizes * np.where(single, PIXEL_WIDTH, CELL_WIDTH) * np.where(sharp, EDGE_WIDTH, 1)
     chosen = np.flatnonzero(at.depth > 0)
-    rays = surface.camera.to_camera(surface.camera.unproject(at.depth[chosen], cells.centers[chosen]))
-    facing = -(rays * at.normals[chosen]).sum(1) / np.maximum(np.linalg.norm(rays, axis=1), 1e-30)
-    count = np.clip(np.ceil(1 / np.maximum(facing, 1e-3) / MAX_STRETCH), 1, MAX_ROW).astype(np.int64)
+    stretch = _stretch(surface, cells, at, chosen)
+    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_ROW).astype(np.int64)
     source = np.repeat(np.arange(len(chosen)), count)
     step = np.arange(len(source)) - np.repeat(np.cumsum(count) - count, count)
     shift = (step + 0.5) / count[source] - 0.5
@@ -156,10 +159,31 @@ def sheet_geometry(surface: VisibleSurface, cells: Cells, target: np.ndarray) ->
         at.normals[index],
         width[index],
         cells.sizes[index],
+        np.minimum(stretch, MAX_STRETCH * count)[source],
         count[source],
         shift,
     )
     return geometry, index
+
+
+def _stretch(surface: VisibleSurface, cells: Cells, at: PixelSurface, chosen: np.ndarray) -> np.ndarray:
+    """[G] >= 1 how much longer than its projection the surface is under each chosen cell, along its slant: by its
+    normal, but no farther than its neighbours on both sides along the slant are apart, as a round surface turns away
+    from its tangent plane; next to where there is no surface, hardly."""
+    camera, centers, sizes = surface.camera, cells.centers[chosen], cells.sizes[chosen]
+    points = camera.to_camera(camera.unproject(at.depth[chosen], centers))
+    facing = -(points * at.normals[chosen]).sum(1) / np.maximum(np.linalg.norm(points, axis=1), 1e-30)
+    length = 1 / np.maximum(facing, 1e-3)
+    across = at.normals[chosen, :2]
+    way = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12) * sizes[:, None]
+    unit = sizes * at.depth[chosen] / camera.fx
+    limits = []
+    for sign in (-1, 1):
+        pixels = centers + sign * way
+        beside = surface.at(pixels)
+        apart = np.linalg.norm(camera.to_camera(camera.unproject(beside.depth, pixels)) - points, axis=1)
+        limits.append(np.where(beside.depth > 0, MAX_LENGTH_APART * apart / unit, MAX_OPEN_STRETCH))
+    return np.clip(np.minimum(length, np.minimum(*limits)), 1, None)
 
 
 def _contrast(target: np.ndarray) -> np.ndarray:
@@ -180,12 +204,14 @@ def pixel_gaussians(
     normals: np.ndarray,
     width_px: np.ndarray,
     cell_px: np.ndarray,
+    stretch: np.ndarray,
     count: np.ndarray,
     shift: np.ndarray,
 ) -> SheetGeometry:
     """Flat Gaussians in the planes with `normals` ([G, 3] camera space) whose projections are about round, `width_px`
-    ([G], standard deviation) wide, or shorter where `count` [G] of them share a cell of edge `cell_px` [G], each moved
-    by `shift` [G] (-0.5..0.5) of the cell along the slant. pixels: [G, 2]; depth: [G] z."""
+    ([G], standard deviation) wide and `stretch` [G] times as long on the surface, or shorter where `count` [G] of them
+    share a cell of edge `cell_px` [G], each moved by `shift` [G] (-0.5..0.5) of the cell along the slant. pixels:
+    [G, 2]; depth: [G] z."""
     rays = np.stack(
         [(pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy, np.ones(len(pixels))], 1
     )
@@ -198,14 +224,12 @@ def pixel_gaussians(
     across = np.where(size > 1e-6, np.cross(normals, slant / np.maximum(size, 1e-12)), np.cross(normals, fallback))
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     along = np.cross(normals, across)
-    facing = np.abs((normals * view).sum(1))
     rotation = np.einsum("ji,njk->nik", camera.world_to_camera[:3, :3], np.stack([across, along, normals], 2))
     flip = np.linalg.det(rotation) < 0
     rotation[flip, :, 0] *= -1
     width = width_px * depth / camera.fx
-    slanted = np.minimum(1 / np.maximum(facing, 1e-3), MAX_STRETCH * count)
-    scales = np.stack([width, width * slanted / count, width * THICKNESS], 1)
+    scales = np.stack([width, width * stretch / count, width * THICKNESS], 1)
     world_along = along @ camera.world_to_camera[:3, :3]
     means = camera.unproject(depth, pixels)
-    means += (shift * cell_px * depth / camera.fx * slanted)[:, None] * world_along
+    means += (shift * cell_px * depth / camera.fx * stretch)[:, None] * world_along
     return SheetGeometry(means, matrix_to_quat(rotation), scales)
