@@ -3,17 +3,54 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from splatpainter.cameras import Camera
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import MAX_DEPTH_EDGE_LIMIT_PX
-from splatpainter.surface.visible import VisibleSurface
+from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.splats import Splats
+from splatpainter.surface.estimate import Surface
+from splatpainter.surface.visible import VisibleSurface, visible_surface
 
 SOFT_DEGREES = 10.0
 """From the angle limit on, over which paint fades."""
 EDGE_WINDOWS = 1.5
 """A step in depth between neighbouring pixels by more than this, in windows of the surface, is an edge."""
+
+COARSE_BLOCKS = 128
+"""Blocks along the longer side of a view for which `left_out` says whether they are painted."""
+MIN_SHARE = 0.5
+"""Share of its paint below which a block counts as left out."""
+
+
+def coarse_surface(surface: Surface, splats: Splats, camera: Camera) -> VisibleSurface:
+    """All that a view sees, on a lattice of at most COARSE_BLOCKS blocks a side: quick, and enough to show limits by.
+    Its camera has one pixel per block, and the full camera's pixels are `blocks_px` times smaller."""
+    view = project(splats, camera)
+    size = blocks_px(camera)
+    centers = np.zeros((camera.height, camera.width), bool)
+    centers[size // 2 :: size, size // 2 :: size] = True
+    visible = visible_surface(surface, splats, view, centers, size)
+    height, width = visible.index.shape
+    lens = {name: getattr(camera, name) / size for name in ("fx", "fy", "cx", "cy")}
+    return replace(visible, camera=replace(camera, width=width, height=height, **lens), step=1)
+
+
+def blocks_px(camera: Camera) -> int:
+    """Pixels along a side of the blocks of `coarse_surface`."""
+    return -(-max(camera.width, camera.height) // COARSE_BLOCKS)
+
+
+def left_out(coarse: VisibleSurface, camera: Camera, angle_limit: float, depth_edge_limit: float) -> np.ndarray:
+    """[H, W] bool: pixels of a view whose paint the limits leave out (by more than half), to about a block. coarse: of
+    `coarse_surface`, for this camera; limits: as `paintable`'s."""
+    size = blocks_px(camera)
+    seen = coarse.index >= 0
+    out = seen & (paintable(coarse, seen, angle_limit, depth_edge_limit / size) < MIN_SHARE)
+    return out.repeat(size, 0).repeat(size, 1)[: camera.height, : camera.width]
 
 
 def paintable(visible: VisibleSurface, pixels: np.ndarray, angle_limit: float, depth_edge_limit: float) -> np.ndarray:

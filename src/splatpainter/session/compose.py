@@ -28,6 +28,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from splatpainter.cameras import Camera
 from splatpainter.nn.precision import resolve
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.session.appearance import with_base
@@ -41,13 +42,15 @@ from splatpainter.session.layer_blending import (
     blend_delta,
     reached_gaussians,
 )
-from splatpainter.session.layer_factory import decode_mask, decode_picture
+from splatpainter.session.layer_factory import decode_mask, decode_picture, limits_of
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
+    from splatpainter.surface.estimate import Surface
+    from splatpainter.surface.visible import VisibleSurface
     from splatpainter.voxels.grid import VoxelGrid
 
 CACHED_STATE_BYTES = 1 << 28
@@ -57,6 +60,8 @@ MAX_CACHED_STATES = 64
 WITHIN = "within"
 """Name of the parameter {"within": true} of layers of mode global: only Gaussians that
 their views' masks reach change."""
+NO_LIMITS: Mapping[str, float] = {}
+"""Of a layer without parameters of its own for what one view may paint: those of the painter hold."""
 MAX_PLACEMENTS = 4
 """Arrangements that are cached of each layer, ..."""
 MAX_PLACED_LAYERS = 1024
@@ -148,10 +153,12 @@ class PainterAdapter:
         mode: Mode,
         method: Method,
         sheets: bool = True,
+        limits: Mapping[str, float] = NO_LIMITS,
     ) -> tuple[Splats, Asset]:
         """(the Gaussians below as the painter got them, what it made of them). below: [N] with `origin`; in both
         results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
-        edits below; sheets: False for layers of painters that knew none. Raises ValueError as Painter.apply does."""
+        edits below; sheets: False for layers of painters that knew none; limits: those of the painter's local options
+        that are others for this layer. Raises ValueError as Painter.apply does."""
         numbered = replace(bare(below), origin=np.arange(len(below)))
         asset = Asset(numbered, original=self._original)
         if mode == "local":
@@ -165,7 +172,21 @@ class PainterAdapter:
             asset = replace(asset, encoding=replace(base.encoding, parent_ids=parent_ids, state=state))
         if mode == "local":
             vars(asset)["grid"] = self.grid(below)  # as its cached property would
-        return numbered, self._painter.apply(asset, edits, mode, method)
+        return numbered, self._limited(limits).apply(asset, edits, mode, method)
+
+    @property
+    def surface(self) -> Surface:
+        """That of the original."""
+        return self._bare.surface
+
+    def _limited(self, limits: Mapping[str, float]) -> Painter:
+        """The painter with other limits on what one view may paint."""
+        if not limits:
+            return self._painter
+        from splatpainter.lift.options import LOCAL_DEFAULTS
+
+        options = self._painter.local_options or LOCAL_DEFAULTS
+        return replace(self._painter, local_options=replace(options, **limits))
 
     def grid(self, splats: Splats) -> VoxelGrid:
         """The voxels of an asset, cached for the latest MAX_GRIDS geometries (colours do not matter: no layer makes a
@@ -212,6 +233,8 @@ class Replay:
         self._read_sets: OrderedDict[tuple[str, str], ReadSet | None] = OrderedDict()
         """(key of the state below, key of a layer) -> what it reads there."""
         self._merged: tuple[tuple[str, str], Delta] | None = None
+        self._seen: tuple[str, VisibleSurface] | None = None
+        """Of the latest state and view that `left_out` was asked for."""
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)
 
     def compose(self, document: Document, progress: Progress | None = None, strict: str | None = None) -> LayerState:
@@ -375,10 +398,12 @@ class Replay:
         return self._paint(below, layer)
 
     def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
+        local = layer.mode == "local" and layer.method != "ttt"  # networks paint without limits
+        limits = limits_of(layer.parameters, f"layer {layer.name!r}") if local else NO_LIMITS
         edits = [self._edit(view, layer) for view in layer.views]
         sheets = lays_sheets(layer.painter)
         numbered, asset = self._adapter.apply(
-            below.splats, below.painter_state, edits, layer.mode, layer.method, sheets
+            below.splats, below.painter_state, edits, layer.mode, layer.method, sheets, limits
         )
         parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
         facts: dict[str, Any] = {}
@@ -421,6 +446,18 @@ class Replay:
         if view.mask is None:
             return np.ones((view.camera.height, view.camera.width), bool)
         return decode_mask(self._store.blob(view.mask), view.camera, "mask")
+
+    def left_out(self, state: LayerState, camera: Camera, limits: Mapping[str, Any]) -> np.ndarray:
+        """[H, W] bool: pixels of a view whose paint the limits would leave out (lift.limits.left_out), by parameters as
+        of a layer; what the view sees is cached for the latest one."""
+        from splatpainter.lift.limits import coarse_surface, left_out
+        from splatpainter.lift.options import LOCAL_DEFAULTS
+
+        options = replace(self.painter.local_options or LOCAL_DEFAULTS, **limits_of(limits, "limits"))
+        key, seen = f"{state.key} {camera.to_json()}", self._seen
+        if seen is None or seen[0] != key:
+            seen = self._seen = (key, coarse_surface(self._adapter.surface, state.splats, camera))
+        return left_out(seen[1], camera, options.angle_limit, options.depth_edge_limit)
 
     def prepare(self, state: LayerState) -> None:
         """Make what a local edit of a state needs before anything else."""

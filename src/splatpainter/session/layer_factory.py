@@ -22,6 +22,8 @@ from splatpainter.splats import ColorSpace, Splats
 MAX_PICTURE_PIXELS = 64_000_000
 THUMBNAIL_PX = 96
 """Longer side of a thumbnail."""
+LIMITS = ("angle_limit", "depth_edge_limit")
+"""Names of the parameters of layers of mode local that stand in for the painter's LocalOptions of the same names."""
 
 
 def new_layer(
@@ -38,6 +40,8 @@ def new_layer(
     if not 0 <= len(edits) <= MAX_VIEWS or kind == "merged":
         raise ValueError(f"layer: expected at most {MAX_VIEWS} views, and layers that exist to be merged with merge")
     mode = settings["mode"] or ("global" if kind == "look" else "local")
+    if limits_of(parameters, "layer") and (mode != "local" or kind == "erase"):
+        raise ValueError(f"layer: expected {' and '.join(LIMITS)} with pictures in mode local only")
     by_name = kind == "look" and "look" in parameters
     if not edits and not by_name:
         raise ValueError(f"layer: expected at least one edited view for kind {kind}, got none")
@@ -65,6 +69,23 @@ def new_layer(
             small = put(thumbnail(image, mask))
     fields = {**settings, "mode": mode, "thumbnail": small}
     return Layer("", name or str(kind).capitalize(), kind, tuple(views), parameters, **fields), blobs
+
+
+def limits_of(parameters: Mapping[str, Any], where: str) -> dict[str, float]:
+    """What a layer's parameters say of what one view may paint: angle_limit (degrees, 0..90) and depth_edge_limit
+    (pixels), those that are there. Raises ValueError naming `where`: no number, out of range."""
+    from splatpainter.lift.options import LocalOptions
+
+    limits = {name: parameters[name] for name in LIMITS if name in parameters}
+    for name, value in limits.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{where}: expected {name} as a number, got {value!r:.40}")
+    try:
+        limits = {name: float(value) for name, value in limits.items()}
+        LocalOptions(**limits)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{where}: {error}") from None
+    return limits
 
 
 def encode_picture(image: np.ndarray, space: ColorSpace = "srgb") -> bytes:

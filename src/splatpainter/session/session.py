@@ -54,7 +54,7 @@ from splatpainter.session.document import (
     resolve_conflict,
 )
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
-from splatpainter.session.layer_factory import new_layer
+from splatpainter.session.layer_factory import limits_of, new_layer
 from splatpainter.session.project_file import Bookmark, Project, Step, Transaction
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.session.verify import find_problems
@@ -286,6 +286,11 @@ class Session:
         commands, while the edit is still being drawn. Changes nothing."""
         self._replay.prepare(self._snapshot.state)
 
+    def left_out(self, camera: Camera, **limits: float) -> np.ndarray:
+        """[H, W] bool: pixels of a view that a local edit would not paint (by more than half), to about a block of
+        1/128 of its longer side. limits: angle_limit, depth_edge_limit, as a layer's parameters."""
+        return self._replay.left_out(self._snapshot.state, camera, limits)
+
     def bookmarks(self) -> list[Bookmark]:
         """Views to come back to. Not part of the history."""
         return self._project.bookmarks()
@@ -365,7 +370,9 @@ class Session:
         kind paint, picture, clone: edits with pictures, mode local unless said; look (an adjustment layer): pictures
         that grade everything (mode global), or parameters {"look": name, ...} with edits whose masks limit it; erase:
         edits of which only cameras and masks count. Pictures are kept with 8 bits. A local edit without a mask gets the
-        one of what differs from the asset now. Raises ValueError as Painter.apply does, with nothing changed."""
+        one of what differs from the asset now. parameters {"angle_limit": degrees, "depth_edge_limit": pixels} of local
+        edits: what one view may paint, where that is not to be as the painter's LocalOptions say. Raises ValueError as
+        Painter.apply does, with nothing changed."""
         with self._command():
             method = self.painter.choose(method, mode or ("global" if kind == "look" else "local"))[0]
             settings = {"mode": mode, "method": method, "opacity": opacity, "blend": blend}
@@ -385,6 +392,7 @@ class Session:
                 f"layer: expected one of {', '.join(SETTABLE)} to set, got {', '.join(unknown) or 'nothing'}"
             )
         with self._command():
+            limits_of(values.get("parameters") or {}, "layer")
             if "method" in values:
                 values["method"] = self.painter.choose(values["method"], self.layer(layer).mode)[0]
                 values["painter"] = fingerprint(self.painter, values["method"])

@@ -92,14 +92,17 @@ class PixelSurface:
     """[Q] float64 world units."""
 
 
-def visible_surface(surface: Surface, splats: Splats, view: ProjectedView, pixels: np.ndarray) -> VisibleSurface:
+def visible_surface(
+    surface: Surface, splats: Splats, view: ProjectedView, pixels: np.ndarray, step: int = 0
+) -> VisibleSurface:
     """What a view sees of the surface at some pixels ([H, W] bool, of drawn tiles). splats: what the view was projected
-    from (edited or not); surface: of the original."""
+    from (edited or not); surface: of the original; step: spacing of the lattice, pixels
+    (0: as fine as the Gaussians that are seen need)."""
     camera = view.camera
     entry = np.full(pixels.shape, -1, np.int32)
     lists = (view.projected, view.flatten_ids, view.tile_ids, view.isect_offsets)
     run(_front_entries, *lists, np.ascontiguousarray(pixels), np.float32(STOPPED_LIGHT), entry)
-    step = _lattice_step(splats, view, entry)
+    step = step or _lattice_step(splats, view, entry)
     xs, ys, index = _lattice(entry, step)
     ids = view.gaussian_ids[entry[ys, xs]]
     pixel = np.stack([xs, ys], 1) + 0.5

@@ -1,0 +1,129 @@
+"""Limits of what one view may paint as parameters of layers, and which pixels of a view they leave out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import splatpainter as sp
+from splatpainter.lift.options import LocalOptions
+from splatpainter.painter import Edit, Painter
+from splatpainter.session import Session
+from splatpainter.splats import Splats
+from splatpainter.transforms import fibonacci_sphere, matrix_to_quat
+from tests.support.lift_scenes import disk, front, same_bits
+
+CAMERA = front(96)
+
+
+def ball(count: int = 4000) -> Splats:
+    """A sphere of radius 1 of flat grey Gaussians."""
+    normals = fibonacci_sphere(count)
+    side = np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0, 0), (0, 1.0, 0)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    axes = np.stack([side, np.cross(normals, side), normals], 2)
+    width = 0.6 * np.sqrt(4 * np.pi / count)
+    scales = np.tile([width, width, 0.1 * width], (count, 1))
+    arrays = (normals, matrix_to_quat(axes), scales, np.full(count, 0.95), np.zeros((count, 1, 3)))
+    return Splats(*(array.astype(np.float32) for array in arrays))
+
+
+def off_centre(splats: Splats) -> Edit:
+    """A red disk that reaches from the middle of the ball to its rim."""
+    image = sp.render(splats, CAMERA).colors[0].copy()
+    mask = disk(CAMERA, 66, 48, 14)
+    image[mask] = (0.9, 0.1, 0.1)
+    return Edit(image, CAMERA, mask)
+
+
+def painted(parameters: dict[str, Any] | None, painter: Painter | None = None) -> Splats:
+    splats = ball()
+    with Session(splats, painter=painter or Painter.load("lift")) as session:
+        session.add("paint", [off_centre(splats)], parameters=parameters)
+        assert session.verify(repaint=True) == []
+        return session.splats
+
+
+def test_a_layer_carries_its_limits():
+    free, limited = painted({"angle_limit": 0}), painted({"angle_limit": 40, "depth_edge_limit": 0})
+    assert not same_bits(free, limited)
+    red = [sp.render(splats, CAMERA).colors[0] for splats in (free, limited)]
+    edge, middle = (48, 78), (48, 56)
+    assert red[0][edge][0] > 0.85 > 0.75 > red[1][edge][0]
+    assert min(image[middle][0] for image in red) > 0.8
+
+
+def test_without_parameters_the_painters_limits_hold():
+    strict = Painter(local_options=LocalOptions(angle_limit=40))
+    assert same_bits(painted(None, strict), painted({"angle_limit": 40, "depth_edge_limit": 0}))
+    assert same_bits(painted({"angle_limit": 80.0}, strict), painted({"brush": 3}))
+
+
+def test_limits_are_set_anew_and_undone():
+    splats = ball()
+    with Session(splats, painter=Painter.load("lift")) as session:
+        layer = session.add("paint", [off_centre(splats)], parameters={"angle_limit": 0}).id
+        free = session.splats
+        session.set(layer, parameters={"angle_limit": 40})
+        assert same_bits(session.splats, painted({"angle_limit": 40})) and "angle" in session.facts(layer)["note"]
+        session.undo()
+        assert same_bits(session.splats, free)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"angle_limit": 91}, "angle limit: expected 0"),
+        ({"angle_limit": "60"}, "expected angle_limit as a number, got '60'"),
+        ({"angle_limit": True}, "as a number"),
+        ({"depth_edge_limit": -1}, "depth-edge limit: expected 0"),
+        ({"depth_edge_limit": 10**400}, "layer: "),
+        ({"depth_edge_limit": None}, "as a number, got None"),
+    ],
+)
+def test_bad_limits_are_refused(parameters: dict[str, Any], reason: str):
+    splats = ball(500)
+    with Session(splats, painter=Painter.load("lift")) as session:
+        edit = off_centre(splats)
+        with pytest.raises(ValueError, match=reason):
+            session.add("paint", [edit], parameters=parameters)
+        layer = session.add("paint", [edit]).id
+        with pytest.raises(ValueError, match=reason):
+            session.set(layer, parameters=parameters)
+        assert session.layer(layer).parameters == {} and len(session.history) == 2
+        with pytest.raises(ValueError, match="with pictures in mode local only"):
+            session.add("picture", [edit], mode="global", parameters={"angle_limit": 60})
+        with pytest.raises(ValueError, match="with pictures in mode local only"):
+            session.add("erase", [edit], parameters={"angle_limit": 60})
+
+
+def test_what_will_not_be_painted_is_the_rim_of_a_ball():
+    splats, camera = ball(), front(256)
+    with Session(splats, painter=Painter.load("lift")) as session:
+        masks = {limit: session.left_out(camera, angle_limit=limit) for limit in (0, 40, 60)}
+        strip = session.left_out(camera, angle_limit=0, depth_edge_limit=8)
+        with pytest.raises(ValueError, match="angle limit: expected 0"):
+            session.left_out(camera, angle_limit=100)
+    ys, xs = np.mgrid[:256, :256] + 0.5
+    rays = np.stack([(xs - camera.cx) / camera.fx, (ys - camera.cy) / camera.fy, np.ones_like(xs)], -1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    center = camera.to_camera(np.zeros((1, 3)))[0]
+    # On a sphere of radius 1 the distance of the ray from its centre is the sine of the angle.
+    sine = np.linalg.norm(center - (rays @ center)[..., None] * rays, axis=-1)
+    angle = np.degrees(np.arcsin(np.clip(sine, 0, 1)))
+    assert not masks[0].any() and strip.mean() < 0.1
+    for limit in (40, 60):  # half of the paint is left five degrees later
+        assert masks[limit].shape == (256, 256) and masks[limit].dtype == bool
+        assert not masks[limit][(angle < limit) | (sine > 1.05)].any()
+        assert masks[limit][(angle > limit + 10) & (angle < 75)].mean() > 0.95
+
+
+def test_what_will_not_be_painted_follows_the_painter_and_odd_views():
+    with Session(ball(500), painter=Painter(local_options=LocalOptions(angle_limit=30))) as session:
+        assert session.left_out(CAMERA).sum() > session.left_out(CAMERA, angle_limit=60).sum() > 0
+        wide = sp.look_at((0, 0, -3), (0, 0, 0), width=333, height=7, fov=40)
+        assert session.left_out(wide).shape == (7, 333)
+        away = sp.look_at((0, 0, -3), (0, 0, -9), width=40, height=30, fov=40)
+        assert not session.left_out(away).any()
