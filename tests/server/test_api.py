@@ -211,6 +211,36 @@ def test_coverage_shows_what_was_seen_and_what_was_predicted(studio: Live) -> No
     assert position[2] > 0.5  # the far side
 
 
+def test_what_the_limits_leave_out_is_the_rim_of_the_ball(studio: Live) -> None:
+    def picture(**fields) -> np.ndarray:
+        answer = studio.post("paint.limits", camera=wire(view()), **fields)
+        png = studio.http.get(f"/api/blobs/{answer['picture']}").content
+        pixels = np.asarray(Image.open(io.BytesIO(png)))
+        assert pixels.shape == (96, 96, 4) and (pixels[..., 3] > 0).sum() == answer["pixels"]
+        return pixels[..., 3] > 0
+
+    free, strict = picture(limits={"angle_limit": 0}), picture(limits={"angle_limit": 40})
+    assert not free.any() and not strict[40:56, 40:56].any() and not strict[:5].any()
+    distance = np.hypot(*(np.mgrid[:96, :96] + 0.5 - 48))
+    assert strict[(distance > 28) & (distance < 32)].mean() > 0.5 > strict[distance < 20].mean()
+    assert picture().sum() <= picture(limits={"angle_limit": 60}).sum() < strict.sum()
+    for limits, reason in (({"angle_limit": 91}, "less than or equal to 90"), ({"angel": 1}, "Extra inputs")):
+        refused = studio.http.post("/api/do/paint.limits", json={"camera": wire(view()), "limits": limits})
+        assert not refused.json()["ok"] and reason in refused.text
+
+
+def test_a_picture_is_limited_to_what_its_view_sees_well(studio: Live) -> None:
+    image, mask = edited(studio)
+    picture = {"camera": wire(view()), "picture": studio.send(png_bytes(image)), "mask": studio.send(png_bytes(mask))}
+    made = studio.post("edit", views=[picture], limits={"angle_limit": 30, "depth_edge_limit": 2})
+    limits = {"angle_limit": 30.0, "depth_edge_limit": 2.0}
+    assert made["layer"]["parameters"] == limits and f"parameters={limits}" in made["python"]
+    free = studio.post("edit", views=[picture], limits={"angle_limit": None})
+    assert free["layer"]["parameters"] == {} and "parameters" not in free["python"]
+    erased = studio.post("edit", views=[picture], kind="erase", limits=limits)
+    assert erased["layer"]["parameters"] == {}
+
+
 def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None:
     shared = tmp_path / "shared"
     write(shared / "other.ply", ball(100, seed=5))

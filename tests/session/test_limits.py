@@ -26,8 +26,9 @@ def ball(count: int = 4000) -> Splats:
     axes = np.stack([side, np.cross(normals, side), normals], 2)
     width = 0.6 * np.sqrt(4 * np.pi / count)
     scales = np.tile([width, width, 0.1 * width], (count, 1))
-    arrays = (normals, matrix_to_quat(axes), scales, np.full(count, 0.95), np.zeros((count, 1, 3)))
-    return Splats(*(array.astype(np.float32) for array in arrays))
+    opacities, sh = np.full(count, 0.95, np.float32), np.zeros((count, 1, 3), np.float32)
+    means, quats, scales = (array.astype(np.float32) for array in (normals, matrix_to_quat(axes), scales))
+    return Splats(means, quats, scales, opacities, sh)
 
 
 def off_centre(splats: Splats) -> Edit:

@@ -3,6 +3,7 @@ import { describe, expect, it } from "vitest";
 import { blend, luma, withLuma } from "../src/paint/colors";
 import { likeColor, soften } from "../src/paint/flood";
 import { heal, membrane } from "../src/paint/heal";
+import { limitsToSend } from "../src/paint/limits";
 import { base64, compose, over, shifted, solid } from "../src/paint/patch";
 import { clip, dab, emptyMask, falloff, segment, union } from "../src/paint/raster";
 import { combine, invert, isEmpty, outline, polygon, rectangle } from "../src/paint/select";
@@ -254,5 +255,13 @@ describe("healing", () => {
       }
     }
     expect(worst).toBeLessThan(2);
+  });
+});
+
+describe("limits", () => {
+  it("are sent as whole numbers in the ranges that the server takes", () => {
+    expect(limitsToSend({ angle: 79.6, depthEdge: 2.2 })).toEqual({ angle_limit: 80, depth_edge_limit: 2 });
+    expect(limitsToSend({ angle: 400, depthEdge: 99 })).toEqual({ angle_limit: 90, depth_edge_limit: 16 });
+    expect(limitsToSend({ angle: -1, depthEdge: -1 })).toEqual({ angle_limit: 0, depth_edge_limit: 0 });
   });
 });

@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ def new_layer(
 def limits_of(parameters: Mapping[str, Any], where: str) -> dict[str, float]:
     """What a layer's parameters say of what one view may paint: angle_limit (degrees, 0..90) and depth_edge_limit
     (pixels), those that are there. Raises ValueError naming `where`: no number, out of range."""
-    from splatpainter.lift.options import LocalOptions
+    from splatpainter.lift.options import LOCAL_DEFAULTS
 
     limits = {name: parameters[name] for name in LIMITS if name in parameters}
     for name, value in limits.items():
@@ -82,7 +83,7 @@ def limits_of(parameters: Mapping[str, Any], where: str) -> dict[str, float]:
             raise ValueError(f"{where}: expected {name} as a number, got {value!r:.40}")
     try:
         limits = {name: float(value) for name, value in limits.items()}
-        LocalOptions(**limits)
+        replace(LOCAL_DEFAULTS, **limits)  # judges them
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{where}: {error}") from None
     return limits

@@ -3,7 +3,7 @@
  * The view is frozen meanwhile. Patches are sent one at a time; what is drawn while one is on its way goes with the next.
  */
 
-import type { LayerInfo } from "../messages";
+import type { LayerInfo, PaintLimits } from "../messages";
 import { CommandError, type Link } from "../net/connection";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
@@ -24,6 +24,7 @@ export interface StrokeOptions {
   kind: "paint" | "clone" | "erase";
   name: string;
   method: "auto" | "ttt" | "lift" | "fit";
+  limits: PaintLimits;
   opacity: number;
   selection: Mask | null;
 }
@@ -102,8 +103,8 @@ export class Stroke {
     while (this.dirty.width || this.pumping) await (this.pumping ??= this.pump());
     this.done = true;
     if (this.failure) throw this.failure;
-    const { link, name, method } = this.options;
-    const answer = await link.do("paint.end", { stroke, name, method });
+    const { link, name, method, limits } = this.options;
+    const answer = await link.do("paint.end", { stroke, name, method, limits });
     return answer.layer;
   }
 

@@ -6,10 +6,11 @@
 import { signal } from "@preact/signals";
 
 import { blobUrl, pixelsOf } from "../net/blobs";
-import { brush, camera, method, readOnly, selectedLayer, state, toast } from "../state/store";
+import { brush, camera, limits, method, readOnly, selectedLayer, state, toast } from "../state/store";
 import { link, remember, report, run, viewer } from "../state/studio";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
+import { limitsToSend } from "./limits";
 import { selection, viewMoved as moveSelection } from "./selection";
 import { Stroke } from "./stroke";
 
@@ -80,6 +81,7 @@ export function beginStroke(
     kind,
     name: unused(name),
     method: method.value,
+    limits: limitsToSend(limits.value),
     opacity,
     selection: selection.value,
   });

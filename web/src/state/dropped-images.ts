@@ -5,10 +5,11 @@ import { computed, signal } from "@preact/signals";
 import type { PictureChecked } from "../messages";
 import { blobUrl, sendBlob } from "../net/blobs";
 import { CommandError } from "../net/connection";
+import { limitsToSend } from "../paint/limits";
 import { maskPng } from "../paint/picture";
 import { selectedArea } from "../paint/selection";
 import { sameViewpoint, type CameraJson } from "../view/camera";
-import { camera, selectedLayer, state, tab, toast } from "./store";
+import { camera, limits, selectedLayer, state, tab, toast } from "./store";
 import { link, remember, report, run, watched } from "./studio";
 
 export const MAX_IMAGES = 4;
@@ -109,7 +110,15 @@ export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Prom
     .slice(0, 200);
   const answer = await run(
     "edit",
-    { views, kind: "picture", mode, method, name, within: limiting !== null },
+    {
+      views,
+      kind: "picture",
+      mode,
+      method,
+      name,
+      within: limiting !== null,
+      limits: mode === "local" ? limitsToSend(limits.value) : {},
+    },
     "Lifting the picture onto the asset",
   );
   if (!answer) return;

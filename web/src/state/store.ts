@@ -27,6 +27,8 @@ export const color = signal("#c8442e");
 export const recentColors = signal<string[]>([]);
 export const paintMode = signal<PaintMode>("normal");
 export const method = signal<"auto" | "ttt" | "lift" | "fit">("auto");
+/** What one view may paint, and whether the view shows what it may not. */
+export const limits = signal({ angle: 80, depthEdge: 0, show: false });
 export const fill = signal({ tolerance: 0.12, contiguous: true });
 export const text = signal({ text: "Text", font: "sans-serif", size: 64, bold: true, italic: false });
 export const selecting = signal<{

@@ -5,6 +5,7 @@ import { signal } from "@preact/signals";
 import { cloneFrom } from "../paint/strokes";
 import { choosingSource } from "../paint/freehand";
 import { commitPlacement, placement, startStamp } from "../paint/placement";
+import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
 import { setColor } from "../paint/point-tools";
 import { invert, type Combine } from "../paint/select";
 import { deselect, selection } from "../paint/selection";
@@ -13,6 +14,7 @@ import {
   camera,
   color,
   fill,
+  limits,
   method,
   paintMode,
   recentColors,
@@ -36,6 +38,7 @@ const MODES: readonly (readonly [PaintMode, string])[] = [
 const METHODS = { auto: "Auto", ttt: "Network", lift: "Lift", fit: "Fit" } as const;
 const PAINTS = ["brush", "erase", "line", "clone", "heal", "fill", "text", "stamp"];
 const more = signal(false);
+const limiting = signal(false);
 
 export function Options() {
   const current = tool.value;
@@ -67,6 +70,7 @@ export function Options() {
       )}
       {colored && current !== "stamp" && <Recent />}
       {PAINTS.includes(current) && <Methods />}
+      {LIMITED_TOOLS.includes(current) && <Limits />}
       {selection.value && (
         <span class="group">
           <Button label="Deselect" keys="Ctrl-D" text="Deselect" onClick={deselect} />
@@ -271,5 +275,45 @@ function Methods() {
       options={there.map((key) => [key, METHODS[key]] as const)}
       onChange={(value) => (method.value = value)}
     />
+  );
+}
+
+function Limits() {
+  const l = limits.value;
+  const set = (part: Partial<typeof l>) => (limits.value = { ...limits.value, ...part });
+  return (
+    <>
+      <Button
+        label="Limits of what one view paints"
+        text="Limits"
+        pressed={limiting.value}
+        onClick={() => (limiting.value = !limiting.value)}
+      />
+      {limiting.value && (
+        <span class="group">
+          <Slider
+            label="Angle limit"
+            value={l.angle}
+            min={0}
+            max={MAX_ANGLE_DEGREES}
+            step={1}
+            unit="°"
+            reset={80}
+            onInput={(angle) => set({ angle: Math.round(angle) })}
+          />
+          <Slider
+            label="Depth-edge limit"
+            value={l.depthEdge}
+            min={0}
+            max={MAX_DEPTH_EDGE_PX}
+            step={1}
+            unit=" px"
+            reset={0}
+            onInput={(depthEdge) => set({ depthEdge: Math.round(depthEdge) })}
+          />
+          <Check label="Show what will not be painted" value={l.show} onChange={(show) => set({ show })} />
+        </span>
+      )}
+    </>
   );
 }

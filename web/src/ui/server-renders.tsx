@@ -1,26 +1,33 @@
-/** Still pictures of the view from the server: true colour, the original for the before/after line, coverage. */
+/**
+ * Still pictures of the view from the server: true colour, the original for the before/after line, coverage, and what
+ * the limits leave out.
+ */
 
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
 import { blobUrl } from "../net/blobs";
-import { camera, compareAt, state, view } from "../state/store";
+import { LIMITED_TOOLS, limitsToSend } from "../paint/limits";
+import { camera, compareAt, limits, state, tool, view } from "../state/store";
 import { run } from "../state/studio";
 import type { CameraJson } from "../view/camera";
 import { moving } from "./stage";
 
-type Kind = "true" | "before" | "coverage";
+type Kind = "true" | "before" | "coverage" | "limits";
 type Profile = "inria" | "playcanvas";
 interface Still {
   url: string;
   camera: CameraJson;
   version: number;
   profile: Profile;
+  /** What else it depends on. */
+  settings: string;
 }
 const pictures: Record<Kind, ReturnType<typeof signal<Still | null>>> = {
   true: signal(null),
   before: signal(null),
   coverage: signal(null),
+  limits: signal(null),
 };
 /** What the last coverage said, and where to look next. */
 export const covered = signal<{ seen: number; predicted: number; next: CameraJson | null } | null>(null);
@@ -32,13 +39,17 @@ async function ask(kind: Kind, at: CameraJson, profile: Profile): Promise<string
       covered.value = { seen: answer.seen, predicted: answer.predicted, next: answer.next_view as CameraJson | null };
     return answer && blobUrl(answer.picture);
   }
+  if (kind === "limits") {
+    const answer = await run("paint.limits", { camera: at, limits: limitsToSend(limits.value) });
+    return answer && blobUrl(answer.picture);
+  }
   const which = kind === "before" ? "original" : "now";
   const answer = await run("view.render", { camera: at, which, profile }, "Rendering");
   return answer && blobUrl(answer.picture);
 }
 
 /** The picture of the present view if it is enabled, there, and up to date; asks for it when the camera rests. */
-function usePicture(kind: Kind, enabled: boolean): string | null {
+function usePicture(kind: Kind, enabled: boolean, settings = ""): string | null {
   const now = camera.value;
   const version = state.value?.version ?? 0;
   const still = !moving.value;
@@ -50,13 +61,14 @@ function usePicture(kind: Kind, enabled: boolean): string | null {
     current !== undefined &&
     current.camera === now &&
     current.profile === profile &&
+    current.settings === settings &&
     (kind === "before" || current.version === version);
   useEffect(() => {
     if (!enabled || !still || fresh || !now) return;
     void ask(kind, now, profile).then((url) => {
-      if (url) pictures[kind].value = { url, camera: now, version, profile };
+      if (url) pictures[kind].value = { url, camera: now, version, profile, settings };
     });
-  }, [enabled, still, now, version, profile]);
+  }, [enabled, still, now, version, profile, settings]);
   return enabled && current && current.camera === now && current.profile === profile ? current.url : null;
 }
 
@@ -65,6 +77,8 @@ export function Overlays() {
   const truth = usePicture("true", trueColor);
   const before = usePicture("before", compare);
   const seen = usePicture("coverage", coverage);
+  const { angle, depthEdge, show } = limits.value;
+  const leftOut = usePicture("limits", show && LIMITED_TOOLS.includes(tool.value), `${angle} ${depthEdge}`);
   const at = compareAt.value;
   return (
     <>
@@ -79,6 +93,9 @@ export function Overlays() {
         />
       )}
       {seen && <img class="still" src={seen} alt="" data-still="coverage" />}
+      {leftOut && (
+        <div class="left-out" data-still="limits" style={{ maskImage: `url(${leftOut})`, maskSize: "100% 100%" }} />
+      )}
       {compare && (
         <div class="compare" style={{ left: `${at * 100}%` }}>
           <span class="before-label">before</span>

@@ -38,6 +38,7 @@ from splatpainter.server.protocol import (
     Method,
     Mode,
     Name,
+    PaintLimits,
     Previewed,
     Unit,
 )
@@ -121,6 +122,8 @@ class PaintEnd(Command):
     method: Method = "auto"
     opacity: Unit = 1.0
     blend: Blend = "normal"
+    limits: PaintLimits = PaintLimits()
+    """An eraser has none."""
 
 
 @command(PaintEnd, writes=True)
@@ -134,7 +137,10 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     image = from_display(picture.astype(np.float32), now.splats.color_space)
     edit = Edit(image, stroke.camera, stroke.mask, request.name)
     kind = "erase" if stroke.erase else "paint"
-    options = {"name": request.name, "method": request.method, "opacity": request.opacity, "blend": request.blend}
+    options: dict[str, Any] = {"name": request.name, "method": request.method}
+    options |= {"opacity": request.opacity, "blend": request.blend}
+    if not stroke.erase:
+        options |= _limits(request.limits)
     with progress(context, "painting"):
         layer = session.add(kind, [edit], **options)
     context.page.strokes.pop(request.stroke, None)
@@ -182,6 +188,8 @@ class EditAdd(Command):
     blend: Blend = "normal"
     within: bool = False
     """Of mode global: only Gaussians that the masks reach change, and only masked pixels count."""
+    limits: PaintLimits = PaintLimits()
+    """Of mode local; an eraser has none."""
     stroke: str | None = None
     """A previewed stroke that this edit replaces."""
 
@@ -200,6 +208,8 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         if not edits:
             raise ValueError("edit: expected a mask in one of the views; select an area on one of them")
         options["parameters"] = {WITHIN: True}
+    if request.mode == "local" and request.kind != "erase":
+        options |= _limits(request.limits)
     with progress(context, "editing"):
         layer = session.add(request.kind, edits, **options)
     if request.stroke is not None:
@@ -229,6 +239,12 @@ def _eraser_from_upload(context: CommandContext, view: EditedView) -> Edit:
     camera = view.camera.to_camera()
     mask = mask_from_upload(context, view.mask or view.picture, camera)
     return Edit(np.zeros((camera.height, camera.width, 3), np.float32), camera, mask, "erase")
+
+
+def _limits(limits: PaintLimits) -> dict[str, Any]:
+    """As keywords of session.add."""
+    parameters = limits.parameters()
+    return {"parameters": parameters} if parameters else {}
 
 
 def _stroke(context: CommandContext, name: str, session: Session) -> Stroke:

@@ -20,7 +20,7 @@ from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line, render_display
 from splatpainter.server.describe import up_axis
 from splatpainter.server.image_registration import png_bytes, thumbnail
-from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, FileName, Point, Rgb
+from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, FileName, PaintLimits, Point, Rgb
 from splatpainter.server.studio import ExportedView
 from splatpainter.session.asset_files import view_files_of
 from splatpainter.session.conflicts import PREDICTED, SEEN
@@ -261,3 +261,30 @@ def coverage(context: CommandContext, request: CoverageShow) -> Covered:
         next_view=None if view is None else CameraInfo.of(view),
         python="session.coverage()",
     )
+
+
+class LeftOut(Answer):
+    picture: Blob
+    """PNG of the view, of its size: opaque where paint would be left out by more than half, else transparent."""
+    pixels: int
+    """How many those are."""
+
+
+class LimitsShow(Command):
+    """Which pixels of a view the limits would leave out if all of it was painted. Right to about a block of 1/128 of
+    the view's longer side; what the view sees is kept, so other limits on the same view come quickly."""
+
+    NAME = "paint.limits"
+    ANSWER = LeftOut
+    camera: CameraInfo
+    limits: PaintLimits = PaintLimits()
+
+
+@command(LimitsShow)
+def show_limits(context: CommandContext, request: LimitsShow) -> LeftOut:
+    studio, limits = context.studio, request.limits.parameters()
+    mask = studio.session.left_out(request.camera.to_camera(), **limits)
+    picture = np.where(mask[..., None], np.uint8(255), np.uint8(0)).repeat(4, 2)
+    blob = studio.blobs.put(png_bytes(picture), "limits.png")
+    line = python_line("session.left_out", RawExpr("camera"), **limits)
+    return LeftOut(picture=blob.sha256, pixels=int(mask.sum()), python=line)
