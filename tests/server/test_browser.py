@@ -137,6 +137,26 @@ def test_a_stroke_is_where_it_was_painted_and_undo_brings_every_pixel_back(
     page.wait("the pixels", lambda: np.array_equal(page.pixels(), after))
 
 
+def test_limits_are_shown_while_painting_and_go_with_the_layer(opened: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = opened
+    page.tab.get_by_role("button", name="Limits", exact=True).click()
+    for name, value in (("Angle limit", "40"), ("Depth-edge limit", "3")):
+        field = page.tab.get_by_role("textbox", name=f"{name}, number")
+        field.fill(value)
+        field.press("Enter")
+    shown = page.tab.locator(".left-out")
+    assert shown.count() == 0
+    page.tab.get_by_label("Show what will not be painted").check()
+    page.wait("the hatch", shown.count)
+    assert "/api/blobs/" in shown.evaluate("element => getComputedStyle(element).maskImage")
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.wait("the layer", page.names)
+    page.settled()
+    assert page.state()["layers"][-1]["parameters"] == {"angle_limit": 40.0, "depth_edge_limit": 3.0}
+    page.tab.keyboard.press("2")  # the eraser has no limits
+    page.wait("no hatch", lambda: shown.count() == 0)
+
+
 def test_every_painting_tool_makes_a_layer(opened: tuple[studio_scenes.Live, Page]) -> None:
     _, page = opened
     keys = page.tab.keyboard
