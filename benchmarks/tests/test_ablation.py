@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 import torch
 from splatbench.cases import Budget, Case, Setup
-from splatbench.methods import EditResult, EditTask, ablations, lift, ttt
+from splatbench.methods import EditResult, EditTask, ablations, ttt
 from splatbench.methods.ablations import AS_TRAINED, Change, altered
+from splatbench.methods.lift import painted
 from splatbench.tables import ablation as ablate
 
 from splatpainter.data.shards import INDEX
+from splatpainter.lift.options import LocalOptions
 from splatpainter.models.image_tokens import tokenize
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn import fast_weights
 from splatpainter.nn.fast_weights import FastWeights
+from splatpainter.painter import Painter
 from splatpainter.train.judge import refine_task, trials
 from splatpainter.train.training_data import ResourceFolders, Supply
 from tests.support.model_scenes import grid_of, pictures, shell, with_refine
@@ -71,6 +74,11 @@ def test_cases_are_the_samples_that_training_is_judged_on() -> None:
     assert len(made(0).steps[0].edited) == ablate.RELIT_VIEWS and made(0).facts["mode"] == "global"
 
 
+def split_lift(task: EditTask) -> EditResult:
+    """The lift as networks know it, without sheets."""
+    return painted(Painter(local_options=LocalOptions(resurface=False)), "lift", task)
+
+
 @pytest.mark.parametrize("index", [0, 1])
 def test_figures_are_those_of_the_judge(index: int) -> None:
     """Of the asset as it is, and of the lift: train/stages/refine.py measures both beside the network."""
@@ -79,7 +87,7 @@ def test_figures_are_those_of_the_judge(index: int) -> None:
     numbers = (
         refine_task(replace(RECIPE, samples=RECIPE.samples), SplatPainterModel(TRAINED), None).judge(sample).numbers
     )
-    lifted = lift.edit(EditTask("ablate", case.asset, case.base, case.steps[0]), Budget())
+    lifted = split_lift(EditTask("ablate", case.asset, case.base, case.steps[0]))
     for name, splats in (("nothing", case.asset), ("lift", lifted.splats)):
         figures = TABLE.score(case, [EditResult(splats, 0, 0)], None)
         assert figures["psnr"] == pytest.approx(numbers[name], abs=2e-3)
@@ -247,7 +255,7 @@ def test_separate_models_answer_for_their_own_kind_of_edit(tmp_path: Path) -> No
     for index, same in ((0, False), (1, True)):
         case = made(index)
         task = EditTask("ablate", case.asset, case.base, case.steps[0])
-        ours, lifted = row.edit(task, budget).splats, lift.edit(task, budget).splats
+        ours, lifted = row.edit(task, budget).splats, split_lift(task).splats
         assert np.array_equal(ours.sh, lifted.sh) == same
 
 

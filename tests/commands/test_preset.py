@@ -7,8 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from splatpainter.commands import edit as edit_command
+from splatpainter.io import read, write
+from splatpainter.lift.options import LocalOptions
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
+from splatpainter.painter import Painter
+from splatpainter.sources import edit_from_files
 from tests.support.cli_scenes import Capture, ball_and_painted_view, listing, paint, refused, rows_of, run
 from tests.support.painter_scenes import COPY, LIFT, OWN, built
 
@@ -38,8 +43,13 @@ def test_auto_takes_compact_once_its_weights_are_there(view: Path, tmp_path: Pat
     receipt = done["receipt"]
     assert (receipt["method"], receipt["preset"]) == ("ttt", "compact") and done["verified"]
     assert "compact" in receipt["note"] and "encode" in receipt["seconds"]
-    # Untrained, on the lift: the very file.
-    assert (here / "ttt.ply").read_bytes() == (here / "lift.ply").read_bytes()
+    # Untrained, on the lift as networks know it, without sheets: the very file.
+    painter = Painter(local_options=LocalOptions(resurface=False))
+    write(
+        here / "split.ply",
+        edit_command.paint(read(here / "ball.ply"), [edit_from_files(view)], "local", "lift", painter).splats,
+    )
+    assert (here / "ttt.ply").read_bytes() == (here / "split.ply").read_bytes()
     assert list((tmp_path / "cache").glob("*.safetensors"))
     text = run(capfd, *words, "--out", here / "text.ply").out
     assert "method ttt with preset compact, mode local" in text and "note: weights of preset 'compact'" in text
