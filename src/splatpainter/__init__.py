@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from splatpainter.rendering import render as render
     from splatpainter.server.launch import studio as studio
     from splatpainter.session import Session as Session
+    from splatpainter.sources.decals import Decal as Decal
     from splatpainter.splats import Splats as Splats
 
 _HOME = {
@@ -39,6 +40,7 @@ _HOME = {
     "Painter": "painter",
     "Asset": "painter",
     "Edit": "painter",
+    "Decal": "sources.decals",
     "Session": "session",
     "Receipt": "receipts",
     "verify": "receipts",
@@ -47,6 +49,7 @@ _HOME = {
 __all__ = [
     "Asset",
     "Camera",
+    "Decal",
     "Edit",
     "Painter",
     "Receipt",

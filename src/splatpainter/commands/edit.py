@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,7 @@ from tyro.conf import Positional, arg
 
 from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
+from splatpainter.commands.decal_options import DecalView, decal_from_options, paint_decal
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption, OutFile
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
@@ -22,6 +24,7 @@ from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, Verification, prove
 from splatpainter.sources import FileEdit, edit_from_files
+from splatpainter.sources.decals import Decal
 from splatpainter.splats import Splats
 
 
@@ -36,14 +39,15 @@ class Config:
     example:
       splatpainter edit vase.ply views/view_000.png --out painted.ply
       splatpainter edit vase.ply warm.png --mode global --out warm.ply
+      splatpainter edit vase.ply --decal label.png --at 400,300 --camera cam.json --width 20% --out new.ply
     """
 
     asset: AssetFile
     """The splat file to edit; it is not changed."""
-    views: Annotated[Positional[tuple[Path, ...]], arg(metavar="VIEW.png ...", help_behavior_hint="(required)")]
-    """1 to 16 edited pictures of it."""
     out: OutFile
     """The file to write; its name says the format."""
+    views: Annotated[Positional[tuple[Path, ...]], arg(metavar="VIEW.png ...", help_behavior_hint="")] = ()
+    """1 to 16 edited pictures of it; none with a decal."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     out_frame: FrameOption = "auto"
@@ -70,6 +74,22 @@ class Config:
     """Pixels beside an edge in depth that a local edit leaves out; 0: none."""
     polish: bool = False
     """After the networks, two colour rounds of the lift: nearer to the picture, further from what was learnt."""
+    decal: Annotated[Path | None, arg(metavar="PICTURE", help_behavior_hint="")] = None
+    """Instead of VIEW: a picture to lay on the surface, unwrapped over it; what is transparent stays as it is."""
+    decal_text: Annotated[str, arg(metavar="WORD", help_behavior_hint="")] = ""
+    """... or a text to lay there."""
+    decal_font: Annotated[Path | None, arg(metavar="F.ttf", help_behavior_hint="")] = None
+    """Font of the text, TrueType or OpenType."""
+    decal_color: Annotated[str, arg(metavar="#RRGGBB")] = "#202020"
+    """Colour of the text."""
+    at: Annotated[str, arg(metavar="X,Y", help_behavior_hint="")] = ""
+    """Pixel of the camera's picture (--camera CAM.json) under which the decal's centre lies on the surface."""
+    width: Annotated[str, arg(metavar="LENGTH|PERCENT", help_behavior_hint="")] = ""
+    """Of the decal along the surface: world units, or like 12% of the diameter of the asset."""
+    angle: float = 0.0
+    """Degrees by which the decal is turned, counter-clockwise from outside; at 0 its up is the camera's."""
+    wrap: float = 180.0
+    """Degrees by which the surface may turn away under the decal; 180: as far as it goes."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False
@@ -82,17 +102,22 @@ def run(config: Config) -> Outcome:
     """Check everything that can be checked for nothing, then read, paint, write, verify."""
     receipt_path = config.receipt or receipt_of(config.out)
     _check(config, receipt_path)
-    sources = _pictures(config)
+    decal = _decal(config)
+    pictures = _pictures(config)
+    sources: Sequence[FileEdit | DecalView] = pictures
     clock = time.perf_counter()
     with stages(4) as bar:
         painter = _painter(config)
         bar.enter("reading")
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         laps = {"read": time.perf_counter() - clock}
-        _warn_of_other_assets(sources, splats)
+        _warn_of_other_assets(pictures, splats)
         _compile()
         bar.enter("painting")
-        edited = paint(splats, sources, config.mode, config.method, painter)
+        if decal is not None:
+            edited, sources = paint_decal(splats, decal, config.method, painter)
+        else:
+            edited = paint(splats, pictures, config.mode, config.method, painter)
         assert edited.receipt is not None
         clock = time.perf_counter()
         # Left in reverse order: OUT takes its name first, the receipt, which is on disk by then, after it.
@@ -140,26 +165,40 @@ def _painter(config: Config) -> Painter:
 
 
 def _check(config: Config, receipt_path: Path) -> None:
-    if not 1 <= len(config.views) <= MAX_VIEWS:
+    decal = config.decal is not None or bool(config.decal_text)
+    if decal and (config.views or config.mask):
+        raise ValueError(
+            "splatpainter edit: a decal takes the place of pictures (VIEW.png) and masks; give one or the other"
+        )
+    if decal and (config.mode != "local" or config.method == "ttt"):
+        raise ValueError("splatpainter edit: a decal is an edit of mode local by method lift or fit")
+    if not decal and not 1 <= len(config.views) <= MAX_VIEWS:
         got = len(config.views) or "none"
         raise ValueError(f"splatpainter edit: expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {got}")
     for name, given in (("--camera", config.camera), ("--mask", config.mask)):
-        if given and len(given) != len(config.views):
+        if given and len(given) != len(config.views) and not decal:
             raise ValueError(
                 f"splatpainter edit: expected as many {name} files as pictures ({len(config.views)}), got {len(given)}"
             )
     splat_format(config.out)
-    pictures = [*config.views, *config.camera, *config.mask]
+    pictures = [*config.views, *config.camera, *config.mask, *filter(None, [config.decal, config.decal_font])]
     check_target(config.out, config.overwrite, [config.asset], pictures)
     check_target(receipt_path, config.overwrite, [], [config.asset, *pictures])
     if clash(receipt_path, config.out):
         raise ValueError(f"{receipt_path}: OUT and the receipt need different names, not only in upper and lower case")
 
 
+def _decal(config: Config) -> Decal | None:
+    text = (config.decal_text, config.decal_font, config.decal_color)
+    return decal_from_options(
+        config.decal, *text, config.at, config.camera, config.width, config.angle, config.wrap
+    )  # fmt: skip
+
+
 def _pictures(config: Config) -> list[FileEdit]:
     cameras = config.camera or (None,) * len(config.views)
     masks = config.mask or (None,) * len(config.views)
-    return [edit_from_files(*files) for files in zip(config.views, cameras, masks, strict=True)]
+    return [edit_from_files(*files) for files in zip(config.views, cameras[: len(config.views)], masks, strict=True)]
 
 
 def _warn_of_other_assets(sources: list[FileEdit], splats: Splats) -> None:
@@ -176,7 +215,9 @@ def _compile() -> None:
     ensure_compiled()
 
 
-def _record(config: Config, path: Path, receipt: Receipt, verification: Verification, sources: list[FileEdit]) -> dict:
+def _record(
+    config: Config, path: Path, receipt: Receipt, verification: Verification, sources: Sequence[FileEdit | DecalView]
+) -> dict:
     import json
 
     return {
@@ -192,7 +233,11 @@ def _record(config: Config, path: Path, receipt: Receipt, verification: Verifica
 
 
 def _lines(
-    config: Config, receipt: Receipt, verification: Verification, sources: list[FileEdit], rounded: int
+    config: Config,
+    receipt: Receipt,
+    verification: Verification,
+    sources: Sequence[FileEdit | DecalView],
+    rounded: int,
 ) -> list[str]:
     lines = [f"{config.asset} -> {config.out}"]
     lines += [f"{source.path}: {note}" for source in sources for note in source.notes]

@@ -1,0 +1,354 @@
+"""Where to stand around a patch of surface: cameras that face it, what they see of it, and which sees what best.
+
+Used by decals, which are laid over more of a surface than one camera sees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.cameras import Camera, look_at
+from splatpainter.lift.masks import dilated
+from splatpainter.painter import Asset
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.surface.estimate import Surface
+from splatpainter.surface.unwrap import Unwrapped, thinned, unwrap
+from splatpainter.surface.visible import visible_surface
+from splatpainter.voxels.raycast import inside
+
+MIN_ALPHA = 0.5
+"""Alpha of a pixel from which the surface is seen there."""
+MIN_RIM_ALPHA = 0.15
+"""... and from which a decal is continued over an outline, so that the Gaussians there are painted."""
+FILL_PX = 3
+"""How far."""
+SIZES_AWAY = 2.5
+"""Distance of a camera from a patch, in the patch's diameters: nearly parallel rays."""
+MAX_HALVINGS = 4
+"""... of that distance, where something else stands in between."""
+MAX_SURVEYS = 10
+"""Cameras that look for the surface under a decal."""
+PIXELS_PER_SPACING = 1.4
+"""Of these cameras, where they face the surface."""
+GRAZING = np.cos(np.radians(58.0))
+"""Cosine between the normal and the line of sight below which a sample should be seen from elsewhere."""
+LEAN = np.radians(50.0)
+"""Angle by which a camera leans outwards over a rim, to see how the surface goes on behind it."""
+RIM = 0.22
+"""Length of `Unwrapped.rims` from which a sample is at a rim."""
+WATCHED = np.cos(np.radians(40.0))
+"""Cosine between the direction in which a sample asks for a camera and that of one, from which it has got it."""
+MIN_OPEN = 0.004
+"""Share of the samples of a decal that must ask for a camera."""
+FRONTAL = np.cos(np.radians(42.0))
+"""Cosine between normal and line of sight from which a view counts as frontal."""
+OVERLAP_PX = 3
+"""By which the parts of neighbouring views overlap."""
+MARGIN_PX = 24
+"""Around the part that a view paints."""
+MIN_SHARE = 0.01
+"""Of a patch: what a view must show best, to be one of those that paint it."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The surface under a decal, unwrapped."""
+
+    samples: Unwrapped
+    within: np.ndarray = field(repr=False)
+    """[S] bool samples within the wrap limit, reached."""
+    under: np.ndarray = field(repr=False)
+    """[S] bool ... and under the decal's rectangle."""
+
+
+@dataclass(frozen=True)
+class SurfacePixels:
+    """Q pixels of a view that see the surface."""
+
+    ys: np.ndarray = field(repr=False)
+    """[Q] int64."""
+    xs: np.ndarray = field(repr=False)
+    """[Q] int64."""
+    points: np.ndarray = field(repr=False)
+    """[Q, 3] float64 world units."""
+    normals: np.ndarray = field(repr=False)
+    """[Q, 3] float64 unit, towards the camera."""
+
+
+def surface_pixels(asset: Asset, surface: Surface, view: ProjectedView, pixels: np.ndarray) -> SurfacePixels:
+    """The trusted surface under some pixels ([H, W] bool, of drawn tiles) of a view of the asset."""
+    camera = view.camera
+    ys, xs = np.nonzero(pixels)
+    seen = visible_surface(surface, asset.splats, view, pixels)
+    at = seen.at(np.stack([xs, ys], 1) + 0.5)
+    valid = at.depth > 0
+    points = camera.unproject(at.depth[valid], np.stack([xs, ys], 1)[valid] + 0.5)
+    return SurfacePixels(ys[valid], xs[valid], points, at.normals[valid] @ camera.world_to_camera[:3, :3])
+
+
+def surface_under(
+    asset: Asset, surface: Surface, camera: Camera, at: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """([3] point, [3] unit normal) of the surface under a pixel (x, y). Raises ValueError where there is none."""
+    x, y = at
+    if not (0 <= x < camera.width and 0 <= y < camera.height):
+        raise ValueError(f"decal: expected a pixel of the camera's {camera.width}x{camera.height}, got {x:g},{y:g}")
+    reach = 12
+    left, top = max(int(x) - reach, 0), max(int(y) - reach, 0)
+    window = camera.cropped(
+        left, top, min(int(x) + reach, camera.width) - left, min(int(y) + reach, camera.height) - top
+    )
+    view = project(asset.splats, window)
+    found = surface_pixels(asset, surface, view, view.rasterize()[1] > MIN_ALPHA)
+    away = np.hypot(found.xs + 0.5 - (x - left), found.ys + 0.5 - (y - top))
+    if not len(away) or away.min() > 2:
+        raise ValueError(f"decal: there is no surface under pixel {x:g},{y:g}; choose one on the asset")
+    first = int(away.argmin())
+    near = away < away.min() + 2
+    normal = found.normals[near & (found.normals @ found.normals[first] > 0.5)].mean(0)
+    return found.points[first], normal / np.linalg.norm(normal)
+
+
+def facing_camera(
+    asset: Asset, target: np.ndarray, direction: np.ndarray, up: np.ndarray, radius: float, pixel: float
+) -> Camera:
+    """A square camera that looks at `target` ([3]) from `direction` ([3] unit, from there to the camera), with room for
+    a ball of `radius` (world units) around it at `pixel` world units per pixel. It stands nearer where something is in
+    between."""
+    distance = SIZES_AWAY * 2 * radius
+    for _ in range(MAX_HALVINGS):
+        if not inside(asset.grid, asset.grid.occupancy, target + distance * direction) and _clear(
+            asset, target, direction, distance, radius
+        ):
+            break
+        distance *= 0.6
+    half = min(radius / max(distance**2 - radius**2, (0.5 * distance) ** 2) ** 0.5, 1.5)
+    size = max(int(np.ceil(2 * half * distance / pixel)), 8)
+    camera = look_at(target + distance * direction, target, up, width=size, height=size)
+    focal = distance / pixel
+    return Camera(size, size, focal, focal, size / 2, size / 2, camera.world_to_camera)
+
+
+def _clear(asset: Asset, target: np.ndarray, direction: np.ndarray, distance: float, radius: float) -> bool:
+    """Whether a ray back to the target meets nothing before it."""
+    from splatpainter.voxels.raycast import first_hits
+
+    grid = asset.grid
+    _, hits = first_hits(grid.occupancy, grid, target + distance * direction, -direction[None])
+    return bool(hits[0] < 0 or hits[0] > distance - 0.25 * radius - 3 * grid.voxel)
+
+
+def survey(
+    asset: Asset,
+    surface: Surface,
+    start: tuple[np.ndarray, np.ndarray],
+    up: np.ndarray,
+    size: tuple[float, float],
+    spacing: float,
+    max_turn: float,
+) -> Patch:
+    """The surface under a decal: seen by a camera that faces its start (point, normal), then by others that face what
+    those before saw at a grazing angle, or that look over a rim. up: [3] of the decal; size: (width, height), world
+    units; max_turn: wrap limit, radians."""
+    radius = 0.5 * float(np.hypot(*size))
+    points, normals = start[0][None], start[1][None]
+    half = (size[0] / 2, size[1] / 2)
+    directions: list[np.ndarray] = []
+    best = np.zeros(1)
+    target, direction = start
+    for _ in range(MAX_SURVEYS):
+        camera = facing_camera(asset, target, direction, up, radius * 1.08, spacing / PIXELS_PER_SPACING)
+        view = project(asset.splats, camera)
+        seen = surface_pixels(asset, surface, view, view.rasterize()[1] > MIN_ALPHA)
+        near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
+        new, facing = seen.points[near], seen.normals[near]
+        line = camera.position - new
+        cosine = (line * facing).sum(1) / np.linalg.norm(line, axis=1)
+        # Grazing points are rough: leave them to another camera.
+        good = cosine > 0.17
+        points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
+        best = np.concatenate([best, cosine[good]])
+        order = np.concatenate([[0], 1 + np.argsort(-(best[1:] > GRAZING).astype(int), kind="stable")])
+        points, normals, best = points[order], normals[order], best[order]
+        some = thinned(points, normals, spacing)
+        points, normals, best = points[some], normals[some], best[some]
+        samples = unwrap(points, normals, up, spacing, half, max_turn)
+        within = samples.reached & (samples.normals @ start[1] >= np.cos(min(max_turn, np.pi)) - 1e-9)
+        under = within & (np.abs(samples.uv) < half).all(1)
+        directions.append(direction)
+        rim = np.linalg.norm(samples.rims, axis=1)
+        at_rim = under & (rim > RIM)
+        leaning = np.where(
+            at_rim[:, None],
+            np.cos(LEAN) * normals - np.sin(LEAN) * samples.rims / np.maximum(rim, 1e-9)[:, None],
+            normals,
+        )
+        asking = under & (at_rim | (best < GRAZING))
+        asking &= (leaning @ np.stack(directions, 1)).max(1) < WATCHED
+        asking[0] = False
+        if asking.sum() <= max(MIN_OPEN * under.sum(), 3):
+            break
+        wishes = leaning[asking]
+        candidates = wishes[:: max(len(wishes) // 200, 1)]
+        votes = wishes @ candidates.T > np.cos(np.radians(35.0))
+        winner = votes[:, votes.sum(0).argmax()]
+        direction = wishes[winner].mean(0)
+        direction /= np.linalg.norm(direction)
+        target = start[0]
+    return Patch(samples, within, under)
+
+
+@dataclass(frozen=True)
+class FacedPart:
+    """What one view shows of a patch and is to paint, P pixels."""
+
+    camera: Camera
+    before: np.ndarray = field(repr=False)
+    """[H, W, 3] float32 render of the asset, over black."""
+    alpha: np.ndarray = field(repr=False)
+    """[H, W] float32 its alpha."""
+    ys: np.ndarray = field(repr=False)
+    """[P] int64."""
+    xs: np.ndarray = field(repr=False)
+    """[P] int64."""
+    uv: np.ndarray = field(repr=False)
+    """[P, 2] float64 of the patch."""
+
+
+def faced_parts(
+    asset: Asset, surface: Surface, patch: Patch, painted: np.ndarray, up: np.ndarray, pixel: float, limit: int
+) -> list[FacedPart]:
+    """Parts of a patch, each in the view that sees it most frontally, of at most `limit` views. painted: [S] bool
+    samples that something is painted on; up: [3] of the pictures; pixel: world units."""
+    samples = patch.samples
+    views = []
+    for direction, members in _directions(samples.points[painted], samples.normals[painted], limit):
+        middle = (np.quantile(members, 0.02, 0) + np.quantile(members, 0.98, 0)) / 2
+        away = np.linalg.norm(members - middle, axis=1)
+        target = members[away.argmin()]
+        radius = float(np.quantile(np.linalg.norm(members - target, axis=1), 0.995)) + MARGIN_PX * pixel
+        views.append(_view(asset, surface, patch, painted, target, direction, up, radius, pixel))
+    cosines = np.stack([view.cosines for view in views])
+    keep = np.ones(len(views), bool)
+    while True:  # the smallest goes while it is hardly needed
+        owners = np.where(keep[:, None], cosines, -1).argmax(0)
+        seen = cosines[keep].max(0) > 0
+        shares = np.bincount(owners[seen & painted], minlength=len(views)) / max((seen & painted).sum(), 1)
+        small = np.flatnonzero(keep & (shares < MIN_SHARE))
+        if not len(small) or keep.sum() == 1:
+            break
+        keep[small[shares[small].argmin()]] = False
+    return [view.part(owners == k, patch) for k, view in enumerate(views) if keep[k]]
+
+
+@dataclass(frozen=True)
+class _PatchView:
+    """A patch as a view shows it, Q pixels."""
+
+    camera: Camera
+    before: np.ndarray
+    alpha: np.ndarray
+    ys: np.ndarray
+    xs: np.ndarray
+    uv: np.ndarray
+    """[Q, 2] float64."""
+    nearest: np.ndarray
+    """[Q] int64 sample of each."""
+    cosines: np.ndarray
+    """[S] float64 between normal and line of sight, 0 where a sample is not seen."""
+
+    def part(self, owned: np.ndarray, patch: Patch) -> FacedPart:
+        """owned: [S] bool samples that this view paints."""
+        picture = np.zeros(self.before.shape[:2], bool)
+        at = owned[self.nearest]
+        picture[self.ys[at], self.xs[at]] = True
+        picture = dilated(picture, OVERLAP_PX)
+        chosen = picture[self.ys, self.xs] & patch.within[self.nearest]
+        ys, xs = self.ys[chosen], self.xs[chosen]
+        height, width = picture.shape
+        if not len(ys):
+            return FacedPart(self.camera, self.before, self.alpha, ys, xs, self.uv[chosen])
+        top, left = max(int(ys.min()) - MARGIN_PX, 0), max(int(xs.min()) - MARGIN_PX, 0)
+        bottom, right = min(int(ys.max()) + MARGIN_PX + 1, height), min(int(xs.max()) + MARGIN_PX + 1, width)
+        camera = self.camera.cropped(left, top, right - left, bottom - top)
+        window = (slice(top, bottom), slice(left, right))
+        return FacedPart(camera, self.before[window], self.alpha[window], ys - top, xs - left, self.uv[chosen])
+
+
+def _view(asset, surface, patch, painted, target, direction, up, radius, pixel) -> _PatchView:
+    samples = patch.samples
+    camera = facing_camera(asset, target, direction, up, radius, pixel)
+    uv, z = camera.project(samples.points[painted])
+    region = np.zeros((camera.height, camera.width), bool)
+    inside_picture = (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
+    x, y = uv[inside_picture].astype(int).T
+    region[y, x] = True
+    reach = int(np.ceil(2.5 * samples.spacing / pixel * SIZES_AWAY / (SIZES_AWAY - 0.5)))
+    tiles = tiles_of_mask(dilated(region, reach + MARGIN_PX))
+    region = dilated(region, reach)
+    view = project(asset.splats, camera, tiles=tiles)
+    before, alpha, _ = view.rasterize()
+    seen = surface_pixels(asset, surface, view, region & (alpha > MIN_ALPHA))
+    places, nearest = samples.at(seen.points, seen.normals)
+    uv = np.full((*region.shape, 2), np.nan)
+    index = np.full(region.shape, -1, np.int64)
+    uv[seen.ys, seen.xs], index[seen.ys, seen.xs] = places, nearest
+    visible = np.zeros(len(samples.points), bool)
+    visible[nearest[nearest >= 0]] = True
+    uv, index = _filled(uv, index, region & (alpha > MIN_RIM_ALPHA), 4 * pixel)
+    ys, xs = np.nonzero(index >= 0)
+    line = camera.position - samples.points
+    cosine = (line * samples.normals).sum(1) / np.linalg.norm(line, axis=1)
+    cosine = np.where(visible, np.maximum(cosine, 1e-3), 0)
+    return _PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine)
+
+
+def _filled(uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """uv [H, W, 2] and sample [H, W] of pixels in `region` without them, continued linearly from neighbours up to
+    FILL_PX away: creases, outlines and specks of surface that is not trusted. limit: largest step per pixel, world
+    units."""
+    height, width = region.shape
+    reach = 2
+    for _ in range(FILL_PX):
+        padded = np.pad(uv, [(reach, reach), (reach, reach), (0, 0)], constant_values=np.nan)
+        ids = np.pad(index, reach, constant_values=-1)
+        total, count, source = np.zeros_like(uv), np.zeros((height, width, 1)), index.copy()
+        for dy in (-1, 0, 1):
+            for dx in (-1, 0, 1):
+                if not (dy or dx):
+                    continue
+                first = padded[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
+                second = padded[2 + 2 * dy : 2 + 2 * dy + height, 2 + 2 * dx : 2 + 2 * dx + width]
+                with np.errstate(invalid="ignore"):
+                    sound = (np.abs(first - second) < limit).all(-1)
+                total += np.where(sound[..., None], 2 * first - second, 0)
+                count += sound[..., None]
+                source = np.where(sound & (source < 0), ids[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width], source)
+        empty = region & (index < 0) & (count[..., 0] >= 2)
+        uv = np.where(empty[..., None], total / np.maximum(count, 1), uv)
+        index = np.where(empty, source, index)
+    return uv, index
+
+
+def _directions(points: np.ndarray, normals: np.ndarray, limit: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(direction [3], points [M, 3] that face it) of at most `limit` cameras: each faces most of what those before do
+    not. points, normals: [S, 3]."""
+    out = []
+    left = np.ones(len(points), bool)
+    for _ in range(limit):
+        if left.sum() <= max(MIN_SHARE * len(points), 0) and out:
+            break
+        candidates = normals[left][:: max(int(left.sum()) // 256, 1)]
+        direction = candidates[(normals[left] @ candidates.T > FRONTAL).sum(0).argmax()]
+        for _ in range(3):
+            near = left & (normals @ direction > FRONTAL)
+            direction = normals[near].mean(0)
+            direction /= np.linalg.norm(direction)
+        near = left & (normals @ direction > FRONTAL)
+        if not near.any():
+            break
+        out.append((direction, points[near]))
+        left &= ~near
+    return out
