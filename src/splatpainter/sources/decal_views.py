@@ -53,7 +53,7 @@ MIN_SHARE = 0.01
 
 
 @dataclass(frozen=True)
-class Patch:
+class UnwrappedPatch:
     """The surface under a decal, unwrapped."""
 
     samples: Unwrapped
@@ -101,14 +101,14 @@ def surface_under(
         left, top, min(int(x) + reach, camera.width) - left, min(int(y) + reach, camera.height) - top
     )
     view = project(asset.splats, window)
-    found = surface_pixels(asset, surface, view, view.rasterize()[1] > MIN_ALPHA)
-    away = np.hypot(found.xs + 0.5 - (x - left), found.ys + 0.5 - (y - top))
+    visible_part = surface_pixels(asset, surface, view, view.rasterize()[1] > MIN_ALPHA)
+    away = np.hypot(visible_part.xs + 0.5 - (x - left), visible_part.ys + 0.5 - (y - top))
     if not len(away) or away.min() > 2:
         raise ValueError(f"decal: there is no surface under pixel {x:g},{y:g}; choose one on the asset")
     first = int(away.argmin())
     near = away < away.min() + 2
-    normal = found.normals[near & (found.normals @ found.normals[first] > 0.5)].mean(0)
-    return found.points[first], normal / np.linalg.norm(normal)
+    normal = visible_part.normals[near & (visible_part.normals @ visible_part.normals[first] > 0.5)].mean(0)
+    return visible_part.points[first], normal / np.linalg.norm(normal)
 
 
 def facing_camera(
@@ -148,7 +148,7 @@ def survey(
     size: tuple[float, float],
     spacing: float,
     max_turn: float,
-) -> Patch:
+) -> UnwrappedPatch:
     """The surface under a decal: seen by a camera that faces its start (point, normal), then by others that face what
     those before saw at a grazing angle, or that look over a rim. up: [3] of the decal; size: (width, height), world
     units; max_turn: wrap limit, radians."""
@@ -190,14 +190,14 @@ def survey(
         asking[0] = False
         if asking.sum() <= max(MIN_OPEN * under.sum(), 3):
             break
-        wishes = leaning[asking]
-        candidates = wishes[:: max(len(wishes) // 200, 1)]
-        votes = wishes @ candidates.T > np.cos(np.radians(35.0))
+        view_requests = leaning[asking]
+        candidates = view_requests[:: max(len(view_requests) // 200, 1)]
+        votes = view_requests @ candidates.T > np.cos(np.radians(35.0))
         winner = votes[:, votes.sum(0).argmax()]
-        direction = wishes[winner].mean(0)
+        direction = view_requests[winner].mean(0)
         direction /= np.linalg.norm(direction)
         target = start[0]
-    return Patch(samples, within, under)
+    return UnwrappedPatch(samples, within, under)
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class FacedPart:
 
 
 def faced_parts(
-    asset: Asset, surface: Surface, patch: Patch, painted: np.ndarray, up: np.ndarray, pixel: float, limit: int
+    asset: Asset, surface: Surface, patch: UnwrappedPatch, painted: np.ndarray, up: np.ndarray, pixel: float, limit: int
 ) -> list[FacedPart]:
     """Parts of a patch, each in the view that sees it most frontally, of at most `limit` views. painted: [S] bool
     samples that something is painted on; up: [3] of the pictures; pixel: world units."""
@@ -259,7 +259,7 @@ class _PatchView:
     cosines: np.ndarray
     """[S] float64 between normal and line of sight, 0 where a sample is not seen."""
 
-    def part(self, owned: np.ndarray, patch: Patch) -> FacedPart:
+    def part(self, owned: np.ndarray, patch: UnwrappedPatch) -> FacedPart:
         """owned: [S] bool samples that this view paints."""
         picture = np.zeros(self.before.shape[:2], bool)
         at = owned[self.nearest]
@@ -291,10 +291,10 @@ def _view(asset, surface, patch, painted, target, direction, up, radius, pixel) 
     view = project(asset.splats, camera, tiles=tiles)
     before, alpha, _ = view.rasterize()
     seen = surface_pixels(asset, surface, view, region & (alpha > MIN_ALPHA))
-    places, nearest = samples.at(seen.points, seen.normals)
+    coordinates, nearest = samples.at(seen.points, seen.normals)
     uv = np.full((*region.shape, 2), np.nan)
     index = np.full(region.shape, -1, np.int64)
-    uv[seen.ys, seen.xs], index[seen.ys, seen.xs] = places, nearest
+    uv[seen.ys, seen.xs], index[seen.ys, seen.xs] = coordinates, nearest
     visible = np.zeros(len(samples.points), bool)
     visible[nearest[nearest >= 0]] = True
     uv, index = _filled(uv, index, region & (alpha > MIN_RIM_ALPHA), 4 * pixel)

@@ -59,7 +59,7 @@ class Unwrapped:
     rims: np.ndarray = field(repr=False)
     """[S, 3] float64 mean way to the neighbours, in the tangent plane, over their reach: about 0 where they lie all
     around, 0.4 long at a straight rim of the samples, pointing inwards."""
-    cells: Cells = field(repr=False)
+    cells: PointCells = field(repr=False)
 
     @property
     def reached(self) -> np.ndarray:
@@ -78,7 +78,7 @@ class Unwrapped:
 
 
 @dataclass(frozen=True)
-class Cells:
+class PointCells:
     """Points in cubes, found by binary search. Those that lie together are neighbours in memory."""
 
     keys: np.ndarray = field(repr=False)
@@ -91,13 +91,13 @@ class Cells:
     """Edge of a cell, world units."""
 
     @staticmethod
-    def of(points: np.ndarray, size: float) -> Cells:
+    def of(points: np.ndarray, size: float) -> PointCells:
         """points: [S, 3] finite, spread over fewer than 2^CELL_BITS cells along each axis."""
         corner = points.min(0) - size if len(points) else np.zeros(3)
         cell = ((points - corner) / size).astype(np.int64)
         keys = (cell[:, 0] << 2 * CELL_BITS) | (cell[:, 1] << CELL_BITS) | cell[:, 2]
         order = np.argsort(keys, kind="stable")
-        return Cells(keys[order], order, corner, size)
+        return PointCells(keys[order], order, corner, size)
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -108,7 +108,7 @@ def thinned(points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarr
     """[S] int64 ascending: points that keep MIN_DISTANCE spacings between each other, the first of them first. Points
     whose normals part by more than 90 degrees are on two sides of something and may be nearer.
     points, normals: [N, 3]."""
-    cells = Cells.of(points, MIN_DISTANCE * spacing)
+    cells = PointCells.of(points, MIN_DISTANCE * spacing)
     rank = np.empty(len(points), np.int64)
     rank[cells.order] = np.arange(len(points))
     chosen = np.zeros(len(points), np.bool_)
@@ -140,7 +140,7 @@ def unwrap(
     uv, right = np.full((count, 2), np.nan), np.zeros((count, 3))
     distances, rims = np.full(count, np.inf), np.zeros((count, 3))
     uv[0], right[0] = 0, np.cross(forward / length, normals[0])
-    cells = Cells.of(points, REACH * spacing)
+    cells = PointCells.of(points, REACH * spacing)
     margin = REACH * spacing
     limits = (half_size[0] + margin, half_size[1] + margin, math.cos(min(max_turn, math.pi)) - 1e-12)
     _spread(points, normals, spacing, *cells.arrays, *limits, uv, right, distances, rims)
