@@ -322,10 +322,12 @@ def _filled(uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float)
                 first = padded[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
                 second = padded[2 + 2 * dy : 2 + 2 * dy + height, 2 + 2 * dx : 2 + 2 * dx + width]
                 with np.errstate(invalid="ignore"):
-                    sound = (np.abs(first - second) < limit).all(-1)
-                total += np.where(sound[..., None], 2 * first - second, 0)
-                count += sound[..., None]
-                source = np.where(sound & (source < 0), ids[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width], source)
+                    sound = np.all(np.abs(first - second) < limit, axis=-1)[..., None]
+                total += np.where(sound, 2 * first - second, 0)
+                count += sound
+                source = np.where(
+                    sound[..., 0] & (source < 0), ids[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width], source
+                )
         empty = region & (index < 0) & (count[..., 0] >= 2)
         uv = np.where(empty[..., None], total / np.maximum(count, 1), uv)
         index = np.where(empty, source, index)
