@@ -14,12 +14,25 @@ from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.surface.estimate import Surface
-from splatpainter.surface.unwrap import Unwrapped, thinned, unwrap
+from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
 from splatpainter.surface.visible import visible_surface
 from splatpainter.voxels.raycast import inside
 
 MIN_ALPHA = 0.5
 """Alpha of a pixel from which the surface is seen there."""
+ROUGH_RESIDUAL = 0.2
+"""rms distance of Gaussians from the surface, in its windows, from which its points and normals are smoothed: those of
+captures scatter by about half a Gaussian."""
+SMOOTHED_SPACINGS = 5.0
+"""Radius of this smoothing, in spacings of samples: about 1/25 of a square decal."""
+MAX_FIT_PX = 3
+"""Reach of planes fitted to rendered depth where the surface is not trusted."""
+MAX_FIT_RESIDUAL = 1.0
+"""... and the rms distance of the depths from such a plane, in pixels, up to which it is used."""
+MAX_SAMPLES = 30_000
+"""Of one decal; from which on no further view is surveyed."""
+STRIP_MARGIN = 0.35
+"""How far beyond its rectangle's side a turned decal may wind around something, in lengths of the other side."""
 MIN_RIM_ALPHA = 0.15
 """... and from which a decal is continued over an outline, so that the Gaussians there are painted."""
 FILL_PX = 3
@@ -44,6 +57,8 @@ MIN_OPEN = 0.004
 """Share of the samples of a decal that must ask for a camera."""
 FRONTAL = np.cos(np.radians(42.0))
 """Cosine between normal and line of sight from which a view counts as frontal."""
+SIDE_TURN = np.radians(38.0)
+"""To both sides of a view that paints rough surface: more cameras that paint the same part."""
 OVERLAP_PX = 3
 """By which the parts of neighbouring views overlap."""
 MARGIN_PX = 24
@@ -61,6 +76,8 @@ class UnwrappedPatch:
     """[S] bool samples within the wrap limit, reached."""
     under: np.ndarray = field(repr=False)
     """[S] bool ... and under the decal's rectangle."""
+    rough: np.ndarray = field(repr=False)
+    """[S] bool samples of surface that scatters, which were smoothed."""
 
 
 @dataclass(frozen=True)
@@ -75,17 +92,54 @@ class SurfacePixels:
     """[Q, 3] float64 world units."""
     normals: np.ndarray = field(repr=False)
     """[Q, 3] float64 unit, towards the camera."""
+    rough: np.ndarray = field(repr=False)
+    """[Q] bool where points and normals scatter, or come from rendered depth: to be smoothed."""
 
 
-def surface_pixels(asset: Asset, surface: Surface, view: ProjectedView, pixels: np.ndarray) -> SurfacePixels:
-    """The trusted surface under some pixels ([H, W] bool, of drawn tiles) of a view of the asset."""
+def surface_pixels(
+    asset: Asset, surface: Surface, view: ProjectedView, pixels: np.ndarray, depth: np.ndarray
+) -> SurfacePixels:
+    """The surface under some pixels ([H, W] bool, of drawn tiles) of a view of the asset; where it is not trusted,
+    planes through the rendered depth ([H, W] z). Pixels with neither are left out."""
     camera = view.camera
     ys, xs = np.nonzero(pixels)
     seen = visible_surface(surface, asset.splats, view, pixels)
     at = seen.at(np.stack([xs, ys], 1) + 0.5)
-    valid = at.depth > 0
-    points = camera.unproject(at.depth[valid], np.stack([xs, ys], 1)[valid] + 0.5)
-    return SurfacePixels(ys[valid], xs[valid], points, at.normals[valid] @ camera.world_to_camera[:3, :3])
+    trusted = at.depth > 0
+    z = np.where(trusted, at.depth, depth[ys, xs])
+    points = camera.unproject(z, np.stack([xs, ys], 1) + 0.5)
+    normals = at.normals @ camera.world_to_camera[:3, :3]
+    rough = ~trusted | (at.residuals > ROUGH_RESIDUAL * at.windows)
+    position = np.full((*pixels.shape, 3), np.nan)
+    position[ys, xs] = points
+    normals[~trusted], sound = _fitted_normals(position, ys[~trusted], xs[~trusted], camera, z[~trusted])
+    valid = trusted.copy()
+    valid[~trusted] = sound
+    return SurfacePixels(ys[valid], xs[valid], points[valid], normals[valid], rough[valid])
+
+
+def _fitted_normals(
+    position: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: Camera, z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(normals [F, 3] towards the camera, [F] bool whether a plane fits) at F pixels of a picture of points ([H, W, 3],
+    NaN: none), of z-depth [F] there, by their neighbours that are near in depth."""
+    steps = np.arange(-MAX_FIT_PX, MAX_FIT_PX + 1)
+    dy, dx = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
+    padded = np.pad(position, [(MAX_FIT_PX, MAX_FIT_PX)] * 2 + [(0, 0)], constant_values=np.nan)
+    near = padded[ys[:, None] + dy + MAX_FIT_PX, xs[:, None] + dx + MAX_FIT_PX] - position[ys, xs][:, None]
+    pixel = z / camera.fx
+    reach = 2 * pixel[:, None] * (1 + np.hypot(dx, dy))
+    weight = (np.linalg.norm(near, axis=2) < reach).astype(float)  # NaN is not near
+    near = np.nan_to_num(near) * weight[..., None]
+    total = np.maximum(weight.sum(1), 1)[:, None]
+    near = (near - (near.sum(1) / total)[:, None]) * weight[..., None]
+    values, vectors = np.linalg.eigh(np.einsum("fki,fkj->fij", near, near) / total[..., None])
+    normals = vectors[:, :, 0]
+    line = camera.position - position[ys, xs]
+    cosine = (normals * line).sum(1) / np.maximum(np.linalg.norm(line, axis=1), 1e-30)
+    normals = np.where(cosine[:, None] < 0, -normals, normals)
+    flat = np.sqrt(np.maximum(values[:, 0], 0)) < MAX_FIT_RESIDUAL * pixel
+    return normals, flat & (np.abs(cosine) > 0.3) & (total[:, 0] >= 0.5 * len(dx)) & (z > 0)
 
 
 def surface_under(
@@ -101,7 +155,8 @@ def surface_under(
         left, top, min(int(x) + reach, camera.width) - left, min(int(y) + reach, camera.height) - top
     )
     view = project(asset.splats, window)
-    visible_part = surface_pixels(asset, surface, view, view.rasterize()[1] > MIN_ALPHA)
+    _, alpha, depth = view.rasterize()
+    visible_part = surface_pixels(asset, surface, view, alpha > MIN_ALPHA, depth)
     away = np.hypot(visible_part.xs + 0.5 - (x - left), visible_part.ys + 0.5 - (y - top))
     if not len(away) or away.min() > 2:
         raise ValueError(f"decal: there is no surface under pixel {x:g},{y:g}; choose one on the asset")
@@ -153,42 +208,54 @@ def survey(
     those before saw at a grazing angle, or that look over a rim. up: [3] of the decal; size: (width, height), world
     units; max_turn: wrap limit, radians."""
     radius = 0.5 * float(np.hypot(*size))
-    points, normals = start[0][None], start[1][None]
+    points, normals, rough = start[0][None], start[1][None], np.zeros(1, bool)
     half = (size[0] / 2, size[1] / 2)
     directions: list[np.ndarray] = []
     best = np.zeros(1)
     target, direction = start
-    for _ in range(MAX_SURVEYS):
+    while True:
         camera = facing_camera(asset, target, direction, up, radius * 1.08, spacing / PIXELS_PER_SPACING)
         view = project(asset.splats, camera)
-        seen = surface_pixels(asset, surface, view, view.rasterize()[1] > MIN_ALPHA)
+        _, alpha, depth = view.rasterize()
+        frontal = best > GRAZING
+        asked = (alpha > MIN_ALPHA) & ~_surveyed(camera, depth, points[frontal], normals[frontal], spacing)
+        ys, xs = np.nonzero(asked)
+        asked[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
+        seen = surface_pixels(asset, surface, view, asked, depth)
         near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
-        new, facing = seen.points[near], seen.normals[near]
+        new, facing, new_rough = seen.points[near], seen.normals[near], seen.rough[near]
         line = camera.position - new
         cosine = (line * facing).sum(1) / np.linalg.norm(line, axis=1)
         # Grazing points are rough: leave them to another camera.
         good = cosine > 0.17
+        if not directions:
+            beside = ((new - start[0]) ** 2).sum(1) < (SMOOTHED_SPACINGS * spacing) ** 2
+            rough[0] = beside.any() and new_rough[beside].mean() > 0.5
         points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
-        best = np.concatenate([best, cosine[good]])
+        best, rough = np.concatenate([best, cosine[good]]), np.concatenate([rough, new_rough[good]])
         order = np.concatenate([[0], 1 + np.argsort(-(best[1:] > GRAZING).astype(int), kind="stable")])
-        points, normals, best = points[order], normals[order], best[order]
-        some = thinned(points, normals, spacing)
-        points, normals, best = points[some], normals[some], best[some]
-        samples = unwrap(points, normals, up, spacing, half, max_turn)
-        within = samples.reached & (samples.normals @ start[1] >= np.cos(min(max_turn, np.pi)) - 1e-9)
+        order = order[thinned(points[order], normals[order], spacing)]
+        points, normals, best, rough = points[order], normals[order], best[order], rough[order]
+        even, turned = points.copy(), normals.copy()
+        queries = (points[rough], normals[rough])
+        even[rough], turned[rough] = smoothed((points, normals), queries, SMOOTHED_SPACINGS * spacing)
+        samples = unwrap(even, turned, up, spacing, half, max_turn)
+        within = samples.reached & (samples.normals @ turned[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
         under = within & (np.abs(samples.uv) < half).all(1)
         directions.append(direction)
         rim = np.linalg.norm(samples.rims, axis=1)
         at_rim = under & (rim > RIM)
         leaning = np.where(
             at_rim[:, None],
-            np.cos(LEAN) * normals - np.sin(LEAN) * samples.rims / np.maximum(rim, 1e-9)[:, None],
-            normals,
+            np.cos(LEAN) * turned - np.sin(LEAN) * samples.rims / np.maximum(rim, 1e-9)[:, None],
+            turned,
         )
         asking = under & (at_rim | (best < GRAZING))
         asking &= (leaning @ np.stack(directions, 1)).max(1) < WATCHED
         asking[0] = False
         if asking.sum() <= max(MIN_OPEN * under.sum(), 3):
+            break
+        if len(directions) == MAX_SURVEYS or len(points) > MAX_SAMPLES:
             break
         view_requests = leaning[asking]
         candidates = view_requests[:: max(len(view_requests) // 200, 1)]
@@ -197,7 +264,36 @@ def survey(
         direction = view_requests[winner].mean(0)
         direction /= np.linalg.norm(direction)
         target = start[0]
-    return UnwrappedPatch(samples, within, under)
+    return UnwrappedPatch(samples, within, under, rough)
+
+
+def _surveyed(
+    camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np.ndarray, spacing: float
+) -> np.ndarray:
+    """[H, W] bool pixels of a view that show samples ([K, 3] points and normals), by its rendered depth [H, W]."""
+    out = np.zeros(depth.shape, bool)
+    uv, z = camera.project(points)
+    line = camera.position - points
+    faces = (line * normals).sum(1) > 0.35 * np.linalg.norm(line, axis=1)
+    faces &= (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
+    x, y = uv[faces].astype(int).T
+    same = np.abs(depth[y, x] - z[faces]) < 4 * spacing
+    out[y[same], x[same]] = True
+    return dilated(out, 1)
+
+
+def _near_strip(
+    points: np.ndarray, start: tuple[np.ndarray, np.ndarray], up: np.ndarray, size: tuple[float, float]
+) -> np.ndarray:
+    """[K] bool whether points ([K, 3]) may lie under a decal of a size (width, height) around a start (point, normal):
+    no point is farther along a direction than the way along the surface is, and no way is longer than its sides."""
+    right = np.cross(up, start[1])
+    right /= np.linalg.norm(right)
+    way = points - start[0]
+    u, v = np.abs(way @ right), np.abs(way @ np.cross(start[1], right))
+    width, height = size
+    along, across = 0.5 * width + STRIP_MARGIN * height, 0.5 * height + STRIP_MARGIN * width
+    return (u < along) & (v < across) & ((way**2).sum(1) < 0.4 * (width**2 + height**2))
 
 
 @dataclass(frozen=True)
@@ -223,13 +319,15 @@ def faced_parts(
     """Parts of a patch, each in the view that sees it most frontally, of at most `limit` views. painted: [S] bool
     samples that something is painted on; up: [3] of the pictures; pixel: world units."""
     samples = patch.samples
-    views = []
-    for direction, members in _directions(samples.points[painted], samples.normals[painted], limit):
-        middle = (np.quantile(members, 0.02, 0) + np.quantile(members, 0.98, 0)) / 2
-        away = np.linalg.norm(members - middle, axis=1)
-        target = members[away.argmin()]
-        radius = float(np.quantile(np.linalg.norm(members - target, axis=1), 0.995)) + MARGIN_PX * pixel
-        views.append(_view(asset, surface, patch, painted, target, direction, up, radius, pixel))
+    views: list[_PatchView] = []
+    groups = _directions(samples.points[painted], samples.normals[painted], limit)
+    for direction, members in groups:
+        views.append(_view(asset, surface, patch, painted, direction, members, up, pixel))
+    free = [not inside(asset.grid, asset.grid.occupancy, view.camera.position) for view in views]
+    if not any(free):
+        raise ValueError("decal: no camera that faces it stands free of the asset; choose another pixel")
+    views = [view for view, f in zip(views, free, strict=True) if f]
+    groups = [group for group, f in zip(groups, free, strict=True) if f]
     cosines = np.stack([view.cosines for view in views])
     keep = np.ones(len(views), bool)
     while True:  # the smallest goes while it is hardly needed
@@ -240,7 +338,21 @@ def faced_parts(
         if not len(small) or keep.sum() == 1:
             break
         keep[small[shares[small].argmin()]] = False
-    return [view.part(owners == k, patch) for k, view in enumerate(views) if keep[k]]
+    parts = [view.part(owners == k, patch) for k, view in enumerate(views) if keep[k]]
+    if patch.rough[painted].mean() < 0.5:
+        return parts
+    # What captures show at an angle are often other Gaussians: paint those, too.
+    for k in np.flatnonzero(keep)[np.argsort(-shares[keep], kind="stable")]:
+        direction, members = groups[k]
+        for turn in (-SIDE_TURN, SIDE_TURN):
+            if len(parts) >= limit:
+                break
+            side = np.cross(up, direction)
+            turned = np.cos(turn) * direction + np.sin(turn) * side / np.linalg.norm(side)
+            view = _view(asset, surface, patch, painted, turned, members, up, pixel)
+            if not inside(asset.grid, asset.grid.occupancy, view.camera.position):
+                parts.append(view.part(owners == k, patch))
+    return parts
 
 
 @dataclass(frozen=True)
@@ -277,8 +389,21 @@ class _PatchView:
         return FacedPart(camera, self.before[window], self.alpha[window], ys - top, xs - left, self.uv[chosen])
 
 
-def _view(asset, surface, patch, painted, target, direction, up, radius, pixel) -> _PatchView:
+def _view(
+    asset: Asset,
+    surface: Surface,
+    patch: UnwrappedPatch,
+    painted: np.ndarray,
+    direction: np.ndarray,
+    members: np.ndarray,
+    up: np.ndarray,
+    pixel: float,
+) -> _PatchView:
+    """The patch from a direction, in a picture with room for some of its points ([M, 3])."""
     samples = patch.samples
+    middle = (np.quantile(members, 0.02, 0) + np.quantile(members, 0.98, 0)) / 2
+    target = members[np.linalg.norm(members - middle, axis=1).argmin()]
+    radius = float(np.quantile(np.linalg.norm(members - target, axis=1), 0.995)) + MARGIN_PX * pixel
     camera = facing_camera(asset, target, direction, up, radius, pixel)
     uv, z = camera.project(samples.points[painted])
     region = np.zeros((camera.height, camera.width), bool)
@@ -289,9 +414,14 @@ def _view(asset, surface, patch, painted, target, direction, up, radius, pixel) 
     tiles = tiles_of_mask(dilated(region, reach + MARGIN_PX))
     region = dilated(region, reach)
     view = project(asset.splats, camera, tiles=tiles)
-    before, alpha, _ = view.rasterize()
-    seen = surface_pixels(asset, surface, view, region & (alpha > MIN_ALPHA))
-    coordinates, nearest = samples.at(seen.points, seen.normals)
+    before, alpha, depth = view.rasterize()
+    seen = surface_pixels(asset, surface, view, region & (alpha > MIN_ALPHA), depth)
+    points, normals = seen.points.copy(), seen.normals.copy()
+    reached = samples.reached
+    even = (samples.points[reached], samples.normals[reached])
+    queries = (points[seen.rough], normals[seen.rough])
+    points[seen.rough], normals[seen.rough] = smoothed(even, queries, SMOOTHED_SPACINGS * samples.spacing)
+    coordinates, nearest = samples.at(points, normals)
     uv = np.full((*region.shape, 2), np.nan)
     index = np.full(region.shape, -1, np.int64)
     uv[seen.ys, seen.xs], index[seen.ys, seen.xs] = coordinates, nearest

@@ -30,6 +30,10 @@ MIN_DECAL_PX = 96
 """... and at least."""
 SAMPLES = 12_000
 """Of the surface, under a decal."""
+BALL_SAMPLES = 20_000
+"""... and of a disk around it."""
+SPACING_WIDTHS = 0.6
+"""Between samples, in widths of the Gaussians, at least."""
 MIN_PAINT_ALPHA = 0.02
 """Alpha below which a pixel of a decal paints nothing."""
 MAX_DIAMETERS = 4.0
@@ -96,7 +100,8 @@ class Decal:
         columns, rows = self.picture.size
         longer = int(np.clip(max(columns, rows), MIN_DECAL_PX, MAX_DECAL_PX))
         pixel = max(width, height) / longer
-        spacing = max(math.sqrt(width * height / SAMPLES), 1.5 * pixel)
+        spacing = max(math.sqrt(width * height / SAMPLES), 1.5 * pixel, SPACING_WIDTHS * surface.typical_width)
+        spacing = max(spacing, math.sqrt(math.pi * (width**2 + height**2) / 4 / BALL_SAMPLES))
         start = surface_under(asset, surface, self.camera, self.at)
         up = _up(self.camera, start[1], self.angle)
         patch = survey(asset, surface, start, up, (width, height), spacing, math.radians(self.wrap))

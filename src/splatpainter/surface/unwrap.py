@@ -34,6 +34,10 @@ SAME_SHEET = 1.5
 """Spacings by which neighbours may disagree about a point and still be averaged: behind a bump, ways around it meet."""
 WEIGHT_WIDTH = 0.8
 """Spacings: standard deviation of the weights of neighbours."""
+MIN_AGREEING_COSINE = 0.2
+"""Between the normals of a query and of a sample that smooths it."""
+SMOOTHED_TURN = 0.4
+"""By which this cosine is below 1 where a sample's weight has fallen to 1/e."""
 CELL_BITS = 21
 """Bits of a cell's index along each axis."""
 BLOCK = 256
@@ -117,6 +121,20 @@ def thinned(points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarr
     return np.flatnonzero(chosen)
 
 
+def smoothed(
+    samples: tuple[np.ndarray, np.ndarray], queries: tuple[np.ndarray, np.ndarray], radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(points [Q, 3], unit normals [Q, 3]) of queries on rough surface, as samples within `radius` (world units) say:
+    the mean of their normals, and along it the mean of their heights. Samples that face elsewhere than the query weigh
+    less, so creases stay. samples, queries: (points, unit normals); a query without samples is as it was."""
+    arrays = [np.ascontiguousarray(a, np.float64) for a in (*samples, *queries)]
+    points, normals = arrays[2].copy(), arrays[3].copy()
+    if len(points) and len(arrays[0]):
+        cells = PointCells.of(arrays[0], radius)
+        run(_smooth, arrays[0], arrays[1], *cells.arrays, radius, arrays[2], arrays[3], points, normals)
+    return points, normals
+
+
 def unwrap(
     points: np.ndarray,
     normals: np.ndarray,
@@ -181,6 +199,50 @@ def _thin(points, normals, keys, order, corner, size, nearest, chosen):
                             free = False
                     k += 1
         chosen[i] = free
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _smooth(samples, facing, keys, order, corner, size, radius, points, normals, out, out_normals, thread, threads):
+    for start in range(thread * BLOCK, points.shape[0], threads * BLOCK):
+        for q in range(start, min(start + BLOCK, points.shape[0])):
+            px, py, pz = points[q, 0], points[q, 1], points[q, 2]
+            nx, ny, nz = normals[q, 0], normals[q, 1], normals[q, 2]
+            if not abs(px) + abs(py) + abs(pz) + abs(nx) + abs(ny) + abs(nz) < 1e30:
+                continue
+            for _ in range(2):  # the second time by the first mean
+                total, sx, sy, sz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                cx, cy = int(math.floor((px - corner[0]) / size)), int(math.floor((py - corner[1]) / size))
+                cz = int(math.floor((pz - corner[2]) / size))
+                if cx < 0 or cy < 0 or cz < 0:
+                    break
+                for x in range(max(cx - 1, 0), cx + 2):
+                    for y in range(max(cy - 1, 0), cy + 2):
+                        row = (x << 42) | (y << 21)
+                        k = _first(keys, row | max(cz - 1, 0))
+                        while k < keys.shape[0] and keys[k] <= row | (cz + 1):
+                            j = order[k]
+                            k += 1
+                            dx, dy, dz = samples[j, 0] - px, samples[j, 1] - py, samples[j, 2] - pz
+                            square = (dx * dx + dy * dy + dz * dz) / (radius * radius)
+                            cosine = facing[j, 0] * nx + facing[j, 1] * ny + facing[j, 2] * nz
+                            if square > 1.0 or cosine < MIN_AGREEING_COSINE:
+                                continue
+                            w = math.exp(-2.0 * square + (cosine - 1.0) / SMOOTHED_TURN)
+                            total += w
+                            sx += w * dx
+                            sy += w * dy
+                            sz += w * dz
+                            mx += w * facing[j, 0]
+                            my += w * facing[j, 1]
+                            mz += w * facing[j, 2]
+                length = math.sqrt(mx * mx + my * my + mz * mz)
+                if not (total > 0.0 and length > 1e-9 * total):
+                    break
+                nx, ny, nz = mx / length, my / length, mz / length
+                height = (sx * nx + sy * ny + sz * nz) / total
+                px, py, pz = px + height * nx, py + height * ny, pz + height * nz
+            out[q, 0], out[q, 1], out[q, 2] = px, py, pz
+            out_normals[q, 0], out_normals[q, 1], out_normals[q, 2] = nx, ny, nz
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
