@@ -116,6 +116,23 @@ def test_wrap_limit_keeps_to_one_face() -> None:
     assert limited.coverage < 0.75 < 0.95 < free.coverage
 
 
+def test_the_note_says_when_less_than_half_lies_on_the_surface() -> None:
+    asset = sp.Painter().encode(surface_shapes.box(8_000))
+    full = np.full((60, 120, 3), 0.2, np.float32)
+    limited = Decal(full, MIDDLE, FRONT, 2.6, wrap=30.0).laid(asset)
+    assert limited.coverage < 0.5
+    assert "less than half" in limited.note
+    assert "less than half" not in Decal(full, MIDDLE, FRONT, 0.5).laid(asset).note
+
+
+def test_word_around_a_corner_of_rough_surface() -> None:
+    """Gaussians that scatter about the faces by half a width, as those of captures do."""
+    asset = sp.Painter().encode(surface_shapes.box(24_000, noise=0.5))
+    full = np.full((60, 240, 3), 0.2, np.float32)
+    laid = Decal(full, MIDDLE, FRONT, 1.4).laid(asset)
+    assert laid.coverage > 0.85
+
+
 def test_letters() -> None:
     picture = text_picture("Hi", (0.1, 0.2, 0.3))
     assert picture.alpha is not None

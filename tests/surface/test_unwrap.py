@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatpainter.surface.unwrap import Unwrapped, thinned, unwrap
+from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
 
 SPACING = 0.03
 UP = np.array([0.0, 1.0, 0.0])
@@ -133,3 +133,18 @@ def test_bad_input() -> None:
         unwrap(points, normals, np.array([0, 0, 1.0]), SPACING, (1, 1))
     with pytest.raises(ValueError, match="finite points and unit normals"):
         unwrap(points, 2 * normals, UP, SPACING, (1, 1))
+
+
+def test_smoothing_brings_noise_back_to_the_plane_and_leaves_creases() -> None:
+    rng = np.random.default_rng(1)
+    plane = np.concatenate([rng.uniform(-1, 1, (8000, 2)), 0.02 * rng.standard_normal((8000, 1))], 1)
+    normals = np.array([0, 0, 1.0]) + rng.uniform(-0.4, 0.4, (8000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points, turned = smoothed((plane, normals), (plane, normals), 0.15)
+    assert np.abs(points[:, 2]).mean() < 0.3 * np.abs(plane[:, 2]).mean()
+    assert turned[:, 2].min() > 0.95
+    exact = np.where(plane[:, :1] < 0, np.array([0, 0, 1.0]), np.array([1.0, 0, 0]))
+    folded = np.stack([np.minimum(plane[:, 0], 0), plane[:, 1], -np.maximum(plane[:, 0], 0)], 1)
+    points, turned = smoothed((folded, exact), (folded, exact), 0.15)
+    assert np.allclose(turned, exact)
+    assert np.allclose(points, folded, atol=1e-6)

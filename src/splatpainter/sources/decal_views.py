@@ -23,8 +23,14 @@ MIN_ALPHA = 0.5
 ROUGH_RESIDUAL = 0.2
 """rms distance of Gaussians from the surface, in its windows, from which its points and normals are smoothed: those of
 captures scatter by about half a Gaussian."""
+MAX_ROUGH = 0.1
+"""Share of the samples from which all are smoothed: smoothed ones beside others would lie on two layers."""
 SMOOTHED_SPACINGS = 5.0
-"""Radius of this smoothing, in spacings of samples: about 1/25 of a square decal."""
+"""Radius of this smoothing, in spacings of samples, ..."""
+SMOOTHED_SIZE = 0.06
+"""... and in diagonals of the decal, at least."""
+SMOOTHING_ROUNDS = 2
+"""Of the samples."""
 MAX_FIT_PX = 3
 """Reach of planes fitted to rendered depth where the surface is not trusted."""
 MAX_FIT_RESIDUAL = 1.0
@@ -39,8 +45,8 @@ FILL_PX = 3
 """How far."""
 SIZES_AWAY = 2.5
 """Distance of a camera from a patch, in the patch's diameters: nearly parallel rays."""
-MAX_HALVINGS = 4
-"""... of that distance, where something else stands in between."""
+MAX_APPROACHES, APPROACH = 4, 0.6
+"""How often, and by which factor, a camera comes nearer where something else stands in between."""
 MAX_SURVEYS = 10
 """Cameras that look for the surface under a decal."""
 PIXELS_PER_SPACING = 1.4
@@ -76,8 +82,8 @@ class UnwrappedPatch:
     """[S] bool samples within the wrap limit, reached."""
     under: np.ndarray = field(repr=False)
     """[S] bool ... and under the decal's rectangle."""
-    rough: np.ndarray = field(repr=False)
-    """[S] bool samples of surface that scatters, which were smoothed."""
+    smoothing: float
+    """Radius within which the samples were smoothed, world units; 0: not."""
 
 
 @dataclass(frozen=True)
@@ -171,14 +177,16 @@ def facing_camera(
 ) -> Camera:
     """A square camera that looks at `target` ([3]) from `direction` ([3] unit, from there to the camera), with room for
     a ball of `radius` (world units) around it at `pixel` world units per pixel. It stands nearer where something is in
-    between."""
-    distance = SIZES_AWAY * 2 * radius
-    for _ in range(MAX_HALVINGS):
-        if not inside(asset.grid, asset.grid.occupancy, target + distance * direction) and _clear(
-            asset, target, direction, distance, radius
-        ):
-            break
-        distance *= 0.6
+    between, and where that does not help at the first distance outside the asset."""
+    distance, outside = SIZES_AWAY * 2 * radius, 0.0
+    for _ in range(MAX_APPROACHES):
+        if not inside(asset.grid, asset.grid.occupancy, target + distance * direction):
+            if _clear(asset, target, direction, distance, radius):
+                break
+            outside = outside or distance
+        distance *= APPROACH
+    else:
+        distance = outside or distance
     half = min(radius / max(distance**2 - radius**2, (0.5 * distance) ** 2) ** 0.5, 1.5)
     size = max(int(np.ceil(2 * half * distance / pixel)), 8)
     camera = look_at(target + distance * direction, target, up, width=size, height=size)
@@ -208,6 +216,7 @@ def survey(
     those before saw at a grazing angle, or that look over a rim. up: [3] of the decal; size: (width, height), world
     units; max_turn: wrap limit, radians."""
     radius = 0.5 * float(np.hypot(*size))
+    smoothing = max(SMOOTHED_SPACINGS * spacing, SMOOTHED_SIZE * 2 * radius)
     points, normals, rough = start[0][None], start[1][None], np.zeros(1, bool)
     half = (size[0] / 2, size[1] / 2)
     directions: list[np.ndarray] = []
@@ -218,27 +227,25 @@ def survey(
         view = project(asset.splats, camera)
         _, alpha, depth = view.rasterize()
         frontal = best > GRAZING
-        asked = (alpha > MIN_ALPHA) & ~_surveyed(camera, depth, points[frontal], normals[frontal], spacing)
-        ys, xs = np.nonzero(asked)
-        asked[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
-        seen = surface_pixels(asset, surface, view, asked, depth)
+        requested = (alpha > MIN_ALPHA) & ~_surveyed(camera, depth, points[frontal], normals[frontal], spacing)
+        ys, xs = np.nonzero(requested)
+        requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
+        seen = surface_pixels(asset, surface, view, requested, depth)
         near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
         new, facing, new_rough = seen.points[near], seen.normals[near], seen.rough[near]
         line = camera.position - new
         cosine = (line * facing).sum(1) / np.linalg.norm(line, axis=1)
         # Grazing points are rough: leave them to another camera.
         good = cosine > 0.17
-        if not directions:
-            beside = ((new - start[0]) ** 2).sum(1) < (SMOOTHED_SPACINGS * spacing) ** 2
-            rough[0] = beside.any() and new_rough[beside].mean() > 0.5
         points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
         best, rough = np.concatenate([best, cosine[good]]), np.concatenate([rough, new_rough[good]])
         order = np.concatenate([[0], 1 + np.argsort(-(best[1:] > GRAZING).astype(int), kind="stable")])
         order = order[thinned(points[order], normals[order], spacing)]
         points, normals, best, rough = points[order], normals[order], best[order], rough[order]
-        even, turned = points.copy(), normals.copy()
-        queries = (points[rough], normals[rough])
-        even[rough], turned[rough] = smoothed((points, normals), queries, SMOOTHED_SPACINGS * spacing)
+        even, turned = points, normals
+        scatters = rough.mean() > MAX_ROUGH
+        for _ in range(SMOOTHING_ROUNDS if scatters else 0):
+            even, turned = smoothed((even, turned), (even, turned), smoothing)
         samples = unwrap(even, turned, up, spacing, half, max_turn)
         within = samples.reached & (samples.normals @ turned[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
         under = within & (np.abs(samples.uv) < half).all(1)
@@ -264,12 +271,10 @@ def survey(
         direction = view_requests[winner].mean(0)
         direction /= np.linalg.norm(direction)
         target = start[0]
-    return UnwrappedPatch(samples, within, under, rough)
+    return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0)
 
 
-def _surveyed(
-    camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np.ndarray, spacing: float
-) -> np.ndarray:
+def _surveyed(camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
     """[H, W] bool pixels of a view that show samples ([K, 3] points and normals), by its rendered depth [H, W]."""
     out = np.zeros(depth.shape, bool)
     uv, z = camera.project(points)
@@ -339,7 +344,7 @@ def faced_parts(
             break
         keep[small[shares[small].argmin()]] = False
     parts = [view.part(owners == k, patch) for k, view in enumerate(views) if keep[k]]
-    if patch.rough[painted].mean() < 0.5:
+    if not patch.smoothing:
         return parts
     # What captures show at an angle are often other Gaussians: paint those, too.
     for k in np.flatnonzero(keep)[np.argsort(-shares[keep], kind="stable")]:
@@ -416,11 +421,11 @@ def _view(
     view = project(asset.splats, camera, tiles=tiles)
     before, alpha, depth = view.rasterize()
     seen = surface_pixels(asset, surface, view, region & (alpha > MIN_ALPHA), depth)
-    points, normals = seen.points.copy(), seen.normals.copy()
-    reached = samples.reached
-    even = (samples.points[reached], samples.normals[reached])
-    queries = (points[seen.rough], normals[seen.rough])
-    points[seen.rough], normals[seen.rough] = smoothed(even, queries, SMOOTHED_SPACINGS * samples.spacing)
+    points, normals = seen.points, seen.normals
+    if patch.smoothing:
+        reached = samples.reached
+        even = (samples.points[reached], samples.normals[reached])
+        points, normals = smoothed(even, (points, normals), patch.smoothing)
     coordinates, nearest = samples.at(points, normals)
     uv = np.full((*region.shape, 2), np.nan)
     index = np.full(region.shape, -1, np.int64)

@@ -36,6 +36,8 @@ SPACING_WIDTHS = 0.6
 """Between samples, in widths of the Gaussians, at least."""
 MIN_PAINT_ALPHA = 0.02
 """Alpha below which a pixel of a decal paints nothing."""
+LITTLE_COVERAGE = 0.5
+"""Share of a decal on the surface below which its note advises."""
 MAX_DIAMETERS = 4.0
 """Width and height of a decal, at most, in diameters of the asset."""
 MAX_ASPECT = 40.0
@@ -155,7 +157,10 @@ class LaidDecal:
     def note(self) -> str:
         """One line for people."""
         views = f"painted from {len(self.edits)} view{'s' if len(self.edits) > 1 else ''}"
-        return f"decal {self.size[0]:.4g} x {self.size[1]:.4g}, {self.coverage:.0%} of it on the surface, {views}"
+        text = f"decal {self.size[0]:.4g} x {self.size[1]:.4g}, {self.coverage:.0%} of it on the surface, {views}"
+        if self.coverage < LITTLE_COVERAGE:
+            text += "; less than half of it found a surface: choose another pixel or a smaller width"
+        return text
 
 
 def parse_width(text: float | str) -> tuple[float, bool]:
