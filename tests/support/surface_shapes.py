@@ -22,7 +22,8 @@ def patches(points: np.ndarray, normals: np.ndarray, width: float, seed: int = 0
     sh = np.full((count, 1, 3), (GREY - 0.5) / 0.28209479177387814)
     sh = sh + 0.03 * rng.standard_normal((count, 1, 3))
     arrays = (points, matrix_to_quat(rotation), scales, np.full(count, 0.95), sh)
-    return Splats(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+    means, quats, scales, opacities, sh = (np.ascontiguousarray(a, np.float32) for a in arrays)
+    return Splats(means, quats, scales, opacities, sh)
 
 
 def _even(count: int) -> np.ndarray:
