@@ -15,9 +15,10 @@ import numpy as np
 import zstandard
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.painter import Edit
+from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
 from splatpainter.splats import Splats
+from tests.support import lift_scenes
 from tests.support.io_assets import random_splats, written
 from tests.support.session_scenes import FlatPainter
 
@@ -70,7 +71,7 @@ class ProjectTarget(Target):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         self.painter: Any = FlatPainter()
-        self.seeds = [self._seed("asset.ply"), self._seed(""), self._seed("asset.spz")]
+        self.seeds = [self._seed("asset.ply"), self._seed(""), self._seed("asset.spz"), self._seed_with_sheets()]
         for old in folder.iterdir():
             old.unlink()
 
@@ -92,6 +93,16 @@ class ProjectTarget(Target):
             session.duplicate(first.id)
             session.add_bookmark("front", camera())
             session.undo()
+        return path.read_bytes()
+
+    def _seed_with_sheets(self) -> bytes:
+        """A project of the lift's own: deltas of version 2, emptied Gaussians, one place painted twice."""
+        path = self.folder / "sheets.splatproj"
+        with Session(lift_scenes.sheet(12, degree=1, opacity=0.95), path, painter=Painter.load("lift")) as session:
+            first = session.add("paint", [stripes(0.0)])
+            session.add("paint", [stripes(0.5)], blend="luminosity", opacity=0.5)
+            session.add("erase", [stripes(0.3)])
+            session.set(first.id, opacity=0.7)
         return path.read_bytes()
 
     def make(self, rng: random.Random) -> dict[str, bytes]:
@@ -221,6 +232,13 @@ def dab(shade: float) -> Edit:
     mask = np.zeros((16, 16), bool)
     mask[5:11, 5:11] = True
     return Edit(np.full((16, 16, 3), round(shade * 255), np.uint8), camera(), mask)
+
+
+def stripes(shade: float) -> Edit:
+    """Stripes on a disk, finer than the Gaussians below."""
+    view = lift_scenes.front(48)
+    lines = np.where(np.arange(48)[:, None, None] // 3 % 2 > 0, 0.9, 0.1) * np.ones((48, 48, 3)) * [1, shade, 0.5]
+    return Edit(np.round(lines * 255).astype(np.uint8), view, lift_scenes.disk(view, 24, 24, 9))
 
 
 def bend_cell(rng: random.Random, value: Any) -> Any:
