@@ -31,7 +31,7 @@ class SourceCancelled(Exception):
     """The request was given up because `cancel` was set."""
 
 
-class Cancel(Protocol):
+class CancelFlag(Protocol):
     """A threading.Event, or anything else with its is_set."""
 
     def is_set(self) -> bool: ...
@@ -103,7 +103,7 @@ class PictureSource(Protocol):
     name: str
     capabilities: Capabilities
 
-    def edit(self, request: PictureRequest, progress: Progress, cancel: Cancel) -> PictureAnswer:
+    def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """The edited picture. Looks at `cancel` at least twice a second and keeps to a timeout of its own.
 
         Raises: SourceError in one line without keys or addresses of users; SourceCancelled.
@@ -117,7 +117,7 @@ def check_request(request: PictureRequest, capabilities: Capabilities, name: str
     Raises: SourceError naming what was asked and what the source takes.
     """
     sides = request.image.shape[:2]
-    asked = {
+    demands = {
         "a prompt": bool(request.prompt) and not capabilities.prompt,
         "a mask": request.mask is not None and not capabilities.mask,
         "a seed": request.seed is not None and not capabilities.seed,
@@ -125,7 +125,7 @@ def check_request(request: PictureRequest, capabilities: Capabilities, name: str
         f"an enlargement of {request.scale}": request.scale not in capabilities.scales,
         f"a picture of {sides[1]} x {sides[0]} pixels": max(sides) > capabilities.max_side_px,
     }
-    for what, refused in asked.items():
+    for what, refused in demands.items():
         if refused:
             raise SourceError(f"source {name}: does not take {what}; it takes {describe(capabilities)}")
     if capabilities.needs_prompt and not request.prompt.strip():

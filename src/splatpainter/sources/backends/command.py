@@ -1,0 +1,245 @@
+"""Any program as a source: the view goes into a folder of its own, the program runs, its picture is read back.
+
+    --source command --source-option 'run=python upscale.py {image} {out} --scale {scale}'
+
+The words are split once, before anything is put into them, and no shell sees them: a prompt with quotes, semicolons or
+line breaks stays one word. What the template names is what the source takes.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from splatpainter import processes
+from splatpainter.sources.answer_pictures import (
+    alpha_png,
+    depth_png,
+    image_png,
+    mask_png,
+    normal_png,
+    read_answer_file,
+    reference_png,
+)
+from splatpainter.sources.picture_source import (
+    CancelFlag,
+    Capabilities,
+    PictureAnswer,
+    PictureRequest,
+    Progress,
+    SourceCancelled,
+    SourceError,
+)
+from splatpainter.sources.source_options import SourceDescription, option
+
+POLL_SECONDS = 0.1
+TAIL_BYTES = 8192
+"""Of what a program printed, that is looked at."""
+MAX_REFERENCES = 16
+FILES = {
+    "image": "image.png",
+    "alpha": "alpha.png",
+    "mask": "mask.png",
+    "depth": "depth.png",
+    "normal": "normal.png",
+    "camera": "camera.json",
+}
+"""Placeholder -> file that it names."""
+WORDS = ("out", "prompt", "seed", "scale", "references")
+PLACEHOLDER = re.compile(r"\{([A-Za-z_]+)\}")
+
+
+@dataclass(frozen=True)
+class CommandOptions:
+    """Options of the source `command`."""
+
+    run: str = option(
+        "The program and its words: {image} {mask} {alpha} {depth} {normal} {camera} are files, {out} the picture to "
+        "write, {prompt} {seed} {scale} words, {references} files as words of their own"
+    )
+    timeout: float = option("Seconds after which the program is ended", 600.0, least=0.1)
+    ending: str = option("Kind of the picture that it writes", "png", choices=("png", "jpg", "webp", "tif", "exr"))
+    scales: str = option("Enlargements that it can be asked for, where it takes {scale}", "1,2,4")
+
+
+DESCRIPTION = SourceDescription(
+    name="command",
+    summary="any program on this machine",
+    options=CommandOptions,
+    takes="what its template names: {image} {mask} {depth} {normal} {prompt} {seed} {scale} {references}",
+)
+
+
+def open_source(options: CommandOptions) -> CommandSource:
+    """Raises SourceError: a template that cannot be split, has no {out} or unknown names, no such program here."""
+    return CommandSource(options)
+
+
+class CommandSource:
+    """A program and its template."""
+
+    name = "command"
+
+    def __init__(self, options: CommandOptions) -> None:
+        self.options = options
+        self.words = split(options.run)
+        names = {name for word in self.words for name in PLACEHOLDER.findall(word)}
+        allowed = [*FILES, *WORDS]
+        if unknown := sorted(names - {*allowed}):
+            listed = " ".join(f"{{{name}}}" for name in allowed)
+            raise SourceError(f"source command: run has no {{{unknown[0]}}}; there are {listed}")
+        if "out" not in names:
+            raise SourceError("source command: run needs {out}, the file that the program writes its picture to")
+        if PLACEHOLDER.search(self.words[0]):
+            raise SourceError("source command: run has to begin with a program, not with a placeholder")
+        if any("{references}" in word and word != "{references}" for word in self.words):
+            raise SourceError("source command: {references} has to be a word of its own; it becomes one word per file")
+        program = shutil.which(self.words[0])
+        if program is None:
+            raise SourceError(f"source command: no program {self.words[0][:200]!r} here; give its path")
+        if sys.platform == "win32" and program.lower().endswith((".bat", ".cmd")) and "prompt" in names:
+            raise SourceError("source command: a shell reads batch files, and prompts with it; run a program")
+        self.names = names
+        self.capabilities = Capabilities(
+            prompt="prompt" in names,
+            mask="mask" in names,
+            references=MAX_REFERENCES if "references" in names else 0,
+            seed="seed" in names,
+            maps=frozenset({"depth", "normal"} & names),
+            scales=_scales(options.scales) if "scale" in names else (1,),
+            max_side_px=8192,
+        )
+
+    def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
+        """Run the program once. Raises SourceError with the last line that it printed; SourceCancelled."""
+        with tempfile.TemporaryDirectory(prefix="splatpainter-command-") as name:
+            folder = Path(name)
+            out = folder / f"out.{self.options.ending}"
+            command = self._command(request, folder, out)
+            progress(0.0, Path(self.words[0]).name)
+            self._run(command, folder / "printed.txt", progress, cancel)
+            if not out.exists():
+                line = last_line(folder / "printed.txt")
+                raise SourceError(f"source command: {self._program} ended well and wrote no picture to {{out}}{line}")
+            image, notes = read_answer_file(out, "command")
+        return PictureAnswer(image, model=self._program, seed=request.seed, notes=notes)
+
+    @property
+    def _program(self) -> str:
+        return Path(self.words[0]).name
+
+    def _command(self, request: PictureRequest, folder: Path, out: Path) -> list[str]:
+        """The words with everything put in; writes the files that they name."""
+        contents = {
+            "image": lambda: image_png(request),
+            "alpha": lambda: alpha_png(request),
+            "mask": lambda: mask_png(request),
+            "depth": lambda: depth_png(request, bits=16),
+            "normal": lambda: normal_png(request),
+            "camera": lambda: (request.camera.to_json() if request.camera else "{}").encode(),
+        }
+        for name in FILES:
+            if name in self.names:
+                (folder / FILES[name]).write_bytes(contents[name]())
+        references = [folder / f"reference_{index}.png" for index in range(len(request.references))]
+        for path, picture in zip(references, request.references, strict=True):
+            path.write_bytes(reference_png(picture))
+        if "{prompt}" in self.words and request.prompt.startswith("-"):
+            raise SourceError(
+                "source command: a prompt that begins with '-' would be read as an option; write {prompt} as part of a "
+                "word in run (--prompt={prompt}), or begin the prompt with a letter"
+            )
+        values = {
+            **{name: str(folder / file) for name, file in FILES.items()},
+            "out": str(out),
+            "prompt": request.prompt.replace("\0", " "),
+            "seed": str(0 if request.seed is None else request.seed),
+            "scale": str(request.scale),
+        }
+        words: list[str] = []
+        for word in self.words:
+            if word == "{references}":
+                words += map(str, references)
+            else:
+                words.append(PLACEHOLDER.sub(lambda match: values[match[1]], word))
+        return words
+
+    def _run(self, command: list[str], printed: Path, progress: Progress, cancel: CancelFlag) -> None:
+        until = time.monotonic() + self.options.timeout
+        with open(printed, "wb") as file:
+            try:
+                child = processes.begin(command, stdin=subprocess.DEVNULL, stdout=file, stderr=file)
+            except OSError as error:
+                reason = error.strerror or type(error).__name__
+                raise SourceError(f"source command: {self._program} cannot be started ({reason})") from None
+        try:
+            while True:
+                try:
+                    code = child.wait(POLL_SECONDS)
+                    break
+                except subprocess.TimeoutExpired:
+                    pass
+                if cancel.is_set():
+                    raise SourceCancelled
+                if time.monotonic() > until:
+                    seconds, line = f"{self.options.timeout:g} seconds", last_line(printed)
+                    raise SourceError(f"source command: {self._program} did not end within {seconds}{line}")
+                _report(printed, progress)
+        except BaseException:
+            processes.end(child)
+            raise
+        processes.kill(child)  # what it may have left behind
+        if code != 0:
+            how = f"failed with exit code {code}" if code > 0 else f"was ended by {processes.signal_name(code)}"
+            raise SourceError(f"source command: {self._program} {how}{last_line(printed)}")
+
+
+def split(template: str) -> list[str]:
+    """The words of a template, as a shell would split them; on Windows backslashes are parts of paths. Raises
+    SourceError."""
+    lexer = shlex.shlex(template, posix=True)
+    lexer.whitespace_split, lexer.commenters = True, ""
+    if sys.platform == "win32":
+        lexer.escape = ""
+    try:
+        words = list(lexer)
+    except ValueError as error:
+        raise SourceError(f"source command: run cannot be split into words ({str(error).lower()})") from None
+    if not words:
+        raise SourceError("source command: run is empty; expected a program and its words")
+    return words
+
+
+def last_line(printed: Path) -> str:
+    """ "; it said: ..." with the last line that is not empty, or ""."""
+    line = _last_words(printed)
+    return f"; it said: {line}" if line else ""
+
+
+def _last_words(printed: Path, limit: int = 300) -> str:
+    with open(printed, "rb") as file:
+        file.seek(max(0, printed.stat().st_size - TAIL_BYTES))
+        text = file.read(TAIL_BYTES).decode("utf-8", "replace")
+    lines = [" ".join(line.split()) for line in re.split(r"[\r\n]+", text)]
+    return next((line for line in reversed(lines) if line), "")[:limit]
+
+
+def _report(printed: Path, progress: Progress) -> None:
+    """The last line, and the share that it names ("45%")."""
+    if line := _last_words(printed, 80):
+        percent = re.findall(r"(\d{1,3}(?:\.\d+)?) ?%", line)
+        progress(min(float(percent[-1]) / 100, 1.0) if percent else 0.0, line)
+
+
+def _scales(text: str) -> tuple[int, ...]:
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    if not words or not all(word.isdecimal() and 1 <= int(word) <= 16 for word in words):
+        raise SourceError(f"source command: scales: expected whole numbers of 1 to 16 (1,2,4), got {text[:80]!r}")
+    return tuple(sorted({int(word) for word in words}))
