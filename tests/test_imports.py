@@ -38,6 +38,7 @@ ORDER = (
     ("sources",),
     ("view_files",),
     ("session",),
+    ("grading",),
     ("server",),
     ("data",),
     ("train",),

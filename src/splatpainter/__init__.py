@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from splatpainter.cameras import Camera as Camera
     from splatpainter.cameras import look_at as look_at
     from splatpainter.cameras import orbit as orbit
+    from splatpainter.grading.color_match import ColorMatch as ColorMatch
+    from splatpainter.grading.color_match import Recolor as Recolor
+    from splatpainter.grading.cube_lut import read_cube as read_cube
+    from splatpainter.grading.grade import grade as grade
+    from splatpainter.grading.region import Region as Region
     from splatpainter.io import read as read
     from splatpainter.io import write as write
     from splatpainter.painter import Asset as Asset
@@ -25,6 +30,7 @@ if TYPE_CHECKING:
     from splatpainter.rendering import render as render
     from splatpainter.server.launch import studio as studio
     from splatpainter.session import Session as Session
+    from splatpainter.sources.color_grading import GradeSettings as GradeSettings
     from splatpainter.sources.decals import Decal as Decal
     from splatpainter.splats import Splats as Splats
 
@@ -41,6 +47,12 @@ _HOME = {
     "Asset": "painter",
     "Edit": "painter",
     "Decal": "sources.decals",
+    "grade": "grading.grade",
+    "GradeSettings": "sources.color_grading",
+    "Region": "grading.region",
+    "ColorMatch": "grading.color_match",
+    "Recolor": "grading.color_match",
+    "read_cube": "grading.cube_lut",
     "Session": "session",
     "Receipt": "receipts",
     "verify": "receipts",
@@ -49,16 +61,22 @@ _HOME = {
 __all__ = [
     "Asset",
     "Camera",
+    "ColorMatch",
     "Decal",
     "Edit",
+    "GradeSettings",
     "Painter",
     "Receipt",
+    "Recolor",
+    "Region",
     "Render",
     "Session",
     "Splats",
+    "grade",
     "look_at",
     "orbit",
     "read",
+    "read_cube",
     "render",
     "studio",
     "verify",

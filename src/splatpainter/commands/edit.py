@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,18 +10,17 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from splatpainter.atomic import clash
 from splatpainter.commands import Outcome
 from splatpainter.commands.decal_options import DecalView, decal_from_options, paint_decal
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption, OutFile
-from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.proved import check_outputs, proved_record, write_proved
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verify import receipt_of, same_words
-from splatpainter.io import files, read, write
+from splatpainter.io import read
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.nn.precision import Precision
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
-from splatpainter.receipts import Receipt, Verification, prove
+from splatpainter.receipts import Receipt, Verification
 from splatpainter.sources import FileEdit, edit_from_files
 from splatpainter.sources.decals import Decal
 from splatpainter.splats import Splats
@@ -110,7 +108,7 @@ def run(config: Config) -> Outcome:
         painter = _painter(config)
         bar.enter("reading")
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
-        laps = {"read": time.perf_counter() - clock}
+        read_seconds = time.perf_counter() - clock
         _warn_of_other_assets(pictures, splats)
         _compile()
         bar.enter("painting")
@@ -119,21 +117,9 @@ def run(config: Config) -> Outcome:
         else:
             edited = paint(splats, pictures, config.mode, config.method, painter)
         assert edited.receipt is not None
-        clock = time.perf_counter()
-        # Left in reverse order: OUT takes its name first, the receipt, which is on disk by then, after it.
-        with files.writing(receipt_path) as file, placed(config.out) as partial:
-            bar.enter("writing")
-            write(partial, edited.splats, frame=config.out_frame)
-            laps["write"] = time.perf_counter() - clock
-            bar.enter("verifying")
-            clock = time.perf_counter()
-            receipt, verification = prove(splats, partial, edited.receipt, config.out_frame)
-            laps["verify"] = time.perf_counter() - clock
-            spent = {"read": laps.pop("read"), **receipt.seconds, **laps}
-            receipt = replace(receipt, seconds=spent)
-            file.write(receipt.to_json().encode())
-            file.flush()
-            os.fsync(file.fileno())
+        receipt, verification = write_proved(
+            splats, edited, config.out, receipt_path, config.out_frame, bar, read_seconds
+        )
     rounded = len(receipt.touched) - len(edited.receipt.touched)
     return Outcome(
         _record(config, receipt_path, receipt, verification, sources),
@@ -180,12 +166,8 @@ def _check(config: Config, receipt_path: Path) -> None:
             raise ValueError(
                 f"splatpainter edit: expected as many {name} files as pictures ({len(config.views)}), got {len(given)}"
             )
-    splat_format(config.out)
     pictures = [*config.views, *config.camera, *config.mask, *filter(None, [config.decal, config.decal_font])]
-    check_target(config.out, config.overwrite, [config.asset], pictures)
-    check_target(receipt_path, config.overwrite, [], [config.asset, *pictures])
-    if clash(receipt_path, config.out):
-        raise ValueError(f"{receipt_path}: OUT and the receipt need different names, not only in upper and lower case")
+    check_outputs(config.out, receipt_path, config.overwrite, config.asset, pictures)
 
 
 def _decal(config: Config) -> Decal | None:
@@ -218,18 +200,8 @@ def _compile() -> None:
 def _record(
     config: Config, path: Path, receipt: Receipt, verification: Verification, sources: Sequence[FileEdit | DecalView]
 ) -> dict:
-    import json
-
-    return {
-        "out": config.out,
-        "receipt_file": path,
-        "verified": verification.ok,
-        "same_rows": verification.same,
-        "compared": verification.exact,
-        "frame": verification.frame,
-        "notes": [f"{source.path}: {note}" for source in sources for note in source.notes],
-        "receipt": json.loads(receipt.to_json()),
-    }
+    notes = [f"{source.path}: {note}" for source in sources for note in source.notes]
+    return {**proved_record(config.out, path, receipt, verification), "notes": notes}
 
 
 def _lines(

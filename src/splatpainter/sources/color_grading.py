@@ -225,11 +225,18 @@ def grade_sh(sh: np.ndarray, settings: Mapping[str, Any]) -> np.ndarray:
     if sliders.neutral:
         return sh
 
-    def function(colors: np.ndarray) -> np.ndarray:
-        return srgb_to_linear(sliders(linear_to_srgb(colors))) if sliders.space == "linear" else sliders(colors)
+    return apply_to_sh(sh, sliders, sliders.space)
+
+
+def apply_to_sh(sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray], space: ColorSpace = "srgb") -> np.ndarray:
+    """[N, K, 3] float32 SH after a function of display colours [M, 3] 0..1; Gaussians that do not change keep their
+    bits. The bands >= 1 go through the function's Jacobian at the base colour. space: of the SH."""
+
+    def in_space(colors: np.ndarray) -> np.ndarray:
+        return srgb_to_linear(function(linear_to_srgb(colors))) if space == "linear" else function(colors)
 
     pieces = [sh[start : start + GAUSSIANS_PER_PIECE] for start in range(0, len(sh), GAUSSIANS_PER_PIECE)]
-    return np.concatenate(each(lambda piece: _graded(piece, function), pieces)) if pieces else sh
+    return np.concatenate(each(lambda piece: _graded(piece, in_space), pieces)) if pieces else sh
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of Gaussians that cannot be drawn; in each thread

@@ -1,0 +1,196 @@
+"""Look-up tables of colour in `.cube` files (Adobe, "Cube LUT Specification" 1.0, 2013; DaVinci Resolve's variant).
+
+    TITLE "film"           # text; ignored
+    LUT_3D_SIZE 33         # or LUT_1D_SIZE 1024; Resolve writes both: the 1D table shapes what the 3D table reads
+    DOMAIN_MIN 0 0 0       # input of the first entry, DOMAIN_MAX that of the last, per channel
+    DOMAIN_MAX 1 1 1       # Resolve: LUT_1D_INPUT_RANGE 0 1, LUT_3D_INPUT_RANGE 0 1, for all channels
+    0.0 0.0 0.0            # entries: red runs fastest, then green, then blue
+
+Values between entries are linear (1D) or tetrahedral (3D: a cell's six tetrahedra around its grey diagonal, after
+Kasson, Plouffe and Nin, "Tetrahedral interpolation technique for color space conversion", 1993): greys stay grey.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.io import files
+
+MAX_1D_SIZE, MAX_3D_SIZE = 65536, 129
+"""Entries of a table along an axis: what the specification allows, and the largest cube that grading programs write."""
+MAX_CUBE_BYTES = 128 << 20
+"""Of a file: 129^3 entries of 60 characters."""
+MAX_OTHER_LINES = 10_000
+"""Keywords, comments and empty lines of a file."""
+MAX_VALUE = 1e6
+"""Of an entry or a domain; tables of light go to about 100."""
+SIZES = {"LUT_1D_SIZE": MAX_1D_SIZE, "LUT_3D_SIZE": MAX_3D_SIZE}
+RANGES = {"DOMAIN_MIN": 3, "DOMAIN_MAX": 3, "LUT_1D_INPUT_RANGE": 2, "LUT_3D_INPUT_RANGE": 2}
+"""Keyword -> how many numbers follow it."""
+Domain = tuple[tuple[float, float, float], tuple[float, float, float]]
+UNIT: Domain = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+
+
+@dataclass(frozen=True)
+class CubeLut:
+    """A table of colours: call it with display colours [..., 3] to have the like, 0..1."""
+
+    name: str
+    """For receipts: that of its file."""
+    shaper: np.ndarray | None = field(default=None, repr=False)
+    """[S, 3] float32: the 1D table, applied first; one column per channel."""
+    cube: np.ndarray | None = field(default=None, repr=False)
+    """[B, G, R, 3] float32: the 3D table."""
+    shaper_domain: Domain = UNIT
+    """(lowest, highest) input per channel of the 1D table."""
+    cube_domain: Domain = UNIT
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        out = np.asarray(colors, np.float32)
+        if self.shaper is not None:
+            out = _shaped(_position(out, self.shaper_domain, len(self.shaper)), self.shaper)
+        if self.cube is not None:
+            flat = _position(out, self.cube_domain, len(self.cube)).reshape(-1, 3)
+            out = _tetrahedral(flat, self.cube).reshape(out.shape)
+        return out.clip(0, 1)
+
+    def describe(self) -> str:
+        return f"LUT {self.name}"
+
+
+def read_cube(path: Path) -> CubeLut:
+    """Raises ValueError naming the file and the line: unreadable, too large, unknown keywords, no or wrong numbers,
+    another number of entries than the size says. Sizes are judged before anything is allocated for them."""
+    data = files.read_head(path, MAX_CUBE_BYTES + 1)
+    if len(data) > MAX_CUBE_BYTES:
+        raise ValueError(f"{path}: expected a .cube table of at most {MAX_CUBE_BYTES >> 20} MiB, got more")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: expected a .cube table (text), got other bytes") from None
+    return parse_cube(text, path)
+
+
+def parse_cube(text: str, where: Path | str) -> CubeLut:
+    """As `read_cube`, of a file's text."""
+    header: dict[str, tuple[float, ...]] = {}
+    table = np.zeros((0, 3), np.float32)
+    count = limit = 0
+    for number, raw in enumerate(io.StringIO(text), 1):
+        at = f"{where}:{number}"
+        line = raw.split("#", 1)[0].strip()
+        if not line:
+            if number > count + MAX_OTHER_LINES:
+                raise ValueError(f"{at}: expected at most {MAX_OTHER_LINES} lines that are no entries")
+            continue
+        keyword = line.split(None, 1)[0].upper()
+        if keyword[0].isalpha():
+            if count:
+                raise ValueError(f"{at}: expected keywords before the entries, got {_quoted(keyword)}")
+            if keyword != "TITLE":
+                _keyword(header, keyword, line.split()[1:], at)
+                limit = _entry_count(header)
+            continue
+        if count == limit:
+            expected = (
+                f"{limit} entries, as its size says" if limit else "LUT_1D_SIZE or LUT_3D_SIZE before the entries"
+            )
+            raise ValueError(f"{at}: expected {expected}, got {_quoted(line)}")
+        if not count:
+            table = np.empty((limit, 3), np.float32)
+        table[count] = _numbers(line.split(), 3, at)
+        count += 1
+    if not limit:
+        raise ValueError(f"{where}: expected a .cube table with LUT_1D_SIZE or LUT_3D_SIZE, got neither")
+    if count != limit:
+        raise ValueError(f"{where}: expected {limit} entries, as its size says, got {count}")
+    size_1d, size_3d = (int(header.get(name, (0.0,))[0]) for name in SIZES)
+    shared = (_three(header.get("DOMAIN_MIN", (0.0,))), _three(header.get("DOMAIN_MAX", (1.0,))))
+    domains: list[Domain] = []
+    for name in ("LUT_1D_INPUT_RANGE", "LUT_3D_INPUT_RANGE"):
+        low, high = (_three(header[name][:1]), _three(header[name][1:])) if name in header else shared
+        if any(b - a < 1e-6 for a, b in zip(low, high, strict=True)):
+            raise ValueError(f"{where}: expected a domain whose highest input is above its lowest, got {low} to {high}")
+        domains.append((low, high))
+    return CubeLut(
+        Path(where).name,
+        table[:size_1d] if size_1d else None,
+        table[size_1d:].reshape(size_3d, size_3d, size_3d, 3) if size_3d else None,
+        domains[0],
+        domains[1],
+    )
+
+
+def _keyword(header: dict[str, tuple[float, ...]], keyword: str, words: list[str], at: str) -> None:
+    if keyword in header:
+        raise ValueError(f"{at}: {keyword} was given twice")
+    if keyword in SIZES:
+        if len(words) != 1 or not words[0].isascii() or not words[0].isdigit() or len(words[0]) > 9:
+            raise ValueError(f"{at}: expected a whole number after {keyword}, got {_quoted(' '.join(words))}")
+        if not 2 <= int(words[0]) <= SIZES[keyword]:
+            raise ValueError(f"{at}: expected {keyword} from 2 to {SIZES[keyword]}, got {words[0]}")
+        header[keyword] = (float(words[0]),)
+    elif keyword in RANGES:
+        header[keyword] = _numbers(words, RANGES[keyword], at)
+    else:
+        listed = ", ".join(["TITLE", *SIZES, *RANGES])
+        raise ValueError(f"{at}: unknown keyword {_quoted(keyword)}; expected one of {listed}, or three numbers")
+
+
+def _entry_count(header: dict[str, tuple[float, ...]]) -> int:
+    return int(header.get("LUT_1D_SIZE", (0.0,))[0]) + int(header.get("LUT_3D_SIZE", (0.0,))[0]) ** 3
+
+
+def _numbers(words: list[str], count: int, at: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in words)
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(math.isfinite(value) and abs(value) <= MAX_VALUE for value in values):
+        raise ValueError(f"{at}: expected {count} numbers, got {_quoted(' '.join(words))}")
+    return values
+
+
+def _three(values: tuple[float, ...]) -> tuple[float, float, float]:
+    red, green, blue = values * 3 if len(values) == 1 else values
+    return red, green, blue
+
+
+def _quoted(text: str) -> str:
+    return ascii(text[:40])
+
+
+def _position(colors: np.ndarray, domain: Domain, size: int) -> np.ndarray:
+    """Colours as positions 0..size - 1 in a table."""
+    low, high = (np.asarray(end, np.float32) for end in domain)
+    return ((colors - low) / (high - low)).clip(0, 1) * np.float32(size - 1)
+
+
+def _shaped(position: np.ndarray, table: np.ndarray) -> np.ndarray:
+    first = np.minimum(position.astype(np.int64), len(table) - 2)
+    share = position - first
+    channel = np.arange(3)
+    return (1 - share) * table[first, channel] + share * table[first + 1, channel]
+
+
+def _tetrahedral(position: np.ndarray, cube: np.ndarray) -> np.ndarray:
+    """[M, 3] of positions [M, 3]: from the cell's first corner along the axes in the order of their shares, the largest
+    first, to its last corner."""
+    first = np.minimum(position.astype(np.int64), len(cube) - 2)
+    share = position - first
+    order = np.argsort(-share, axis=1, kind="stable")
+    corner = first.copy()
+    each = np.arange(len(corner))
+    out = cube[corner[:, 2], corner[:, 1], corner[:, 0]]
+    for k in range(3):
+        before = cube[corner[:, 2], corner[:, 1], corner[:, 0]]
+        axis = order[:, k]
+        corner[each, axis] += 1
+        step = cube[corner[:, 2], corner[:, 1], corner[:, 0]] - before
+        out = out + share[each, axis][:, None] * step
+    return out

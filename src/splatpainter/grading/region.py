@@ -1,0 +1,271 @@
+"""Which Gaussians a look changes, said in words: `--where hue=340..20 y=..0.5 or sphere=0,0,0,1`.
+
+Terms that stand beside each other all have to hold, `or` between them begins another group, and `not:` before a term
+turns it round. Ranges A..B have an end or both; numbers are world units as `splatpainter info` prints them.
+
+    hue=A..B           of the base colour, degrees: 0 red, 120 green, 240 blue; 340..20 goes through 0; greys have none
+    saturation=A..B    0 grey .. 1; of HSV
+    lightness=A..B     0..1, luma
+    color=#RRGGBB~D    colours within D (default 0.1) of this one in OKLab
+    x=A..B y= z=       centres
+    box=X,Y,Z,X,Y,Z    centres between two corners
+    sphere=X,Y,Z,R     centres within R of a point
+    opacity=A..B       peak alpha
+    size=A..B          standard deviation along the longest axis
+    mask=M.png@CAM.json  those that show mostly inside a mask drawn on a view, as a selection in the studio; without
+                       @CAM.json the picture carries its camera
+
+Terms of colour fade out beyond their ends (FADE), so that shades do not tear; the others are sharp. OKLab: Ottosson, "A
+perceptual color space for image processing", 2020.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from splatpainter.color import luminance, srgb_to_linear
+from splatpainter.grading.color_match import display_colors
+from splatpainter.splats import Splats
+
+MAX_TERMS = 64
+FADE = {"hue": 15.0, "saturation": 0.05, "lightness": 0.05}
+"""Beyond the ends of a range, in its unit."""
+DEFAULT_DISTANCE = 0.1
+"""In OKLab; black and white are 1 apart."""
+COLOR_FADE = 0.5
+"""Of a colour's distance, beyond it."""
+MIN_CHROMA = 0.05
+"""Display units between the largest and the smallest channel: what has less is nearly grey, and has a hue by chance."""
+TO_LMS = (
+    (0.4122214708, 0.5363325363, 0.0514459929),
+    (0.2119034982, 0.6806995451, 0.1073969566),
+    (0.0883024619, 0.2817188376, 0.6299787005),
+)
+LMS_TO_LAB = (
+    (0.2104542553, 0.7936177850, -0.0040720468),
+    (1.9779984951, -2.4285922050, 0.4505937099),
+    (0.0259040371, 0.7827717662, -0.8086757660),
+)
+Weigh = Callable[[Splats], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Some Gaussians, by what they are: an `or` of groups of terms that all have to hold."""
+
+    text: str
+    """The words that it was read from."""
+    groups: tuple[tuple[Weigh, ...], ...] = field(repr=False, default=())
+
+    @staticmethod
+    def parse(words: Sequence[str]) -> Region:
+        """Raises ValueError naming the term: unknown, numbers that are none, a mask that cannot be read."""
+        terms = [term for word in words for term in word.split()] if len(words) == 1 else list(words)
+        if not terms or len(terms) > MAX_TERMS:
+            raise ValueError(f"--where: expected 1 to {MAX_TERMS} terms, got {len(terms)}")
+        groups: list[list[Weigh]] = [[]]
+        for term in terms:
+            if term == "or":
+                groups.append([])
+            else:
+                groups[-1].append(_term(term))
+        if not all(groups):
+            raise ValueError("--where: expected a term on both sides of or")
+        return Region(" ".join(terms), tuple(map(tuple, groups)))
+
+    def weights(self, splats: Splats) -> np.ndarray:
+        """[N] float32 0..1: how much of each Gaussian belongs to the region; 0 for what cannot be drawn. Raises
+        ValueError: it reaches none."""
+        out = np.zeros(len(splats), np.float32)
+        for group in self.groups:
+            out = np.maximum(out, np.minimum.reduce([term(splats) for term in group]))
+        out[~splats.drawable] = 0
+        if not out.any():
+            raise ValueError(f"--where {self.text}: reaches none of {len(splats)} Gaussians; widen it")
+        return out
+
+
+def _term(text: str) -> Weigh:
+    inverted = text.startswith("not:")
+    name, equals, value = text.removeprefix("not:").partition("=")
+    if name not in _TERMS or not equals or not value:
+        raise ValueError(f"--where: expected NAME=VALUE with one of {', '.join(_TERMS)}, got {ascii(text[:60])}")
+    weigh = _TERMS[name](name, value)
+    return (lambda splats: 1 - weigh(splats)) if inverted else weigh
+
+
+def _range(name: str, text: str) -> tuple[float, float]:
+    low, dots, high = text.partition("..")
+    if not dots or not (low or high):
+        raise _wrong(name, "A..B, ..B or A..", text)
+    start = _number(name, low) if low else -math.inf
+    end = _number(name, high) if high else math.inf
+    if start > end and name != "hue":
+        raise _wrong(name, "a range from its lower to its higher end", text)
+    return start, end
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise _wrong(name, "a number", text)
+    return value
+
+
+def _vector(name: str, text: str, count: int) -> np.ndarray:
+    parts = text.split(",")
+    if len(parts) != count:
+        raise _wrong(name, f"{count} numbers with commas between", text)
+    return np.array([_number(name, part) for part in parts])
+
+
+def _wrong(name: str, expected: str, text: str) -> ValueError:
+    return ValueError(f"--where {name}: expected {expected}, got {ascii(text[:60])}")
+
+
+def _faded(beyond: np.ndarray, fade: float) -> np.ndarray:
+    """1 where a value lies inside its range (beyond <= 0), 0 from `fade` beyond it on, a raised cosine between."""
+    return (0.5 + 0.5 * np.cos(np.pi * np.clip(beyond / fade, 0, 1))).astype(np.float32)
+
+
+def _hue(name: str, text: str) -> Weigh:
+    start, end = _range(name, text)
+    if math.isinf(start) or math.isinf(end):
+        raise _wrong(name, "A..B, two angles", text)
+    width = (end - start) % 360 if end - start < 360 else 360.0
+    middle = start + width / 2
+
+    def weigh(splats: Splats) -> np.ndarray:
+        colors = display_colors(splats)
+        high, low = colors.max(1), colors.min(1)
+        chroma = high - low
+        distance = np.abs((hues(colors) - middle + 180) % 360 - 180)
+        return _faded(distance - width / 2, FADE[name]) * np.minimum(chroma / np.float32(MIN_CHROMA), 1)
+
+    return weigh
+
+
+def hues(colors: np.ndarray) -> np.ndarray:
+    """[N] degrees 0..360 of display colours [N, 3] as the hexagon of HSV has them; 0 of greys."""
+    red, green, blue = colors.T.astype(np.float64)
+    high, low = colors.max(1), colors.min(1)
+    chroma = np.where(high > low, high - low, 1)
+    sextant = np.select(
+        [high == red, high == green],
+        [(green - blue) / chroma % 6, (blue - red) / chroma + 2],
+        (red - green) / chroma + 4,
+    )
+    return 60 * sextant
+
+
+def _color_range(name: str, text: str) -> Weigh:
+    low, high = _range(name, text)
+
+    def weigh(splats: Splats) -> np.ndarray:
+        colors = display_colors(splats)
+        if name == "lightness":
+            value = luminance(colors)
+        else:
+            value = 1 - colors.min(1) / np.maximum(colors.max(1), 1e-6)
+        return _faded(np.maximum(low - value, value - high), FADE[name])
+
+    return weigh
+
+
+def _color(name: str, text: str) -> Weigh:
+    code, tilde, distance_text = text.partition("~")
+    digits = code.removeprefix("#")
+    if len(digits) != 6 or any(c not in "0123456789abcdefABCDEF" for c in digits):
+        raise _wrong(name, "#RRGGBB or #RRGGBB~DISTANCE", text)
+    limit = _number(name, distance_text) if tilde else DEFAULT_DISTANCE
+    if limit <= 0:
+        raise _wrong(name, "a distance above 0", text)
+    target = oklab(np.array([[int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]]))
+
+    def weigh(splats: Splats) -> np.ndarray:
+        distance = np.linalg.norm(oklab(display_colors(splats)) - target, axis=1)
+        return _faded(distance - limit, COLOR_FADE * limit)
+
+    return weigh
+
+
+def oklab(colors: np.ndarray) -> np.ndarray:
+    """[N, 3] display colours 0..1 -> [N, 3] float64 lightness, a, b."""
+    light = srgb_to_linear(colors.astype(np.float64))
+    return np.cbrt(light @ np.array(TO_LMS).T) @ np.array(LMS_TO_LAB).T
+
+
+def _attribute(name: str, text: str) -> Weigh:
+    low, high = _range(name, text)
+
+    def weigh(splats: Splats) -> np.ndarray:
+        if name == "opacity":
+            value = splats.opacities
+        else:
+            value = splats.scales.max(1) if name == "size" else splats.means[:, "xyz".index(name)]
+        return ((value >= low) & (value <= high)).astype(np.float32)
+
+    return weigh
+
+
+def _box(name: str, text: str) -> Weigh:
+    corners = _vector(name, text, 6).reshape(2, 3)
+    low, high = corners.min(0), corners.max(0)
+    return lambda splats: ((splats.means >= low) & (splats.means <= high)).all(1).astype(np.float32)
+
+
+def _sphere(name: str, text: str) -> Weigh:
+    *center, radius = _vector(name, text, 4)
+    if radius <= 0:
+        raise _wrong(name, "a radius above 0", text)
+    return lambda splats: (((splats.means - np.array(center)) ** 2).sum(1) <= radius**2).astype(np.float32)
+
+
+def _mask(name: str, text: str) -> Weigh:
+    from splatpainter.image_files import find_camera
+    from splatpainter.sources.edit_files import camera_from
+    from splatpainter.sources.picture_reader import read_mask, resample
+
+    picture, at, camera_name = text.rpartition("@")
+    if not at:
+        picture, camera_name = text, ""
+    camera = camera_from(Path(camera_name)) if camera_name else find_camera(Path(picture))
+    mask = read_mask(Path(picture))
+    if abs(mask.shape[1] * camera.height - mask.shape[0] * camera.width) > max(mask.shape):
+        size = f"{mask.shape[1]}x{mask.shape[0]}"
+        raise ValueError(
+            f"{picture}: expected a mask of its camera's shape ({camera.width}x{camera.height}), got {size}"
+        )
+    if mask.shape != (camera.height, camera.width):
+        mask = resample(mask.astype(np.float32), camera.width, camera.height) > 0.5
+
+    def weigh(splats: Splats) -> np.ndarray:
+        from splatpainter.session.layer_blending import reached_gaussians
+
+        return reached_gaussians(splats, [(camera, mask)]).astype(np.float32)
+
+    return weigh
+
+
+_TERMS: dict[str, Callable[[str, str], Weigh]] = {
+    "hue": _hue,
+    "saturation": _color_range,
+    "lightness": _color_range,
+    "color": _color,
+    "x": _attribute,
+    "y": _attribute,
+    "z": _attribute,
+    "box": _box,
+    "sphere": _sphere,
+    "opacity": _attribute,
+    "size": _attribute,
+    "mask": _mask,
+}
