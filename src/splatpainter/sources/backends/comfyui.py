@@ -1,0 +1,387 @@
+"""A workflow of ComfyUI as a source: a file in its API format whose nodes say by their titles what goes where.
+
+    splatpainter:image   the view, into a node that loads a picture (LoadImage)
+    splatpainter:mask    white may change (LoadImageMask, or LoadImage by either output)
+    splatpainter:depth   near is bright; splatpainter:normal: B towards the viewer; as control networks want them
+    splatpainter:prompt  into the node's text (CLIPTextEncode, or any text or prompt)
+    splatpainter:seed    into its seed (KSampler, RandomNoise)
+    splatpainter:out     the node whose picture is the answer (SaveImage, PreviewImage)
+
+Interface: POST /upload/image and /prompt, progress by the web socket, GET /history/{id} and /view; a request that is
+cancelled leaves the queue, or is interrupted where it is the one that runs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import copy
+import hashlib
+import json
+import os
+import uuid
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, urlencode
+
+import numpy as np
+
+from splatpainter.image_files import encode_png, quantized
+from splatpainter.sources.answer_pictures import depth_png, image_png, normal_png, read_answer
+from splatpainter.sources.backends.http import (
+    MAX_FILE_BYTES,
+    Service,
+    at,
+    check_url,
+    node_errors,
+    require_httpx,
+    run,
+)
+from splatpainter.sources.picture_source import (
+    CancelFlag,
+    Capabilities,
+    PictureAnswer,
+    PictureRequest,
+    Progress,
+    SourceError,
+)
+from splatpainter.sources.source_options import SourceDescription, option
+
+KEYS = ("COMFYUI_API_KEY",)
+PREFIX = "splatpainter:"
+SLOTS = ("image", "mask", "depth", "normal", "prompt", "seed", "out")
+PICTURES = ("image", "mask", "depth", "normal")
+INPUTS = {
+    "prompt": ("text", "prompt", "string", "value", "text_g", "text_l", "clip_l", "t5xxl"),
+    "seed": ("seed", "noise_seed", "value", "int"),
+}
+"""Names of inputs that a slot is written to: all of them that the node has and that are no links."""
+MAX_WORKFLOW_BYTES = 16 << 20
+MAX_MESSAGE_BYTES = 64 << 20
+"""Of a message of the socket: previews come by it too."""
+MAX_SEED = 2**63 - 1
+HISTORY_SECONDS = 0.5
+"""Between looks at the history where the socket is silent or closed."""
+
+CLOSE_SECONDS = 0.3
+"""That a server has to say goodbye."""
+
+
+@dataclass(frozen=True)
+class ComfyUIOptions:
+    """Options of the source `comfyui`."""
+
+    workflow: Path = option(
+        "Workflow in API format (File > Export (API)), its nodes titled splatpainter:image, splatpainter:out, ..."
+    )
+    url: str = option("Address of the server", "http://127.0.0.1:8188")
+    timeout: float = option("Seconds for one picture, its time in the queue included", 600.0, least=0.1)
+
+
+DESCRIPTION = SourceDescription(
+    name="comfyui",
+    summary="a workflow on a ComfyUI server",
+    options=ComfyUIOptions,
+    takes="what its workflow has nodes for: splatpainter:image, mask, prompt, depth, normal, seed, out",
+    keys=KEYS,
+    key_optional=True,
+    modules=("httpx", "websockets"),
+    extra="sources",
+)
+
+
+def open_source(options: ComfyUIOptions) -> ComfyUISource:
+    """Raises SourceError: a workflow that cannot be read or lacks its slots, no address, httpx missing."""
+    return ComfyUISource(options)
+
+
+class ComfyUISource:
+    """One workflow on one server."""
+
+    name = "comfyui"
+
+    def __init__(self, options: ComfyUIOptions) -> None:
+        require_httpx("comfyui")
+        self.options = options
+        self.url = check_url("comfyui", "url", options.url)
+        self.workflow = read_workflow(options.workflow)
+        self.slots = find_slots(self.workflow, options.workflow.name)
+        self.capabilities = Capabilities(
+            prompt="prompt" in self.slots,
+            mask="mask" in self.slots,
+            seed="seed" in self.slots,
+            maps=frozenset({"depth", "normal"} & {*self.slots}),
+            max_side_px=8192,
+        )
+
+    def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
+        """Run the workflow once. Raises SourceError with what the server says; SourceCancelled."""
+        key = os.environ.get(KEYS[0], "").strip()
+        headers = {"Authorization": f"Bearer {key}"} if key else {}
+        job = _Job(Service("comfyui", self.url, headers, progress, KEYS), headers, progress)
+        body = run(lambda: job.run(self.workflow, self.slots, request), "comfyui", self.options.timeout, cancel)
+        image, notes = read_answer(body, "comfyui")
+        seed = request.seed if "seed" in self.slots else None
+        return PictureAnswer(image, model=f"ComfyUI workflow {self.options.workflow.name}", seed=seed, notes=notes)
+
+
+def read_workflow(path: Path) -> dict[str, Any]:
+    """Node number -> node. Raises SourceError: unreadable, no JSON, the editor's format, no workflow."""
+    try:
+        if not path.is_file():
+            raise SourceError(f"source comfyui: {path}: no such file; expected a workflow in API format")
+        if path.stat().st_size > MAX_WORKFLOW_BYTES:
+            raise SourceError(f"source comfyui: {path}: expected at most {MAX_WORKFLOW_BYTES >> 20} MiB")
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise SourceError(f"source comfyui: {path}: cannot be read ({error.strerror})") from None
+    except SourceError:
+        raise
+    except (ValueError, RecursionError):
+        raise SourceError(f"source comfyui: {path}: expected a workflow, got no JSON") from None
+    if isinstance(data, dict) and isinstance(data.get("prompt"), dict) and "class_type" not in data["prompt"]:
+        data = data["prompt"]  # as it was posted
+    if isinstance(data, dict) and isinstance(data.get("nodes"), list):
+        raise SourceError(
+            f"source comfyui: {path}: is saved for the editor; export it for the API (File > Export (API))"
+        )
+    nodes = data if isinstance(data, dict) else {}
+    if not nodes or not all(isinstance(at(node, "class_type"), str) for node in nodes.values()):
+        raise SourceError(f"source comfyui: {path}: expected a workflow in API format (class_type, inputs)")
+    if not all(isinstance(node.get("inputs"), dict) for node in nodes.values()):
+        raise SourceError(f"source comfyui: {path}: expected nodes with inputs")
+    return nodes
+
+
+def find_slots(workflow: dict[str, Any], name: str) -> dict[str, list[str]]:
+    """Slot -> the numbers of its nodes. Raises SourceError: no image or no out (with the titles that there are), a
+    title that is no slot, a node that cannot take what its title says."""
+    titles = {number: str(at(node, "_meta", "title") or node["class_type"]) for number, node in workflow.items()}
+    slots: dict[str, list[str]] = {}
+    for number, title in titles.items():
+        words = title.strip().lower()
+        if words.startswith(PREFIX):
+            slot = words.removeprefix(PREFIX).strip()
+            if slot not in SLOTS:
+                listed = ", ".join(PREFIX + slot for slot in SLOTS)
+                raise SourceError(f"source comfyui: {name}: no slot {title.strip()[:60]!r}; there are {listed}")
+            slots.setdefault(slot, []).append(number)
+    missing = [PREFIX + slot for slot in ("image", "out") if slot not in slots]
+    if missing:
+        listed = ", ".join(dict.fromkeys(title.strip()[:40] for title in titles.values()))[:300]
+        raise SourceError(
+            f"source comfyui: {name}: no node is titled {' or '.join(missing)}; there are {listed}; "
+            "give the nodes these titles in ComfyUI and export again"
+        )
+    if len(slots["out"]) > 1:
+        raise SourceError(f"source comfyui: {name}: {len(slots['out'])} nodes are titled {PREFIX}out; expected one")
+    for slot, numbers in slots.items():
+        for number in numbers:
+            node = workflow[number]
+            if slot != "out" and not _inputs(node, slot):
+                listed = ", ".join(INPUTS.get(slot, ("image",)))
+                raise SourceError(
+                    f"source comfyui: {name}: node {number} ({node['class_type']}) is titled {PREFIX}{slot} and has no "
+                    f"input of its own for it; expected {listed}"
+                )
+    return slots
+
+
+def _inputs(node: dict[str, Any], slot: str) -> list[str]:
+    """Inputs of a node that a slot is written to; links, which are lists, are left alone."""
+    if slot in PICTURES:
+        return [name for name in ("image",) if isinstance(node["inputs"].get(name), str)]
+    kinds = (str,) if slot == "prompt" else (int, float)
+    return [name for name in INPUTS[slot] if isinstance(node["inputs"].get(name), kinds)]
+
+
+class _Job:
+    """One run of a workflow, within the loop of `run`."""
+
+    def __init__(self, service: Service, headers: dict[str, str], progress: Progress) -> None:
+        self._service, self._headers, self._progress = service, headers, progress
+        self._prompt_id = ""
+
+    async def run(self, workflow: dict[str, Any], slots: dict[str, list[str]], request: PictureRequest) -> bytes:
+        """The picture file of the slot `out`."""
+        try:
+            self._progress(0.0, f"sending to {self._service.host}")
+            graph = await self._filled(workflow, slots, request)
+            client = uuid.uuid4().hex
+            async with self._socket(client) as socket:
+                answer = await self._service.json("POST", "/prompt", json={"prompt": graph, "client_id": client})
+                self._prompt_id = str(at(answer, "prompt_id") or "")
+                if not self._prompt_id or at(answer, "node_errors"):
+                    raise self._service.error(f"did not take the workflow: {node_errors(answer)}")
+                history = await self._finished(socket, graph)
+        except asyncio.CancelledError:
+            if self._prompt_id:
+                with contextlib.suppress(Exception):
+                    await self._give_up()
+            raise
+        return await self._picture(history, slots["out"][0], graph)
+
+    async def _filled(
+        self, workflow: dict[str, Any], slots: dict[str, list[str]], request: PictureRequest
+    ) -> dict[str, Any]:
+        graph = copy.deepcopy(workflow)
+        contents = {
+            "image": lambda: image_png(request),
+            "mask": lambda: mask_rgba_png(request),
+            "depth": lambda: depth_png(request),
+            "normal": lambda: normal_png(request),
+        }
+        for slot, numbers in slots.items():
+            if slot in PICTURES:
+                name = await self._upload(contents[slot](), slot)
+            for number in numbers:
+                inputs = graph[number]["inputs"]
+                for key in _inputs(graph[number], slot) if slot != "out" else ():
+                    if slot in PICTURES:
+                        inputs[key] = name
+                    elif slot == "prompt":
+                        inputs[key] = request.prompt
+                    elif request.seed is not None:
+                        inputs[key] = request.seed & MAX_SEED
+                if slot == "mask" and isinstance(inputs.get("channel"), str):
+                    inputs["channel"] = "red"
+        return graph
+
+    async def _upload(self, png: bytes, slot: str) -> str:
+        name = f"splatpainter_{slot}_{hashlib.sha256(png).hexdigest()[:16]}.png"
+        files = {"image": (name, png, "image/png")}
+        answer = await self._service.json("POST", "/upload/image", files=files, data={"overwrite": "true"})
+        stored, folder = at(answer, "name"), at(answer, "subfolder")
+        if not isinstance(stored, str) or not stored:
+            raise self._service.error("took a picture and did not say its name; is this a ComfyUI server?")
+        return f"{folder}/{stored}" if isinstance(folder, str) and folder else stored
+
+    @contextlib.asynccontextmanager
+    async def _socket(self, client: str) -> AsyncIterator[Any]:
+        """The web socket, or None where there is none: then only the history says how far it is."""
+        try:
+            from websockets.asyncio.client import connect
+        except ImportError:
+            yield None
+            return
+        url = "ws" + self._service.base_url.removeprefix("http") + f"/ws?clientId={client}"
+        try:
+            connection = await connect(
+                url,
+                max_size=MAX_MESSAGE_BYTES,
+                open_timeout=10,
+                close_timeout=CLOSE_SECONDS,
+                proxy=None,
+                additional_headers=self._headers,
+            )
+        except Exception:  # refused, no socket behind this proxy, not in time: the history answers as well
+            yield None
+            return
+        try:
+            yield connection
+        finally:
+            try:
+                with contextlib.suppress(Exception):
+                    await connection.close()
+            finally:
+                connection.transport.abort()  # nothing, where it is closed
+
+    async def _finished(self, socket: Any, graph: dict[str, Any]) -> Any:
+        """The history of the run once it ended well."""
+        while True:
+            if socket is not None:
+                try:
+                    message = await asyncio.wait_for(socket.recv(), HISTORY_SECONDS)
+                except TimeoutError:
+                    message = ""
+                except Exception:  # closed by the server or on the way
+                    socket, message = None, ""
+                if message and not self._is_end(message, graph):
+                    continue
+            else:
+                await asyncio.sleep(HISTORY_SECONDS)
+            entry = at(await self._service.json("GET", f"/history/{quote(self._prompt_id)}"), self._prompt_id)
+            if isinstance(entry, dict):
+                status = at(entry, "status", "status_str")
+                if status == "error":
+                    raise self._service.error(f"stopped{_history_error(entry)}")
+                if status == "success" or at(entry, "status", "completed") or entry.get("outputs"):
+                    return entry
+
+    def _is_end(self, message: str | bytes, graph: dict[str, Any]) -> bool:
+        """Whether a message ends the run. Reports progress; raises SourceError where it says that the run failed."""
+        try:
+            data = json.loads(message) if isinstance(message, str) else None
+        except (ValueError, RecursionError):
+            return False
+        kind, content = at(data, "type"), at(data, "data")
+        if at(content, "prompt_id") not in (None, self._prompt_id):
+            return False
+        if kind == "execution_error":
+            raise self._service.error(f"stopped{_execution_error(content)}")
+        if kind == "execution_interrupted":
+            raise self._service.error("was interrupted on the server")
+        if kind == "execution_success" or (kind == "executing" and at(content, "node") is None):
+            return at(content, "prompt_id") is not None
+        if kind == "progress":
+            value, most = at(content, "value"), at(content, "max")
+            if isinstance(value, int | float) and isinstance(most, int | float) and most > 0:
+                self._progress(min(max(value / most, 0.0), 1.0), f"step {value:g} of {most:g}")
+        elif kind == "executing":
+            node = graph.get(str(at(content, "node")), {})
+            self._progress(0.0, str(node.get("class_type", "working")))
+        elif kind == "status":
+            waiting = at(content, "status", "exec_info", "queue_remaining")
+            if isinstance(waiting, int) and waiting > 1:
+                self._progress(0.0, f"{waiting} in the queue")
+        return False
+
+    async def _picture(self, history: Any, number: str, graph: dict[str, Any]) -> bytes:
+        pictures = at(history, "outputs", number, "images")
+        files = (
+            [entry for entry in pictures if isinstance(at(entry, "filename"), str)]
+            if isinstance(pictures, list)
+            else []
+        )
+        if not files:
+            kind = graph[number]["class_type"]
+            raise self._service.error(
+                f"ended without a picture from {PREFIX}out (node {number}, {kind}); expected a node that saves or "
+                "previews one"
+            )
+        query = {key: str(files[-1].get(key) or "") for key in ("filename", "subfolder", "type")}
+        url = f"{self._service.base_url}/view?{urlencode(query)}"
+        body, _ = await self._service.send("GET", url, MAX_FILE_BYTES)
+        return body
+
+    async def _give_up(self) -> None:
+        """Take the run out of the queue; interrupt it where it is the one that runs, and no other."""
+        await self._post("/queue", {"delete": [self._prompt_id]})
+        queue = await self._service.json("GET", "/queue")
+        running = at(queue, "queue_running")
+        if isinstance(running, list) and any(at(item, 1) == self._prompt_id for item in running):
+            await self._post("/interrupt", {"prompt_id": self._prompt_id})
+
+    async def _post(self, path: str, content: dict[str, Any]) -> None:
+        await self._service.send("POST", self._service.base_url + path, 1 << 20, json=content)
+
+
+def mask_rgba_png(request: PictureRequest) -> bytes:
+    """White where it may change, in grey; transparent there as well, so that LoadImage's MASK, which is 1 - alpha, says
+    the same."""
+    mask = np.ones(request.image.shape[:2], np.float32) if request.mask is None else request.mask
+    return encode_png(quantized(np.stack([mask, mask, mask, 1 - mask], -1)))
+
+
+def _execution_error(content: Any) -> str:
+    return f" in node {at(content, 'node_id')} ({at(content, 'node_type')}): {at(content, 'exception_message')}"[:400]
+
+
+def _history_error(entry: Any) -> str:
+    messages = at(entry, "status", "messages")
+    for message in messages if isinstance(messages, list) else ():
+        if at(message, 0) == "execution_error":
+            return _execution_error(at(message, 1))
+    return ""

@@ -1,0 +1,156 @@
+"""Google's Gemini image models ("Nano Banana") as a source, by the REST interface that google-genai speaks:
+POST models/MODEL:generateContent with pictures as inline data, answered in the modality IMAGE.
+
+They take no mask: it goes along as a further picture with a sentence that says what it is, and a note says so.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from splatpainter.sources.answer_pictures import image_png, mask_png, read_answer, reference_png
+from splatpainter.sources.backends.http import (
+    Service,
+    at,
+    check_url,
+    decode_base64,
+    read_key,
+    require_httpx,
+    run,
+)
+from splatpainter.sources.picture_source import (
+    CancelFlag,
+    Capabilities,
+    PictureAnswer,
+    PictureRequest,
+    Progress,
+    SourceError,
+)
+from splatpainter.sources.source_options import SourceDescription, option
+
+KEYS = ("GEMINI_API_KEY", "GOOGLE_API_KEY")
+MODEL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,100}")
+MASK_WORDS = (
+    "The second picture is a mask of the first: change only what is white in it, and leave what is black exactly as it "
+    "is. Do not draw the mask."
+)
+FRAME_WORDS = "Answer with the edited picture alone, with the same framing, size and viewpoint as the first picture."
+REFERENCE_WORDS = "The last {count} pictures show what is meant; they are not to be edited."
+MAX_SEED = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class GeminiOptions:
+    """Options of the source `gemini`."""
+
+    model: str = option("Model that answers with pictures", "gemini-2.5-flash-image")
+    size: str = option("Size of the answer, where the model has a choice (1K, 2K, 4K)", "")
+    base_url: str = option("Address of the service", "https://generativelanguage.googleapis.com/v1beta")
+    timeout: float = option("Seconds for one picture, waiting included", 300.0, least=0.1)
+
+
+def _capabilities(model: str) -> Capabilities:
+    few = "2.5" in model  # sound with three pictures, says its documentation; later ones with fourteen
+    return Capabilities(
+        prompt=True, needs_prompt=True, mask=True, references=2 if few else 11, seed=True, max_side_px=4096, paid=True
+    )
+
+
+DESCRIPTION = SourceDescription(
+    name="gemini",
+    summary="Google's Gemini image models (Nano Banana); paid",
+    options=GeminiOptions,
+    capabilities=_capabilities("gemini-2.5-flash-image"),
+    keys=KEYS,
+    modules=("httpx",),
+    extra="sources",
+)
+
+
+def open_source(options: GeminiOptions) -> GeminiSource:
+    """Raises SourceError: options that cannot be, httpx missing."""
+    return GeminiSource(options)
+
+
+class GeminiSource:
+    """One model of the service."""
+
+    name = "gemini"
+
+    def __init__(self, options: GeminiOptions) -> None:
+        require_httpx("gemini")
+        self.base_url = check_url("gemini", "base_url", options.base_url)
+        self.model = options.model.removeprefix("models/")
+        if not MODEL_NAME.fullmatch(self.model):
+            raise SourceError(f"source gemini: option model: expected a name, got {options.model[:80]!r}")
+        if options.size not in ("", "512", "1K", "2K", "4K"):
+            raise SourceError(f"source gemini: option size: expected 1K, 2K or 4K, got {options.size[:20]!r}")
+        self.options = options
+        self.capabilities = _capabilities(self.model)
+
+    def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
+        """One call. Raises SourceError, also where the answer is text or was blocked; SourceCancelled."""
+        headers = {"x-goog-api-key": read_key("gemini", KEYS)}
+        service = Service("gemini", self.base_url, headers, progress, KEYS)
+        body = self._body(request)
+        progress(0.0, f"asking {self.model}")
+
+        async def work() -> Any:
+            return await service.json("POST", f"/models/{self.model}:generateContent", json=body)
+
+        data = run(work, "gemini", self.options.timeout, cancel)
+        image, notes = read_answer(picture_of(data), "gemini")
+        if request.mask is not None:
+            notes = ("gemini takes no mask: it was sent as a second picture, and nothing holds the model to it", *notes)
+        tokens = at(data, "usageMetadata", "totalTokenCount")
+        version = at(data, "modelVersion")
+        return PictureAnswer(
+            image,
+            model=version if isinstance(version, str) else self.model,
+            seed=request.seed,
+            cost=f"{tokens:,} tokens" if isinstance(tokens, int) else "",
+            notes=notes,
+        )
+
+    def _body(self, request: PictureRequest) -> dict[str, Any]:
+        words = [request.prompt, FRAME_WORDS]
+        pictures = [image_png(request)]
+        if request.mask is not None:
+            words.insert(1, MASK_WORDS)
+            pictures.append(mask_png(request))
+        if request.references:
+            words.append(REFERENCE_WORDS.format(count=len(request.references)))
+            pictures += [reference_png(picture) for picture in request.references]
+        config: dict[str, Any] = {"responseModalities": ["TEXT", "IMAGE"]}
+        if request.seed is not None:
+            config["seed"] = request.seed & MAX_SEED
+        if self.options.size:
+            config["imageConfig"] = {"imageSize": self.options.size}
+        inline = [{"inlineData": {"mimeType": "image/png", "data": base64.b64encode(png).decode()}} for png in pictures]
+        return {
+            "contents": [{"role": "user", "parts": [{"text": "\n\n".join(words)}, *inline]}],
+            "generationConfig": config,
+        }
+
+
+def picture_of(data: Any) -> bytes:
+    """The last picture of an answer (models that think draw drafts first). Raises SourceError: blocked, text, none."""
+    if reason := at(data, "promptFeedback", "blockReason"):
+        raise SourceError(f"source gemini: refused the prompt or the picture ({reason}); say it in other words")
+    parts = at(data, "candidates", 0, "content", "parts")
+    parts = [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
+    inline = [part.get("inlineData") or part.get("inline_data") for part in parts if not part.get("thought")]
+    drawn = [part["data"] for part in inline if isinstance(part, dict) and "data" in part]
+    if drawn:
+        return decode_base64(drawn[-1], "gemini")
+    reason, why = at(data, "candidates", 0, "finishReason"), at(data, "candidates", 0, "finishMessage")
+    if isinstance(reason, str) and reason not in ("STOP", "FINISH_REASON_UNSPECIFIED"):
+        explanation = f": {why}" if isinstance(why, str) and why else ""
+        raise SourceError(f"source gemini: gave no picture ({reason}{explanation}); say it in other words")
+    text = " ".join(part["text"] for part in parts if isinstance(part.get("text"), str))
+    if text.strip():
+        raise SourceError(f"source gemini: answered with words in place of a picture: {' '.join(text.split())[:200]!r}")
+    raise SourceError("source gemini: answered without a picture")
