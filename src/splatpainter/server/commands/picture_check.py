@@ -14,11 +14,11 @@ from splatpainter.color import to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.server import image_registration as registration
 from splatpainter.server.commands.context import CommandContext, command, render_alpha, render_display
-from splatpainter.server.image_registration import Crop, find_crop
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
 from splatpainter.server.storage import StoredBlob
 from splatpainter.sources.edit_files import over_render, unmultiplied
 from splatpainter.sources.picture_reader import Picture, read_picture
+from splatpainter.sources.registration import Crop, error_at, find_crop, find_shift, undo_shift
 
 MAX_CROP_CANDIDATES = 8
 """Latest exported views that a picture without a camera may be a part of."""
@@ -92,9 +92,9 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
         if picture.size != size:
             notes.append(f"resampled from {picture.size[0]}x{picture.size[1]} to its camera's {size[0]}x{size[1]}")
         colors = _flat(picture, render, size) if alpha is None else _cut_out(context, picture, render, camera)
-        shift = registration.find_shift(colors, render)
+        shift = find_shift(colors, render)
     if shift != (0, 0):
-        colors = registration.undo_shift(colors, render, *shift)
+        colors = undo_shift(colors, render, *shift)
         notes.append(f"moved back by {shift[0]}, {shift[1]} pixels")
     mask = registration.changed_mask(colors, render, request.threshold)
     share = float(mask.mean())
@@ -192,7 +192,7 @@ def _crop(picture: Picture, render: np.ndarray) -> Crop | None:
         return None
     crop = find_crop(_flat(picture, 0.0, picture.size), render)
     if crop is not None and registration.same_shape(picture.size, (width, height)):
-        uncropped_error = registration.error_at(_flat(picture, 0.0, (width, height)), render)
+        uncropped_error = error_at(_flat(picture, 0.0, (width, height)), render)
         return crop if crop.error < MAX_CROP_ERROR_RATIO * uncropped_error else None
     return crop
 

@@ -1,0 +1,421 @@
+"""What every picture from a source goes through before anything is painted with it.
+
+It is laid over the render that was sent (sources/registration.py), its colours are taken back where they drifted
+(sources/color_drift.py), what changed is told from what a generator or a compressor did besides, and it is cut to that
+and to the mask: outside it pixels are the render's, bit for bit. A picture that shows something else is refused with
+its score. Pure; colours are display sRGB 0..1, masks 1 where the picture may change.
+
+    admitted = admit(answer.image, request)
+    edit = Edit(admitted.image, camera, admitted.changed)
+
+An enlarged picture (upscalers) keeps its pixels: it is admitted at a whole multiple of the view, and made consistent by
+back-projection (Irani and Peleg 1991): where nothing was changed, the mean of its pixels within each pixel of the
+render is the render's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated
+from splatpainter.sources.color_drift import NO_DRIFT, ColorDrift, estimate_drift
+from splatpainter.sources.picture_reader import resample
+from splatpainter.sources.picture_source import PictureRequest, SourceError
+from splatpainter.sources.registration import Registration, edge_strength, register, warped
+
+Strictness = Literal["strict", "normal", "loose"]
+"""How much a picture may differ from what was sent; LIMITS has the numbers."""
+MAX_ADMITTED_PX = 4096
+"""Longer side of an enlarged picture."""
+MIN_ENLARGEMENT = 1.75
+"""Pixels of a picture per pixel of the view from which it counts as enlarged."""
+FEATHER_PX = 2
+"""Reach of the soft edge around what changed, and within a mask of hard edges."""
+MIN_FEATHER = 0.25
+"""Weight on the rim of a mask, and on strokes that are all rim."""
+GROWN_PX = 2
+"""By which the changed region grows before its edge is softened."""
+RIM_PX = 4
+"""Pixels beside a mask that are not compared: generators soften its edge."""
+MAX_UNTOUCHED = 0.02
+"""Share of a mask that changed, up to which nothing was done there."""
+MIN_SPILLED = 0.4
+"""Share of the asset outside a mask that changed, from which the picture was edited there."""
+MAX_LOSSLESS = 0.51 / 255
+"""Nine of ten unchanged pixels of a picture that was never compressed differ by less: rounding to 8 bits."""
+SPECK_PX, SPECK_SHARE = 3, 0.4
+"""In compressed pictures a changed pixel counts where so large a share of those within this reach changed, too:
+colours that were stored at half the size bleed over edges."""
+SLACK_PX = 0.2
+"""By which a picture that was moved back may still be off: that much of the slope is no change."""
+MOSTLY = 0.6
+"""Share of what may change from which all of it counts as changed: a new style leaves some pixels by chance."""
+MIN_COVER = 0.02
+"""Alpha from which a pixel shows the asset."""
+CONSISTENT_ROUNDS = 8
+"""Of back-projection."""
+
+
+@dataclass(frozen=True)
+class AdmissionLimits:
+    """What a level of strictness refuses."""
+
+    score: float
+    """Pictures whose edges agree less (Registration.score)."""
+    shift: float
+    """Moves by more, in parts of the longer side."""
+    scale: float
+    """Changes of scale by more."""
+    degrees: float
+    """Turns by more."""
+    stops: float
+    """Colours of grey that drifted by more, in stops of a channel."""
+    spilled: float
+    """Changes of a larger share of the asset's pixels outside the mask."""
+    framed: bool
+    """Pictures of another shape, or of a part of the view."""
+
+
+LIMITS: dict[Strictness, AdmissionLimits] = {
+    "strict": AdmissionLimits(0.7, 0.01, 0.01, 0.5, 0.25, 0.1, True),
+    "normal": AdmissionLimits(0.38, 0.1, 0.15, 6.0, 1.5, 1.0, False),
+    "loose": AdmissionLimits(0.2, 0.3, 0.3, 12.0, 10.0, 1.0, False),
+}
+"""Scores of pictures of 400 px of the bundled still life: with 20 to 40 % painted over 0.9 to 0.43, redrawn in another
+material with new texture everywhere 0.41 to 0.47, other views of the same object 0.19 to 0.35, noise 0.00."""
+
+
+@dataclass(frozen=True)
+class AdmittedPicture:
+    """A picture that may be painted with. H, W: the view's pixels times `factor`."""
+
+    image: np.ndarray = field(repr=False)
+    """[H, W, 3] float32: the render, and what changed over it."""
+    changed: np.ndarray = field(repr=False)
+    """[H, W] bool: pixels that are not exactly the render's."""
+    weight: np.ndarray = field(repr=False)
+    """[H, W] float32 0..1: how much of the picture was taken."""
+    aligned: np.ndarray = field(repr=False)
+    """[H, W, 3] the picture over the render, its colours corrected, before it was cut."""
+    factor: int
+    """Pixels of `image` per pixel of the view, along each side."""
+    registration: Registration
+    drift: ColorDrift
+    share: float
+    """Of the asset's pixels, changed."""
+    spilled: float
+    """Share of the asset's pixels outside the mask that had changed, and were put back."""
+    notes: tuple[str, ...] = ()
+    """One line each."""
+
+    def record(self) -> dict:
+        """What receipts say."""
+        laid = self.registration
+        return {
+            "framing": laid.framing,
+            "scale": round(laid.scale, 5),
+            "rotation_degrees": round(laid.rotation, 4),
+            "shift_px": [round(laid.right, 3), round(laid.down, 3)],
+            "score": round(laid.score, 4),
+            "factor": self.factor,
+            "colors": self.drift.record(),
+            "changed": round(self.share, 4),
+            "outside_mask": round(self.spilled, 4),
+        }
+
+
+def admit(
+    picture: np.ndarray,
+    request: PictureRequest,
+    *,
+    strictness: Strictness = "normal",
+    regraded: bool = False,
+    enlarged: Callable[[int], np.ndarray] | None = None,
+    name: str = "source",
+) -> AdmittedPicture:
+    """Lay a picture [h, w, 3 or 4] over what was sent, correct it, and cut it.
+
+    request: what it was asked by: its image and mask are compared with. regraded: the picture is to change as a whole
+    (mode global), so colours are corrected by what lies outside a mask alone. enlarged: gives the render [k H, k W, 3]
+    at k times the view's size, on which an enlarged picture is laid; None: it is admitted at the view's size. name:
+    what errors call it.
+
+    Raises SourceError, one line: a picture of something else, moved or recoloured beyond the level's limits, with a
+    mask that is the wrong way round, or unchanged where it was to change."""
+    render = np.clip(request.image, 0, 1).astype(np.float32)
+    colors, content = _flat(picture, render)
+    mask = None if request.mask is None else np.clip(request.mask, 0, 1).astype(np.float32)
+    if mask is not None and not (mask > 0).any():
+        raise SourceError(f"{name}: the mask is empty; expected some pixels above 0 (1: may change)")
+    limits = LIMITS[strictness]
+    outside = np.ones(render.shape[:2], bool) if mask is None else ~dilated(mask > 0.01, RIM_PX)
+    registration = register(colors, render, None if mask is None else outside.astype(np.float32), content)
+    if registration.score < limits.score:
+        _complain_of_polarity(colors, render, mask, content, name, limits)
+        raise SourceError(
+            f"{name}: the picture shows something else than what was sent: its edges agree by {registration.score:.2f} "
+            f"of 1, expected {limits.score:g} (strictness {strictness}); mask what is to change, or ask again"
+        )
+    _check_moves(registration, render.shape, limits, strictness, name)
+    size = render.shape[1], render.shape[0]
+    still = registration.is_still(*size)
+    aligned, inside = _laid(colors, registration.matrix, size, still)
+    if content is not None:
+        inside &= _laid(content, registration.matrix, size, still)[0] > 0.5
+    drift = NO_DRIFT
+    if mask is not None or not regraded:
+        certain = mask is not None and bool(outside.any())
+        drift = estimate_drift(aligned, render, (outside if certain else np.ones_like(outside)) & inside, certain)
+    if drift.strength > limits.stops:
+        _complain_of_polarity(colors, render, mask, content, name, limits)
+        raise SourceError(
+            f"{name}: the picture's colours drifted by {drift.strength:.1f} stops outside what was to change, expected "
+            f"at most {limits.stops:g} (strictness {strictness})"
+        )
+    aligned = drift.corrected(aligned)
+    cover = request.alpha > MIN_COVER
+    like = _like(render, registration, colors.shape, still)
+    changed = _changed(aligned, like, mask, cover, regraded) & inside
+    if not still:
+        changed &= np.abs(aligned - like).max(-1) > MAX_ROUNDING + SLACK_PX * edge_strength(render)
+    spilled = _share(changed & outside, outside & cover) if mask is not None else 0.0
+    if mask is not None and _share(changed, (mask > 0.5) & cover) < MAX_UNTOUCHED and spilled > MIN_SPILLED:
+        raise SourceError(_wrong_polarity(name))
+    if spilled > limits.spilled:
+        raise SourceError(
+            f"{name}: {100 * spilled:.0f} % of the asset outside the mask changed, expected at most "
+            f"{100 * limits.spilled:.0f} % (strictness {strictness})"
+        )
+    factor = 1 if enlarged is None else _factor(registration, size, request.scale)
+    base = render
+    if factor > 1:
+        assert enlarged is not None
+        base = np.clip(enlarged(factor), 0, 1).astype(np.float32)
+        finer = registration.matrix @ np.diag([1 / factor, 1 / factor, 1])
+        large = size[0] * factor, size[1] * factor
+        aligned, inside = _laid(colors, finer, large, still)
+        if content is not None:
+            inside &= _laid(content, finer, large, still)[0] > 0.5
+        aligned = drift.corrected(aligned)
+        edited = changed if mask is not None else _edited(pooled(aligned, factor), render)
+        aligned = consistent(aligned, render, dilated(edited, GROWN_PX))
+        cover = _repeated(cover, factor)
+        larger = None if mask is None else _repeated(mask, factor)
+        changed = _changed(aligned, base, larger, cover, regraded) & inside
+    allowed = cover.astype(np.float32) if mask is None else _soft_mask(mask) * (request.alpha > MIN_COVER)
+    if factor > 1 and mask is not None:
+        allowed = np.where(_repeated(allowed > 0, factor), resample(allowed, *large), 0)
+    weight = np.minimum(_softened(changed, inside), allowed).astype(np.float32)
+    image = np.where(weight[..., None] < 1, base + weight[..., None] * (aligned - base), aligned)
+    image = np.where(weight[..., None] > 0, image, base)
+    result = AdmittedPicture(
+        image.astype(np.float32),
+        weight > 0,
+        weight,
+        aligned,
+        factor,
+        registration,
+        drift,
+        _share(weight > 0, cover),
+        spilled,
+        _notes(registration, drift, spilled, still, factor),
+    )
+    if not result.changed.any():
+        where = "" if mask is None else " within the mask"
+        raise SourceError(f"{name}: the picture came back unchanged{where}; there is nothing to paint")
+    return result
+
+
+def _changed(
+    picture: np.ndarray, render: np.ndarray, mask: np.ndarray | None, cover: np.ndarray, regraded: bool
+) -> np.ndarray:
+    """[H, W] bool: pixels that were edited. Within a mask every difference counts that is no rounding, elsewhere those
+    above the picture's noise; where most of what may change did, all of it did."""
+    changed, difference = change_mask(picture, render), np.abs(picture - render).max(-1)
+    if changed.any() and np.quantile(difference[~changed], 0.9) > MAX_LOSSLESS:
+        changed &= box_mean(changed, SPECK_PX) > SPECK_SHARE
+    region = cover if mask is None else cover & (mask > 0)
+    if mask is not None:
+        changed |= (mask > 0) & (difference > MAX_ROUNDING)
+    everything = regraded and mask is None
+    if everything or (changed & region).sum() > MOSTLY * region.sum():
+        changed = changed | region
+    return changed
+
+
+def _edited(picture: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """[H, W] bool: where an enlarged picture shows something else, and not only sharper edges, whose differences
+    average out."""
+    return np.abs(box_mean(picture - render, 2)).max(-1) > MAX_NOISE
+
+
+def consistent(picture: np.ndarray, render: np.ndarray, changed: np.ndarray) -> np.ndarray:
+    """[k H, k W, 3] an enlarged picture, moved so that its means over k x k pixels are the render's [H, W, 3] at all
+    pixels that are not `changed` [H, W] bool; its detail stays."""
+    height, width = render.shape[:2]
+    factor = picture.shape[0] // height
+    assert picture.shape[:2] == (height * factor, width * factor)
+    free = np.where(changed[..., None], 0, 1).astype(np.float32)
+    out = picture
+    for step in range(CONSISTENT_ROUNDS):
+        error = free * (render - pooled(out, factor))
+        if step < 2:  # smoothly, then what is left
+            spread = np.stack([_enlarged(error[..., k], factor) for k in range(3)], -1)
+        else:
+            spread = error.repeat(factor, 0).repeat(factor, 1)
+        out = np.clip(out + spread, 0, 1)
+    return out
+
+
+def pooled(picture: np.ndarray, factor: int) -> np.ndarray:
+    """[H, W, 3] means over factor x factor pixels of [factor H, factor W, 3]."""
+    height, width = picture.shape[0] // factor, picture.shape[1] // factor
+    return picture.reshape(height, factor, width, factor, 3).mean((1, 3))
+
+
+def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:
+    """[k H, k W] of [H, W], any sign, bilinear."""
+    from PIL import Image
+
+    plane = Image.fromarray(np.ascontiguousarray(values, np.float32), "F")
+    return np.asarray(plane.resize((values.shape[1] * factor, values.shape[0] * factor), Image.Resampling.BILINEAR))
+
+
+def _flat(picture: np.ndarray, render: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """(colours [h, w, 3], [h, w] alpha or None where all is opaque). What is transparent was not changed: it shows the
+    render, as far as that can be said before the picture is registered."""
+    colors = np.ascontiguousarray(np.clip(np.nan_to_num(picture[..., :3]), 0, 1), np.float32)
+    if picture.shape[2] == 3 or picture[..., 3].min() > 0.999:
+        return colors, None
+    alpha = np.clip(np.nan_to_num(picture[..., 3]), 0, 1).astype(np.float32)
+    behind = resample(render, picture.shape[1], picture.shape[0])
+    return colors * alpha[..., None] + behind * (1 - alpha[..., None]), alpha
+
+
+def _laid(picture: np.ndarray, matrix: np.ndarray, size: tuple[int, int], still: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(the picture at a size, [H, W] bool where it shows anything); a picture that was not moved is only resized, and
+    stays as it is where that is not needed either."""
+    if not still:
+        return warped(picture, matrix, size)
+    same = picture if picture.shape[1::-1] == size else resample(picture, *size)
+    return same, np.ones(same.shape[:2], bool)
+
+
+def _like(render: np.ndarray, registration: Registration, shape: tuple[int, ...], still: bool) -> np.ndarray:
+    """The render after the resampling that the picture went through, there and back: it alone moves edges by more than
+    an edit's tolerance."""
+    height, width = render.shape[:2]
+    size = shape[1], shape[0]
+    if still:
+        return render if size == (width, height) else resample(resample(render, *size), width, height)
+    there = np.linalg.inv(np.vstack([registration.matrix, [0, 0, 1]]))[:2]
+    values, inside = warped(render, there, size)
+    back = warped(values, registration.matrix, (width, height))[0]
+    covered = warped(inside.astype(np.float32), registration.matrix, (width, height))[0] > 0.999
+    return np.where(covered[..., None], back, render)
+
+
+def _check_moves(
+    registration: Registration, shape: tuple[int, ...], limits: AdmissionLimits, strictness: Strictness, name: str
+) -> None:
+    longer = max(shape[:2])
+    shift = max(abs(registration.right), abs(registration.down)) / longer
+    checks = (
+        (f"is moved by {100 * shift:.1f} %", shift > limits.shift, f"{100 * limits.shift:g} %"),
+        (
+            f"is scaled by {registration.scale:.3f}",
+            abs(registration.scale - 1) > limits.scale,
+            f"1 +- {limits.scale:g}",
+        ),
+        (
+            f"is turned by {registration.rotation:.1f} degrees",
+            abs(registration.rotation) > limits.degrees,
+            f"{limits.degrees:g} degrees",
+        ),
+    )
+    for what, refused, limit in checks:
+        if refused:
+            raise SourceError(f"{name}: the picture {what}, expected at most {limit} (strictness {strictness})")
+    if limits.framed and registration.framing != "full":
+        raise SourceError(
+            f"{name}: the picture came back {registration.framing}, expected all of the view (strictness {strictness})"
+        )
+
+
+def _complain_of_polarity(
+    colors: np.ndarray,
+    render: np.ndarray,
+    mask: np.ndarray | None,
+    content: np.ndarray | None,
+    name: str,
+    limits: AdmissionLimits,
+) -> None:
+    """Raises SourceError where the picture agrees inside the mask and not outside it."""
+    if mask is not None:
+        inverse = register(colors, render, (mask > 0.5).astype(np.float32), content)
+        if inverse.score > max(limits.score, 0.7) and not inverse.inside:
+            raise SourceError(_wrong_polarity(name))
+
+
+def _wrong_polarity(name: str) -> str:
+    return (
+        f"{name}: the picture changed outside the mask and not inside it: the mask is the wrong way round for this "
+        "source; white (1) means: may change"
+    )
+
+
+def _factor(registration: Registration, size: tuple[int, int], requested: int) -> int:
+    """How many times the view's size an enlarged picture is admitted at."""
+    scale = registration.pixel_scale
+    if scale < MIN_ENLARGEMENT:
+        return 1
+    limit = max(1, MAX_ADMITTED_PX // max(size))
+    return max(1, min(requested if 1 < requested <= scale + 0.25 else int(scale + 0.25), limit))
+
+
+def _soft_mask(mask: np.ndarray) -> np.ndarray:
+    """[H, W] the mask with a soft edge that lies within it: 0 where it is 0."""
+    hard = ((mask == 0) | (mask == 1)).all()
+    return np.where(mask > 0, np.minimum(mask, _ramp(mask > 0)), 0) if hard else mask
+
+
+def _ramp(region: np.ndarray) -> np.ndarray:
+    """[H, W] 0 outside a region, rising to 1 within FEATHER_PX; the picture's borders are no edge of it."""
+    return np.clip(2 * box_mean(region, FEATHER_PX) - 1, MIN_FEATHER, 1) * region
+
+
+def _softened(changed: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """[H, W] 1 on what changed, falling to 0 around it; 0 where the picture shows nothing."""
+    grown = dilated(changed, GROWN_PX)
+    soft = np.where(changed, 1, box_mean(grown, FEATHER_PX))
+    return np.where(inside, soft, 0) if inside.all() else np.minimum(soft, _ramp(inside))
+
+
+def _repeated(values: np.ndarray, factor: int) -> np.ndarray:
+    return values.repeat(factor, 0).repeat(factor, 1)
+
+
+def _share(region: np.ndarray, of: np.ndarray) -> float:
+    return float((region & of).sum() / max(int(of.sum()), 1))
+
+
+def _notes(registration: Registration, drift: ColorDrift, spilled: float, still: bool, factor: int) -> tuple[str, ...]:
+    out = []
+    if registration.framing != "full":
+        out.append(f"came back {registration.framing}")
+    if not still:
+        out.append(
+            f"moved back by {registration.right:.1f}, {registration.down:.1f} pixels, scale {registration.scale:.3f}, "
+            f"{registration.rotation:.1f} degrees"
+        )
+    if drift.kind != "none":
+        out.append(f"colours corrected by {drift.strength:.2f} stops ({drift.kind})")
+    if spilled > 0.01:
+        out.append(f"{100 * spilled:.0f} % of the asset outside the mask had changed and was put back")
+    if factor > 1:
+        out.append(f"painted at {factor} times the view's size")
+    return tuple(out)

@@ -1,0 +1,177 @@
+"""What comes back from a source is laid over the render, corrected and cut: outside of what changed not a bit moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatpainter.color import linear_to_srgb, srgb_to_linear
+from splatpainter.sources.color_drift import estimate_drift
+from splatpainter.sources.gatekeeper import admit, consistent, pooled
+from splatpainter.sources.picture_reader import resample
+from splatpainter.sources.picture_source import PictureRequest, SourceError
+from tests.support.distorted_pictures import drawn_scene, jpeg, moved, painted_over
+
+SIZE = 200
+BOX = slice(80, 130), slice(70, 120)
+
+
+def scene(seed: int = 0) -> tuple[PictureRequest, np.ndarray]:
+    """(the request, its picture with a blue box painted on)."""
+    image, alpha = drawn_scene(SIZE, seed)
+    painted = image.copy()
+    painted[BOX] = 0.3 * image[BOX] + 0.7 * np.array([0.1, 0.2, 0.9])
+    return PictureRequest(image, alpha), painted
+
+
+def box_mask(margin: int = 6) -> np.ndarray:
+    mask = np.zeros((SIZE, SIZE), np.float32)
+    mask[80 - margin : 130 + margin, 70 - margin : 120 + margin] = 1
+    return mask
+
+
+def test_a_painted_picture_comes_through_and_all_else_stays() -> None:
+    request, painted = scene()
+    result = admit(painted, request)
+    assert result.drift.kind == "none" and result.notes == () and result.factor == 1
+    assert result.registration.is_still(SIZE, SIZE)
+    inner = (slice(83, 127), slice(73, 117))
+    assert np.array_equal(result.image[inner], painted[inner])
+    untouched = ~result.changed
+    assert np.array_equal(result.image[untouched], request.image[untouched])
+    assert not result.changed[:70].any() and result.changed[inner].mean() > 0.99
+    assert ((result.weight > 0) & (result.weight < 1)).any()  # soft edges
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_moved_recoloured_compressed_picture_is_put_right(seed: int) -> None:
+    request, painted = scene(seed)
+    picture, _ = moved(painted, scale=1.02, degrees=0.8, right=3.3, down=-2.2, size=300)
+    drifted = linear_to_srgb(srgb_to_linear(picture) * np.array([1.2, 1.1, 0.9]))
+    result = admit(jpeg(np.clip(drifted, 0, 1), 88), replace(request, mask=box_mask()))
+    gains = 1 / np.diag(result.drift.matrix[:, :3])
+    assert result.drift.kind.startswith("gain") and np.allclose(gains, [1.2, 1.1, 0.9], atol=0.03)
+    outside = box_mask() == 0
+    assert np.array_equal(result.image[outside], request.image[outside]) and not result.changed[outside].any()
+    inner = (slice(86, 124), slice(76, 114))
+    assert np.abs(result.image[inner] - painted[inner]).mean() < 0.02
+    assert any("moved back" in note for note in result.notes) and any("stops" in note for note in result.notes)
+
+
+def test_drift_without_a_mask_is_estimated_on_what_agrees() -> None:
+    request, painted = scene(1)
+    drifted = linear_to_srgb(np.clip(srgb_to_linear(painted_over(painted, 0.2, 3)) * 0.85 + 0.01, 0, 1))
+    result = admit(drifted, request)
+    assert result.drift.kind == "gain and offset" and result.drift.agreeing > 0.6
+    assert np.allclose(result.drift.matrix[:, 3], -0.01 / 0.85, atol=0.002)
+    assert result.share < 0.75
+    regraded = admit(np.clip(request.image * np.array([1.1, 1.0, 0.85]), 0, 1), request, regraded=True)
+    assert regraded.drift.kind == "none" and regraded.share > 0.9
+
+
+def test_mixed_channels_are_unmixed() -> None:
+    request, _ = scene(2)
+    mix = np.array([[0.9, 0.08, 0.02], [0.05, 0.9, 0.05], [0.02, 0.1, 0.88]])
+    picture = linear_to_srgb(np.clip(srgb_to_linear(request.image) @ mix.T, 0, 1)).astype(np.float32)
+    drift = estimate_drift(picture, request.image, np.ones((SIZE, SIZE), bool), True)
+    assert drift.kind == "matrix" and np.abs(drift.corrected(picture) - request.image).mean() < 0.5 / 255
+    assert drift.corrected(picture) is not picture
+    none = estimate_drift(request.image, request.image, np.ones((SIZE, SIZE), bool), True)
+    assert none.kind == "none" and none.corrected(picture) is picture
+
+
+def test_outside_the_mask_nothing_changes_whatever_came() -> None:
+    request, painted = scene()
+    ruined = painted_over(painted, 0.25, 4)
+    mask = box_mask()
+    result = admit(ruined, replace(request, mask=mask), strictness="loose")
+    assert np.array_equal(result.image[mask == 0], request.image[mask == 0]) and result.spilled > 0.05
+    assert any("put back" in note for note in result.notes)
+    with pytest.raises(SourceError, match="outside the mask changed.*strict"):
+        tinted = painted.copy()
+        tinted[:75] = 0.7 * tinted[:75] + 0.3 * np.array([0.9, 0.2, 0.1])
+        admit(tinted, replace(request, mask=mask), strictness="strict")
+    soft = mask * 0.5
+    half = admit(painted, replace(request, mask=soft))
+    assert half.weight.max() == 0.5
+
+
+def test_an_unchanged_picture_changes_nothing() -> None:
+    request, _ = scene()
+    for picture in (request.image, resample(request.image, 400, 400), moved(request.image, right=2.6, down=-1.2)[0]):
+        with pytest.raises(SourceError, match="unchanged"):
+            admit(picture, request)
+    compressed = jpeg(request.image, 92)
+    result = admit(compressed, request)  # saturated stripes: what is left is noise where they were stored at half size
+    assert result.share < 0.06
+    assert np.abs(result.image - request.image).mean() < 0.1 * np.abs(compressed - request.image).mean()
+
+
+def test_wrong_pictures_are_refused_with_their_score() -> None:
+    request, _ = scene()
+    noise = np.random.default_rng(0).uniform(size=(SIZE, SIZE, 3)).astype(np.float32)
+    for other in (drawn_scene(SIZE, 9)[0], noise, np.zeros((SIZE, SIZE, 3), np.float32)):
+        with pytest.raises(SourceError, match=r"something else.*agree by -?0\.\d\d of 1, expected 0\.38"):
+            admit(other, request)
+
+
+def test_a_mask_the_wrong_way_round_is_recognised() -> None:
+    request, _ = scene(3)
+    mask = np.zeros((SIZE, SIZE), np.float32)
+    mask[:, :100] = 1
+    other = 1 - drawn_scene(SIZE, 8)[0]
+    picture = np.where(mask[..., None] > 0, request.image, 0.5 * request.image + 0.5 * other).astype(np.float32)
+    with pytest.raises(SourceError, match="wrong way round"):
+        admit(picture, replace(request, mask=mask))
+    assert admit(picture, replace(request, mask=1 - mask)).share > 0.2
+    with pytest.raises(SourceError, match="mask is empty"):
+        admit(picture, replace(request, mask=0 * mask))
+
+
+def test_strictness_says_how_far_a_picture_may_be_off() -> None:
+    request, painted = scene()
+    picture, _ = moved(painted, right=5)
+    assert admit(picture, request).registration.right == pytest.approx(5, abs=0.1)
+    with pytest.raises(SourceError, match="moved by 2.5 %, expected at most 1 %.*strict"):
+        admit(picture, request, strictness="strict")
+    with pytest.raises(SourceError, match="came back cropped"):
+        admit(np.ascontiguousarray(painted[20:-20]), request, strictness="strict")
+    cropped = admit(np.ascontiguousarray(painted[20:-20]), request)
+    assert np.array_equal(cropped.image[:18], request.image[:18]) and cropped.changed[90:120, 80:110].all()
+    dark = linear_to_srgb(srgb_to_linear(painted) * 0.2).astype(np.float32)
+    with pytest.raises(SourceError, match="drifted by 2.3 stops"):
+        admit(dark, request)
+
+
+def test_transparent_parts_of_an_answer_change_nothing() -> None:
+    request, painted = scene()
+    alpha = np.zeros((SIZE, SIZE, 1), np.float32)
+    alpha[60:140, 60:140] = 1
+    ruined = np.where(alpha > 0, painted, 0)
+    result = admit(np.concatenate([ruined, alpha], -1), request)
+    assert np.array_equal(result.image[alpha[..., 0] == 0], request.image[alpha[..., 0] == 0])
+    assert result.changed[90:120, 80:110].all()
+
+
+def test_enlarged_pictures_are_consistent_with_the_render() -> None:
+    fine, alpha = drawn_scene(2 * SIZE, 5)
+    render = pooled(fine, 2)
+    request = PictureRequest(render, pooled(np.repeat(alpha[..., None], 3, -1), 2)[..., 0], scale=2)
+    smooth = resample(render, 2 * SIZE, 2 * SIZE)
+    sharp = np.clip(
+        smooth + 0.8 * (smooth - resample(resample(render, SIZE // 2, SIZE // 2), 2 * SIZE, 2 * SIZE)), 0, 1
+    )
+    sharp[200:240, 180:220] = (0.1, 0.8, 0.2)  # and an edit
+    result = admit(sharp, request, enlarged=lambda k: resample(render, SIZE * k, SIZE * k))
+    assert result.factor == 2 and result.image.shape == (2 * SIZE, 2 * SIZE, 3)
+    assert np.allclose(result.image[210:230, 190:210], (0.1, 0.8, 0.2), atol=0.05)
+    away = np.ones((SIZE, SIZE), bool)
+    away[90:130, 80:120] = False
+    assert np.abs(pooled(result.aligned, 2) - render)[away].max() < 2 / 255
+    rng = np.random.default_rng(0)
+    blurred = np.clip(fine + rng.normal(0, 0.1, fine.shape), 0, 1).astype(np.float32)
+    held = consistent(blurred, render, np.zeros((SIZE, SIZE), bool))
+    assert np.abs(pooled(held, 2) - render).max() < 1e-3
+    assert np.abs(held - pooled(held, 2).repeat(2, 0).repeat(2, 1)).mean() > 0.02  # detail stays
