@@ -112,7 +112,7 @@ def test_a_stroke_is_where_it_was_painted_and_undo_brings_every_pixel_back(
     live, page = opened
     before = page.pixels()
     page.drag((0.45, 0.5), (0.55, 0.5))
-    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.wait("the layer", lambda: page.names() == ["Paint"])
     page.settled()
     after = page.pixels()
     height, width, _ = after.shape
@@ -133,12 +133,12 @@ def test_a_stroke_is_where_it_was_painted_and_undo_brings_every_pixel_back(
     page.wait("the undo", lambda: page.names() == [])
     page.wait("the pixels", lambda: np.array_equal(page.pixels(), before))
     page.tab.keyboard.press("Control+Shift+z")
-    page.wait("the redo", lambda: page.names() == ["Brush"])
+    page.wait("the redo", lambda: page.names() == ["Paint"])
     page.wait("the pixels", lambda: np.array_equal(page.pixels(), after))
 
 
 def test_limits_are_shown_while_painting_and_go_with_the_layer(opened: tuple[studio_scenes.Live, Page]) -> None:
-    _, page = opened
+    live, page = opened
     page.tab.get_by_role("button", name="Limits", exact=True).click()
     for name, value in (("Angle limit", "40"), ("Depth-edge limit", "3")):
         field = page.tab.get_by_role("textbox", name=f"{name}, number")
@@ -152,34 +152,42 @@ def test_limits_are_shown_while_painting_and_go_with_the_layer(opened: tuple[stu
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", page.names)
     page.settled()
-    assert page.state()["layers"][-1]["parameters"] == {"angle_limit": 40.0, "depth_edge_limit": 3.0}
+    (stroke,) = live.studio.session.layers[-1].strokes
+    assert stroke.parameters == {"angle_limit": 40.0, "depth_edge_limit": 3.0}
     page.tab.keyboard.press("2")  # the eraser has no limits
     page.wait("no hatch", lambda: shown.count() == 0)
 
 
-def test_every_painting_tool_makes_a_layer(opened: tuple[studio_scenes.Live, Page]) -> None:
+def test_every_painting_tool_paints(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """Strokes go into the chosen paint layer; the eraser and a text are layers of their own."""
     _, page = opened
     keys = page.tab.keyboard
 
-    def made(name: str) -> None:
-        page.wait(f"the layer {name}", lambda: page.names() and page.names()[-1].startswith(name))
+    def painted(step: str, names: list[str]) -> None:
+        page.wait(f"the step {step}", lambda: page.state()["history"][-1]["label"].startswith(step))
         page.settled()
+        assert [name.split(":")[0] for name in page.names()] == names
 
     keys.press("4")
     page.drag((0.4, 0.45), (0.6, 0.5))
-    made("Line")
+    painted("Line in Paint", ["Paint"])
     keys.press("7")
     keys.down("Alt")
     page.drag((0.45, 0.45))
     keys.up("Alt")
     page.drag((0.55, 0.55), (0.58, 0.55))
-    made("Clone")
+    painted("Clone in Paint", ["Paint"])
     keys.press("8")
     page.drag((0.5, 0.42), (0.53, 0.42))
-    made("Heal")
+    painted("Heal in Paint", ["Paint"])
+    keys.press("3")
+    page.tab.get_by_role("textbox", name="Tolerance, number").fill("2")
+    page.drag((0.5, 0.6))
+    painted("Fill in Paint", ["Paint"])
+    assert page.state()["layers"][0]["strokes"] == 4
     keys.press("2")
     page.drag((0.4, 0.45), (0.6, 0.5))
-    made("Erase")
+    painted("add Erase", ["Paint", "Erase to original"])
     keys.press("5")
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
@@ -188,12 +196,91 @@ def test_every_painting_tool_makes_a_layer(opened: tuple[studio_scenes.Live, Pag
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
     page.tab.locator("#stage").press("Enter")
-    made("Text")
-    keys.press("3")
-    page.tab.get_by_role("textbox", name="Tolerance, number").fill("2")
-    page.drag((0.5, 0.6))
-    made("Fill")
-    assert len(page.names()) == 6
+    painted("add Text", ["Paint", "Erase to original", "Text"])
+
+
+def test_strokes_go_into_the_chosen_layer_from_several_views_and_undo_one_by_one(
+    opened: tuple[studio_scenes.Live, Page],
+) -> None:
+    live, page = opened
+    for x in (0.44, 0.52):  # the second is begun before the first is a layer
+        page.drag((x, 0.5), (x + 0.03, 0.5))
+    page.settled()
+    assert page.names() == ["Paint"] and page.state()["layers"][0]["strokes"] == 2
+    page.tab.locator("#stage").press("ArrowLeft")
+    page.drag((0.5, 0.45), (0.53, 0.45))
+    page.settled()
+    (layer,) = live.studio.session.layers
+    assert len(layer.strokes) == 3 and len(layer.cameras) == 2
+    page.tab.get_by_role("button", name="New layer to paint into").click()
+    page.wait("the new layer", lambda: len(page.names()) == 2)
+    page.drag((0.45, 0.55), (0.5, 0.55))
+    page.settled()
+    assert [one["strokes"] for one in page.state()["layers"]] == [3, 1]
+    page.tab.locator(".layer-name").last.click()  # the lower one
+    page.drag((0.45, 0.6), (0.5, 0.6))
+    page.settled()
+    assert [one["strokes"] for one in page.state()["layers"]] == [4, 1]
+    for expected in ([3, 1], [3, 0], [3], [2], [1], []):
+        page.tab.keyboard.press("Control+z")
+        page.wait(f"the undo to {expected}", lambda e=expected: [o["strokes"] for o in page.state()["layers"]] == e)
+    page.tab.keyboard.press("Control+Shift+z")
+    page.wait("the redo", lambda: [one["strokes"] for one in page.state()["layers"]] == [1])
+    page.tab.get_by_role("button", name="Hide Paint").click()
+    page.wait("hidden", lambda: not page.state()["layers"][0]["visible"])
+    page.tab.locator(".layer-name").click()
+    page.drag((0.45, 0.6), (0.5, 0.6))
+    page.wait("the reason", lambda: page.tab.get_by_text("Paint is hidden.").count())
+    assert page.state()["layers"][0]["strokes"] == 1
+
+
+def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = opened
+    page.tab.keyboard.press("5")
+    page.tab.get_by_role("textbox", name="Text", exact=True).fill("TEA")
+    page.drag((0.5, 0.5))
+    page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
+    page.tab.locator("#stage").press("Enter")
+    page.wait("the layer", lambda: page.names() == ["Text: TEA"])
+    page.settled()
+    first = page.pixels()
+    page.tab.keyboard.press("1")
+    page.tab.locator("#stage").press("ArrowLeft")
+    page.tab.get_by_role("button", name="Change Text: TEA").click()
+    page.wait("it to be hidden", lambda: not page.state()["layers"][0]["visible"])
+    words = page.tab.get_by_role("textbox", name="Text", exact=True)
+    assert words.input_value() == "TEA"
+    words.fill("MILK")
+    page.tab.get_by_role("button", name="Apply").click()
+    page.wait("the other words", lambda: page.names() == ["Text: MILK"])
+    page.settled()
+    changed = page.pixels()
+    assert np.abs(changed - first).mean() > 0.001 and len(page.state()["history"]) == 3
+    page.tab.get_by_role("button", name="Change Text: MILK").click()
+    page.wait("it to be hidden", lambda: not page.state()["layers"][0]["visible"])
+    page.tab.locator("#stage").press("Escape")
+    page.wait("it as it was", lambda: page.state()["layers"][0]["visible"] and np.array_equal(page.pixels(), changed))
+    page.tab.keyboard.press("6")
+    stripes = np.zeros((24, 40, 3))
+    stripes[:, ::8] = (1, 0.5, 0)
+    file = io.BytesIO()
+    Image.fromarray((stripes * 255).astype(np.uint8)).save(file, "png")
+    with page.tab.expect_file_chooser() as chooser:
+        page.tab.get_by_role("button", name="Choose a picture").click()
+    chooser.value.set_files({"name": "stripes.png", "mimeType": "image/png", "buffer": file.getvalue()})
+    page.wait("the sticker", lambda: page.tab.get_by_role("button", name="Apply").count())
+    page.tab.locator("#stage").press("Enter")
+    page.wait("its layer", lambda: page.names() == ["Text: MILK", "stripes.png"])
+    page.settled()
+    page.tab.get_by_role("button", name="Change stripes.png").click()
+    page.wait("it to be hidden", lambda: not page.state()["layers"][1]["visible"])
+    page.drag((0.5, 0.5), (0.56, 0.5))
+    page.tab.get_by_role("button", name="Apply").click()
+    page.wait("it elsewhere", lambda: page.state()["layers"][1]["visible"])
+    page.settled()
+    placed = page.state()["layers"][1]["placed"]
+    assert placed["x"] > 1.05 * page.camera()["width"] / 2
+    assert live.studio.session.blob(placed["image"])[:4] == b"\x89PNG"
 
 
 def test_a_selection_limits_the_stroke(opened: tuple[studio_scenes.Live, Page]) -> None:
@@ -203,7 +290,7 @@ def test_a_selection_limits_the_stroke(opened: tuple[studio_scenes.Live, Page]) 
     page.wait("the selection", lambda: page.tab.get_by_role("button", name="Deselect").count())
     page.tab.keyboard.press("1")
     page.drag((0.42, 0.5), (0.58, 0.5))
-    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.wait("the layer", lambda: page.names() == ["Paint"])
     page.settled()
     (view,) = page.state()["layers"][0]["views"]
     mask = np.asarray(Image.open(io.BytesIO(live.http.get(f"/api/blobs/{view['mask']}").content)).convert("L"))
@@ -218,7 +305,7 @@ def test_a_pen_presses_and_fingers_turn_and_pinch(opened: tuple[studio_scenes.Li
     for k in range(1, 11):
         page.pointer("move", 5, "pen", 0.4 + 0.02 * k, 0.5, 0.1 * k)
     page.pointer("up", 5, "pen", 0.6, 0.5, 0.0)
-    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.wait("the layer", lambda: page.names() == ["Paint"])
     page.settled()
     (view,) = page.state()["layers"][0]["views"]
     mask = np.asarray(Image.open(io.BytesIO(live.http.get(f"/api/blobs/{view['mask']}").content)).convert("L")) > 127
@@ -235,7 +322,7 @@ def test_a_pen_presses_and_fingers_turn_and_pinch(opened: tuple[studio_scenes.Li
         page.pointer("down", finger, "touch", x, 0.5)
     page.pointer("move", 8, "touch", 0.8, 0.5)
     assert page.camera()["world_to_camera"][2][3] < 0.6 * turned[2][3]
-    assert page.names() == ["Brush"]
+    assert page.names() == ["Paint"]
 
 
 def test_a_dropped_picture_a_look_and_the_order_of_layers_outlive_a_reload(
@@ -280,7 +367,7 @@ def test_a_dropped_picture_a_look_and_the_order_of_layers_outlive_a_reload(
 def test_export_and_verify(opened: tuple[studio_scenes.Live, Page]) -> None:
     live, page = opened
     page.drag((0.45, 0.5), (0.55, 0.5))
-    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.wait("the layer", lambda: page.names() == ["Paint"])
     page.settled()
     page.tab.get_by_role("tab", name="Receipt").click()
     page.tab.get_by_role("button", name="Verify").click()
@@ -303,12 +390,14 @@ def test_a_conflict_is_shown_and_settled(opened: tuple[studio_scenes.Live, Page]
         return float(blue - red)
 
     page.drag((0.45, 0.5), (0.55, 0.5))
-    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.wait("the layer", lambda: page.names() == ["Paint"])
     page.settled()
     page.tab.locator("#stage").press("ArrowLeft")
     page.tab.get_by_role("textbox", name="Colour").fill("#2040d0")
+    page.tab.get_by_role("button", name="New layer to paint into").click()
+    page.wait("the new layer", lambda: len(page.names()) == 2)
     page.drag((0.45, 0.5), (0.55, 0.5))
-    page.wait("the second layer", lambda: page.names() == ["Brush", "Brush 2"])
+    page.wait("the second stroke", lambda: page.state()["layers"][1]["strokes"] == 1)
     page.settled()
     latest = blueness()
     assert latest > 0.3
@@ -327,17 +416,17 @@ def test_a_conflict_is_shown_and_settled(opened: tuple[studio_scenes.Live, Page]
 def test_a_layer_goes_out_and_comes_back_as_a_file(opened: tuple[studio_scenes.Live, Page]) -> None:
     _, page = opened
     page.drag((0.45, 0.5), (0.55, 0.5))
-    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.wait("the layer", lambda: page.names() == ["Paint"])
     page.settled()
     painted = page.pixels()
     with page.tab.expect_download() as download:
         page.tab.get_by_role("button", name="Save the layer as a file").click()
-    assert download.value.suggested_filename == "Brush.splatlayer"
+    assert download.value.suggested_filename == "Paint.splatlayer"
     data = Path(download.value.path()).read_bytes()
     page.tab.get_by_role("button", name="Delete the layer").click()
     page.wait("the empty list", lambda: page.names() == [])
-    page.drop("Brush.splatlayer", data, "")
-    page.wait("the layer again", lambda: page.names() == ["Brush"])
+    page.drop("Paint.splatlayer", data, "")
+    page.wait("the layer again", lambda: page.names() == ["Paint"])
     page.wait("its pixels", lambda: np.array_equal(page.pixels(), painted))
 
 
@@ -375,9 +464,9 @@ def test_two_windows_agree_and_a_lost_connection_comes_back(
     try:
         other.ask("window.studio.link.lose()")
         page.drag((0.45, 0.5), (0.55, 0.5))
-        page.wait("the layer", lambda: page.names() == ["Brush"])
+        page.wait("the layer", lambda: page.names() == ["Paint"])
         page.settled()
-        other.wait("the layer in the other window", lambda: other.names() == ["Brush"])
+        other.wait("the layer in the other window", lambda: other.names() == ["Paint"])
         assert np.array_equal(other.pixels(), page.pixels())
     finally:
         other.tab.close()
@@ -389,7 +478,7 @@ def test_nothing_serious_for_those_who_cannot_see_or_point(opened: tuple[studio_
         pytest.skip(f"axe is not installed: run `npm ci` in {WEB.name}/")
     _, page = opened
     page.drag((0.45, 0.5), (0.55, 0.5))
-    page.wait("the layer", lambda: page.names() == ["Brush"])
+    page.wait("the layer", lambda: page.names() == ["Paint"])
     page.ask(axe.read_text(encoding="utf-8"))
     for name in ("History", "Adjust", "Pictures", "Views", "Receipt"):
         page.tab.get_by_role("tab", name=name).click()

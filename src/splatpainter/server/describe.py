@@ -10,6 +10,7 @@ from itertools import takewhile
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from splatpainter import cameras
 from splatpainter.cameras import FRAME_MARGIN, UPS, bounding_sphere
@@ -17,6 +18,7 @@ from splatpainter.io import FORMATS, frame_line
 from splatpainter.receipts import changed_rows
 from splatpainter.server import protocol
 from splatpainter.session import Layer, Session
+from splatpainter.session.document import PLACED
 from splatpainter.session.project_file import Bookmark, Step
 from splatpainter.splats import Splats
 
@@ -76,7 +78,8 @@ def counted(info: protocol.AssetInfo, original: Splats, now: Splats) -> protocol
 def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
     """A layer with the figures of its last computation."""
     facts = session.facts(layer.id)
-    scores: list[dict[str, Any]] = [*facts.get("views", ()), *({} for _ in layer.views)]
+    latest_views = layer.strokes[-1].views if layer.strokes else layer.views
+    scores: list[dict[str, Any]] = [*facts.get("views", ()), *({} for _ in latest_views)]
     views = [
         protocol.LayerViewInfo(
             camera=protocol.CameraInfo.of(view.camera),
@@ -84,7 +87,7 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
             mask=view.mask,
             **{k: score.get(k) for k in ("psnr_before", "psnr_after", "psnr_outside")},
         )
-        for view, score in zip(layer.views, scores, strict=False)
+        for view, score in zip(latest_views, scores, strict=False)
     ]
     return protocol.LayerInfo(
         id=layer.id,
@@ -96,6 +99,8 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
         mode=layer.mode,
         method=facts.get("method", layer.method),
         views=views,
+        strokes=len(layer.strokes) if _takes_strokes(layer) else None,
+        placed=_placed(layer),
         parameters=json.loads(json.dumps(layer.parameters)),
         gaussians_edited=facts.get("rows_touched", 0),
         gaussians_appended=facts.get("rows_appended", 0),
@@ -104,6 +109,20 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
         problem=facts.get("problem", ""),
         thumbnail=layer.thumbnail,
     )
+
+
+def _takes_strokes(layer: Layer) -> bool:
+    """Whether strokes can be painted into it (document.add_stroke)."""
+    pictured = layer.kind in ("paint", "clone") and layer.mode == "local" and bool(layer.views)
+    return layer.holds_strokes or (pictured and PLACED not in layer.parameters)
+
+
+def _placed(layer: Layer) -> protocol.Placed | None:
+    """None also where somebody wrote something else there."""
+    try:
+        return protocol.Placed.model_validate(layer.parameters[PLACED])
+    except (KeyError, ValidationError):
+        return None
 
 
 def conflict_infos(session: Session) -> list[protocol.ConflictInfo]:

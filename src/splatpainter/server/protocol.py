@@ -136,6 +136,31 @@ class LayerViewInfo(Message):
     """dB of the render after against the one before, outside the mask."""
 
 
+class Placed(Message):
+    """A text or a picture that was laid on a view, as it can be laid there again."""
+
+    kind: Literal["text", "sticker"]
+    x: float
+    """Its middle, pixels of the view."""
+    y: float
+    scale: float = Field(gt=0, le=1e4)
+    """View pixels per pixel of the picture, or of the text at its size."""
+    angle: float
+    """Radians, clockwise."""
+    opacity: Unit
+    """Of the paint, beside the layer's."""
+    mode: Literal["normal", "color", "darken", "lighten"]
+    text: str = Field(max_length=2000)
+    font: str = Field(max_length=200)
+    size: float = Field(gt=0, le=4096)
+    """Of the letters, pixels."""
+    bold: bool
+    italic: bool
+    color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
+    image: Blob | None
+    """Of a sticker."""
+
+
 class LayerInfo(Message):
     """One layer; the list of layers goes from bottom to top."""
 
@@ -148,6 +173,11 @@ class LayerInfo(Message):
     mode: Mode
     method: Method
     views: list[LayerViewInfo]
+    """Of a layer of strokes: that of its latest stroke."""
+    strokes: int | None = None
+    """How many it holds; None: none can be painted into it."""
+    placed: Placed | None = None
+    """Of a text or a sticker: what it is and where, to be changed."""
     parameters: dict[str, Any]
     gaussians_edited: int
     gaussians_appended: int

@@ -152,7 +152,10 @@ class Stroke:
         """[H, W, 3] display colours 0..1: the stroke over the asset's own render."""
         self.prepare(splats, original, version)
         assert self._canvas is not None
-        render = to_display(self._canvas.base, splats.color_space)
+        return self.over(to_display(self._canvas.base, splats.color_space))
+
+    def over(self, render: np.ndarray) -> np.ndarray:
+        """[H, W, 3] display colours 0..1: the stroke over a picture of the view ([H, W, 3] display colours)."""
         alpha = self.rgba[..., 3:].astype(np.float32) / 255
         return np.clip(render * (1 - alpha) + self.rgba[..., :3].astype(np.float32) / 255 * alpha, 0, 1)
 

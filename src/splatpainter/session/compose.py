@@ -21,9 +21,9 @@ import json
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -31,7 +31,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.nn.precision import resolve
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
-from splatpainter.session.appearance import with_base
+from splatpainter.session.appearance import picture_of, with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength
 from splatpainter.session.delta import Delta, bare, between, no_delta
 from splatpainter.session.document import Document, Layer, View, digest
@@ -42,8 +42,10 @@ from splatpainter.session.layer_blending import (
     blend_delta,
     reached_gaussians,
 )
-from splatpainter.session.layer_factory import decode_mask, decode_picture, limits_of
+from splatpainter.session.layer_factory import decode_mask, decode_picture, is_cut_out, limits_of
+from splatpainter.session.layer_state import LayerResult, LayerState, Progress, ResultStore
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
+from splatpainter.session.strokes import Chain, Painted, StrokeChains
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
@@ -85,54 +87,6 @@ GRID_ATTRIBUTES = ("means", "quats", "scales", "opacities")
 """What a voxel grid depends on."""
 MAX_GRIDS = 2
 """Voxel grids that are cached: of the present Gaussians, and of those before."""
-
-
-@dataclass(frozen=True)
-class LayerResult:
-    """What a layer makes of the Gaussians below it, before opacity and blend."""
-
-    delta: Delta = field(repr=False)
-    facts: dict[str, Any] = field(default_factory=dict)
-    """JSON for people: rows_touched, rows_appended, seconds, method, note, views [{psnr_...}], problem."""
-    confidence: np.ndarray | None = field(default=None, repr=False)
-    """[N + A] uint8, of a global edit."""
-    painter_state: Any = field(default=None, repr=False)
-    """What the painter has learnt so far (fast weights), where it learns."""
-
-    @property
-    def problem(self) -> str:
-        """Why the layer changes nothing; "" where it works."""
-        return self.facts.get("problem", "")
-
-
-class ResultStore(Protocol):
-    """Where pictures and results of layers are stored."""
-
-    def blob(self, sha256: str) -> bytes: ...
-    def get(self, key: str) -> LayerResult | None: ...
-    def put(self, key: str, result: LayerResult) -> None: ...
-
-
-@dataclass(frozen=True)
-class LayerState:
-    """The asset after some layers."""
-
-    key: str
-    """Hash of everything it depends on."""
-    splats: Splats
-    """`origin`: the original's Gaussian that each comes from."""
-    parent_ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
-    """Of those appended to the original: the Gaussian that each was split from, -1: none."""
-    edited: tuple[EditedIds, ...] = ()
-    facts: tuple[tuple[str, dict[str, Any]], ...] = ()
-    """(layer id, LayerResult.facts) of the visible layers."""
-    results: tuple[str, ...] = ()
-    """Keys of the cached results it was made of."""
-    painter_state: Any = field(default=None, repr=False)
-
-
-Progress = Callable[[int, int, str], None]
-"""(layers done, layers in all, name of the one in work); what it raises ends the work, and nothing has changed."""
 
 
 class PainterAdapter:
@@ -233,6 +187,7 @@ class Replay:
         self._read_sets: OrderedDict[tuple[str, str], ReadSet | None] = OrderedDict()
         """(key of the state below, key of a layer) -> what it reads there."""
         self._merged: tuple[tuple[str, str], Delta] | None = None
+        self._strokes = StrokeChains(store, self._painted_stroke)
         self._seen: tuple[str, VisibleSurface] | None = None
         """Of the latest state and view that `left_out` was asked for."""
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)
@@ -251,6 +206,8 @@ class Replay:
         """The state with one more layer. step: (layers done, layers in all)."""
         if layer.kind == "merged":
             return self._over_merged(below, layer, document, strict, progress, step)
+        if layer.holds_strokes:
+            return self._over_strokes(below, layer, document, strict, progress, step)
         strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
         result_key = digest(f"{below.key} {layer.key}{' fade' if _fades(layer) else ''}")
         key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}")
@@ -286,11 +243,76 @@ class Replay:
             (*below.results, result_key) if stored else below.results,
             below.painter_state if result.painter_state is None else result.painter_state,
         )
-        self._states[key] = state
-        size = max(sum(getattr(splats, name).nbytes for name in ATTRIBUTES), 1)
+        return self._remembered(state)
+
+    def _remembered(self, state: LayerState) -> LayerState:
+        """The state, cached."""
+        self._states[state.key] = state
+        size = max(sum(getattr(state.splats, name).nbytes for name in ATTRIBUTES), 1)
         while len(self._states) > max(min(CACHED_STATE_BYTES // size, MAX_CACHED_STATES), 1):
             self._states.popitem(last=False)
         return state
+
+    def _over_strokes(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
+        """The strokes of a layer, then its opacity and blend over all they did."""
+        if not layer.strokes:
+            return replace(below, facts=(*below.facts, (layer.id, {})))
+        strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
+        chain = Chain.of(below.key, layer.strokes)
+        result_key = chain.results[-1]
+        key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}")
+        cached = self._cached(key, below, layer)
+        if cached is not None:
+            return cached
+        count = len(layer.strokes)
+
+        def report(k: int) -> None:
+            if progress is not None:
+                progress(*step, layer.name if k == count - 1 else f"{layer.name}: stroke {k + 1} of {count}")
+
+        painted = self._strokes.compose(below, layer, chain, strict, report)
+        splats, parent_ids, changed = painted.state.splats, painted.state.parent_ids, painted.changed
+        if strength is not None or _mixes(layer, None):
+            delta = self._strokes_delta(below, painted, layer)
+            delta = blend_delta(below.splats, delta, layer.opacity, layer.blend, strength)
+            splats, parent_ids = delta.apply(below.splats), np.concatenate([below.parent_ids, delta.parent_ids])
+        span = (len(below.splats), len(splats))
+        state = LayerState(
+            key,
+            splats,
+            parent_ids,
+            (*below.edited, EditedIds(layer, result_key, changed, span)),
+            (*below.facts, (layer.id, painted.layer_facts(layer, below))),
+            (*below.results, result_key),
+            painted.state.painter_state,
+        )
+        return self._remembered(state)
+
+    def _strokes_delta(self, below: LayerState, painted: Painted, layer: Layer) -> Delta:
+        """What all strokes of a layer did, for an opacity, a blend or a policy; the latest one is cached."""
+        key = (below.key, painted.state.key)
+        if self._merged is None or self._merged[0] != key:
+            delta = painted.delta(below)
+            if any(lays_sheets(stroke.painter) for stroke in layer.strokes):
+                delta = with_base(below.splats, delta, layer.cameras)
+            self._merged = (key, delta)
+        return self._merged[1]
+
+    def _painted_stroke(self, state: LayerState, stroke: Layer, below: LayerState) -> LayerResult:
+        """What a stroke makes of the state after those before it. below: the state below its layer."""
+        result = self._renumbered(state, stroke) or self._try(state, stroke)
+        self._note_placement(state, stroke, Chain.of(state.key, (stroke,)).results[0])
+        return result
+
+    def painted_on(self, document: Document, layer: str) -> Splats:
+        """The Gaussians that the next stroke of a layer is painted on."""
+        at = document.index(layer)
+        below = self.compose(replace(document, layers=document.layers[:at]))
+        target = document.layers[at]
+        if not target.strokes:
+            return below.splats
+        chain = Chain.of(below.key, target.strokes)
+        return self._strokes.compose(below, target, chain, None, lambda _: None).state.splats
 
     def _over_merged(self, below: LayerState, layer: Layer, document: Document, strict, progress, step) -> LayerState:
         """The layers of a merged one, then its opacity and blend over all they did."""
@@ -316,7 +338,7 @@ class Replay:
             delta = between(below.splats, state.splats, _ancestors(state, len(below.splats)))
             leaves = [leaf for leaf in layer.leaves() if _is_visible(leaf)]
             if any(map(_has_base, leaves)):
-                cameras = [view.camera for leaf in leaves if _has_base(leaf) for view in leaf.views]
+                cameras = [camera for leaf in leaves if _has_base(leaf) for camera in leaf.cameras]
                 delta = with_base(below.splats, delta, cameras)
             self._merged = (key, delta)
         return self._merged[1]
@@ -354,6 +376,7 @@ class Replay:
         pair = (key, layer.key)
         if pair not in self._read_sets:
             state = state or (self.base_state if key == self.base_state.key else self._states.get(key))
+            state = state or self._strokes.state(key)
             if state is None:
                 return None
             (view,) = layer.views
@@ -400,7 +423,7 @@ class Replay:
     def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
         local = layer.mode == "local" and layer.method != "ttt"  # networks paint without limits
         limits = limits_of(layer.parameters, f"layer {layer.name!r}") if local else NO_LIMITS
-        edits = [self._edit(view, layer) for view in layer.views]
+        edits = [self._edit(view, layer, below.splats) for view in layer.views]
         sheets = lays_sheets(layer.painter)
         numbered, asset = self._adapter.apply(
             below.splats, below.painter_state, edits, layer.mode, layer.method, sheets, limits
@@ -436,9 +459,19 @@ class Replay:
         """[N] bool: Gaussians that the masks of views reach."""
         return reached_gaussians(splats, [(view.camera, self.mask(view)) for view in views])
 
-    def _edit(self, view: View, layer: Layer) -> Edit:
+    def _edit(self, view: View, layer: Layer, below: Splats | None = None) -> Edit:
+        """A view of a layer as an edit. Pictures that were cut out along their mask show the Gaussians below beside it
+        to painters that look there; the lift does not."""
         assert view.picture is not None, "a painted layer has pictures"
-        image = decode_picture(self._store.blob(view.picture), view.camera, layer.title, self.original.color_space)
+        data, where = self._store.blob(view.picture), layer.title
+        image = decode_picture(data, view.camera, where, self.original.color_space)
+        if (
+            below is not None
+            and layer.method != "lift"
+            and view.mask is not None
+            and is_cut_out(data, view.camera, where)
+        ):
+            image = np.where(self.mask(view)[..., None], image, picture_of(below, view.camera))
         return Edit(image, view.camera, None if view.mask is None else self.mask(view), layer.name)
 
     def mask(self, view: View) -> np.ndarray:
@@ -467,6 +500,7 @@ class Replay:
         """Drop states that were made of results which are no longer stored."""
         for key in [key for key, state in self._states.items() if results.intersection(state.results)]:
             del self._states[key]
+        self._strokes.forget(results)
 
     def _cached(self, key: str, below: LayerState, layer: Layer) -> LayerState | None:
         """A state that is still cached. Its edited ids and facts name layers by id, which its key does not hold."""
@@ -536,7 +570,8 @@ def _mixes(layer: Layer, strength: np.ndarray | None) -> bool:
 
 def _has_base(layer: Layer) -> bool:
     """Whether a layer's opacity starts from colours fitted to what its views saw before."""
-    return layer.kind in ("paint", "picture", "clone") and lays_sheets(layer.painter)
+    painters = [stroke.painter for stroke in layer.strokes] or [layer.painter]
+    return layer.kind in ("paint", "picture", "clone") and any(map(lays_sheets, painters))
 
 
 def _fades(layer: Layer) -> bool:

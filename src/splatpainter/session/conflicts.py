@@ -95,10 +95,10 @@ def overlap(lower: EditedIds, ids: np.ndarray) -> np.ndarray:
 
 def same_views(a: Layer, b: Layer) -> bool:
     """Whether every view of `a` looks from where one of `b` does."""
-    return all(
-        any(np.allclose(v.camera.world_to_camera, w.camera.world_to_camera, atol=1e-6) for w in b.views)
-        for v in a.views
-    )
+    if not a.cameras or not b.cameras:
+        return not a.cameras
+    first, second = (np.stack([camera.world_to_camera for camera in layer.cameras]) for layer in (a, b))
+    return all(np.isclose(one, second, atol=1e-6).all((1, 2)).any() for one in first)
 
 
 def coverage(edited: Sequence[EditedIds], count: int) -> np.ndarray:

@@ -24,14 +24,18 @@ from splatpainter.io import files
 
 APPLICATION_ID = 0x53504C50
 """ASCII "SPLP"."""
-VERSION = 2
+VERSION = 3
+FIRST_READABLE = 2
+"""Oldest version that can be looked at without being brought up."""
 SUFFIX = ".splatproj"
 
 TABLES = """
 CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE original (file TEXT NOT NULL, part INTEGER NOT NULL, bytes BLOB NOT NULL, PRIMARY KEY (file, part));
 CREATE TABLE blobs (sha256 TEXT PRIMARY KEY, bytes BLOB NOT NULL);
-CREATE TABLE layers (id INTEGER PRIMARY KEY, sha256 TEXT NOT NULL UNIQUE, content TEXT NOT NULL);
+CREATE TABLE layers (
+    id INTEGER PRIMARY KEY, sha256 TEXT NOT NULL UNIQUE, content TEXT NOT NULL, previous INTEGER
+);
 CREATE TABLE layer_blobs (
     layer INTEGER NOT NULL REFERENCES layers ON DELETE CASCADE, blob TEXT NOT NULL, PRIMARY KEY (layer, blob)
 ) WITHOUT ROWID;
@@ -45,7 +49,7 @@ CREATE TABLE step_layers (
 CREATE TABLE step_results (
     step INTEGER NOT NULL REFERENCES steps ON DELETE CASCADE, result TEXT NOT NULL, PRIMARY KEY (step, result)
 ) WITHOUT ROWID;
-CREATE TABLE results (key TEXT PRIMARY KEY, facts TEXT NOT NULL, confidence BLOB, state BLOB);
+CREATE TABLE results (key TEXT PRIMARY KEY, facts TEXT NOT NULL, confidence BLOB, state BLOB, previous TEXT);
 CREATE TABLE deltas (
     result TEXT NOT NULL REFERENCES results ON DELETE CASCADE, part INTEGER NOT NULL, bytes BLOB NOT NULL,
     PRIMARY KEY (result, part)
@@ -62,8 +66,10 @@ CREATE TABLE steps (id INTEGER PRIMARY KEY, label TEXT NOT NULL, policies TEXT N
 CREATE TABLE steps (
     id INTEGER PRIMARY KEY, label TEXT NOT NULL, policies TEXT NOT NULL, next_id INTEGER NOT NULL, gesture TEXT
 );
+CREATE TABLE layers (id INTEGER PRIMARY KEY, sha256 TEXT NOT NULL UNIQUE, content TEXT NOT NULL);
+CREATE TABLE results (key TEXT PRIMARY KEY, facts TEXT NOT NULL, confidence BLOB, state BLOB);
 """
-"""Tables as version 1 made them, and as bringing it up leaves them, where they differ from TABLES."""
+"""Tables as older versions made them, and as bringing it up leaves them, where they differ from TABLES."""
 MAX_SCHEMA_ROWS = 64
 """Tables and indexes that are looked at."""
 OPS_BETWEEN_CHECKS = 20_000
@@ -318,5 +324,11 @@ def _renewed(record: dict) -> dict:
     return {**record, "blend": blend, "thumbnail": None, "layers": [_renewed(layer) for layer in record["layers"]]}
 
 
-MIGRATIONS: dict[int, Callable[[Database, int], None]] = {1: _from_1}
+def _from_2(database: Database, size: int) -> None:
+    """Version 2 had no layers of strokes."""
+    database.connection.execute("ALTER TABLE layers ADD COLUMN previous INTEGER")
+    database.connection.execute("ALTER TABLE results ADD COLUMN previous TEXT")
+
+
+MIGRATIONS: dict[int, Callable[[Database, int], None]] = {1: _from_1, 2: _from_2}
 """What makes version n + 1 of version n."""

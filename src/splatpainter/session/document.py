@@ -10,6 +10,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 from splatpainter.cameras import Camera
@@ -22,6 +23,13 @@ Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
 Policy = Literal["latest", "first", "blend"]
 MAX_NESTING = 16
 """Of merged layers inside merged layers."""
+MAX_STROKES = 10_000
+"""Of one layer."""
+STROKE_KINDS = ("paint", "clone", "erase")
+"""Kinds of strokes."""
+PLACED = "placed"
+"""Name of the parameter of layers of a text or a sticker: what it is and where it stands, so that it can be changed;
+its "image" names a blob."""
 MAX_VIEW_PIXELS = 64_000_000
 """Pixels of one view."""
 MAX_REASON = 300
@@ -76,6 +84,9 @@ class Layer:
     """Hash of a small PNG of what was edited."""
     painter: str = ""
     """What of the painter decides its result (compose.fingerprint), as it was when the layer was made."""
+    strokes: tuple[Layer, ...] = ()
+    """Of kind "paint" without views: what was painted into it, oldest first. Each stroke is a layer of its own views,
+    painted on those before it; its opacity, blend and visibility do not count."""
 
     def __post_init__(self) -> None:
         for name, value, choices in (
@@ -99,20 +110,42 @@ class Layer:
         object.__setattr__(self, "parameters", parameters)
         if (self.kind == "merged") != bool(self.layers):
             raise ValueError(f"{self.title}: a merged layer, and no other, holds layers")
+        if self.strokes and not self.holds_strokes:
+            raise ValueError(f"{self.title}: expected strokes in a paint layer without views of its own only")
+
+    @property
+    def holds_strokes(self) -> bool:
+        """Whether strokes can be painted into it."""
+        return self.kind == "paint" and not self.views and self.mode == "local"
+
+    @cached_property
+    def cameras(self) -> tuple[Camera, ...]:
+        """Of its views and strokes, each once."""
+        views = (view for layer in (self, *self.strokes) for view in layer.views)
+        return tuple({_camera_key(view.camera): view.camera for view in views}.values())
 
     @property
     def title(self) -> str:
         """Its name in errors, cut."""
         return f"layer {printable(self.name, 80)!r}"
 
-    def record(self) -> dict[str, Any]:
-        """JSON object of all fields."""
+    def record(self, strokes: bool = True) -> dict[str, Any]:
+        """JSON object of all fields. strokes False: of these only their number."""
         names = ("id", "name", "opacity", "blend", "visible", "thumbnail")
-        return {**{name: getattr(self, name) for name in names}, **self._content()}
+        record = {**{name: getattr(self, name) for name in names}, **self._content()}
+        if self.strokes:
+            record["strokes"] = [stroke.record() for stroke in self.strokes] if strokes else len(self.strokes)
+        return record
 
-    @property
+    @cached_property
+    def text(self) -> str:
+        """The record as JSON, without strokes."""
+        return json.dumps(self.record(strokes=False), sort_keys=True)
+
+    @cached_property
     def key(self) -> str:
-        """Hash of what decides its result on given Gaussians below (not: name, opacity, blend, visibility)."""
+        """Hash of what decides its result on given Gaussians below (not: name, opacity, blend, visibility). Of a layer
+        that holds strokes the strokes' keys count instead."""
         return digest(json.dumps(self._content(), sort_keys=True))
 
     def _content(self) -> dict[str, Any]:
@@ -144,15 +177,22 @@ class Layer:
                 tuple(Layer.parse(layer, where, depth + 1) for layer in data["layers"]),
                 _checked_hash(data["thumbnail"], where),
                 str(data["painter"]),
+                _parsed_strokes(data.get("strokes", []), where, depth),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             reason = f"has no {error}" if isinstance(error, KeyError) else str(error).removeprefix(f"{where}: ")
             raise ValueError(f"{where}: {printable(reason, MAX_REASON)}") from None
 
     def blobs(self) -> set[str]:
-        """Hashes of all pictures, masks and thumbnails, those of merged layers too."""
+        """Hashes of all pictures, masks and thumbnails, those of strokes and merged layers too."""
+        return self.direct_blobs().union(*(layer.blobs() for layer in (*self.layers, *self.strokes)))
+
+    def direct_blobs(self) -> set[str]:
+        """The same without those of strokes and merged layers."""
         names = [self.thumbnail, *(name for view in self.views for name in (view.picture, view.mask))]
-        return {name for name in names if name}.union(*(layer.blobs() for layer in self.layers))
+        placed = self.parameters.get(PLACED)
+        image = placed.get("image") if isinstance(placed, dict) else None
+        return {name for name in [*names, image if _is_hash(image) else None] if name}
 
     def leaves(self) -> Iterator[Layer]:
         """Itself, or the layers that a merged one is made of, lowest first."""
@@ -206,6 +246,27 @@ def move_layer(document: Document, layer: str, index: int) -> Document:
     return replace(document, layers=tuple(layers))
 
 
+def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document, Layer]:
+    """With one more stroke in a layer: (the document, the stroke with its id). A paint layer of local views becomes
+    one that holds strokes, with what it was as the first. Raises ValueError where the layer takes none."""
+    at = document.index(layer)
+    target = document.layers[at]
+    if target.kind in ("paint", "clone") and target.mode == "local" and target.views:
+        if PLACED in target.parameters:
+            raise ValueError(f"{target.title}: is a text or a picture that can be changed; paint into another layer")
+        first = replace(target, opacity=1.0, blend="normal", visible=True, thumbnail=None, id=str(document.next_id))
+        target = replace(target, kind="paint", views=(), parameters={}, strokes=(first,))
+        document = replace(document, next_id=document.next_id + 1)
+    if not target.holds_strokes:
+        raise ValueError(f"{target.title}: takes no strokes; choose a paint layer, or make a new one")
+    if len(target.strokes) >= MAX_STROKES:
+        raise ValueError(f"{target.title}: holds {MAX_STROKES} strokes already; make a new layer")
+    stroke = replace(stroke, id=str(document.next_id))
+    target = replace(target, strokes=(*target.strokes, stroke))
+    layers = (*document.layers[:at], target, *document.layers[at + 1 :])
+    return replace(document, layers=layers, next_id=document.next_id + 1), stroke
+
+
 def delete_layer(document: Document, layer: str) -> Document:
     """Without a layer."""
     layers = list(document.layers)
@@ -256,10 +317,32 @@ def _listed(ids: Sequence[str]) -> str:
 def _numbered(layer: Layer, start: int) -> tuple[Layer, int]:
     """(the layer with ids from `start` on, the id after the last of them)."""
     inner, next_id = [], start + 1
-    for child in layer.layers:
+    for child in (*layer.layers, *layer.strokes):
         numbered, next_id = _numbered(child, next_id)
         inner.append(numbered)
-    return replace(layer, id=str(start), layers=tuple(inner)), next_id
+    count = len(layer.layers)
+    return replace(layer, id=str(start), layers=tuple(inner[:count]), strokes=tuple(inner[count:])), next_id
+
+
+def _parsed_strokes(records: Any, where: str, depth: int) -> tuple[Layer, ...]:
+    """Raises ValueError for anything but strokes."""
+    if not isinstance(records, list) or len(records) > MAX_STROKES:
+        raise ValueError(f"expected a list of at most {MAX_STROKES} strokes")
+    strokes = tuple(Layer.parse(record, where, depth + 1) for record in records)
+    for stroke in strokes:
+        check_stroke(stroke)
+    return strokes
+
+
+def check_stroke(stroke: Layer) -> None:
+    """Raises ValueError where a layer is no stroke."""
+    if stroke.kind not in STROKE_KINDS or stroke.mode != "local" or not stroke.views:
+        raise ValueError(f"{stroke.title}: expected a stroke: kind {', '.join(STROKE_KINDS)}, mode local, with a view")
+
+
+def _camera_key(camera: Camera) -> tuple[Any, ...]:
+    matrix = camera.world_to_camera.tobytes()
+    return matrix, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
 
 
 def _checked_index(index: int, count: int) -> int:
@@ -273,9 +356,13 @@ def digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def _is_hash(value: Any) -> bool:
+    return isinstance(value, str) and len(value) == 64 and set(value) <= set("0123456789abcdef")
+
+
 def _checked_hash(value: Any, where: str) -> str | None:
     if value is None:
         return None
-    if not (isinstance(value, str) and len(value) == 64 and set(value) <= set("0123456789abcdef")):
+    if not _is_hash(value):
         raise ValueError(f"{where}: expected the SHA-256 of a picture, got {value!r:.80}")
     return value

@@ -8,7 +8,7 @@ import io
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,9 +20,14 @@ from splatpainter.painter import MAX_VIEWS, Edit
 from splatpainter.session.document import Kind, Layer, View
 from splatpainter.splats import ColorSpace, Splats
 
+if TYPE_CHECKING:
+    from PIL import Image
+
 MAX_PICTURE_PIXELS = 64_000_000
 THUMBNAIL_PX = 96
 """Longer side of a thumbnail."""
+THUMBNAIL_COLORS = 64
+"""Of the thumbnails of strokes, of which a project may hold hundreds."""
 LIMITS = ("angle_limit", "depth_edge_limit")
 """Names of the parameters of layers of mode local that stand in for the painter's LocalOptions of the same names."""
 
@@ -34,9 +39,11 @@ def new_layer(
     name: str | None,
     parameters: dict[str, Any],
     settings: Mapping[str, Any],
+    cut_out: bool = False,
 ) -> tuple[Layer, dict[str, bytes]]:
     """(a layer without an id, its pictures by hash). splats: the asset that is edited; settings: mode (None: what the
-    kind suggests), method, opacity, blend. Raises ValueError: no view or too many, no mask where one is needed, nothing
+    kind suggests), method, opacity, blend; cut_out: pictures are kept inside their masks only (strokes: what lies
+    beside them is most of the view). Raises ValueError: no view or too many, no mask where one is needed, nothing
     edited, unknown settings."""
     if not 0 <= len(edits) <= MAX_VIEWS or kind == "merged":
         raise ValueError(f"layer: expected at most {MAX_VIEWS} views, and layers that exist to be merged with merge")
@@ -61,13 +68,14 @@ def new_layer(
             mask = _changed_pixels(splats, edit)
         if mask is None and not pictured:
             raise ValueError(f"{edit.name}: expected a mask for a view of kind {kind}")
-        picture = put(encode_picture(edit.image, splats.color_space)) if pictured else None
+        inside = mask if cut_out else None
+        picture = put(encode_picture(edit.image, splats.color_space, inside)) if pictured else None
         views.append(View(edit.camera, picture, None if mask is None else put(encode_mask(mask))))
         if small is None:
             image = to_display(edit.image, splats.color_space)
             if not pictured:
                 image = np.repeat(np.asarray(mask, np.float32)[..., None], 3, -1)
-            small = put(thumbnail(image, mask))
+            small = put(thumbnail(image, mask, few_colors=cut_out))
     fields = {**settings, "mode": mode, "thumbnail": small}
     return Layer("", name or str(kind).capitalize(), kind, tuple(views), parameters, **fields), blobs
 
@@ -89,9 +97,19 @@ def limits_of(parameters: Mapping[str, Any], where: str) -> dict[str, float]:
     return limits
 
 
-def encode_picture(image: np.ndarray, space: ColorSpace = "srgb") -> bytes:
-    """[H, W, 3] floats 0..1 in the asset's colour space -> PNG of display colours. Encoded fast rather than small."""
-    return _png(to_uint8(to_display(image, space)))
+def encode_picture(image: np.ndarray, space: ColorSpace = "srgb", mask: np.ndarray | None = None) -> bytes:
+    """[H, W, 3] floats 0..1 in the asset's colour space -> PNG of display colours. Encoded fast rather than small.
+    mask: [H, W] bool, what is beside it is transparent and black."""
+    pixels = to_uint8(to_display(image, space))
+    if mask is None:
+        return _png(pixels)
+    alpha = np.where(mask, 255, 0).astype(np.uint8)[..., None]
+    return _png(np.concatenate([np.where(mask[..., None], pixels, 0), alpha], 2))
+
+
+def is_cut_out(data: bytes, camera: Camera, where: str) -> bool:
+    """Whether a picture is kept inside its mask only. Raises ValueError as `decode_picture`."""
+    return bool((_pixels(data, camera, where, "RGBA")[..., 3] == 0).any())
 
 
 def encode_mask(mask: np.ndarray) -> bytes:
@@ -111,8 +129,9 @@ def decode_mask(data: bytes, camera: Camera, where: str) -> np.ndarray:
     return _pixels(data, camera, where, "L") > 127
 
 
-def thumbnail(image: np.ndarray, mask: np.ndarray | None) -> bytes:
-    """PNG of the part of a picture that was edited, THUMBNAIL_PX pixels on its longer side at most."""
+def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = False) -> bytes:
+    """PNG of the part of a picture that was edited, THUMBNAIL_PX pixels on its longer side at most. few_colors: of
+    THUMBNAIL_COLORS, a third of the bytes."""
     from PIL import Image
 
     pixels = to_uint8(image)
@@ -123,7 +142,7 @@ def thumbnail(image: np.ndarray, mask: np.ndarray | None) -> bytes:
         pixels = pixels[top : ys.max() + margin + 1, left : xs.max() + margin + 1]
     small = Image.fromarray(pixels)
     small.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX))
-    return _png(np.asarray(small))
+    return _png(small.convert("RGB").quantize(THUMBNAIL_COLORS) if few_colors else small)
 
 
 def _changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
@@ -136,11 +155,12 @@ def _changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
     return mask
 
 
-def _png(pixels: np.ndarray) -> bytes:
+def _png(pixels: np.ndarray | Image.Image) -> bytes:
     from PIL import Image
 
     file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "PNG", compress_level=1)
+    image = Image.fromarray(pixels) if isinstance(pixels, np.ndarray) else pixels
+    image.save(file, "PNG", compress_level=1)
     return file.getvalue()
 
 

@@ -12,7 +12,7 @@ import os
 import sqlite3
 import threading
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -22,10 +22,10 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
 from splatpainter.session import database
-from splatpainter.session.compose import LayerResult
 from splatpainter.session.database import ContentError, Database, closed_on_error, is_unwritable, one_line
 from splatpainter.session.delta import decode, encode
-from splatpainter.session.document import MAX_REASON, Document, Layer, Policy, digest
+from splatpainter.session.document import MAX_REASON, MAX_STROKES, Document, Layer, Policy, check_stroke, digest
+from splatpainter.session.layer_state import LayerResult
 from splatpainter.session.lock import ProjectLock
 
 if TYPE_CHECKING:
@@ -73,6 +73,8 @@ class Project:
         self._database, self._db, self._lock = bounded, bounded.connection, lock
         self._mutex = threading.RLock()
         self._bookmarks: list[Bookmark] | None = None
+        self._parsed: dict[str, Layer] = {}
+        """Strokes by the hash of their row: most are the same in all documents."""
 
     # ---- opening and closing
 
@@ -123,7 +125,7 @@ class Project:
                 if bounded is None:
                     if readonly is False:
                         raise ValueError(f"{path}: {why}")
-                    if version < database.VERSION:
+                    if version < database.FIRST_READABLE:
                         reason = f"project version {version} must be opened for writing once, to be brought up"
                         raise ValueError(f"{path}: {reason}; {why}")
                     bounded = _opened(path, readonly=True)
@@ -248,18 +250,40 @@ class Project:
         with one_line(self.path):
             policies = self.rows("SELECT policies FROM steps WHERE id = ?", step, kinds=(str,))
             highest = self.rows("SELECT max(next_id) FROM steps", kinds=(int,))  # undone layers' ids stay theirs
-            query = "SELECT content FROM step_layers JOIN layers ON layers.id = layer WHERE step = ? ORDER BY place"
-            contents = self.rows(query, step, kinds=(str,))
+            query = "SELECT id, content FROM step_layers JOIN layers ON layers.id = layer WHERE step = ? ORDER BY place"
+            contents = self.rows(query, step, kinds=(int, str))
             if not policies:
                 raise ContentError(f"step {step} of its history is missing")
         try:
-            layers = tuple(Layer.parse(json.loads(text), where) for (text,) in contents)
+            layers = tuple(self._layer(row, json.loads(text), where) for row, text in contents)
             if len({layer.id for layer in layers}) < len(layers):
                 raise ValueError("two layers have one id")
             return Document(layers, _policies(json.loads(policies[0][0])), highest[0][0])
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             reason = files.printable(str(error).removeprefix(f"{where}: "), MAX_REASON)
             raise ValueError(f"{where}: damaged ({reason})") from None
+
+    def _layer(self, row: int, record: Any, where: str) -> Layer:
+        """The layer of a row, with its strokes. Raises ValueError: damaged."""
+        count = record.pop("strokes", 0)
+        layer = Layer.parse(record, where)
+        if not count:
+            return layer
+        query = (
+            "WITH RECURSIVE chain(id, place) AS (SELECT previous, 1 FROM layers WHERE id = ? UNION ALL "
+            f"SELECT previous, place + 1 FROM layers JOIN chain USING (id) WHERE place < {MAX_STROKES}) "
+            "SELECT sha256, content FROM chain JOIN layers USING (id) ORDER BY place DESC"
+        )
+        strokes = []
+        for sha, text in self.rows(query, row, kinds=(str, str)):
+            stroke = self._parsed.get(sha)
+            if stroke is None:
+                stroke = self._parsed[sha] = Layer.parse(json.loads(text), where)
+                check_stroke(stroke)
+            strokes.append(stroke)
+        if len(strokes) != count:
+            raise ValueError(f"{len(strokes)} strokes instead of {brief(count)}")
+        return replace(layer, strokes=tuple(strokes))
 
     # ---- writing: each of these is one durable transaction
 
@@ -288,7 +312,7 @@ class Project:
             for index, layer in enumerate(document.layers):
                 db.execute("INSERT INTO step_layers VALUES (?, ?, ?)", (step, index, _store_layer(db, layer)))
             for key, result in new.results.items():
-                _store_result(db, key, result)
+                _store_result(db, key, result, new.previous.get(key))
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
             _set_cursor(db, step)
             return _sweep(db) if dropped else set()
@@ -297,7 +321,7 @@ class Project:
         """Another step takes effect (undo, redo). results: of its asset, in case some had to be made anew."""
         with self._writing() as db:
             for key, result in new.results.items():
-                _store_result(db, key, result)
+                _store_result(db, key, result, new.previous.get(key))
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
             _set_cursor(db, step)
 
@@ -350,6 +374,8 @@ class Transaction:
         """Forget what is new: it was committed, or its command failed."""
         self.blobs: dict[str, bytes] = {}
         self.results: dict[str, LayerResult] = {}
+        self.previous: dict[str, str] = {}
+        """Key of a stroke's result -> that of the stroke before."""
 
     def blob(self, sha256: str) -> bytes:
         """Bytes of a picture. Raises ValueError: unknown or damaged."""
@@ -362,26 +388,54 @@ class Transaction:
         except ValueError:
             return None
 
-    def put(self, key: str, result: LayerResult) -> None:
+    def put(self, key: str, result: LayerResult, previous: str | None = None) -> None:
+        """Store a result. previous: key of another one that is to be kept as long as this one."""
         if not self.project.read_only:
             self.results[key] = result
+            if previous is not None:
+                self.previous[key] = previous
 
 
 def _store_layer(db: sqlite3.Connection, layer: Layer) -> int:
-    """Row of a layer in this very form, made if there is none."""
-    text = json.dumps(layer.record(), sort_keys=True)
-    sha = digest(text)
-    db.execute("INSERT OR IGNORE INTO layers (sha256, content) VALUES (?, ?)", (sha, text))
-    row = db.execute("SELECT id FROM layers WHERE sha256 = ?", (sha,)).fetchone()[0]
-    db.executemany("INSERT OR IGNORE INTO layer_blobs VALUES (?, ?)", [(row, blob) for blob in layer.blobs()])
+    """Row of a layer in this very form, made if there is none; strokes are rows of their own, each of which names the
+    one before it, so that one more stroke is one more row."""
+    names, name = [], ""
+    for stroke in layer.strokes:
+        name = digest(f"{stroke.text} {name}")
+        names.append(name)
+    row, stored = None, len(names)
+    while stored and (row := _row_of(db, names[stored - 1])) is None:
+        stored -= 1
+    for stroke, name in zip(layer.strokes[stored:], names[stored:], strict=True):
+        row = _insert_layer(db, name, stroke.text, row, stroke.direct_blobs())
+    blobs = layer.direct_blobs().union(*(inner.blobs() for inner in layer.layers))
+    name = digest(f"{layer.text} {names[-1]}" if names else layer.text)
+    return _insert_layer(db, name, layer.text, row, blobs)
+
+
+def _row_of(db: sqlite3.Connection, sha256: str) -> int | None:
+    row = db.execute("SELECT id FROM layers WHERE sha256 = ?", (sha256,)).fetchone()
+    return None if row is None else row[0]
+
+
+def _insert_layer(db: sqlite3.Connection, sha256: str, text: str, previous: int | None, blobs: set[str]) -> int:
+    query = "INSERT OR IGNORE INTO layers (sha256, content, previous) VALUES (?, ?, ?)"
+    db.execute(query, (sha256, text, previous))
+    row = _row_of(db, sha256)
+    assert row is not None
+    db.executemany("INSERT OR IGNORE INTO layer_blobs VALUES (?, ?)", [(row, blob) for blob in blobs])
     return row
 
 
-def _store_result(db: sqlite3.Connection, key: str, result: LayerResult) -> None:
+def _store_result(db: sqlite3.Connection, key: str, result: LayerResult, previous: str | None) -> None:
     state = None if result.painter_state is None else _pack_state(result.painter_state)
     confidence = None if result.confidence is None else result.confidence.tobytes()
+    if previous is None:  # stored again: what it needs is what it needed
+        row = db.execute("SELECT previous FROM results WHERE key = ?", (key,)).fetchone()
+        previous = None if row is None else row[0]
     db.execute("DELETE FROM results WHERE key = ?", (key,))
-    db.execute("INSERT INTO results VALUES (?, ?, ?, ?)", (key, json.dumps(result.facts), confidence, state))
+    values = (key, json.dumps(result.facts), confidence, state, previous)
+    db.execute("INSERT INTO results (key, facts, confidence, state, previous) VALUES (?, ?, ?, ?, ?)", values)
     for part, data in enumerate(encode(result.delta)):
         db.execute("INSERT INTO deltas VALUES (?, ?, ?)", (key, part, data))
 
@@ -428,12 +482,27 @@ def _set_cursor(db: sqlite3.Connection, step: int) -> None:
     db.execute("UPDATE facts SET value = ? WHERE name = 'cursor'", (str(step),))
 
 
+UNUSED_RESULTS = """
+WITH RECURSIVE used(key) AS (
+    SELECT result FROM step_results
+    UNION SELECT previous FROM results JOIN used USING (key) WHERE previous IS NOT NULL
+)
+SELECT key FROM results WHERE key NOT IN (SELECT key FROM used)
+"""
+UNUSED_LAYERS = """
+WITH RECURSIVE used(id) AS (
+    SELECT layer FROM step_layers
+    UNION SELECT previous FROM layers JOIN used USING (id) WHERE previous IS NOT NULL
+)
+DELETE FROM layers WHERE id NOT IN (SELECT id FROM used)
+"""
+
+
 def _sweep(db: sqlite3.Connection) -> set[str]:
     """Delete what no step needs any more; the keys of deleted results."""
-    unused = "NOT IN (SELECT result FROM step_results)"
-    unused_keys = {key for (key,) in db.execute(f"SELECT key FROM results WHERE key {unused}")}
-    db.execute(f"DELETE FROM results WHERE key {unused}")
-    db.execute("DELETE FROM layers WHERE id NOT IN (SELECT layer FROM step_layers)")
+    unused_keys = {key for (key,) in db.execute(UNUSED_RESULTS)}
+    db.executemany("DELETE FROM results WHERE key = ?", [(key,) for key in unused_keys])
+    db.execute(UNUSED_LAYERS)
     db.execute("DELETE FROM blobs WHERE sha256 NOT IN (SELECT blob FROM layer_blobs)")
     return unused_keys
 

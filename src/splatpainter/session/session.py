@@ -21,6 +21,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ import numpy as np
 
 from splatpainter.cameras import AUTO_UP, UPS, Camera
 from splatpainter.image_files import Alpha
-from splatpainter.io import read
+from splatpainter.io import files, read
 from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import Edit, Method, Mode, Painter
@@ -40,12 +41,14 @@ from splatpainter.session.compose import LayerState, Progress, Replay, fingerpri
 from splatpainter.session.database import SUFFIX
 from splatpainter.session.delta import AssetDelta, VersionLog, bare
 from splatpainter.session.document import (
+    STROKE_KINDS,
     Blend,
     Document,
     Kind,
     Layer,
     Policy,
     add_layer,
+    add_stroke,
     change_layer,
     delete_layer,
     duplicate_layer,
@@ -364,6 +367,7 @@ class Session:
         opacity: float = 1.0,
         blend: Blend = "normal",
         index: int | None = None,
+        attached: Sequence[bytes] = (),
     ) -> Layer:
         """A new layer (on top, or at an index, 0 the lowest) and its result.
 
@@ -371,17 +375,124 @@ class Session:
         that grade everything (mode global), or parameters {"look": name, ...} with edits whose masks limit it; erase:
         edits of which only cameras and masks count. Pictures are kept with 8 bits. A local edit without a mask gets the
         one of what differs from the asset now. parameters {"angle_limit": degrees, "depth_edge_limit": pixels} of local
-        edits: what one view may paint, where that is not to be as the painter's LocalOptions say. Raises ValueError as
-        Painter.apply does, with nothing changed."""
+        edits: what one view may paint, where that is not to be as the painter's LocalOptions say. attached: PNG bytes
+        that the parameter "placed" names as its image, kept with the layer. Raises ValueError as Painter.apply does,
+        with nothing changed."""
         with self._command():
             method = self.painter.choose(method, mode or ("global" if kind == "look" else "local"))[0]
             settings = {"mode": mode, "method": method, "opacity": opacity, "blend": blend}
             settings["painter"] = fingerprint(self.painter, method)
             layer, blobs = new_layer(self.splats, kind, edits, name, dict(parameters or {}), settings)
-            self._transaction.blobs = blobs
+            self._transaction.blobs = blobs | {files.sha256(data): data for data in attached}
             document, layer = add_layer(self._snapshot.document, layer, index)
             self._commit(f"add {layer.name}", document, strict=layer.id)
             return layer
+
+    def new_layer(self, name: str | None = None, *, index: int | None = None) -> Layer:
+        """An empty layer that strokes can be painted into (on top, or at an index, 0 the lowest)."""
+        with self._command():
+            document, layer = add_layer(self._snapshot.document, self._empty_layer(name), index)
+            self._commit(f"new layer {layer.name}", document)
+            return layer
+
+    def _empty_layer(self, name: str | None) -> Layer:
+        taken = {layer.name for layer in self.layers}
+        numbered = (f"Paint {k}" if k > 1 else "Paint" for k in count(1))
+        name = name or next(name for name in numbered if name not in taken)
+        return Layer("", name, "paint", method="lift", painter=fingerprint(self.painter, "lift"))
+
+    def paint(
+        self,
+        layer: str,
+        edits: Sequence[Edit],
+        *,
+        name: str = "Stroke",
+        kind: Kind = "paint",
+        method: Method = "auto",
+        parameters: Mapping[str, Any] | None = None,
+    ) -> Layer:
+        """One more stroke in a paint layer, from any view; returns the layer. Only the stroke is computed, on what the
+        strokes before it made (`painted_on` shows that). It is one step of the history. A layer of local views that
+        `add` made takes strokes too. kind: paint, clone; parameters: angle_limit, depth_edge_limit, as of `add`; name:
+        of the step. Raises ValueError as `add`, and for a layer that takes no strokes or is hidden."""
+        with self._command():
+            document = self._snapshot.document
+            return self._painted(document, layer, None, edits, name, kind, method, parameters)
+
+    def _painted(
+        self,
+        document: Document,
+        layer: str,
+        below: Splats | None,
+        edits: Sequence[Edit],
+        name: str,
+        kind: Kind = "paint",
+        method: Method = "auto",
+        parameters: Mapping[str, Any] | None = None,
+    ) -> Layer:
+        """Commit a document with one more stroke. below: what it is painted on, if at hand."""
+        if kind not in STROKE_KINDS:
+            raise ValueError(f"stroke: expected a kind of {', '.join(STROKE_KINDS)}, got {brief(kind)}")
+        target = document.layers[document.index(layer)]
+        if not target.visible or target.opacity == 0:
+            raise ValueError(f"{target.title}: is hidden; show it to paint into it")
+        method = self.painter.choose(method, "local")[0]
+        settings = {"mode": "local", "method": method, "painter": fingerprint(self.painter, method)}
+        below = self.painted_on(layer) if below is None else below
+        stroke, blobs = new_layer(below, kind, edits, name, dict(parameters or {}), settings, cut_out=True)
+        stroke, thumbnail = replace(stroke, thumbnail=None), stroke.thumbnail
+        document, stroke = add_stroke(document, layer, stroke)
+        self._transaction.blobs = blobs
+        document = change_layer(document, layer, thumbnail=thumbnail)
+        self._commit(f"{name} in {target.name}", document, strict=stroke.id)
+        return self.layer(layer)
+
+    def first_stroke(self, layer_name: str | None, edits: Sequence[Edit], *, name: str = "Stroke", **how: Any) -> Layer:
+        """`new_layer` and `paint` in one step of the history; nothing where the stroke cannot be painted."""
+        with self._command():
+            document, layer = add_layer(self._snapshot.document, self._empty_layer(layer_name))
+            return self._painted(document, layer.id, self.splats, edits, name, **how)
+
+    def painted_on(self, layer: str) -> Splats:
+        """The Gaussians that the next stroke of a layer is painted on: what is below it, with its strokes in full."""
+        return self._replay.painted_on(self._snapshot.document, layer)
+
+    def below(self, layer: str) -> Splats:
+        """The Gaussians below a layer."""
+        document = self._snapshot.document
+        layers = document.layers[: document.index(layer)]
+        return self._replay.compose(replace(document, layers=layers)).splats
+
+    def replace_views(
+        self,
+        layer: str,
+        edits: Sequence[Edit],
+        *,
+        name: str | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        gesture: str | None = None,
+        attached: Sequence[bytes] = (),
+    ) -> Layer:
+        """Other pictures in a layer that stays where it is, with its opacity and blend: other words of a text, another
+        state of a picture. It is visible then. name, parameters: None: as they are; gesture: as of `set`; attached: as
+        of `add`. Raises ValueError as `add`, and for a layer without pictures."""
+        with self._command():
+            before = self.layer(layer)
+            if before.kind not in ("paint", "picture", "clone") or before.holds_strokes:
+                raise ValueError(f"{before.title}: expected a layer of edited pictures")
+            settings = {
+                "mode": before.mode,
+                "method": before.method,
+                "painter": fingerprint(self.painter, before.method),
+            }
+            values = dict(before.parameters if parameters is None else parameters)
+            fresh, blobs = new_layer(self.below(layer), before.kind, edits, name or before.name, values, settings)
+            self._transaction.blobs = blobs | {files.sha256(data): data for data in attached}
+            fields = {"views": fresh.views, "thumbnail": fresh.thumbnail, "painter": fresh.painter, "visible": True}
+            fields |= {"name": fresh.name, "parameters": fresh.parameters}
+            document = change_layer(self._snapshot.document, layer, **fields)
+            self._commit(f"change {before.name}", document, strict=layer, gesture=gesture)
+            return self.layer(layer)
 
     def set(self, layer: str, *, gesture: str | None = None, **values: Any) -> Layer:
         """Change a layer's name, visible, opacity, blend, parameters or method (it is then painted anew, by the painter
@@ -396,6 +507,8 @@ class Session:
             if "method" in values:
                 values["method"] = self.painter.choose(values["method"], self.layer(layer).mode)[0]
                 values["painter"] = fingerprint(self.painter, values["method"])
+                again = {"method": values["method"], "painter": values["painter"]}
+                values["strokes"] = tuple(replace(stroke, **again) for stroke in self.layer(layer).strokes)
             document = change_layer(self._snapshot.document, layer, **values)
             verb = {"visible": "show" if values.get("visible") else "hide", "name": "rename"}
             first = next(iter(values))
@@ -472,6 +585,7 @@ class Session:
             document = self._project.document(steps[cursor].id)
             state = self._replay.compose(document, self.progress)
             self._project.move(steps[cursor].id, state.results, self._transaction)
+            self._transaction.clear()
             self._publish(state, document)
             return True
 
@@ -530,6 +644,7 @@ class Session:
         """Compute, make durable, publish: in this order, so that what was published is never lost."""
         state = self._replay.compose(document, self.progress, strict)
         removed = self._project.commit(label, document, state.results, self._transaction, gesture)
+        self._transaction.clear()
         self._replay.forget(removed)
         self._publish(state, document)
 
@@ -551,6 +666,8 @@ class Session:
             try:
                 yield
             finally:
+                if self._transaction.results:  # computed, and not stored: the command failed
+                    self._replay.forget(set(self._transaction.results))
                 self._transaction.clear()
 
 

@@ -25,7 +25,7 @@ class _StoredResults:
         with contextlib.suppress(ValueError):
             return None if self._repaint else self._project.result(key)
 
-    def put(self, key: str, result: LayerResult) -> None:
+    def put(self, key: str, result: LayerResult, previous: str | None = None) -> None:
         pass
 
 

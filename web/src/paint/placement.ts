@@ -2,7 +2,11 @@
 
 import { effect, signal } from "@preact/signals";
 
-import { brush, color, paintMode, text, tool } from "../state/store";
+import type { LayerInfo, Placed } from "../messages";
+import { blobUrl, sendBlob } from "../net/blobs";
+import { brush, camera, color, paintMode, selectedLayer, state, text, tool } from "../state/store";
+import { go, report, run } from "../state/studio";
+import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
 import { beginStroke, endStroke } from "./strokes";
 import { blend, type Rgb } from "./colors";
 import type { Pen, ToolHandler } from "./tool";
@@ -21,6 +25,8 @@ export interface Placement {
 }
 
 export const placement = signal<Placement | null>(null);
+/** The layer whose text or sticker is being changed; it is hidden meanwhile. */
+export const editedLayer = signal<{ layer: string; name: string; gesture: string } | null>(null);
 
 const GRAB = 14;
 /** The knob for turning stands this far above the box, view pixels. */
@@ -80,9 +86,50 @@ export const placer: ToolHandler = {
   },
   cancel() {
     grip = null;
-    placement.value = null;
+    void discardPlacement();
   },
 };
+
+/** Take it away; a layer that was being changed is as it was. */
+export async function discardPlacement(): Promise<void> {
+  placement.value = null;
+  const edited = editedLayer.value;
+  editedLayer.value = null;
+  if (edited) await run("layer.set", { layer: edited.layer, visible: true, gesture: edited.gesture }, edited.name);
+}
+
+/** Lay the text or the sticker of a layer on its view again, to be changed. */
+export async function changePlaced(layer: LayerInfo): Promise<void> {
+  const placed = layer.placed;
+  const [view] = layer.views;
+  if (!placed || !view) return;
+  if (placement.value) await discardPlacement();
+  go(fromCamera(view.camera as CameraJson, state.value!.asset.center as Vec3));
+  brush.value = { ...brush.value, opacity: placed.opacity };
+  paintMode.value = placed.mode;
+  const kind = placed.kind === "text" ? "text" : "stamp";
+  let image: Placement["image"];
+  if (kind === "text") {
+    const { text: words, font, size, bold, italic } = placed;
+    text.value = { text: words, font, size, bold, italic };
+    color.value = placed.color;
+    image = textImage();
+  } else {
+    const pixels = await fetch(blobUrl(placed.image!));
+    image = await createImageBitmap(await pixels.blob());
+  }
+  tool.value = kind;
+  selectedLayer.value = layer.id;
+  const gesture = `change ${layer.id} ${Date.now()}`;
+  editedLayer.value = { layer: layer.id, name: layer.name, gesture };
+  const [x, y] = [placed.x, placed.y].map((v, k) => {
+    const [at, now] = [view.camera, camera.value!];
+    return k === 0 ? now.cx + ((v - at.cx) * now.fx) / at.fx : now.cy + ((v - at.cy) * now.fy) / at.fy;
+  });
+  const scale = (placed.scale * camera.value!.fx) / view.camera.fx;
+  placement.value = { kind, image, name: layer.name, x, y, scale, angle: placed.angle };
+  await run("layer.set", { layer: layer.id, visible: false, gesture }, layer.name);
+}
 
 /** Lay a picture on the middle of the view, at most half as large as that. */
 export async function startStamp(file: Blob, name: string, view: { width: number; height: number }): Promise<void> {
@@ -121,17 +168,32 @@ effect(() => {
   if (p?.kind === "text") placement.value = { ...p, image: textImage() };
 });
 
-/** Make it a layer. */
+/** What is kept of it with its layer. */
+async function placedInfo(p: Placement): Promise<Placed> {
+  const { x, y, scale, angle } = p;
+  const common = { x, y, scale, angle, opacity: brush.value.opacity, mode: paintMode.value };
+  const { text: words, font, size, bold, italic } = text.value;
+  const written = { text: words, font, size, bold, italic, color: color.value, image: null };
+  if (p.kind === "text") return { kind: "text", ...common, ...written };
+  const canvas = new OffscreenCanvas(p.image.width, p.image.height);
+  canvas.getContext("2d")!.drawImage(p.image, 0, 0);
+  const image = await sendBlob(await canvas.convertToBlob({ type: "image/png" }), `${p.name}.png`);
+  return { kind: "sticker", ...common, ...written, text: "", image };
+}
+
+/** Make it a layer, or the layer that it was again. */
 export async function commitPlacement(): Promise<void> {
   const p = placement.value;
   if (!p) return;
-  const stroke = beginStroke(
-    "paint",
-    p.kind === "text" ? `Text: ${text.value.text.slice(0, 40)}` : p.name,
-    brush.value.opacity,
-  );
+  const edited = editedLayer.value;
+  const placed = await placedInfo(p).catch((error) => void report(error));
+  if (!placed) return;
+  const target = edited ? { replaces: edited.layer, gesture: edited.gesture, placed } : { placed };
+  const title = p.kind === "text" ? `Text: ${text.value.text.slice(0, 40)}` : p.name;
+  const stroke = beginStroke("paint", title, brush.value.opacity, target);
   if (!stroke) return;
   placement.value = null;
+  editedLayer.value = null;
   const { width, height } = stroke.mask;
   const context = new OffscreenCanvas(width, height).getContext("2d")!;
   drawPlacement(context, p);

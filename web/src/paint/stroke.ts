@@ -3,7 +3,7 @@
  * The view is frozen meanwhile. Patches are sent one at a time; what is drawn while one is on its way goes with the next.
  */
 
-import type { LayerInfo, PaintLimits } from "../messages";
+import type { LayerInfo, PaintEnd, PaintLimits } from "../messages";
 import { CommandError, type Link } from "../net/connection";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
@@ -23,11 +23,17 @@ export interface StrokeOptions {
   onScreen: () => boolean;
   kind: "paint" | "clone" | "erase";
   name: string;
+  /** Where it goes, asked when the strokes before it are committed. */
+  target: () => StrokeTarget;
+  committed: (layer: LayerInfo, sent: StrokeTarget) => void;
   method: "auto" | "ttt" | "lift" | "fit";
   limits: PaintLimits;
   opacity: number;
   selection: Mask | null;
 }
+
+/** The layer that a stroke becomes, or becomes a part of. */
+export type StrokeTarget = Pick<PaintEnd, "layer" | "into_new" | "replaces" | "placed" | "gesture">;
 
 export class Stroke {
   readonly mask: Mask;
@@ -103,8 +109,10 @@ export class Stroke {
     while (this.dirty.width || this.pumping) await (this.pumping ??= this.pump());
     this.done = true;
     if (this.failure) throw this.failure;
-    const { link, name, method, limits } = this.options;
-    const answer = await link.do("paint.end", { stroke, name, method, limits });
+    const { link, name, method, limits, target, committed } = this.options;
+    const sent = target();
+    const answer = await link.do("paint.end", { stroke, name, method, limits, ...sent });
+    committed(answer.layer, sent);
     return answer.layer;
   }
 

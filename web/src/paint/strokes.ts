@@ -8,11 +8,12 @@ import { signal } from "@preact/signals";
 import { blobUrl, pixelsOf } from "../net/blobs";
 import { brush, camera, limits, method, readOnly, selectedLayer, state, toast } from "../state/store";
 import { link, remember, report, run, viewer } from "../state/studio";
+import type { LayerInfo } from "../messages";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
 import { limitsToSend } from "./limits";
 import { selection, viewMoved as moveSelection } from "./selection";
-import { Stroke } from "./stroke";
+import { Stroke, type StrokeTarget } from "./stroke";
 
 /** Strokes that are not layers yet. */
 export const pendingStrokes = signal(0);
@@ -53,11 +54,37 @@ export function originalPixels(): Promise<Pixels> {
   return original.pixels;
 }
 
-/** Begin a stroke on the present view; null (with a toast) when nothing can be painted. */
+/** The paint layer that strokes made while no paint layer was chosen: those that follow go there too. */
+let firstOf: { chosen: string | null; session: string; layer: string } | null = null;
+
+/** The chosen layer, if it takes strokes. */
+export function chosenPaintLayer(): LayerInfo | null {
+  const layer = state.value?.layers.find((one) => one.id === selectedLayer.value);
+  return layer && layer.strokes !== null ? layer : null;
+}
+
+/** Where a stroke that begins now will go: into the chosen paint layer, else into a new one. */
+function paintTarget(): () => StrokeTarget {
+  const chosen = chosenPaintLayer();
+  if (chosen) return () => ({ layer: chosen.id });
+  const [before, session] = [selectedLayer.value, state.value!.session];
+  return () => {
+    const first = firstOf;
+    const there = first && state.value?.layers.some((one) => one.id === first.layer);
+    if (there && first.session === session && first.chosen === before) return { layer: first.layer };
+    return { into_new: unused("Paint") };
+  };
+}
+
+/**
+ * Begin a stroke on the present view; null (with a toast) when nothing can be painted. `target`: what it becomes; by
+ * default it goes into the chosen paint layer.
+ */
 export function beginStroke(
   kind: "paint" | "clone" | "erase",
   name: string,
   opacity = brush.value.opacity,
+  target?: StrokeTarget,
 ): Stroke | null {
   const now = camera.value;
   if (!now || viewer.count === 0) return null;
@@ -69,6 +96,13 @@ export function beginStroke(
     );
     return null;
   }
+  const chosen = chosenPaintLayer();
+  if (kind !== "erase" && !target && chosen && (!chosen.visible || chosen.opacity === 0)) {
+    toast("warning", `${chosen.name} is hidden.`, "Show it, or choose another layer to paint into.");
+    return null;
+  }
+  const single = target || kind === "erase";
+  const [before, session] = [selectedLayer.value, state.value!.session];
   fitOverlay(now);
   const base = asSeen();
   const stroke = new Stroke({
@@ -79,7 +113,11 @@ export function beginStroke(
     after: lastCommit,
     onScreen: () => camera.value === now,
     kind,
-    name: unused(name),
+    name: single && !target?.replaces ? unused(name) : name,
+    target: single ? () => target ?? {} : paintTarget(),
+    committed: (layer, sent) => {
+      if (sent.into_new) firstOf = { chosen: before, session, layer: layer.id };
+    },
     method: method.value,
     limits: limitsToSend(limits.value),
     opacity,

@@ -5,8 +5,9 @@ import { useState } from "preact/hooks";
 import type { LayerInfo, LayerSet } from "../messages";
 import { blobUrl, download } from "../net/blobs";
 import { readOnly, selectedLayer, state, tab } from "../state/store";
-import { run } from "../state/studio";
+import { report, run } from "../state/studio";
 import { openFile } from "./files";
+import { changePlaced } from "../paint/placement";
 import { Icon } from "./icons";
 import { Button, Choice, FileButton, Slider } from "./parts";
 
@@ -76,6 +77,14 @@ export function Layers() {
                 onClick={() => void set(layer.id, { visible: !layer.visible })}
               />
               <Thumbnail layer={layer} />
+              {layer.placed && (
+                <Button
+                  icon={layer.placed.kind === "text" ? "text" : "stamp"}
+                  label={`Change ${layer.name}`}
+                  disabled={readOnly.value}
+                  onClick={() => void changePlaced(layer).catch(report)}
+                />
+              )}
               <Name
                 layer={layer}
                 chosen={range.includes(layer)}
@@ -160,6 +169,7 @@ function Name({ layer, chosen, onKeyDown }: NameProps) {
     >
       <b>{layer.name}</b>
       <span class="quiet">
+        {layer.strokes !== null && `${layer.strokes} ${layer.strokes === 1 ? "stroke" : "strokes"}, `}
         {count.toLocaleString()} Gaussians{layer.opacity < 1 ? `, ${Math.round(layer.opacity * 100)} %` : ""}
         {layer.blend !== "normal" ? `, ${layer.blend}` : ""}
       </span>
@@ -191,6 +201,12 @@ function LayerActions({ layer, layers, range }: ActionProps) {
   const together = range.length > 1 ? range : layer && below ? [below, layer] : [];
   return (
     <span class="group">
+      <Button
+        icon="plus"
+        label="New layer to paint into"
+        disabled={readOnly.value || !state.value}
+        onClick={() => void run("layer.new", { above: layer?.id ?? null }, "New layer").then(chooseMade)}
+      />
       <Button
         icon="copy"
         label="Duplicate the layer"

@@ -4,7 +4,7 @@ import { signal } from "@preact/signals";
 
 import { cloneFrom } from "../paint/strokes";
 import { choosingSource } from "../paint/freehand";
-import { commitPlacement, placement, startStamp } from "../paint/placement";
+import { commitPlacement, discardPlacement, editedLayer, placement, startStamp } from "../paint/placement";
 import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
 import { setColor } from "../paint/point-tools";
 import { invert, type Combine } from "../paint/select";
@@ -197,7 +197,12 @@ function Place() {
   return (
     <span class="group">
       <Button label="Apply" keys="Enter" icon="check" text="Apply" primary onClick={() => void commitPlacement()} />
-      <Button label="Discard it" keys="Esc" icon="close" onClick={() => (placement.value = null)} />
+      <Button
+        label={editedLayer.value ? "Leave it as it was" : "Discard it"}
+        keys="Esc"
+        icon="close"
+        onClick={() => void discardPlacement()}
+      />
     </span>
   );
 }

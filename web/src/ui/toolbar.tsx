@@ -1,6 +1,6 @@
 /** The tools at the left. */
 
-import { placement } from "../paint/placement";
+import { discardPlacement } from "../paint/placement";
 import { color, readOnly, tool, type Tool } from "../state/store";
 import { setColor } from "../paint/point-tools";
 import type { IconName } from "./icons";
@@ -22,7 +22,7 @@ export const TOOLS: readonly (readonly [Tool, string, string, IconName])[] = [
 ];
 
 export function chooseTool(next: Tool): void {
-  if (tool.value !== next) placement.value = null;
+  if (tool.value !== next) void discardPlacement();
   tool.value = next;
 }
 

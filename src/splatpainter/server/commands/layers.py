@@ -19,6 +19,26 @@ from splatpainter.server.protocol import Answer, Blend, Blob, Command, ConflictI
 from splatpainter.sources.color_grading import GRADE, GradeSettings
 
 
+class LayerNew(Command):
+    """An empty paint layer, which strokes can go into; on top, or above another."""
+
+    NAME = "layer.new"
+    ANSWER = LayerMade
+    name: Name | None = None
+    above: str | None = None
+
+
+@command(LayerNew, writes=True)
+def new_layer(context: CommandContext, request: LayerNew) -> LayerMade:
+    session = context.studio.session
+    at = None
+    if request.above is not None:
+        session.layer(request.above)
+        at = 1 + [layer.id for layer in session.layers].index(request.above)
+    layer = session.new_layer(request.name, index=at)
+    return layer_made(context, layer.id, python_line("session.new_layer", request.name, index=at))
+
+
 class LayerSet(Command):
     """Change what is given; the rest stays."""
 

@@ -25,6 +25,7 @@ from splatpainter.server.commands.context import (
     naming_errors,
     progress,
     python_line,
+    render_display,
 )
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
@@ -39,12 +40,14 @@ from splatpainter.server.protocol import (
     Mode,
     Name,
     PaintLimits,
+    Placed,
     Previewed,
     Unit,
 )
 from splatpainter.server.stroke import Stroke
 from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
+from splatpainter.session.document import PLACED, Kind
 from splatpainter.sources.edit_files import FileEdit, unmultiplied
 from splatpainter.sources.picture_reader import read_picture
 
@@ -111,13 +114,23 @@ def dab(context: CommandContext, request: PaintDab) -> Previewed:
 
 
 class PaintEnd(Command):
-    """Commit the stroke as a layer (the chosen method runs on the server's own copy of the stroke's pixels, over its
-    float render: nothing to upload). Its Gaussians come as a delta; previewed ones that it leaves alone get
-    their colours back."""
+    """Commit the stroke (the chosen method runs on the server's own copy of the stroke's pixels, over its float render:
+    nothing to upload): into a paint layer, as a new layer, or in place of what a layer of a text or a picture was. Its
+    Gaussians come as a delta; previewed ones that it leaves alone get their colours back."""
 
     NAME = "paint.end"
     ANSWER = LayerMade
     stroke: str
+    layer: str | None = None
+    """Paint layer that it goes into; None: a new layer."""
+    into_new: Name | None = None
+    """Name of a new paint layer on top that it is the first stroke of."""
+    replaces: str | None = None
+    """Layer of a text or a picture whose content it becomes; it keeps its position, opacity and blend."""
+    placed: Placed | None = None
+    """What can be changed later; such a layer takes no strokes."""
+    gesture: Name | None = None
+    """As of layer.set, with `replaces`."""
     name: Name = "Stroke"
     method: Method = "auto"
     opacity: Unit = 1.0
@@ -132,21 +145,63 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     stroke = _stroke(context, request.stroke, session)
     if not stroke.mask.any():
         raise ValueError("stroke: nothing was painted")
-    now = session.snapshot
-    picture = stroke.picture(now.splats, session.original, now.version)
-    image = from_display(picture.astype(np.float32), now.splats.color_space)
-    edit = Edit(image, stroke.camera, stroke.mask, request.name)
+    if (request.layer, request.into_new, request.replaces).count(None) < 2:
+        raise ValueError("stroke: expected one of layer, into_new and replaces")
+    if request.placed is not None and (request.layer or request.into_new):
+        raise ValueError("stroke: a text or a picture that can be changed is a layer of its own")
     kind = "erase" if stroke.erase else "paint"
-    options: dict[str, Any] = {"name": request.name, "method": request.method}
-    options |= {"opacity": request.opacity, "blend": request.blend}
-    if not stroke.erase:
-        options |= _limits(request.limits)
+    parameters = {} if stroke.erase else request.limits.parameters()
     with progress(context, "painting"):
-        layer = session.add(kind, [edit], **options)
+        if request.layer is not None:
+            splats = session.painted_on(request.layer)
+        elif request.replaces is not None:
+            splats = session.below(request.replaces)
+        else:
+            splats = session.splats
+        now = session.snapshot
+        if splats is now.splats:
+            picture = stroke.picture(now.splats, session.original, now.version)
+        else:
+            picture = stroke.over(render_display(splats, stroke.camera))
+        image = from_display(picture.astype(np.float32), splats.color_space)
+        edit = Edit(image, stroke.camera, stroke.mask, request.name)
+        layer, line = _committed(context, request, edit, kind, parameters)
     context.page.strokes.pop(request.stroke, None)
     context.clear_preview = True
-    line = python_line("session.add", kind, [RawExpr("sp.Edit(picture, camera, mask)")], **options)
-    return layer_made(context, layer.id, line)
+    return layer_made(context, layer, line)
+
+
+def _committed(
+    context: CommandContext, request: PaintEnd, edit: Edit, kind: Kind, parameters: dict[str, Any]
+) -> tuple[str, str]:
+    """(id of the layer that a stroke is in now, the Python line)."""
+    session, words = context.studio.session, [RawExpr("sp.Edit(picture, camera, mask)")]
+    attached: list[bytes] = []
+    if request.placed is not None:
+        if request.placed.image is not None:
+            attached = [context.studio.picture_bytes(request.placed.image)[0]]
+        parameters = {**parameters, PLACED: request.placed.model_dump()}
+    if request.replaces is not None:
+        options: dict[str, Any] = {"name": request.name, "parameters": parameters}
+        layer = session.replace_views(
+            request.replaces, [edit], **options, gesture=request.gesture, attached=attached
+        ).id
+        return layer, python_line("session.replace_views", layer, words, **options)
+    if request.layer is not None or request.into_new is not None:
+        options = {"name": request.name, "kind": kind, "method": request.method}
+        options |= {"parameters": parameters} if parameters else {}
+        layer, line = request.layer, ""
+        if layer is None:
+            layer = session.first_stroke(request.into_new, [edit], **options).id
+            line = f"layer = session.new_layer({request.into_new!r}); "
+        else:
+            session.paint(layer, [edit], **options)
+        return layer, line + python_line("session.paint", layer, words, **options)
+    options = {"name": request.name, "method": request.method, "opacity": request.opacity, "blend": request.blend}
+    options |= {"parameters": parameters} if parameters else {}
+    return session.add(kind, [edit], **options, attached=attached).id, python_line(
+        "session.add", kind, words, **options
+    )
 
 
 class PaintCancel(Command):
@@ -192,6 +247,8 @@ class EditAdd(Command):
     """Of mode local; an eraser has none."""
     stroke: str | None = None
     """A previewed stroke that this edit replaces."""
+    replaces: str | None = None
+    """Layer of pictures whose content these become; it keeps its position, opacity, blend, mode and method."""
 
 
 @command(EditAdd, writes=True)
@@ -210,6 +267,13 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         options["parameters"] = {WITHIN: True}
     if request.mode == "local" and request.kind != "erase":
         options |= _limits(request.limits)
+    if request.replaces is not None:
+        name = session.layer(request.replaces).name
+        with progress(context, name):
+            layer = session.replace_views(request.replaces, edits, parameters=options.get("parameters", {}))
+        line = python_line("session.replace_views", layer.id, [RawExpr("sp.Edit(picture, camera, mask)")])
+        context.clear_preview = True
+        return layer_made(context, layer.id, line)
     with progress(context, "editing"):
         layer = session.add(request.kind, edits, **options)
     if request.stroke is not None:

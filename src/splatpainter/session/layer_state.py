@@ -1,0 +1,64 @@
+"""What composing an asset hands from layer to layer: the Gaussians so far, what a layer made of them, and where results
+are stored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from splatpainter.session.conflicts import EditedIds
+from splatpainter.session.delta import Delta
+from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class LayerResult:
+    """What a layer makes of the Gaussians below it, before opacity and blend."""
+
+    delta: Delta = field(repr=False)
+    facts: dict[str, Any] = field(default_factory=dict)
+    """JSON for people: rows_touched, rows_appended, seconds, method, note, views [{psnr_...}], problem."""
+    confidence: np.ndarray | None = field(default=None, repr=False)
+    """[N + A] uint8, of a global edit."""
+    painter_state: Any = field(default=None, repr=False)
+    """What the painter has learnt so far (fast weights), where it learns."""
+
+    @property
+    def problem(self) -> str:
+        """Why the layer changes nothing; "" where it works."""
+        return self.facts.get("problem", "")
+
+
+class ResultStore(Protocol):
+    """Where pictures and results of layers are stored."""
+
+    def blob(self, sha256: str) -> bytes: ...
+    def get(self, key: str) -> LayerResult | None: ...
+    def put(self, key: str, result: LayerResult, previous: str | None = None) -> None:
+        """previous: key of the result that this one needs to be there too (of the stroke before)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LayerState:
+    """The asset after some layers."""
+
+    key: str
+    """Hash of everything it depends on."""
+    splats: Splats
+    """`origin`: the original's Gaussian that each comes from."""
+    parent_ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    """Of those appended to the original: the Gaussian that each was split from, -1: none."""
+    edited: tuple[EditedIds, ...] = ()
+    facts: tuple[tuple[str, dict[str, Any]], ...] = ()
+    """(layer id, LayerResult.facts) of the visible layers."""
+    results: tuple[str, ...] = ()
+    """Keys of the cached results it was made of."""
+    painter_state: Any = field(default=None, repr=False)
+
+
+Progress = Callable[[int, int, str], None]
+"""(layers done, layers in all, name of the one in work); what it raises ends the work, and nothing has changed."""

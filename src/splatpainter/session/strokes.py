@@ -1,0 +1,244 @@
+"""Layers that hold strokes: each stroke is painted on those before it, and only the newest is new.
+
+What a stroke makes of the Gaussians below is a result of its own, stored under the hash of all that it depends on, so a
+further stroke computes itself alone, and undo takes the last one away. Stored results in a row are written into one
+copy of the Gaussians, not one copy each: a layer of hundreds of strokes is there again in less than a second after its
+project was opened. The layer's opacity, blend and conflicts are those of all its strokes together, as of one layer
+(compose.py). Knows no painter and no file.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from splatpainter.session.delta import Delta, bare
+from splatpainter.session.document import Layer, digest
+from splatpainter.session.layer_state import LayerResult, LayerState, ResultStore
+from splatpainter.splats import ATTRIBUTES
+
+CACHED_BYTES = 1 << 27
+"""Bytes of Gaussians after strokes that are cached to go on from, or back to."""
+MAX_CACHED = 64
+"""And how many at most."""
+CHECKPOINT = 8
+"""Strokes before the last one at which the Gaussians are cached too where many are written in a row: the next undos
+start from there."""
+SPARE_ROOM = 0.25
+"""Share of the Gaussians by which arrays grow when appended ones do not fit."""
+
+Paint = Callable[[LayerState, Layer, LayerState], LayerResult]
+"""(the Gaussians below a stroke, the stroke, those below its layer) -> what it makes of them."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Names of what comes of a layer's strokes on a given state; nothing is computed yet."""
+
+    keys: tuple[str, ...]
+    """Of the states: below the layer, after the first stroke, ..."""
+    results: tuple[str, ...]
+    """Of the strokes' results."""
+
+    @staticmethod
+    def of(below_key: str, strokes: tuple[Layer, ...]) -> Chain:
+        keys, results = [below_key], []
+        for stroke in strokes:
+            base = f" {below_key}" if stroke.kind == "erase" else ""
+            results.append(digest(f"{keys[-1]} {stroke.key}{base}"))
+            keys.append(digest(f"{results[-1]} 1.0 normal []"))
+        return Chain(tuple(keys), tuple(results))
+
+
+@dataclass(frozen=True)
+class Painted:
+    """The Gaussians after some strokes of a layer."""
+
+    state: LayerState
+    changed: np.ndarray = field(repr=False)
+    """[T] int64 ascending: Gaussians from below the layer that any stroke changed."""
+    facts: dict[str, Any] = field(default_factory=dict)
+    """Of the latest stroke."""
+    problems: tuple[str, ...] = ()
+    """Why strokes change nothing, for those that do not."""
+    results: tuple[str, ...] = field(default=(), repr=False)
+    """Keys of the strokes' results."""
+
+    def delta(self, below: LayerState) -> Delta:
+        """What all strokes did to the state below the layer."""
+        count, splats = len(below.splats), self.state.splats
+        first = len(splats) - len(self.state.parent_ids)
+        ancestors = self.state.parent_ids[count - first :].copy()
+        while (late := ancestors >= count).any():
+            ancestors[late] = self.state.parent_ids[ancestors[late] - first]
+        appended = splats.take(np.arange(count, len(splats)))
+        return Delta(count, self.changed, bare(splats.take(self.changed)), bare(appended), ancestors)
+
+    def layer_facts(self, layer: Layer, below: LayerState) -> dict[str, Any]:
+        """Facts of the layer: the latest stroke's, and the counts of all."""
+        facts = {**self.facts, "rows_touched": len(self.changed)}
+        facts["rows_appended"] = len(self.state.splats) - len(below.splats)
+        facts["stroke"] = {name: self.facts.get(name, 0) for name in ("rows_touched", "rows_appended", "seconds")}
+        facts.pop("problem", None)
+        if self.problems:
+            which = f"{len(self.problems)} of {len(layer.strokes)} strokes cannot be painted here"
+            facts["problem" if len(self.problems) == len(layer.strokes) else "note"] = f"{which}: {self.problems[0]}"
+        return facts
+
+
+class StrokeChains:
+    """Composes layers that hold strokes."""
+
+    def __init__(self, store: ResultStore, paint: Paint) -> None:
+        self._store, self._paint = store, paint
+        self._cache: OrderedDict[str, Painted] = OrderedDict()
+
+    def state(self, key: str) -> LayerState | None:
+        """A cached state after some stroke."""
+        painted = self._cache.get(key)
+        return None if painted is None else painted.state
+
+    def compose(
+        self,
+        below: LayerState,
+        layer: Layer,
+        chain: Chain,
+        strict: str | None,
+        progress: Callable[[int], None],
+    ) -> Painted:
+        """The Gaussians after all strokes. strict: id of the stroke whose problem is an error; progress: called with
+        the index of each stroke that has to be painted. Raises ValueError for the former, and what `progress` does."""
+        count = len(layer.strokes)
+        start = next((k for k in range(count, 0, -1) if chain.keys[k] in self._cache), 0)
+        if start:
+            painted = self._cache[chain.keys[start]]
+            self._cache.move_to_end(chain.keys[start])
+            # The layers below may be described otherwise than when it was cached.
+            state = replace(painted.state, edited=below.edited, facts=below.facts, results=below.results)
+            painted = replace(painted, state=state)
+        else:
+            painted = Painted(below, np.zeros(0, np.int64))
+        writer: _Writer | None = None
+        for k in range(start, count):
+            stroke = layer.strokes[k]
+            result = self._store.get(chain.results[k])
+            at = len(painted.state.splats) if writer is None else writer.count
+            if result is not None and result.delta.count == at:
+                if k == count - 1 and writer is None:
+                    painted = _after(painted, below, result, chain, k + 1)
+                    continue
+                writer = writer or _Writer(painted, below)
+                writer.write(result)
+                if k == count - 1 - CHECKPOINT:
+                    self._keep(writer.painted(chain, k + 1))
+                continue
+            if writer is not None:
+                painted, writer = writer.painted(chain, k), None
+            progress(k)
+            result = self._paint(painted.state, stroke, below)
+            if result.problem and stroke.id == strict:
+                raise ValueError(result.problem)
+            self._store.put(chain.results[k], result, chain.results[k - 1] if k else None)
+            painted = _after(painted, below, result, chain, k + 1)
+            self._keep(painted)
+        if writer is not None:
+            painted = writer.painted(chain, count)
+        self._keep(painted)
+        return painted
+
+    def forget(self, results: set[str]) -> None:
+        """Drop states that were made of results which are no longer stored."""
+        for key in [key for key, painted in self._cache.items() if results.intersection(painted.results)]:
+            del self._cache[key]
+
+    def _keep(self, painted: Painted) -> None:
+        self._cache[painted.state.key] = painted
+        self._cache.move_to_end(painted.state.key)
+        size = max(sum(getattr(painted.state.splats, name).nbytes for name in ATTRIBUTES), 1)
+        while len(self._cache) > max(min(CACHED_BYTES // size, MAX_CACHED), 3):
+            self._cache.popitem(last=False)
+
+
+def _after(painted: Painted, below: LayerState, result: LayerResult, chain: Chain, count: int) -> Painted:
+    """With one more stroke, number `count` of the chain."""
+    delta, before = result.delta, painted.state
+    splats = delta.apply(before.splats)
+    state = replace(
+        before,
+        key=chain.keys[count],
+        splats=splats,
+        parent_ids=np.concatenate([before.parent_ids, delta.parent_ids]),
+        painter_state=before.painter_state if result.painter_state is None else result.painter_state,
+    )
+    ids = delta.gaussian_ids[: np.searchsorted(delta.gaussian_ids, len(below.splats))]
+    changed = np.union1d(painted.changed, ids) if len(ids) else painted.changed
+    problems = (*painted.problems, result.problem) if result.problem else painted.problems
+    return Painted(state, changed, result.facts, problems, chain.results[:count])
+
+
+class _Writer:
+    """Writes stored results, one after the other, into one copy of the Gaussians."""
+
+    def __init__(self, painted: Painted, below: LayerState) -> None:
+        self._painted, self._below = painted, below
+        splats = painted.state.splats
+        self.count = len(splats)
+        self._arrays = {name: getattr(splats, name).copy() for name in ATTRIBUTES}
+        self._origin = None if splats.origin is None else splats.origin.copy()
+        self._parents = [painted.state.parent_ids]
+        self._changed = np.zeros(len(below.splats), bool)
+        self._changed[painted.changed] = True
+        self._problems = list(painted.problems)
+        self._facts, self._painter_state = painted.facts, painted.state.painter_state
+
+    def write(self, result: LayerResult) -> None:
+        """Go on with a result whose count is `count`."""
+        delta, count = result.delta, self.count
+        end = count + len(delta.appended)
+        self._grow(end)
+        for name, array in self._arrays.items():
+            array[delta.gaussian_ids] = getattr(delta.values, name)
+            array[count:end] = getattr(delta.appended, name)
+        if self._origin is not None:
+            parents = delta.parent_ids
+            self._origin[count:end] = np.where(parents >= 0, self._origin[np.maximum(parents, 0)], -1)
+        ids = delta.gaussian_ids
+        self._changed[ids[: np.searchsorted(ids, len(self._changed))]] = True
+        self._parents.append(delta.parent_ids)
+        if result.problem:
+            self._problems.append(result.problem)
+        if result.painter_state is not None:
+            self._painter_state = result.painter_state
+        self.count, self._facts = end, result.facts
+
+    def _grow(self, end: int) -> None:
+        room = len(self._arrays["opacities"])
+        if end <= room:
+            return
+        extra = max(end, int(room * (1 + SPARE_ROOM))) - room
+
+        def longer(array: np.ndarray) -> np.ndarray:
+            return np.concatenate([array, np.zeros((extra, *array.shape[1:]), array.dtype)])
+
+        self._arrays = {name: longer(array) for name, array in self._arrays.items()}
+        self._origin = None if self._origin is None else longer(self._origin)
+
+    def painted(self, chain: Chain, count: int) -> Painted:
+        """What was written so far, `count` strokes of the chain; it shares nothing with what is written later."""
+        before = self._painted.state
+        arrays = {name: array[: self.count].copy() for name, array in self._arrays.items()}
+        origin = None if self._origin is None else self._origin[: self.count].copy()
+        splats = replace(before.splats, **arrays, origin=origin)
+        state = replace(
+            before,
+            key=chain.keys[count],
+            splats=splats,
+            parent_ids=np.concatenate(self._parents),
+            painter_state=self._painter_state,
+        )
+        changed = np.flatnonzero(self._changed)
+        return Painted(state, changed, self._facts, tuple(self._problems), chain.results[:count])

@@ -1,0 +1,240 @@
+"""Layers that hold strokes: what is computed, what is stored, and that each stroke can be undone."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatpainter.cameras import look_at
+from splatpainter.session import Session
+from splatpainter.session.document import MAX_STROKES, Layer
+from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, FlatPainter, dab, flat, load, print_of
+
+SIDE = look_at((1.5, 0, -3), (0, 0, 0), (0, -1, 0), width=32, height=32, fov=40)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "one.splatproj"
+
+
+def painted(session: Session, count: int = 6) -> str:
+    """Id of a new layer with so many strokes, from two views."""
+    layer = session.new_layer("Paint")
+    for k in range(count):
+        edit = dab((RED, GREEN, BLUE)[k % 3], 10 + 2 * (k % 6), camera=SIDE if k % 2 else CAMERA)
+        session.paint(layer.id, [edit], name=f"stroke {k}")
+    return layer.id
+
+
+def calls(session: Session) -> int:
+    painter = session.painter
+    assert isinstance(painter, FlatPainter)
+    return len(painter.calls)
+
+
+def test_strokes_of_several_views_make_what_single_layers_make() -> None:
+    with flat() as single, flat() as session:
+        for k in range(4):
+            single.add("paint", [dab((RED, GREEN)[k % 2], 10 + 3 * k, camera=SIDE if k % 2 else CAMERA)])
+        layer = session.new_layer()
+        for k in range(4):
+            session.paint(layer.id, [dab((RED, GREEN)[k % 2], 10 + 3 * k, camera=SIDE if k % 2 else CAMERA)])
+        assert print_of(session) == print_of(single) and len(session.layers) == 1
+        facts = session.facts(layer.id)
+        assert facts["rows_appended"] == 4 and facts["stroke"]["rows_appended"] == 1
+        assert not session.conflicts() and len(session.layers[0].cameras) == 2
+
+
+def test_each_stroke_is_one_step_and_only_the_newest_is_computed() -> None:
+    with flat() as session:
+        layer = painted(session)
+        assert calls(session) == 6
+        prints = [print_of(session)]
+        while session.undo():
+            prints.append(print_of(session))
+        assert len(prints) == 8 and prints[-1] == prints[-2]  # the empty layer changes nothing
+        for expected in reversed(prints[:-1]):
+            assert session.redo() and print_of(session) == expected
+        assert calls(session) == 6
+        assert [step.label for step in session.history][-1] == "stroke 5 in Paint"
+        assert [stroke.name for stroke in session.layer(layer).strokes][0] == "stroke 0"
+
+
+def test_a_reopened_layer_paints_nothing_and_takes_more(path: Path) -> None:
+    with flat(project=path) as session:
+        layer = painted(session, 14)
+        session.undo()
+        before = print_of(session)
+    with load(path) as session:
+        assert print_of(session) == before and calls(session) == 0
+        session.redo()
+        session.undo()
+        for _ in range(12):
+            session.undo()
+        assert len(session.layer(layer).strokes) == 1 and calls(session) == 0
+        for _ in range(12):
+            session.redo()
+        assert print_of(session) == before and calls(session) == 0
+        session.paint(layer, [dab(BLUE, 8)])
+        assert calls(session) == 1 and session.verify() == [] and session.verify(repaint=True) == []
+
+
+def test_what_an_undone_stroke_stored_goes_when_another_is_painted(path: Path) -> None:
+    with flat(project=path) as session:
+        layer = painted(session, 4)
+        session.undo()
+        session.undo()
+        session.paint(layer, [dab(BLUE, 8)])
+    with sqlite3.connect(path) as database:
+        counts = [database.execute(f"SELECT count(*) FROM {name}").fetchone()[0] for name in ("results", "layers")]
+        assert counts == [3, 3 + 4]  # the strokes, and the layer with none to three of them
+    with load(path) as session:
+        assert calls(session) == 0 and len(session.layer(layer).strokes) == 3
+
+
+def test_a_project_grows_by_the_stroke_not_by_the_layer(path: Path) -> None:
+    """Rows that name strokes: one per stroke, whatever the layer holds already."""
+    with flat(project=path) as session:
+        painted(session, 12)
+    with sqlite3.connect(path) as database:
+        sizes = [len(text) for (text,) in database.execute("SELECT content FROM layers ORDER BY id")]
+        rows = database.execute("SELECT count(*) FROM step_results").fetchone()[0]
+    assert max(sizes) < 2 * min(sizes) + 1500 and rows == 12
+
+
+def test_a_layer_of_one_picture_takes_strokes_and_stays_as_it_was() -> None:
+    with flat() as session:
+        old = session.add("paint", [dab(RED)], opacity=0.5, name="old")
+        half = print_of(session)
+        session.paint(old.id, [dab(BLUE, 22)])
+        layer = session.layer(old.id)
+        assert (layer.opacity, layer.name, len(layer.strokes), layer.views) == (0.5, "old", 2, ())
+        assert calls(session) == 2
+        session.undo()
+        assert print_of(session) == half and session.layer(old.id).views
+
+
+def test_opacity_eye_and_order_are_the_layers(path: Path) -> None:
+    with flat(project=path) as session:
+        before = print_of(session)
+        layer = painted(session, 3)
+        full, count = print_of(session), calls(session)
+        session.set(layer, visible=False)
+        assert print_of(session) == before
+        with pytest.raises(ValueError, match="hidden"):
+            session.paint(layer, [dab()])
+        session.set(layer, visible=True)
+        assert print_of(session) == full
+        session.set(layer, opacity=0.5)
+        half = session.splats
+        assert calls(session) == count and print_of(session) != full
+        session.set(layer, opacity=1)
+        mixed = (session.original.sh + session.splats.sh[: len(session.original)]) / 2
+        same = (half.scales[: len(mixed)] == session.original.scales).all(1)
+        np.testing.assert_allclose(half.sh[: len(mixed)][same], mixed[same], atol=1e-5)
+        copy = session.duplicate(layer)
+        assert len(copy.strokes) == 3 and {s.id for s in copy.strokes}.isdisjoint(
+            s.id for s in session.layer(layer).strokes
+        )
+        session.merge([layer, copy.id])
+        merged = print_of(session)
+    with load(path) as session:
+        assert print_of(session) == merged
+
+
+def test_strokes_go_into_a_layer_below_others() -> None:
+    with flat() as session:
+        layer = painted(session, 2)
+        session.add("paint", [dab(GREEN, 22)], name="above")
+        below = session.painted_on(layer)
+        session.paint(layer, [dab(BLUE, 10)])
+        assert len(below) + 2 == len(session.splats)
+        assert [one.name for one in session.layers] == ["Paint", "above"]
+        session.set(layer, opacity=0.25)
+        assert len(session.painted_on(layer)) == len(below) + 1
+
+
+def test_pictures_are_kept_inside_their_masks_only(path: Path) -> None:
+    from PIL import Image
+
+    with flat(project=path) as session:
+        layer = session.new_layer()
+        (stroke,) = session.paint(layer.id, [dab(RED)]).strokes
+        assert stroke.views[0].picture is not None
+        data = session.blob(stroke.views[0].picture)
+    import io
+
+    pixels = np.asarray(Image.open(io.BytesIO(data)))
+    assert pixels.shape[2] == 4 and set(np.unique(pixels[..., 3])) == {0, 255} and not pixels[pixels[..., 3] == 0].any()
+
+
+def test_what_takes_no_strokes_says_so() -> None:
+    with flat() as session:
+        look = session.add("look", parameters={"look": "gain", "gain": [1, 1, 1]})
+        words = session.add("paint", [dab()], parameters={"placed": {"kind": "text", "text": "TEA"}})
+        layer = session.new_layer()
+        with pytest.raises(ValueError, match="takes no strokes"):
+            session.paint(look.id, [dab()])
+        with pytest.raises(ValueError, match="can be changed"):
+            session.paint(words.id, [dab()])
+        with pytest.raises(ValueError, match="expected a kind of"):
+            session.paint(layer.id, [dab()], kind="look")
+        with pytest.raises(ValueError, match="no row of the asset"):
+            session.paint(layer.id, [dab(x=0, y=0, radius=1)])
+        assert session.layer(layer.id).strokes == ()
+        record = Layer("1", "a", "paint", views=session.layer(words.id).views).record()
+        with pytest.raises(ValueError, match="expected a list of at most"):
+            Layer.parse({**record, "strokes": [record] * (MAX_STROKES + 1)})
+        with pytest.raises(ValueError, match="without views"):
+            Layer.parse({**record, "strokes": [record]})
+        with pytest.raises(ValueError, match="expected a stroke"):
+            Layer.parse({**record, "views": [], "strokes": [{**record, "kind": "look"}]})
+
+
+def test_words_are_changed_in_place() -> None:
+    with flat() as session:
+        words = session.add("paint", [dab(RED)], name="Text: tea", parameters={"placed": {"text": "tea"}}, opacity=0.5)
+        session.add("paint", [dab(GREEN, 24)])
+        before = print_of(session)
+        session.set(words.id, visible=False, gesture="words")
+        changed = session.replace_views(
+            words.id, [dab(BLUE)], name="Text: milk", parameters={"placed": {"text": "milk"}}, gesture="words"
+        )
+        assert (changed.id, changed.opacity, changed.name, changed.visible) == (words.id, 0.5, "Text: milk", True)
+        assert [one.name for one in session.layers] == ["Text: milk", "Paint"]
+        assert len(session.history) == 4  # hidden and changed are one step
+        session.undo()
+        assert print_of(session) == before and session.layer(words.id).parameters["placed"]["text"] == "tea"
+        with pytest.raises(ValueError, match="expected a layer of edited pictures"):
+            session.replace_views(session.new_layer().id, [dab(BLUE)])
+
+
+def test_a_layer_of_strokes_goes_through_a_file(tmp_path: Path) -> None:
+    with flat() as session:
+        layer = painted(session, 3)
+        full = print_of(session)
+        session.export_layer(layer, tmp_path / "paint.splatlayer")
+    with flat() as other:
+        added = other.import_layer(tmp_path / "paint.splatlayer")
+        assert print_of(other) == full and len(added.strokes) == 3
+
+
+def test_a_project_whose_strokes_are_gone_is_damaged_in_one_line(path: Path) -> None:
+    with flat(project=path) as session:
+        painted(session, 3)
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE layers SET previous = id WHERE previous IS NOT NULL")  # a circle
+    with pytest.raises(ValueError, match="damaged"):
+        load(path)
+
+
+def test_only_the_placed_picture_of_a_sticker_is_kept_with_it(path: Path) -> None:
+    """A blob that parameters name stays in the project as long as the layer."""
+    layer = Layer("1", "a", "paint", parameters={"placed": {"image": "a" * 64}})
+    assert layer.blobs() == {"a" * 64}
+    assert replace(layer, parameters={"placed": {"image": "../x"}}).blobs() == set()
