@@ -154,7 +154,7 @@ def test_limits_are_shown_while_painting_and_go_with_the_layer(opened: tuple[stu
     page.settled()
     (stroke,) = live.studio.session.layers[-1].strokes
     assert stroke.parameters == {"angle_limit": 40.0, "depth_edge_limit": 3.0}
-    page.tab.keyboard.press("2")  # the eraser has no limits
+    page.tab.keyboard.press("e")  # the eraser has no limits
     page.wait("no hatch", lambda: shown.count() == 0)
 
 
@@ -168,27 +168,27 @@ def test_every_painting_tool_paints(opened: tuple[studio_scenes.Live, Page]) -> 
         page.settled()
         assert [name.split(":")[0] for name in page.names()] == names
 
-    keys.press("4")
+    keys.press("u")
     page.drag((0.4, 0.45), (0.6, 0.5))
     painted("Line in Paint", ["Paint"])
-    keys.press("7")
+    keys.press("s")
     keys.down("Alt")
     page.drag((0.45, 0.45))
     keys.up("Alt")
     page.drag((0.55, 0.55), (0.58, 0.55))
     painted("Clone in Paint", ["Paint"])
-    keys.press("8")
+    keys.press("j")
     page.drag((0.5, 0.42), (0.53, 0.42))
     painted("Heal in Paint", ["Paint"])
-    keys.press("3")
+    keys.press("g")
     page.tab.get_by_role("textbox", name="Tolerance, number").fill("2")
     page.drag((0.5, 0.6))
     painted("Fill in Paint", ["Paint"])
     assert page.state()["layers"][0]["strokes"] == 4
-    keys.press("2")
+    keys.press("e")
     page.drag((0.4, 0.45), (0.6, 0.5))
     painted("add Erase", ["Paint", "Erase to original"])
-    keys.press("5")
+    keys.press("t")
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
     page.tab.locator("#stage").press("Escape")  # a canvas that is only cleared goes on showing what it showed
@@ -236,7 +236,7 @@ def test_strokes_go_into_the_chosen_layer_from_several_views_and_undo_one_by_one
 
 def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[studio_scenes.Live, Page]) -> None:
     live, page = opened
-    page.tab.keyboard.press("5")
+    page.tab.keyboard.press("t")
     page.tab.get_by_role("textbox", name="Text", exact=True).fill("TEA")
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
@@ -244,7 +244,7 @@ def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[st
     page.wait("the layer", lambda: page.names() == ["Text: TEA"])
     page.settled()
     first = page.pixels()
-    page.tab.keyboard.press("1")
+    page.tab.keyboard.press("b")
     page.tab.locator("#stage").press("ArrowLeft")
     page.tab.get_by_role("button", name="Change Text: TEA").click()
     page.wait("it to be hidden", lambda: not page.state()["layers"][0]["visible"])
@@ -260,7 +260,7 @@ def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[st
     page.wait("it to be hidden", lambda: not page.state()["layers"][0]["visible"])
     page.tab.locator("#stage").press("Escape")
     page.wait("it as it was", lambda: page.state()["layers"][0]["visible"] and np.array_equal(page.pixels(), changed))
-    page.tab.keyboard.press("6")
+    page.tab.keyboard.press("p")
     stripes = np.zeros((24, 40, 3))
     stripes[:, ::8] = (1, 0.5, 0)
     file = io.BytesIO()
@@ -285,10 +285,10 @@ def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[st
 
 def test_a_selection_limits_the_stroke(opened: tuple[studio_scenes.Live, Page]) -> None:
     live, page = opened
-    page.tab.keyboard.press("0")
+    page.tab.keyboard.press("m")
     page.drag((0.3, 0.2), (0.5, 0.8))
     page.wait("the selection", lambda: page.tab.get_by_role("button", name="Deselect").count())
-    page.tab.keyboard.press("1")
+    page.tab.keyboard.press("b")
     page.drag((0.42, 0.5), (0.58, 0.5))
     page.wait("the layer", lambda: page.names() == ["Paint"])
     page.settled()
@@ -321,7 +321,7 @@ def test_a_pen_presses_and_fingers_turn_and_pinch(opened: tuple[studio_scenes.Li
     for finger, x in ((7, 0.4), (8, 0.6)):
         page.pointer("down", finger, "touch", x, 0.5)
     page.pointer("move", 8, "touch", 0.8, 0.5)
-    assert page.camera()["world_to_camera"][2][3] < 0.6 * turned[2][3]
+    assert page.camera()["world_to_camera"][2][3] < 0.7 * turned[2][3]
     assert page.names() == ["Paint"]
 
 
@@ -433,7 +433,7 @@ def test_a_layer_goes_out_and_comes_back_as_a_file(opened: tuple[studio_scenes.L
 def test_a_selection_waits_in_its_view(opened: tuple[studio_scenes.Live, Page]) -> None:
     """Turned away it limits no stroke but still a look; back in its view it is there again."""
     _, page = opened
-    page.tab.keyboard.press("0")
+    page.tab.keyboard.press("m")
     page.drag((0.3, 0.2), (0.5, 0.8))
     deselect = page.tab.get_by_role("button", name="Invert")
     page.wait("the selection", deselect.count)

@@ -31,12 +31,10 @@ def up_axis(session: Session) -> tuple[int, int, int]:
     return UPS[session.up]
 
 
-def home_view(splats: Splats, up: tuple[int, int, int]) -> tuple[np.ndarray, float, cameras.Camera]:
-    """([3] centre and radius of nearly all opaque Gaussians, a view of them)."""
+def home_view(splats: Splats, up: tuple[int, int, int], start: float) -> tuple[np.ndarray, float, cameras.Camera]:
+    """([3] centre and radius of nearly all opaque Gaussians, a view of their front). start: degrees around up."""
     center, radius = bounding_sphere(splats)
     distance = FRAME_MARGIN * radius / math.sin(math.radians(HOME_VIEW["fov"] / 2))
-    # An asset that is upside down is mostly half a turn about x away: then this is its front again.
-    start = 180.0 if up == UPS["+y"] else 0.0
     view = cameras.orbit(
         center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME_VIEW
     )[0]
@@ -47,7 +45,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
     """What there is to say of the asset as it was opened; `counted` says how it is now."""
     original = session.original
     up = up_axis(session)
-    center, radius, view = home_view(original, up)
+    center, radius, view = home_view(original, up, session.front)
     source = original.source
     return protocol.AssetInfo(
         name=name,

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from splatpainter.cameras import AUTO_UP, Camera
+from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.server import describe
 from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, State, first_fault
@@ -110,13 +110,15 @@ class Studio:
             state = self._state_of(session, session_id, name, asset, lists)
         self.session, self.session_id, self.name = session, session_id, name
         self._asset, self._lists, self._counted = asset, lists, snapshot.version
+        self._front = session.front
         self.state = state
 
     def refresh(self) -> None:
         """Describe the session anew; cheap where the Gaussians are the same."""
         session, snapshot = self.session, self.session.snapshot
-        if self._asset.up != list(describe.up_axis(session)):
+        if self._asset.up != list(describe.up_axis(session)) or self._front != session.front:
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
+            self._front = session.front
         if self._counted != snapshot.version:
             self._asset = describe.counted(self._asset, session.original, snapshot.splats)
             self._counted = snapshot.version
@@ -182,7 +184,7 @@ def _close(session: Session, projects: Projects) -> None:
     """Close a session; a project of the studio's own folder in which nothing was done is removed."""
     path = session.path
     unused = path is not None and path.parent == projects.root and not session.read_only
-    unused = unused and len(session.history) == 1 and not session.bookmarks() and session.up == AUTO_UP
+    unused = unused and len(session.history) == 1 and not session.bookmarks() and not session.oriented
     session.close()
     if unused and path is not None:
         files.remove(path)

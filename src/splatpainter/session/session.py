@@ -13,6 +13,7 @@ shows is one immutable Snapshot after the other, for any number of readers in ot
 
 from __future__ import annotations
 
+import json
 import struct
 import threading
 import warnings
@@ -27,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.cameras import AUTO_UP, UPS, Camera
+from splatpainter.cameras import UPS, Camera
 from splatpainter.image_files import Alpha
 from splatpainter.io import files, read
 from splatpainter.io.files import printable
@@ -58,6 +59,7 @@ from splatpainter.session.document import (
 )
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.layer_factory import limits_of, new_layer
+from splatpainter.session.orientation import Orientation, azimuth_of, measure, parsed_direction
 from splatpainter.session.project_file import Bookmark, Project, Step, Transaction
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.session.verify import find_problems
@@ -183,6 +185,7 @@ class Session:
         self._versions = VersionLog()
         self._transaction = Transaction(project)
         self.painter = painter or Painter.load()
+        self._oriented: tuple[tuple[str | None, str | None], Orientation] | None = None
         self.progress: Progress | None = None
         """Called before each layer that has to be computed; what it raises cancels the command."""
         try:
@@ -233,9 +236,29 @@ class Session:
 
     @property
     def up(self) -> str:
-        """Which way of the asset is up on the screen: a key of cameras.UPS."""
-        up = self._project.fact("up") or AUTO_UP
-        return up if up in UPS else AUTO_UP
+        """Which way of the asset is up on the screen: a key of cameras.UPS; measured where nobody has said it."""
+        return self._orientation().up
+
+    @property
+    def front(self) -> float:
+        """From which side the asset is seen first: degrees around `up`, the `start` of cameras.orbit; measured where
+        nobody has said it."""
+        return self._orientation().front
+
+    @property
+    def oriented(self) -> bool:
+        """Whether somebody has said which way is up, or where the front is."""
+        return bool(self._project.fact("up") or self._project.fact("front"))
+
+    def _orientation(self) -> Orientation:
+        up, front = self._project.fact("up"), self._project.fact("front")
+        key = (up, front)
+        if self._oriented is None or self._oriented[0] != key:
+            chosen = measure(self.original, up if up in UPS else None)
+            if front:
+                chosen = replace(chosen, front=azimuth_of(parsed_direction(front), chosen.up))
+            self._oriented = (key, chosen)
+        return self._oriented[1]
 
     @property
     def read_only(self) -> str:
@@ -604,6 +627,10 @@ class Session:
         if up not in UPS:
             raise ValueError(f"up: expected one of {', '.join(UPS)}, got {str(up)[:20]!r}")
         self._project.set_fact("up", up)
+
+    def set_front(self, camera: Camera) -> None:
+        """The side that a view shows is the front, from which the asset is seen first. Kept as `set_up` keeps it."""
+        self._project.set_fact("front", json.dumps(np.round(camera.forward, 6).tolist()))
 
     # ---- files
 

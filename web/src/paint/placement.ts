@@ -25,8 +25,11 @@ export interface Placement {
 }
 
 export const placement = signal<Placement | null>(null);
-/** The layer whose text or sticker is being changed; it is hidden meanwhile. */
-export const editedLayer = signal<{ layer: string; name: string; gesture: string } | null>(null);
+/**
+ * The layer whose text or sticker is being changed; it is hidden meanwhile. `strokes`: it holds strokes, which one
+ * sticker replaces.
+ */
+export const editedLayer = signal<{ layer: string; name: string; gesture: string; strokes?: boolean } | null>(null);
 
 const GRAB = 14;
 /** The knob for turning stands this far above the box, view pixels. */
@@ -188,7 +191,7 @@ export async function commitPlacement(): Promise<void> {
   const edited = editedLayer.value;
   const placed = await placedInfo(p).catch((error) => void report(error));
   if (!placed) return;
-  const target = edited ? { replaces: edited.layer, gesture: edited.gesture, placed } : { placed };
+  const target = edited && !edited.strokes ? { replaces: edited.layer, gesture: edited.gesture, placed } : { placed };
   const title = p.kind === "text" ? `Text: ${text.value.text.slice(0, 40)}` : p.name;
   const stroke = beginStroke("paint", title, brush.value.opacity, target);
   if (!stroke) return;
@@ -208,4 +211,5 @@ export async function commitPlacement(): Promise<void> {
   });
   stroke.touch({ x: 0, y: 0, width, height });
   await endStroke(stroke);
+  if (edited?.strokes) await run("layer.delete", { layer: edited.layer }, edited.name);
 }

@@ -2,13 +2,13 @@
 
 import { signal } from "@preact/signals";
 
-import { brush, color, fill, hex, paintMode, recentColors, rgb, selecting, state } from "../state/store";
+import { brush, camera, color, fill, hex, paintMode, recentColors, rgb, selecting, state } from "../state/store";
 import { report } from "../state/studio";
 import { beginStroke, endStroke, viewPixels } from "./strokes";
 import { likeColor, soften } from "./flood";
 import { solid } from "./patch";
 import { combine, isEmpty, polygon, rectangle, type Combine } from "./select";
-import type { Mask } from "./raster";
+import { dab, emptyMask, segment, type Mask } from "./raster";
 import { selection } from "./selection";
 import type { Pen, ToolHandler } from "./tool";
 
@@ -61,20 +61,46 @@ export const eyedropper: ToolHandler = {
 };
 
 let start: Pen | null = null;
+/** A selection that is being painted, and what was selected before. */
+let painting: { before: Mask | null; mask: Mask; last: Pen; left: number; how: Combine } | null = null;
+
+const tip = () => ({ radius: Math.max(1, brush.value.size / 2), hardness: brush.value.hardness, flow: 1 });
+
+function startPainting(pen: Pen): void {
+  const now = camera.value;
+  if (!now) return;
+  const how = pen.alt || (selecting.value.combine === "subtract" && !pen.shift) ? "subtract" : "add";
+  painting = { before: selection.value, mask: emptyMask(now.width, now.height), last: pen, left: 0, how };
+  dab(painting.mask, pen.x, pen.y, tip());
+  showPainted();
+}
+
+function showPainted(): void {
+  if (!painting) return;
+  const next = combine(painting.before, painting.mask, painting.how);
+  selection.value = isEmpty(next) ? null : next;
+}
 
 /** Rectangle, lasso or colour; with Shift added to what is selected, with Alt taken from it. */
 export const selector: ToolHandler = {
   down(pen) {
+    if (selecting.value.kind === "brush") return startPainting(pen);
     start = pen;
     if (selecting.value.kind === "color") void selectColor(pen).catch(report);
     else draft.value = [pen.x, pen.y];
   },
   move(pen) {
+    if (painting) {
+      painting.left = segment(painting.mask, painting.last, pen, tip, painting.left).left;
+      painting.last = pen;
+      return showPainted();
+    }
     if (!start || !draft.value) return;
     if (selecting.value.kind === "lasso") draft.value = [...draft.value, pen.x, pen.y];
     else draft.value = [start.x, start.y, pen.x, start.y, pen.x, pen.y, start.x, pen.y];
   },
   async up(pen) {
+    painting = null;
     const points = draft.value;
     const first = start;
     draft.value = start = null;
@@ -88,7 +114,8 @@ export const selector: ToolHandler = {
     take(selecting.value.kind === "lasso" ? polygon(width, height, points) : rectangle(width, height, box), first);
   },
   cancel() {
-    draft.value = start = null;
+    if (painting) selection.value = painting.before;
+    draft.value = start = painting = null;
   },
 };
 

@@ -4,6 +4,7 @@ import { ExtSplats, SplatMesh, utils } from "@sparkjsdev/spark";
 import * as THREE from "three";
 
 import type { Frame } from "../net/frames";
+import { hitDistance } from "./ray";
 import { allocate, encodeGaussian, type Texels } from "./texels";
 
 const WIDTH_BITS = 11;
@@ -59,6 +60,11 @@ export class SplatTable {
     this.splats.numSplats = total;
     if (last >= 0) this.upload(first, last, gaussians.packedColors ? this.uploads().slice(1) : this.uploads());
     this.mesh.updateVersion();
+  }
+
+  /** Distance to the surface along a ray (unit direction), null where there is none. */
+  hit(origin: readonly number[], direction: readonly number[]): number | null {
+    return hitDistance(this.texels, this.count, origin, direction);
   }
 
   dispose(): void {

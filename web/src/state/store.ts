@@ -10,7 +10,7 @@ export type Tool =
   "orbit" | "brush" | "erase" | "fill" | "line" | "text" | "stamp" | "clone" | "heal" | "pick" | "select";
 export type PaintMode = "normal" | "color" | "darken" | "lighten";
 export type Tab = "adjust" | "history" | "views" | "pictures" | "receipt";
-export type SelectKind = "rectangle" | "lasso" | "color";
+export type SelectKind = "rectangle" | "lasso" | "color" | "brush";
 
 export const status = signal<Status>("connecting");
 export const stopped = signal("");
@@ -23,6 +23,8 @@ export const camera = signal<CameraJson | null>(null);
 
 export const brush = signal({ size: 40, hardness: 0.7, opacity: 1, flow: 1, pressureSize: true, pressureFlow: false });
 export const color = signal("#c8442e");
+/** The colour behind it: they change places. */
+export const secondColor = signal("#ffffff");
 /** Last colours used, newest first. */
 export const recentColors = signal<string[]>([]);
 export const paintMode = signal<PaintMode>("normal");

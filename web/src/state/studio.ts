@@ -4,7 +4,7 @@ import { effect } from "@preact/signals";
 
 import type { AssetInfo, Event, State, StateEvent } from "../messages";
 import { CommandError, Link, type Fields, type Name, type Result } from "../net/connection";
-import { fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
+import { between, fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
 import { axisName } from "./up-axis";
 import { camera, jobs, lastEdit, pose, pythonLog, rgb, state, status, stopped, toast, view } from "./store";
@@ -98,8 +98,26 @@ export function remember(layer: {
   };
 }
 
+const GLIDE_MS = 260;
+let gliding = 0;
+
+/** Go to a pose smoothly, or at once for those who want no motion. */
+export function glide(to: Pose): void {
+  const from = pose.value;
+  cancelAnimationFrame(gliding);
+  if (!from || matchMedia("(prefers-reduced-motion: reduce)").matches) return go(to);
+  const start = performance.now();
+  const frame = (now: number) => {
+    const t = Math.max(0, Math.min(1, (now - start) / GLIDE_MS));
+    go(t === 1 ? to : between(from, to, t * t * (3 - 2 * t)));
+    if (t < 1) gliding = requestAnimationFrame(frame);
+  };
+  gliding = requestAnimationFrame(frame);
+}
+
 /** Go to a pose; the exact camera follows from the window's size. */
 export function go(next: Pose): void {
+  cancelAnimationFrame(gliding);
   pose.value = next;
   const size = canvasSize();
   const now = toCamera(next, size.width, size.height, rgb(view.value.background));

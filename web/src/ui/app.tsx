@@ -7,9 +7,11 @@ import { startStamp } from "../paint/placement";
 import { addPicture } from "../state/dropped-images";
 import { camera, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
-import { Away, Help, Jobs, SelectedElsewhere, StatusLine, Toasts } from "./feedback";
+import { Away, Jobs, SelectedElsewhere, StatusLine, Toasts } from "./feedback";
 import { Files, openFile } from "./files";
+import { Gizmo } from "./gizmo";
 import { filesOpen, Header } from "./header";
+import { Help } from "./help";
 import { History } from "./history";
 import { Layers } from "./layers";
 import { Adjustments } from "./adjustments";
@@ -64,6 +66,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
       <Toolbar />
       <main class="middle">
         <Stage canvas={canvas} />
+        {state.value && <Gizmo />}
         {!state.value && (
           <p class="loading" role="status">
             Opening

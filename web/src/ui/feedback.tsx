@@ -1,10 +1,9 @@
 /** Messages of the studio: toasts, progress, the status line, the sheet of shortcuts. */
 
 import { deselect, storedArea } from "../paint/selection";
-import { dismiss, help, jobs, lastEdit, pythonLog, state, status, stopped, toast, toasts } from "../state/store";
+import { dismiss, jobs, lastEdit, pythonLog, state, status, stopped, toast, toasts } from "../state/store";
 import { go } from "../state/studio";
-import { Button, Dialog } from "./parts";
-import { SHORTCUTS } from "./keys";
+import { Button } from "./parts";
 
 export function Toasts() {
   return (
@@ -87,7 +86,7 @@ export function SelectedElsewhere() {
     <div class="elsewhere" role="status">
       <span>The selection is of another view</span>
       <Button label="Turn back to the selection" text="Go there" onClick={() => go(area.pose)} />
-      <Button label="Deselect" keys="Ctrl-D" icon="close" onClick={deselect} />
+      <Button command="select.none" icon="close" onClick={deselect} />
     </div>
   );
 }
@@ -106,32 +105,5 @@ export function Away() {
     <div class="away-note" role="status">
       Connection lost. What was saved is safe; trying again.
     </div>
-  );
-}
-
-export function Help() {
-  if (!help.value) return null;
-  return (
-    <Dialog title="Shortcuts" onClose={() => (help.value = false)}>
-      <div class="shortcuts">
-        {SHORTCUTS.map(([title, shortcuts]) => (
-          <section key={title}>
-            <h3>{title}</h3>
-            <dl>
-              {shortcuts.map(([keys, what]) => (
-                <div key={keys}>
-                  <dt>
-                    {keys
-                      .split(" ")
-                      .map((key) => (key === "or" || key === "to" ? ` ${key} ` : <kbd key={key}>{key}</kbd>))}
-                  </dt>
-                  <dd>{what}</dd>
-                </div>
-              ))}
-            </dl>
-          </section>
-        ))}
-      </div>
-    </Dialog>
   );
 }

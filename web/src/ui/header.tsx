@@ -58,14 +58,14 @@ export function Header() {
       <Button
         icon="open"
         label="Open an asset or a project"
-        keys="Ctrl-O"
+        command="file.open"
         text="Open"
         onClick={() => (filesOpen.value = "open")}
       />
       <Button
         icon="share"
         label="Save and export"
-        keys="Ctrl-S"
+        command="file.save"
         text="Save, export"
         disabled={!now}
         onClick={() => (filesOpen.value = "save")}
@@ -78,8 +78,8 @@ export function Header() {
           </em>
         )}
       </span>
-      <Button icon="undo" label="Undo" keys="Ctrl-Z" disabled={!canUndo.value} onClick={undo} />
-      <Button icon="redo" label="Redo" keys="Ctrl-Shift-Z" disabled={!canRedo.value} onClick={redo} />
+      <Button icon="undo" command="edit.undo" disabled={!canUndo.value} onClick={undo} />
+      <Button icon="redo" command="edit.redo" disabled={!canRedo.value} onClick={redo} />
       <span class="gap" />
       <Slider
         label="Lens"
@@ -102,18 +102,17 @@ export function Header() {
         options={RESOLUTIONS}
         onChange={(value) => set({ resolution: Number(value) })}
       />
-      <Button icon="frame" label="Show all of the asset" keys="F" onClick={frameAll} />
+      <Button icon="frame" command="view.all" onClick={frameAll} />
       <Button
         icon="turn"
         label="Upside down? Turn the asset over on the screen (saved in the project; the asset does not change)"
         disabled={!now || readOnly.value}
         onClick={turnOver}
       />
-      <Button icon="grid" label="Grid" keys="G" pressed={options.grid} onClick={() => set({ grid: !options.grid })} />
+      <Button icon="grid" command="view.grid" pressed={options.grid} onClick={() => set({ grid: !options.grid })} />
       <Button
         icon="lens"
-        label="True colour: the server's float render"
-        keys="T"
+        command="view.truecolor"
         pressed={options.trueColor}
         onClick={() => set({ trueColor: !options.trueColor })}
       />
@@ -127,19 +126,17 @@ export function Header() {
       )}
       <Button
         icon="compare"
-        label="Before and after"
-        keys="B"
+        command="view.compare"
         pressed={options.compare}
         onClick={() => set({ compare: !options.compare })}
       />
       <Button
         icon="coverage"
-        label="Coverage: seen and predicted"
-        keys="C"
+        command="view.coverage"
         pressed={options.coverage}
         onClick={() => set({ coverage: !options.coverage })}
       />
-      <Button icon="help" label="Shortcuts" keys="?" onClick={() => (help.value = true)} />
+      <Button icon="help" command="help" onClick={() => (help.value = true)} />
       <Connection />
     </header>
   );

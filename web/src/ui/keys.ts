@@ -1,62 +1,52 @@
-/** The keyboard. */
+/** The keyboard: what each command of `keys/table.ts` does. */
 
+import { chordOf } from "../keys/chord";
+import { commandFor } from "../keys/bindings";
+import type { CommandId } from "../keys/table";
 import { viewPixels } from "../paint/strokes";
 import { commitPlacement, placement } from "../paint/placement";
+import { setColor } from "../paint/point-tools";
 import { invert, rectangle } from "../paint/select";
 import { deselect, selection } from "../paint/selection";
-import { brush, help, readOnly, selectedLayer, view } from "../state/store";
-import { report, run } from "../state/studio";
+import { transformLayer } from "../paint/transform";
+import {
+  brush,
+  color,
+  help,
+  pose,
+  readOnly,
+  secondColor,
+  selectedLayer,
+  selecting,
+  state,
+  tool,
+  view,
+  type SelectKind,
+  type Tool,
+} from "../state/store";
+import { glide, report, run } from "../state/studio";
+import { fromCamera, lookAlong, type Vec3 } from "../view/camera";
+import { FLY_KEYS } from "../view/gestures";
+import { axesOf, type Side } from "../view/sides";
 import { filesOpen, frameAll, redo, undo } from "./header";
-import { cancelDrawing, spaceHeld, turnBy } from "./stage";
-import { chooseTool, TOOLS } from "./toolbar";
-
-export const SHORTCUTS: readonly (readonly [string, readonly (readonly [string, string])[]])[] = [
-  [
-    "Tools",
-    [
-      ...TOOLS.map(([, label, key]) => [key, label] as const),
-      ["[ or ]", "Smaller, larger"],
-      ["Shift-[ or Shift-]", "Softer, harder"],
-      ["Alt-click", "Take a colour; set the source of clone and heal"],
-      ["Enter", "Apply text or stamp"],
-      ["Esc", "Cancel what is under way"],
-    ],
-  ],
-  [
-    "View",
-    [
-      ["Space", "Hold and drag: turn the view"],
-      ["Shift-drag", "Slide (with Space, or in the turn tool)"],
-      ["Wheel", "Nearer, farther"],
-      ["← or → or ↑ or ↓", "Turn"],
-      ["F", "Show all of the asset"],
-      ["G", "Grid"],
-      ["T", "True colour"],
-      ["B", "Before and after"],
-      ["C", "Coverage"],
-    ],
-  ],
-  [
-    "Edit",
-    [
-      ["Ctrl-Z", "Undo"],
-      ["Ctrl-Shift-Z", "Redo"],
-      ["Ctrl-A", "Select everything"],
-      ["Ctrl-D", "Deselect"],
-      ["Ctrl-Shift-I", "Invert the selection"],
-      ["Delete", "Delete the chosen layer"],
-      ["F2", "Rename the layer in focus"],
-      ["Alt-↑ or Alt-↓", "Move the layer in focus"],
-      ["Ctrl-O", "Open"],
-      ["Ctrl-S", "Save, export"],
-      ["?", "This sheet"],
-    ],
-  ],
-];
+import { cameraFree, cancelDrawing, focusAtCursor, gestures, spaceHeld, turnBy } from "./stage";
+import { chooseTool } from "./toolbar";
 
 const RESIZE_FACTOR = 1.12;
 const TURN_RADIANS = Math.PI / 24;
+const ZOOM_FACTOR = 1.25;
+/** Two digits within so much time are one number. */
+const DIGITS_MS = 600;
+/** Tools that a project which can only be looked at allows. */
+const LOOKING: readonly Tool[] = ["orbit", "pick", "select"];
 
+const choose = (tool: Tool) => () => {
+  if (!readOnly.value || LOOKING.includes(tool)) chooseTool(tool);
+};
+const select = (kind: SelectKind) => () => {
+  selecting.value = { ...selecting.value, kind };
+  chooseTool("select");
+};
 const toggle = (key: "grid" | "trueColor" | "compare" | "coverage") => () =>
   (view.value = { ...view.value, [key]: !view.value[key] });
 const resize = (factor: number) => () =>
@@ -64,50 +54,137 @@ const resize = (factor: number) => () =>
 const harden = (by: number) => () =>
   (brush.value = { ...brush.value, hardness: Math.max(0, Math.min(1, brush.value.hardness + by)) });
 
-const PLAIN: Record<string, () => void> = {
-  ...Object.fromEntries(
-    TOOLS.map(([key, , name]) => [
-      name.toLowerCase(),
-      () => void ((!readOnly.value || ["orbit", "pick", "select"].includes(key)) && chooseTool(key)),
-    ]),
-  ),
-  "[": resize(1 / RESIZE_FACTOR),
-  "]": resize(RESIZE_FACTOR),
-  "{": harden(-0.1),
-  "}": harden(0.1),
-  f: frameAll,
-  g: toggle("grid"),
-  t: toggle("trueColor"),
-  b: toggle("compare"),
-  c: toggle("coverage"),
-  "?": () => (help.value = true),
-  enter: () => placement.value && void commitPlacement(),
-  escape: cancelDrawing,
-  delete: () =>
-    selectedLayer.value && !readOnly.value && void run("layer.delete", { layer: selectedLayer.value }, "Deleting"),
-};
+/** Look at the present target from a side of the asset. */
+export function viewFrom(side: Side | Vec3): void {
+  const now = pose.value;
+  const asset = state.value?.asset;
+  if (!now || !asset || !cameraFree()) return;
+  const { forward, up, ahead } = axesOf(asset, side);
+  glide(lookAlong(now, forward, up, ahead));
+}
 
-const ARROWS: Record<string, readonly [number, number]> = {
-  ArrowLeft: [TURN_RADIANS, 0],
-  ArrowRight: [-TURN_RADIANS, 0],
-  ArrowUp: [0, TURN_RADIANS],
-  ArrowDown: [0, -TURN_RADIANS],
-};
+/** The view with which the asset was opened. */
+export function goHome(): void {
+  const asset = state.value?.asset;
+  if (asset && cameraFree()) glide(fromCamera(asset.home, asset.center as Vec3));
+}
 
-const WITH_CONTROL: Record<string, () => void> = {
-  z: undo,
-  "shift-z": redo,
-  y: redo,
-  d: deselect,
-  a: () =>
+function layerAt(by: number): { index: number; id: string | undefined; count: number } {
+  const layers = state.value?.layers ?? [];
+  const index = layers.findIndex((layer) => layer.id === selectedLayer.value);
+  return { index, id: layers[index + by]?.id, count: layers.length };
+}
+
+function onLayer(action: (id: string) => Promise<unknown>): () => void {
+  return () => void (selectedLayer.value && !readOnly.value && layerAt(0).id && action(selectedLayer.value));
+}
+
+function neighbour(by: number): () => void {
+  return () => {
+    const { id } = layerAt(by);
+    if (id) selectedLayer.value = id;
+  };
+}
+
+function shift(by: number): () => void {
+  return onLayer(async (layer) => {
+    const { index, count } = layerAt(0);
+    const to = index + by;
+    if (to >= 0 && to < count) await run("layer.move", { layer, to }, "Reordering");
+  });
+}
+
+const ACTIONS: Record<CommandId, () => unknown> = {
+  "tool.orbit": choose("orbit"),
+  "tool.brush": choose("brush"),
+  "tool.erase": choose("erase"),
+  "tool.fill": choose("fill"),
+  "tool.line": choose("line"),
+  "tool.text": choose("text"),
+  "tool.stamp": choose("stamp"),
+  "tool.clone": choose("clone"),
+  "tool.heal": choose("heal"),
+  "tool.pick": choose("pick"),
+  "tool.rectangle": select("rectangle"),
+  "tool.lasso": select("lasso"),
+  "tool.wand": select("color"),
+  "tool.selectbrush": select("brush"),
+  "color.swap": () => {
+    const second = secondColor.value;
+    secondColor.value = color.value;
+    setColor(second);
+  },
+  "color.default": () => {
+    setColor("#000000");
+    secondColor.value = "#ffffff";
+  },
+  "brush.smaller": resize(1 / RESIZE_FACTOR),
+  "brush.larger": resize(RESIZE_FACTOR),
+  "brush.softer": harden(-0.1),
+  "brush.harder": harden(0.1),
+  "view.all": frameAll,
+  "view.home": goHome,
+  "view.focus": focusAtCursor,
+  "view.front": () => viewFrom("front"),
+  "view.back": () => viewFrom("back"),
+  "view.right": () => viewFrom("right"),
+  "view.left": () => viewFrom("left"),
+  "view.top": () => viewFrom("top"),
+  "view.bottom": () => viewFrom("bottom"),
+  "view.nearer": () => cameraFree() && gestures.zoom(1 / ZOOM_FACTOR),
+  "view.farther": () => cameraFree() && gestures.zoom(ZOOM_FACTOR),
+  "view.turnleft": () => turnBy(TURN_RADIANS, 0),
+  "view.turnright": () => turnBy(-TURN_RADIANS, 0),
+  "view.turnup": () => turnBy(0, TURN_RADIANS),
+  "view.turndown": () => turnBy(0, -TURN_RADIANS),
+  "view.grid": toggle("grid"),
+  "view.truecolor": toggle("trueColor"),
+  "view.compare": toggle("compare"),
+  "view.coverage": toggle("coverage"),
+  "select.all": () =>
     void viewPixels().then(
       ({ width, height }) => (selection.value = rectangle(width, height, { x: 0, y: 0, width, height })),
       report,
     ),
-  "shift-i": () => selection.value && (selection.value = invert(selection.value)),
-  o: () => (filesOpen.value = "open"),
-  s: () => (filesOpen.value = "save"),
+  "select.none": deselect,
+  "select.invert": () => selection.value && (selection.value = invert(selection.value)),
+  "layer.duplicate": onLayer(async (layer) => {
+    const answer = await run("layer.duplicate", { layer }, "Duplicating");
+    if (answer) selectedLayer.value = answer.layer.id;
+  }),
+  "layer.merge": onLayer(async (layer) => {
+    const { id: below } = layerAt(-1);
+    const answer = below ? await run("layer.merge", { layers: [below, layer] }, "Merging") : null;
+    if (answer) selectedLayer.value = answer.layer.id;
+  }),
+  "layer.raise": shift(1),
+  "layer.lower": shift(-1),
+  "layer.above": neighbour(1),
+  "layer.below": neighbour(-1),
+  "edit.undo": undo,
+  "edit.redo": redo,
+  "edit.delete": onLayer((layer) => run("layer.delete", { layer }, "Deleting")),
+  "edit.transform": () => void transformLayer().catch(report),
+  "edit.apply": () => placement.value && void commitPlacement(),
+  "edit.cancel": cancelDrawing,
+  "file.open": () => (filesOpen.value = "open"),
+  "file.save": () => (filesOpen.value = "save"),
+  help: () => (help.value = true),
 };
+
+let digits = { time: 0, value: 0, flow: false };
+
+/** Opacity (of the layer where the tool has none) or flow by digits: 4 is 40 %, 4 5 is 45 %, 0 is 100 %, 0 0 is 0 or 1 %. */
+function setByDigit(digit: number, flow: boolean, time: number): void {
+  const second = time - digits.time < DIGITS_MS && digits.flow === flow;
+  const percent = second ? digits.value * 10 + digit : digit === 0 ? 100 : digit * 10;
+  digits = { time: second ? 0 : time, value: digit, flow };
+  const value = Math.max(0.01, percent / 100);
+  if (flow) brush.value = { ...brush.value, flow: value };
+  else if (!LOOKING.includes(tool.value)) brush.value = { ...brush.value, opacity: value };
+  else if (selectedLayer.value && !readOnly.value && layerAt(0).id)
+    void run("layer.set", { layer: selectedLayer.value, opacity: percent / 100, gesture: "digits" }, "Layer");
+}
 
 /** Whether the key belongs to a field that is being written in. */
 function writing(target: EventTarget | null): boolean {
@@ -122,29 +199,30 @@ function writing(target: EventTarget | null): boolean {
 export function listen(): void {
   window.addEventListener("keydown", (event) => {
     if (writing(event.target) || document.querySelector("dialog[open]")) return;
-    const control = event.ctrlKey || event.metaKey;
-    const key = event.key.toLowerCase();
+    const chord = chordOf(event);
+    if (!event.ctrlKey && !event.metaKey && (FLY_KEYS.includes(event.code) || event.key === "Shift")) {
+      if (gestures.fly(event.code, true)) return event.preventDefault();
+    }
     const onButton = (event.target as HTMLElement).closest?.("button, input, [role=option], [role=slider]");
-    if (event.key === " ") {
+    if (chord === "Space") {
       if (onButton) return; // space presses it
       spaceHeld.value = true;
       return event.preventDefault();
     }
-    if (event.key in ARROWS) {
-      if (onButton || control || event.altKey) return;
-      turnBy(...ARROWS[event.key]);
-      return event.preventDefault();
-    }
-    if (key === "enter" && onButton) return;
-    const action = control
-      ? WITH_CONTROL[event.shiftKey ? `shift-${key}` : key]
-      : event.altKey
-        ? undefined
-        : PLAIN[key];
-    if (!action) return;
+    if (/^(Arrow\w+|Enter|NumEnter)$/.test(chord) && onButton) return;
+    const digit = /^(Shift-)?([0-9])$/.exec(chord);
+    const command = commandFor(chord);
+    if (digit && !command) setByDigit(Number(digit[2]), digit[1] !== undefined, event.timeStamp);
+    else if (command) ACTIONS[command]();
+    else return;
     event.preventDefault();
-    action();
   });
-  window.addEventListener("keyup", (event) => event.key === " " && (spaceHeld.value = false));
-  window.addEventListener("blur", () => (spaceHeld.value = false));
+  window.addEventListener("keyup", (event) => {
+    if (event.key === " ") spaceHeld.value = false;
+    gestures.fly(event.code, false);
+  });
+  window.addEventListener("blur", () => {
+    spaceHeld.value = false;
+    gestures.stop();
+  });
 }

@@ -2,6 +2,7 @@
 
 import { useState } from "preact/hooks";
 
+import { chordOf } from "../keys/chord";
 import type { LayerInfo, LayerSet } from "../messages";
 import { blobUrl, download } from "../net/blobs";
 import { readOnly, selectedLayer, state, tab } from "../state/store";
@@ -108,7 +109,8 @@ export function Layers() {
 
 function onKey(event: KeyboardEvent, layer: LayerInfo, index: number, count: number): void {
   const handled = () => (event.preventDefault(), event.stopPropagation());
-  if (event.key === "Delete" && !readOnly.value) (void run("layer.delete", { layer: layer.id }, "Deleting"), handled());
+  if (chordOf(event) === "Delete" && !readOnly.value)
+    (void run("layer.delete", { layer: layer.id }, "Deleting"), handled());
   if (event.altKey && event.key === "ArrowUp" && index < count - 1)
     (void run("layer.move", { layer: layer.id, to: index + 1 }, "Reordering"), handled());
   if (event.altKey && event.key === "ArrowDown" && index > 0)
@@ -209,7 +211,7 @@ function LayerActions({ layer, layers, range }: ActionProps) {
       />
       <Button
         icon="copy"
-        label="Duplicate the layer"
+        command="layer.duplicate"
         disabled={off}
         onClick={() => layer && void run("layer.duplicate", { layer: layer.id }, "Duplicating").then(chooseMade)}
       />
@@ -238,7 +240,7 @@ function LayerActions({ layer, layers, range }: ActionProps) {
       <Button
         icon="bin"
         label="Delete the layer"
-        keys="Delete"
+        command="edit.delete"
         disabled={off}
         onClick={() => layer && void run("layer.delete", { layer: layer.id }, "Deleting")}
       />

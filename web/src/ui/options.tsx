@@ -47,6 +47,7 @@ export function Options() {
   return (
     <section class="options" aria-label="Tool settings">
       {round && <Round />}
+      {current === "select" && selecting.value.kind === "brush" && <Tip />}
       {current === "fill" && <Fill />}
       {current === "text" && <Text />}
       {current === "stamp" && <Stamp />}
@@ -62,7 +63,10 @@ export function Options() {
       )}
       {current === "select" && <Select />}
       {current === "orbit" && (
-        <span class="hint">Drag to turn, Shift-drag or middle button to slide, wheel to come closer</span>
+        <span class="hint">
+          Drag to turn about the point under the cursor, Shift-drag to slide, wheel to come closer, double click to look
+          at a point
+        </span>
       )}
       {current === "pick" && <span class="hint">Click: takes the colour as it is seen</span>}
       {colored && (
@@ -73,7 +77,7 @@ export function Options() {
       {LIMITED_TOOLS.includes(current) && <Limits />}
       {selection.value && (
         <span class="group">
-          <Button label="Deselect" keys="Ctrl-D" text="Deselect" onClick={deselect} />
+          <Button command="select.none" text="Deselect" onClick={deselect} />
         </span>
       )}
     </section>
@@ -105,6 +109,29 @@ function Round() {
           <Check label="flow" value={b.pressureFlow} onChange={(pressureFlow) => set({ pressureFlow })} />
         </span>
       )}
+    </>
+  );
+}
+
+/** Size and hardness of a painted selection: those of the brush. */
+function Tip() {
+  const b = brush.value;
+  return (
+    <>
+      <Slider
+        label="Size"
+        value={b.size}
+        min={1}
+        max={600}
+        log
+        unit=" px"
+        onInput={(size) => (brush.value = { ...brush.value, size })}
+      />
+      <Percent
+        label="Hardness"
+        value={b.hardness}
+        onInput={(hardness) => (brush.value = { ...brush.value, hardness })}
+      />
     </>
   );
 }
@@ -196,10 +223,17 @@ function Stamp() {
 function Place() {
   return (
     <span class="group">
-      <Button label="Apply" keys="Enter" icon="check" text="Apply" primary onClick={() => void commitPlacement()} />
+      <Button
+        label="Apply"
+        command="edit.apply"
+        icon="check"
+        text="Apply"
+        primary
+        onClick={() => void commitPlacement()}
+      />
       <Button
         label={editedLayer.value ? "Leave it as it was" : "Discard it"}
-        keys="Esc"
+        command="edit.cancel"
         icon="close"
         onClick={() => void discardPlacement()}
       />
@@ -219,6 +253,7 @@ function Select() {
     ["rectangle", "Rectangle"],
     ["lasso", "Lasso"],
     ["color", "By colour"],
+    ["brush", "Brush"],
   ];
   return (
     <>
@@ -244,7 +279,7 @@ function Select() {
       {selection.value && (
         <Button
           label="Invert"
-          keys="Ctrl-Shift-I"
+          command="select.invert"
           text="Invert"
           onClick={() => (selection.value = invert(selection.value!))}
         />

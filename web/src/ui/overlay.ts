@@ -7,7 +7,7 @@ import { drawPlacement, handles, placement } from "../paint/placement";
 import { draft } from "../paint/point-tools";
 import { outline } from "../paint/select";
 import { selection } from "../paint/selection";
-import { brush, tool } from "../state/store";
+import { brush, selecting, tool } from "../state/store";
 
 /** Pen over the view, view pixels; null: elsewhere. */
 export const hover = signal<{ x: number; y: number } | null>(null);
@@ -63,7 +63,8 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
       const [x, y] = from.offset && at ? [at.x - from.offset[0], at.y - from.offset[1]] : [from.x, from.y];
       two(cross(x, y, 7 / k));
     }
-    if (at && ROUND.includes(current) && !placed) {
+    const round = ROUND.includes(current) || (current === "select" && selecting.value.kind === "brush");
+    if (at && round && !placed) {
       const ring = new Path2D();
       ring.arc(at.x, at.y, Math.max(brush.value.size / 2, 1), 0, 7);
       two(ring);

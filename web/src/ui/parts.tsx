@@ -3,12 +3,18 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 
+import { keyOf, labelOf } from "../keys/bindings";
+import { spoken } from "../keys/chord";
+import type { CommandId } from "../keys/table";
 import { Icon, type IconName } from "./icons";
 
 interface ButtonProps {
   icon?: IconName;
-  label: string;
-  /** Key shown in the tooltip. */
+  /** What it does; may be left out where a command says it. */
+  label?: string;
+  /** The command that does the same: its name and its key go into the tooltip. */
+  command?: CommandId;
+  /** Key shown in the tooltip where there is no command. */
   keys?: string;
   text?: ComponentChildren;
   pressed?: boolean;
@@ -17,7 +23,9 @@ interface ButtonProps {
   onClick: () => void;
 }
 
-export function Button({ icon, label, keys, text, pressed, disabled, primary, onClick }: ButtonProps) {
+export function Button({ icon, command, text, pressed, disabled, primary, onClick, ...given }: ButtonProps) {
+  const label = given.label ?? (command ? labelOf(command) : "");
+  const keys = command ? spoken(keyOf(command)) : given.keys;
   const title = keys ? `${label} (${keys})` : label;
   return (
     <button

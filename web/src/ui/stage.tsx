@@ -9,7 +9,7 @@ import { placement, placer } from "../paint/placement";
 import { eyedropper, filler, pickColor, selector } from "../paint/point-tools";
 import type { Pen, ToolHandler } from "../paint/tool";
 import { camera, pose, state, tool, view, type Tool } from "../state/store";
-import { go, refresh, report, viewer } from "../state/studio";
+import { glide, go, refresh, report, viewer } from "../state/studio";
 import type { Vec3 } from "../view/camera";
 import { Gestures } from "../view/gestures";
 import { drawOverlay, hover } from "./overlay";
@@ -33,15 +33,25 @@ export const spaceHeld = signal(false);
 export const moving = signal(false);
 const REST_MS = 350;
 
-const gestures = new Gestures({
+export const gestures = new Gestures({
   pose: () => pose.value,
   go,
+  glide,
   up: () => (state.value?.asset.up ?? [0, -1, 0]) as Vec3,
   nearest: () => (state.value?.asset.radius ?? 1) * 0.02,
-  height: () => viewer.renderer.domElement.clientHeight,
+  extent: () => state.value?.asset.radius ?? 1,
+  frame: () => viewer.renderer.domElement.getBoundingClientRect(),
+  hit: (eye, direction) => viewer.hit(eye, direction),
 });
-let drawing: { handler: ToolHandler; pointer: number } | null = null;
+let drawing: { handler: ToolHandler; pointer: number; last: PointerEvent } | null = null;
+/** Alt is held and the pointer down: a click takes a colour, a drag turns the view. */
+let choosing: { pen: Pen; event: PointerEvent; dragged: boolean } | null = null;
 let penSeen = false;
+/** A press that moves less is a click, CSS pixels. */
+const CLICK_PX = 4;
+/** Tools in which Alt means something to the pen itself. */
+const ALT_TOOLS: readonly Tool[] = ["select"];
+const ERASER_BUTTON = 5;
 
 /** Take back what the pen has begun (Escape). */
 export function cancelDrawing(): void {
@@ -50,10 +60,23 @@ export function cancelDrawing(): void {
   drawing = null;
 }
 
+/** Whether the camera may move now: no stroke reads the view. */
+export const cameraFree = (): boolean => !frozen.value && !drawing;
+
 /** Turn by keys. */
 export const turnBy = (right: number, down: number): void => {
-  if (!frozen.value && !drawing) gestures.turn(right, down);
+  if (cameraFree()) gestures.turn(right, down);
 };
+
+/** Look at what is under the cursor. */
+export function focusAtCursor(): void {
+  const at = hover.value;
+  const now = camera.value;
+  const frame = viewer.renderer.domElement.getBoundingClientRect();
+  if (!cameraFree() || !now) return;
+  const [x, y] = at ? [at.x / now.width, at.y / now.height] : [0.5, 0.5];
+  gestures.focus(frame.left + x * frame.width, frame.top + y * frame.height);
+}
 
 export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
   const box = useRef<HTMLDivElement>(null);
@@ -106,38 +129,64 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
     };
   };
 
+  const draw = (event: PointerEvent, handler: ToolHandler | undefined, pen: Pen) => {
+    if (!handler || drawing) return;
+    drawing = { handler, pointer: event.pointerId, last: event };
+    handler.down(pen);
+  };
+
   const down = (event: PointerEvent) => {
     if ((event.target as HTMLElement).closest("button, input")) return;
     box.current!.focus({ preventScroll: true });
     if (event.pointerType === "pen") penSeen = true;
+    box.current!.setPointerCapture(event.pointerId);
+    const pen = penOf(event);
+    if (event.button === ERASER_BUTTON && state.value) return draw(event, eraser, pen);
     const finger = event.pointerType === "touch" && (penSeen || gestures.busy || drawing !== null);
     const moves = event.button !== 0 || spaceHeld.value || tool.value === "orbit" || finger || state.value === null;
-    box.current!.setPointerCapture(event.pointerId);
     if (moves) {
-      if (drawing && finger) cancelDrawing(); // a second finger: it was meant as a pinch
-      if (frozen.value === 0 && !drawing) gestures.down(event, event.button === 1 || event.shiftKey ? "pan" : "orbit");
+      if (drawing && finger) {
+        gestures.down(drawing.last, "orbit"); // a second finger: it was meant as a pinch
+        cancelDrawing();
+      }
+      const alone = event.altKey && event.button === 2 ? "dolly" : "orbit";
+      if (!drawing) gestures.down(event, event.button === 1 || event.shiftKey ? "pan" : alone);
       return;
     }
-    const pen = penOf(event);
-    if (event.altKey && (tool.value === "brush" || tool.value === "fill" || tool.value === "line"))
-      return void pickColor(pen).catch(report);
-    const handler = HANDLERS[tool.value];
-    if (!handler || drawing) return;
-    drawing = { handler, pointer: event.pointerId };
-    handler.down(pen);
+    if (event.altKey && !ALT_TOOLS.includes(tool.value) && !drawing) {
+      choosing = { pen, event, dragged: false };
+      return gestures.down(event, event.shiftKey ? "pan" : "orbit");
+    }
+    draw(event, HANDLERS[tool.value], pen);
   };
 
   const move = (event: PointerEvent) => {
     const pen = penOf(event);
     hover.value = event.pointerType === "touch" ? null : { x: pen.x, y: pen.y };
     if (drawing?.pointer === event.pointerId) {
+      drawing.last = event;
       const between = event.getCoalescedEvents?.() ?? [];
       for (const one of between.length ? between : [event]) drawing.handler.move(penOf(one));
-    } else if (frozen.value === 0) gestures.move(event);
+      return;
+    }
+    if (choosing && !choosing.dragged) {
+      const first = choosing.event;
+      choosing.dragged = Math.hypot(event.clientX - first.clientX, event.clientY - first.clientY) > CLICK_PX;
+      if (!choosing.dragged) return;
+    }
+    if (frozen.value === 0) gestures.move(event);
+    else gestures.rest(event);
   };
 
   const up = (event: PointerEvent) => {
     gestures.up(event);
+    if (choosing) {
+      const { pen, dragged } = choosing;
+      choosing = null;
+      if (dragged || event.type === "pointercancel") return;
+      if (tool.value === "clone" || tool.value === "heal") return HANDLERS[tool.value]!.down(pen);
+      return void pickColor(pen).catch(report);
+    }
     if (drawing?.pointer !== event.pointerId) return;
     const { handler } = drawing;
     drawing = null;
@@ -154,7 +203,7 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
       id="stage"
       tabIndex={0}
       role="application"
-      aria-label="View of the asset: drag to use the tool, hold Space and drag to turn the asset, arrow keys turn it"
+      aria-label="View of the asset: drag to use the tool, hold Space or Alt and drag to turn the asset, arrow keys turn it"
       style={{ cursor }}
       onPointerDown={down}
       onPointerMove={move}
@@ -164,7 +213,7 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
       onContextMenu={(event) => event.preventDefault()}
       onWheel={(event) => {
         event.preventDefault();
-        if (frozen.value === 0 && !drawing) gestures.wheel(event);
+        if (cameraFree()) gestures.wheel(event);
       }}
     >
       <Overlays />

@@ -1,24 +1,33 @@
 /** The tools at the left. */
 
+import { keyOf } from "../keys/bindings";
+import { spoken } from "../keys/chord";
+import type { CommandId } from "../keys/table";
 import { discardPlacement } from "../paint/placement";
-import { color, readOnly, tool, type Tool } from "../state/store";
+import { color, readOnly, secondColor, tool, type SelectKind, type Tool } from "../state/store";
 import { setColor } from "../paint/point-tools";
 import type { IconName } from "./icons";
 import { Button } from "./parts";
 
-/** In the order of their keys: V for the camera, 1 to 9, 0. */
-export const TOOLS: readonly (readonly [Tool, string, string, IconName])[] = [
-  ["orbit", "Turn the view", "V", "orbit"],
-  ["brush", "Brush", "1", "brush"],
-  ["erase", "Eraser: back to the original", "2", "erase"],
-  ["fill", "Fill", "3", "fill"],
-  ["line", "Line", "4", "line"],
-  ["text", "Text", "5", "text"],
-  ["stamp", "Picture stamp", "6", "stamp"],
-  ["clone", "Clone", "7", "clone"],
-  ["heal", "Heal", "8", "heal"],
-  ["pick", "Eyedropper, as seen", "9", "pick"],
-  ["select", "Select an area to paint in", "0", "select"],
+/** Every tool with its command and its icon, from above. */
+const TOOLS: readonly (readonly [Tool, CommandId, IconName])[] = [
+  ["orbit", "tool.orbit", "orbit"],
+  ["brush", "tool.brush", "brush"],
+  ["erase", "tool.erase", "erase"],
+  ["fill", "tool.fill", "fill"],
+  ["line", "tool.line", "line"],
+  ["text", "tool.text", "text"],
+  ["stamp", "tool.stamp", "stamp"],
+  ["clone", "tool.clone", "clone"],
+  ["heal", "tool.heal", "heal"],
+  ["pick", "tool.pick", "pick"],
+];
+/** The select tool's icon stands for its kinds. */
+const SELECT_COMMANDS: readonly (readonly [SelectKind, CommandId])[] = [
+  ["rectangle", "tool.rectangle"],
+  ["lasso", "tool.lasso"],
+  ["color", "tool.wand"],
+  ["brush", "tool.selectbrush"],
 ];
 
 export function chooseTool(next: Tool): void {
@@ -29,17 +38,23 @@ export function chooseTool(next: Tool): void {
 export function Toolbar() {
   return (
     <nav class="toolbar" aria-label="Tools">
-      {TOOLS.map(([key, label, keys, icon]) => (
+      {TOOLS.map(([key, command, icon]) => (
         <Button
           key={key}
           icon={icon}
-          label={label}
-          keys={keys}
+          command={command}
           pressed={tool.value === key}
-          disabled={readOnly.value && !["orbit", "pick", "select"].includes(key)}
+          disabled={readOnly.value && !["orbit", "pick"].includes(key)}
           onClick={() => chooseTool(key)}
         />
       ))}
+      <Button
+        icon="select"
+        label="Select an area to paint in"
+        keys={SELECT_COMMANDS.map(([, command]) => spoken(keyOf(command))).join(", ")}
+        pressed={tool.value === "select"}
+        onClick={() => chooseTool("select")}
+      />
       <label class="swatch" title="Colour">
         <input
           type="color"
@@ -49,6 +64,17 @@ export function Toolbar() {
           onChange={(event) => setColor(event.currentTarget.value)}
         />
       </label>
+      <span class="second-color" style={{ background: secondColor.value }}>
+        <Button
+          icon="swap"
+          command="color.swap"
+          onClick={() => {
+            const second = secondColor.value;
+            secondColor.value = color.value;
+            setColor(second);
+          }}
+        />
+      </span>
     </nav>
   );
 }

@@ -158,3 +158,80 @@ export function sameViewpoint(a: CameraJson, b: CameraJson): boolean {
   const scale = Math.max(1, ...extrinsics(a).map(Math.abs));
   return close(intrinsics(a), intrinsics(b), 2e-3) && close(extrinsics(a), extrinsics(b), 1e-5 * scale);
 }
+
+/** Turn around any point, so that it stays where it is in the picture's axes: orbit about what was clicked. */
+export function orbitAbout(pose: Pose, pivot: Vec3, yaw: number, pitch: number, up: Vec3): Pose {
+  const turned = orbit(pose, yaw, pitch, up);
+  const local = (p: Pose, v: Vec3): Vec3 => [dot(v, p.right), dot(v, p.down), dot(v, p.forward)];
+  const [x, y, z] = local(pose, sub(pivot, pose.eye));
+  const offset = add(add(scale(turned.right, x), scale(turned.down, y)), scale(turned.forward, z));
+  return { ...turned, eye: sub(pivot, offset), distance: z > 0 ? z : pose.distance };
+}
+
+/** Look around from where one stands (radians, as of `orbit`). */
+export function look(pose: Pose, yaw: number, pitch: number, up: Vec3): Pose {
+  return { ...orbitAbout(pose, pose.eye, yaw, pitch, up), distance: pose.distance };
+}
+
+/** Come closer (factor < 1) to a point or go away from it; it stays at its pixel. */
+export function zoomTo(pose: Pose, point: Vec3, factor: number, nearest: number): Pose {
+  const away = sub(pose.eye, point);
+  const before = Math.hypot(...away);
+  if (before === 0) return pose;
+  const after = Math.max(Math.min(nearest, before), before * factor);
+  const eye = add(point, scale(away, after / before));
+  const depth = dot(sub(point, eye), pose.forward);
+  return { ...pose, eye, distance: depth > 0 ? depth : pose.distance };
+}
+
+/** Step by [right, down, forward] world units. */
+export function step(pose: Pose, by: Vec3): Pose {
+  const move = add(add(scale(pose.right, by[0]), scale(pose.down, by[1])), scale(pose.forward, by[2]));
+  return { ...pose, eye: add(pose.eye, move) };
+}
+
+/** Unit direction of the ray through a point of the picture: x, y as shares -1..1 of half its width and height. */
+export function rayOf(pose: Pose, x: number, y: number, aspect: number): Vec3 {
+  const half = Math.tan((pose.fov * Math.PI) / 360);
+  return unit(add(pose.forward, add(scale(pose.right, x * half * aspect), scale(pose.down, y * half))));
+}
+
+/** The target seen along `forward` (unit), from as far away; where that is along `up`, `ahead` points up. */
+export function lookAlong(pose: Pose, forward: Vec3, up: Vec3, ahead: Vec3): Pose {
+  const eye = sub(target(pose), scale(forward, pose.distance));
+  const above = Math.abs(dot(forward, up)) > 0.999 ? scale(ahead, dot(forward, up) > 0 ? -1 : 1) : up;
+  return { ...lookAt(eye, target(pose), above, pose.fov), distance: pose.distance };
+}
+
+/** A point in the middle, seen from the same side and `distance` away. */
+export function focusOn(pose: Pose, point: Vec3, distance: number): Pose {
+  return { ...pose, eye: sub(point, scale(pose.forward, distance)), distance };
+}
+
+/** The pose at share t (0..1) of the way from one to another: a turn around one axis, the target on a straight line. */
+export function between(a: Pose, b: Pose, t: number): Pose {
+  const [axis, angle] = rotationBetween(a, b);
+  const move = (v: Vec3): Vec3 => turn(v, axis, angle * t);
+  const forward = unit(move(a.forward));
+  const raw = move(a.right);
+  const right = unit(sub(raw, scale(forward, dot(raw, forward))));
+  const distance = a.distance ** (1 - t) * b.distance ** t;
+  const at = add(scale(target(a), 1 - t), scale(target(b), t));
+  const fov = a.fov + (b.fov - a.fov) * t;
+  return { eye: sub(at, scale(forward, distance)), right, down: cross(forward, right), forward, distance, fov };
+}
+
+/** Axis and angle (radians) of the turn that brings the axes of one pose onto another's. */
+function rotationBetween(a: Pose, b: Pose): [Vec3, number] {
+  const from = [a.right, a.down, a.forward];
+  const to = [b.right, b.down, b.forward];
+  const m = (i: number, j: number) => to[0][i] * from[0][j] + to[1][i] * from[1][j] + to[2][i] * from[2][j];
+  const cosine = Math.max(-1, Math.min(1, (m(0, 0) + m(1, 1) + m(2, 2) - 1) / 2));
+  const skew: Vec3 = [m(2, 1) - m(1, 2), m(0, 2) - m(2, 0), m(1, 0) - m(0, 1)];
+  if (Math.hypot(...skew) > 1e-6) return [unit(skew), Math.acos(cosine)];
+  if (cosine > 0) return [[0, 0, 1], 0];
+  // half a turn: the axis is the column of M + 1 that is longest
+  const columns = [0, 1, 2].map((j) => [0, 1, 2].map((i) => m(i, j) + (i === j ? 1 : 0)) as Vec3);
+  columns.sort((p, q) => Math.hypot(...q) - Math.hypot(...p));
+  return [unit(columns[0]), Math.PI];
+}

@@ -6,7 +6,7 @@ import type { Frame } from "../net/frames";
 import { UploadQueue } from "../splats/upload-queue";
 import { SplatTable } from "../splats/table";
 import { Blit, toBytes } from "./blit";
-import type { CameraJson } from "./camera";
+import { add, scale, type CameraJson, type Vec3 } from "./camera";
 import { Grid } from "./grid";
 import { setThreeCamera } from "./three-camera";
 import { makeSpark } from "./spark";
@@ -56,6 +56,12 @@ export class Viewer {
 
   get camera(): CameraJson | null {
     return this.view;
+  }
+
+  /** The point of the surface that a ray from `eye` along a unit direction meets; null where there is none. */
+  hit(eye: Vec3, direction: Vec3): Vec3 | null {
+    const distance = this.table?.hit(eye, direction) ?? null;
+    return distance === null ? null : add(eye, scale(direction, distance));
   }
 
   setAntialiased(antialiased: boolean): void {

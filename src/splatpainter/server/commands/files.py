@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from splatpainter.io import FORMATS, files, read
-from splatpainter.server.commands.context import CommandContext, command, naming_errors, python_line
+from splatpainter.server.commands.context import CommandContext, RawExpr, command, naming_errors, python_line
 from splatpainter.server.protocol import (
     Answer,
     Blob,
@@ -96,6 +96,19 @@ class AssetUp(Command):
 def set_up_axis(context: CommandContext, request: AssetUp) -> Answer:
     context.studio.session.set_up(request.up)
     return Answer(python=python_line("session.set_up", request.up))
+
+
+class AssetFront(Command):
+    """The side that a view shows is the front from now on: the first view is from there. The project remembers it."""
+
+    NAME = "asset.front"
+    camera: CameraInfo
+
+
+@command(AssetFront, writes=True)
+def set_front(context: CommandContext, request: AssetFront) -> Answer:
+    context.studio.session.set_front(request.camera.to_camera())
+    return Answer(python=python_line("session.set_front", RawExpr("camera")))
 
 
 class ProjectOpen(Command):
