@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"splatpainter": ROOT / "src" / "splatpainter", "splatbench": ROOT / "benchmarks" / "splatbench"}
 ORDER = (
-    ("_version", "atomic", "user_folders", "processes", "jsonio"),
+    ("_version", "atomic", "user_folders", "processes", "jsonio", "yamlio"),
     ("splats", "transforms", "color"),
     ("cameras",),
     ("image_files",),

@@ -29,6 +29,16 @@ MAX_INTEGER = 2**53 - 1
 _Dataclass = TypeVar("_Dataclass")
 
 
+class FieldError(ValueError):
+    """A value of a document that is not what its dataclass says."""
+
+    def __init__(self, where: str, path: str, reason: str) -> None:
+        super().__init__(f"{where}: {reason}")
+        self.path = path
+        """Dotted path of the value, or of what it belongs to: "refine.layers[2].dim"; "" for the document."""
+        self.reason = reason
+
+
 def load_object(
     data: bytes | memoryview | str, where: Path | str, what: str, max_bytes: int = MAX_JSON_BYTES
 ) -> dict[str, Any]:
@@ -106,6 +116,7 @@ def build(
     *,
     what: str = "",
     base: _Dataclass | None = None,
+    defaults: bool = False,
     older: Mapping[str, Any] | None = None,
     aliases: Mapping[str, str] | None = None,
 ) -> _Dataclass:
@@ -116,15 +127,16 @@ def build(
 
     where: names the file or option in errors; what: the object itself where it is none, say "a recipe".
     base: gives the values of missing keys, those of nested dataclasses, too; dataclasses in lists take their defaults.
-        Without it every key has to be there, but for those of
+        Without it every key has to be there, but for
+    defaults: all that have a default take it, and for those of
     older: dotted path of a key that older files lack -> its JSON value there.
     aliases: dotted path of a key as older files spell it -> its present name ("refine.width" -> "dim"), or path and
         value of a Literal -> its present value ("refine.mixer=fast" -> "ttt"; the path as it is now).
-    Raises ValueError naming `where` and the path of what is unknown, missing, of the wrong kind or refused by `kind`.
+    Raises FieldError (a ValueError) naming `where` and the path of what is unknown, missing, of the wrong kind or
+    refused by `kind`.
     """
-    return _Builder(str(where), what or "the document", older or {}, aliases or {}, base is not None).build(
-        kind, values, "", base
-    )
+    builder = _Builder(str(where), what or "the document", older or {}, aliases or {}, defaults or base is not None)
+    return builder.build(kind, values, "", base)
 
 
 @cache
@@ -156,10 +168,10 @@ class _Builder:
         for key, value in values.items():
             name = self.aliases.get(prefix + str(key), key)
             if name not in types_of_fields:
-                listed = ", ".join(types_of_fields)
-                raise ValueError(f"{self.where}: unknown key '{_line(prefix + str(key))}'; known there: {listed}")
+                reason = f"unknown key '{_line(prefix + str(key))}'; known there: {', '.join(types_of_fields)}"
+                raise FieldError(self.where, prefix + str(key), reason)
             if name in present:
-                raise ValueError(f"{self.where}: two values for '{prefix}{name}'")
+                raise FieldError(self.where, prefix + name, f"two values for '{prefix}{name}'")
             present[name] = value
         for field in dataclasses.fields(kind):
             if field.name in present or base is not None:
@@ -167,7 +179,7 @@ class _Builder:
             if prefix + field.name in self.older:
                 present[field.name] = self.older[prefix + field.name]
             elif not self.defaults or field.default is field.default_factory is dataclasses.MISSING:
-                raise ValueError(f"{self.where}: missing key '{prefix}{field.name}'")
+                raise FieldError(self.where, path, f"missing key '{prefix}{field.name}'")
         fields = {
             name: self.value(types_of_fields[name], value, prefix + name, getattr(base, name, None))
             for name, value in present.items()
@@ -175,7 +187,7 @@ class _Builder:
         try:
             return kind(**fields) if base is None else dataclasses.replace(base, **fields)
         except ValueError as error:
-            raise ValueError(f"{self.where}: {path + ': ' if path else ''}{error}") from None
+            raise FieldError(self.where, path, f"{path + ': ' if path else ''}{error}") from None
 
     def value(self, hint: Any, value: Any, path: str, base: Any = None) -> Any:
         """`value` from JSON as what the annotation `hint` says. base: the value to start from, of a dataclass."""
@@ -228,9 +240,9 @@ class _Builder:
             raise self._wrong(hint.__name__, path, value)
         return value
 
-    def _wrong(self, expected: str, path: str, value: Any) -> ValueError:
+    def _wrong(self, expected: str, path: str, value: Any) -> FieldError:
         name = f"'{_line(path)}'" if path else self.what
-        return ValueError(f"{self.where}: expected {expected} as {name}, got {brief(value)}")
+        return FieldError(self.where, path, f"expected {expected} as {name}, got {brief(value)}")
 
 
 def _line(text: str) -> str:

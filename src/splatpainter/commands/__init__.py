@@ -18,6 +18,7 @@ SUMMARIES = {
     "compare": "pictures of two assets side by side, their difference, dB per view",
     "edit": "write edited pictures of an asset onto the asset",
     "grade": "new colours for an asset or a region of it: sliders, LUTs, a picture's colours",
+    "batch": "the edits of a JOBS.yaml on many assets, in variants: resumable, with a page of all results",
     "verify": "prove which rows of an edited asset are the same; exit 1 if a wrong one differs",
     "fit": "optimise an asset from a mesh, from pictures with cameras, or from another asset",
     "data": "training and evaluation data: render, check, list",

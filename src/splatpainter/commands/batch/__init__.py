@@ -1,0 +1,165 @@
+"""`splatpainter batch`: many assets, many variants, one file that says what becomes of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.terminal import count, progress
+
+if TYPE_CHECKING:
+    from splatpainter.commands.batch.plan import Job, JobList
+    from splatpainter.data.cluster import Results
+
+COMMAND = "splatpainter batch"
+SUMMARY, PAGE, LOCK = "summary.json", "index.html", ".batch"
+"""Files in the folder of results."""
+MAX_LISTED = 10
+"""Failed jobs that are named in the terminal; the summary names all."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Make the results that a JOBS.yaml asks for: assets times variants, each by one or more edits (pictures, decals,
+    new colours, a project's layers). Run it again after a kill or a change: jobs that are done stay.
+
+    Every result has its receipt, as `edit` and `grade` write it. OUT/index.html shows all before and after, and
+    summary.json says the same to programs. A job that fails stops no other; then the exit code is 1. The format, with
+    an example: docs/guide/batch.md. Needs pip install 'splatpainter[batch]'.
+
+    example:
+      splatpainter batch shoes.yaml --workers 4
+      splatpainter batch shoes.yaml --dry-run
+    """
+
+    jobs: Annotated[Positional[Path], arg(metavar="JOBS.yaml")]
+    """What to do; paths in it are relative to it."""
+    workers: int = 1
+    """Processes; with --ray and an address: how many jobs at a time (1: as many as the cluster has CPUs)."""
+    ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]", help_behavior_hint="")] = None
+    """Spread jobs by Ray: over the cluster at ADDRESS (auto, HOST:PORT, ray://HOST:PORT), or a local Ray."""
+    dry_run: bool = False
+    """Check the file and say what would be done."""
+    overwrite: bool = False
+    """Replace results of the same names that no batch made."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Plan, lock the folder, work, summarise."""
+    from splatpainter.commands.batch.plan import read_jobs
+    from splatpainter.commands.batch.work import BatchWork, finished
+    from splatpainter.commands.targets import check_folder, make_folder
+
+    if config.workers < 1:
+        raise ValueError(f"{COMMAND}: expected --workers of at least 1, got {config.workers}")
+    if config.ray is not None and len(config.ray) > 1:
+        raise ValueError(f"{COMMAND}: expected one address behind --ray, got {len(config.ray)}")
+    plan = read_jobs(config.jobs, config.overwrite)
+    check_folder(plan.out)
+    if config.dry_run:
+        return _dry_run(plan, finished)
+    from splatpainter.commands.batch.page import require_jinja, write_page
+
+    require_jinja()
+    make_folder(plan.out)
+    with _locked(plan.out):
+        from splatpainter.kernels.compile import ensure_compiled
+
+        ensure_compiled()  # here, once, and not in every worker at the same time
+        records = run_jobs(BatchWork(plan.jobs), plan.jobs, config)
+        write_summary(plan, records)
+        write_page(plan, records)
+    return _outcome(plan, records)
+
+
+def run_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], config: Config) -> list[dict[str, Any]]:
+    """Their records, in order; jobs that no worker survived have failed."""
+    from splatpainter.commands.batch.work import failure
+    from splatpainter.data.cluster import Lost
+
+    records: list[dict[str, Any]] = [{}] * len(jobs)
+    results = _results(work, len(jobs), config)
+    try:
+        for number, record in progress(results, len(jobs), "jobs"):
+            if isinstance(record, Lost):
+                record = {**failure(jobs[number], record.reason), "warnings": [], "seconds": 0.0}
+            records[number] = record
+    finally:
+        results.close()
+    return records
+
+
+def _results(work: Callable[[int], dict[str, Any]], total: int, config: Config) -> Results[dict[str, Any]]:
+    from splatpainter.data import cluster
+
+    numbers = range(total)
+    if config.ray is not None:
+        local = not config.ray
+        workers = config.workers if local or config.workers > 1 else None
+        return cluster.run_on_ray(work, numbers, None if local else config.ray[0], workers)
+    if config.workers > 1:
+        return cluster.run_in_pool(work, numbers, config.workers)
+    return cluster.run_here(work, numbers)
+
+
+def write_summary(plan: JobList, records: list[dict[str, Any]]) -> None:
+    from splatpainter.atomic import write_text
+
+    done = sum(record["status"] == "done" for record in records)
+    summary = {"jobs_file": str(plan.file), "done": done, "failed": len(records) - done, "jobs": records}
+    write_text(plan.out / SUMMARY, json.dumps(summary, indent=2) + "\n")
+
+
+def _outcome(plan: JobList, records: list[dict[str, Any]]) -> Outcome:
+    failed = [record for record in records if record["status"] != "done"]
+    before = sum(bool(record.get("resumed")) for record in records)
+    there = f", {before:,} of them there before" if before else ""
+    lines = [f"{len(records) - len(failed):,} of {count(len(records), 'job')} done{there}"]
+    lines += [f"failed: {record['name']}: {record['error']}" for record in failed[:MAX_LISTED]]
+    lines += [f"... and {len(failed) - MAX_LISTED:,} more"] if len(failed) > MAX_LISTED else []
+    lines.append(f"-> {plan.out / PAGE}")
+    record = {"out": plan.out, "summary": plan.out / SUMMARY, "page": plan.out / PAGE, "jobs": records}
+    record |= {"done": len(records) - len(failed), "failed": len(failed)}
+    return Outcome(record, lines, 1 if failed else 0)
+
+
+def _dry_run(plan: JobList, finished: Callable[[Job, list[str]], dict[str, Any] | None]) -> Outcome:
+    jobs, lines = [], []
+    for job in plan.jobs:
+        try:
+            state, reason = ("done", "") if finished(job, job.hashes()) else ("to do", "")
+        except (ValueError, OSError) as error:
+            state, reason = "fails", str(error)
+        kinds = [step.kind for step in job.steps]
+        jobs.append({"name": job.name, "asset": job.asset, "out": job.out, "edits": kinds, "state": state} | (
+            {"error": reason} if reason else {}))  # fmt: skip
+        lines.append(f"{state}: {job.asset} -> {job.out} ({', '.join(kinds)}){': ' + reason if reason else ''}")
+    waiting = sum(entry["state"] == "to do" for entry in jobs)
+    lines.append(f"{waiting:,} of {count(len(jobs), 'job')} to do")
+    failing = any(entry["state"] == "fails" for entry in jobs)
+    return Outcome({"jobs": jobs, "to_do": waiting}, lines, 1 if failing else 0)
+
+
+class _locked:
+    """Holds the folder of results, so that two batches do not write into each other."""
+
+    def __init__(self, folder: Path) -> None:
+        from splatpainter.session.lock import ProjectLock
+
+        lock = ProjectLock.take(folder / LOCK)
+        if lock is None:
+            raise ValueError(f"{folder}: another batch is writing there; wait for it, or name another out")
+        self._lock = lock
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()

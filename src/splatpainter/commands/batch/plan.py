@@ -1,0 +1,247 @@
+"""From a JOBS.yaml to numbered jobs: assets found, names given, paths resolved, missing files named by their line."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from splatpainter.atomic import check_name
+from splatpainter.commands.batch.schema import Batch, JobEdit, file_paths, with_values
+from splatpainter.commands.targets import META, splat_format
+from splatpainter.io import FORMATS, format_of_name
+from splatpainter.splats import Frame
+from splatpainter.yamlio import Lines, read
+
+MAX_JOBS = 100_000
+MASK = "mask="
+"""Of a term of `where`, which names files too."""
+READ_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class JobStep:
+    """One edit of a job, its paths resolved."""
+
+    kind: str
+    step: Any
+    """A dataclass of schema.py."""
+    lines: tuple[tuple[str, str], ...]
+    """(file, FILE:LINE where the jobs file names it) of what it reads."""
+
+    def describe(self) -> dict[str, Any]:
+        """JSON values that decide what it does; files by their names and bytes, wherever they are."""
+        text = json.dumps(asdict(self.step), default=str)
+        for path in sorted((path for path, _ in self.lines), key=len, reverse=True):
+            text = text.replace(json.dumps(path)[1:-1], json.dumps(Path(path).name)[1:-1])
+        return {"kind": self.kind, "files": [_digest(Path(path)) for path, _ in self.lines], **json.loads(text)}
+
+    def check(self) -> None:
+        """Raises ValueError with the line of the jobs file that names a file which is not there."""
+        for path, line in self.lines:
+            if not Path(path).is_file():
+                raise ValueError(f"{line}: {path}: no such file")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One asset in one variant."""
+
+    name: str
+    asset: Path
+    variant: str
+    out: Path
+    folder: Path
+    """Its record, its pictures, and what is not finished yet."""
+    steps: tuple[JobStep, ...]
+    frame: Frame = "auto"
+    preview_camera: str = ""
+    preview_px: int = 320
+    overwrite: bool = False
+    """Replace a result that no batch made."""
+
+    def hashes(self) -> list[str]:
+        """Per step, a hash of all that its result depends on: the asset's bytes and every edit up to it. Raises
+        ValueError: a file is missing."""
+        for step in self.steps:
+            step.check()
+        digest = _hash(f"{_asset_digest(self.asset)} {self.frame}")
+        out = []
+        for step in self.steps:
+            digest = _hash(f"{digest} {json.dumps(step.describe(), sort_keys=True)}")
+            out.append(digest)
+        return out
+
+
+@dataclass(frozen=True)
+class JobList:
+    """All jobs of a file."""
+
+    file: Path
+    out: Path
+    jobs: tuple[Job, ...] = field(repr=False, default=())
+
+
+def read_jobs(path: Path, overwrite: bool = False) -> JobList:
+    """Raises ValueError `FILE:LINE: ...`: what `yamlio.read` refuses, assets and files that are missing (those whose
+    name holds {asset} or {variant} fail their own jobs only), results that would have one name."""
+    batch, lines = read(Batch, path)
+    folder = path.parent
+    out = folder / batch.out
+    asset_keys = {}  # an asset that two patterns name is one asset
+    for k, pattern in enumerate(batch.assets):
+        for asset in _assets(folder, pattern, lines, k, out):
+            asset_keys.setdefault(asset, f"assets[{k}]")
+    assets = list(asset_keys.items())
+    named = _names([asset for asset, _ in assets])
+    variants = [(v.name, v.edits, f"variants[{k}].edits") for k, v in enumerate(batch.variants)] or [("", (), "")]
+    if len(assets) * len(variants) > MAX_JOBS:
+        raise ValueError(f"{path}: expected at most {MAX_JOBS} jobs, got {len(assets) * len(variants)}")
+    preview = str(folder / batch.preview.camera) if batch.preview.camera else ""
+    if preview and not Path(preview).is_file():
+        raise ValueError(f"{lines.at('preview.camera')}: {preview}: no such file")
+    jobs, line_of = [], {}
+    for (asset, key_path), asset_name in zip(assets, named, strict=True):
+        for variant, extra, extra_path in variants:
+            name = f"{asset_name}-{variant}" if variant else asset_name
+            target = out / f"{name}.{batch.format or _suffix(asset)}"
+            try:
+                check_name(target)
+                splat_format(target)
+            except ValueError as error:
+                raise ValueError(f"{lines.at(key_path)}: {error}") from None
+            key = str(target).lower()
+            if target in asset_keys:
+                raise ValueError(
+                    f"{lines.at(key_path)}: {target} would be replaced by its own result; name another out"
+                )
+            if key in line_of:
+                raise ValueError(f"{lines.at(key_path)}: {target.name} would be the result of {line_of[key]} too")
+            line_of[key] = lines.at(key_path)
+            steps = [
+                *(_step(e, f"edits[{k}]", folder, lines, asset_name, variant) for k, e in enumerate(batch.edits)),
+                *(_step(e, f"{extra_path}[{k}]", folder, lines, asset_name, variant) for k, e in enumerate(extra)),
+            ]
+            jobs.append(
+                Job(name, asset, variant, target, out / "jobs" / name, tuple(steps), batch.frame, preview,
+                    batch.preview.size, overwrite)
+            )  # fmt: skip
+    return JobList(path, out, tuple(jobs))
+
+
+def _assets(folder: Path, pattern: str, lines: Lines, k: int, out: Path) -> list[Path]:
+    """The files of a pattern, but for results of this batch."""
+    where = lines.at(f"assets[{k}]")
+    if not any(c in pattern for c in "*?["):
+        path = folder / pattern
+        if not path.exists():
+            raise ValueError(f"{where}: {path}: no such file")
+        if format_of_name(path) is None and not path.is_dir():
+            raise ValueError(f"{where}: {path}: expected a splat file")
+        return [path]
+    matches = [folder / name for name in sorted(glob.glob(pattern, root_dir=folder, recursive=True))]
+    matches = [path for path in matches if path.is_file() and format_of_name(path) is not None]
+    made = [
+        path for path in matches if path.parent.resolve() == out.resolve() and (out / "jobs" / _stem(path)).is_dir()
+    ]
+    matches = [path for path in matches if path not in made]
+    if not matches:
+        raise ValueError(f"{where}: {pattern}: no splat file has such a name")
+    return matches
+
+
+def _names(assets: Sequence[Path]) -> list[str]:
+    """A name for each asset: that of its file, with its folder's in front where several files have one name."""
+    short = [_stem(asset) for asset in assets]
+    count = Counter(name.lower() for name in short)
+    return [
+        f"{asset.resolve().parent.name}-{name}" if count[name.lower()] > 1 else name
+        for asset, name in zip(assets, short, strict=True)
+    ]
+
+
+def _stem(asset: Path) -> str:
+    if asset.is_dir() or asset.name.lower() == META:
+        return (asset if asset.is_dir() else asset.resolve().parent).name
+    return asset.name[: -len(_ending(asset))] or asset.name
+
+
+def _ending(path: Path) -> str:
+    """The ending that says the format, with its dot: ".compressed.ply"."""
+    endings = [suffix for entry in FORMATS.values() for suffix in entry.suffixes]
+    fitting = [suffix for suffix in endings if path.name.lower().endswith(suffix)]
+    return max(fitting, key=len, default=path.suffix)
+
+
+def _suffix(asset: Path) -> str:
+    """The format of an asset's result, where none is asked for: its own if it is one file and can be written."""
+    key = format_of_name(asset)
+    if asset.is_dir() or asset.name.lower() == META:
+        return "sog"
+    return "ply" if key is None or FORMATS[key].write is None else _ending(asset).lstrip(".")
+
+
+def _step(edit: JobEdit, path: str, folder: Path, lines: Lines, asset: str, variant: str) -> JobStep:
+    """With {asset} and {variant} written out. Raises ValueError for a missing file whose name holds neither."""
+    step, kind = edit.step, edit.kind
+    files: list[tuple[str, str]] = []
+    values: dict[str, Any] = {}
+    for name, value in asdict(step).items():
+        values[name] = with_values(value, asset, variant)
+    for name, given in file_paths(step).items():
+        full = [str(folder / with_values(entry, asset, variant)) for entry in given]
+        original = getattr(step, name)
+        values[name] = tuple(full) if isinstance(original, tuple) else (full[0] if full else "")
+        for k, (entry, target) in enumerate(zip(given, full, strict=True)):
+            index = f"[{k}]" if isinstance(original, tuple) else ""
+            files.append((target, _checked(entry, target, lines.at(f"{path}.{kind}.{name}{index}"))))
+    if kind == "grade":
+        terms = [
+            _mask_term(term, folder, lines.at(f"{path}.grade.where[{k}]"), files)
+            for k, term in enumerate(values["where"])
+        ]
+        values["where"] = tuple(terms)
+    return JobStep(kind, replace(step, **values), tuple(files))
+
+
+def _checked(name: str, target: str, line: str) -> str:
+    if "{" not in name and not Path(target).is_file():
+        raise ValueError(f"{line}: {target}: no such file")
+    return line
+
+
+def _mask_term(term: str, folder: Path, line: str, files: list[tuple[str, str]]) -> str:
+    """`mask=M.png@CAM.json` with paths of this machine."""
+    inverted, bare = ("not:", term[4:]) if term.startswith("not:") else ("", term)
+    if not bare.startswith(MASK):
+        return term
+    names = [str(folder / name) for name in bare.removeprefix(MASK).split("@") if name]
+    for name in names:
+        files.append((name, _checked(name, name, line)))
+    return inverted + MASK + "@".join(names)
+
+
+def _asset_digest(asset: Path) -> str:
+    """Of an asset's bytes; of a folder of SOG planes: of all of them."""
+    folder = asset if asset.is_dir() else asset.parent
+    if asset.is_dir() or asset.name.lower() == META:
+        members = [folder / META, *sorted(path for path in folder.iterdir() if path.suffix.lower() == ".webp")]
+        return _hash(" ".join(_digest(member) for member in members))
+    return _digest(asset)
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while piece := file.read(READ_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,278 @@
+"""One job of a batch: its edits by the commands themselves, one after the other, each proved; resumable anywhere.
+
+A step is a run of `splatpainter edit` or `grade` (or a project's layers, exported), from a file to a file in the job's
+folder. A step that is done leaves its hash beside its file, so after a kill only what was in work is done again, and
+what a paid source has answered is not asked for twice. The last file takes its name at the end, with the receipt from
+the asset to it: of one edit that of the command, of several one of the whole way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+from splatpainter.atomic import replace as replace_file
+from splatpainter.atomic import sync_folder, write_text
+from splatpainter.cameras import Camera
+from splatpainter.commands import edit, grade
+from splatpainter.commands.batch.plan import Job, JobStep
+from splatpainter.commands.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit
+from splatpainter.commands.verify import read_receipt, receipt_of
+from splatpainter.io import FORMATS, files, format_of_name, read
+from splatpainter.receipts import Receipt, prove
+from splatpainter.splats import Frame, Splats
+
+RECORD, BEFORE, AFTER = "record.json", "before.webp", "after.webp"
+"""Files of a finished job's folder."""
+MAX_RECORD_BYTES = 1 << 20
+PREVIEW_QUALITY = 85
+"""Of WebP, 0..100."""
+
+
+@dataclass(frozen=True)
+class BatchWork:
+    """number -> what became of that job; picklable, for workers. Raises nothing: a job that fails says why."""
+
+    jobs: tuple[Job, ...]
+
+    def __call__(self, number: int) -> dict[str, Any]:
+        job, start = self.jobs[number], time.perf_counter()
+        lines = io.StringIO()
+        with contextlib.redirect_stderr(lines):  # bars and warnings of several workers on one terminal
+            try:
+                result = run_job(job)
+            except (ValueError, OSError, MemoryError) as error:
+                result = failure(job, f"{error}" if not isinstance(error, MemoryError) else "out of memory")
+            except Exception as error:  # one bad asset stops nothing
+                result = failure(job, f"fault in splatpainter: {type(error).__name__}: {error}")
+        warnings = [" ".join(line.split()) for line in lines.getvalue().splitlines() if "warning: " in line]
+        return {**result, "warnings": warnings, "seconds": round(time.perf_counter() - start, 3)}
+
+
+def failure(job: Job, reason: str) -> dict[str, Any]:
+    return {**facts(job), "status": "failed", "error": " ".join(reason.split())}
+
+
+def facts(job: Job) -> dict[str, Any]:
+    return {"name": job.name, "asset": str(job.asset), "variant": job.variant, "out": str(job.out)}
+
+
+def finished(job: Job, hashes: list[str]) -> dict[str, Any] | None:
+    """The record of a job that is done: made by these edits from these bytes, with a result that is what its receipt
+    says. None: it has to be done."""
+    try:
+        record = json.loads(files.read_head(job.folder / RECORD, MAX_RECORD_BYTES))
+        receipt = read_receipt(receipt_of(job.out))
+        if record["job_sha256"] != hashes[-1] or _file_sha256(job.out) != receipt.output_sha256:
+            return None
+        return {**record, **facts(job)} if isinstance(record, dict) else None
+    except (ValueError, OSError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def run_job(job: Job) -> dict[str, Any]:
+    """Do what is left of a job. Raises ValueError: an edit that cannot be made; OSError."""
+    hashes = job.hashes()
+    if (record := finished(job, hashes)) is not None:
+        return {**record, "status": "done", "resumed": True}
+    if job.out.exists() and not (job.folder / RECORD).exists() and not job.overwrite:
+        raise ValueError(
+            f"{job.out}: already exists, and no batch made it; move it away, or replace it with --overwrite"
+        )
+    job.folder.mkdir(parents=True, exist_ok=True)
+    _clear(job, hashes)
+    asset, frame = job.asset, job.frame
+    for k, (step, digest) in enumerate(zip(job.steps, hashes, strict=True)):
+        target = _step_file(job, k)
+        if not _step_done(job, k, digest):
+            run_step(step, asset, target, frame)
+            write_text(job.folder / f"step-{k}.done", digest)
+        # Numbers of one format keep their axes from file to file; another format has its own.
+        frame = frame if format_of_name(target) == format_of_name(asset) else "auto"
+        asset = target
+    original = read(job.asset, frame=job.frame)
+    receipt = _receipt(job, original, asset)
+    _previews(job, original, read(asset, frame=frame))
+    record = {
+        **facts(job),
+        "status": "done",
+        "job_sha256": hashes[-1],
+        "receipt": str(receipt_of(job.out)),
+        "edits": [step.kind for step in job.steps],
+        "rows": receipt.asset_rows,
+        "touched": len(receipt.touched),
+        "appended": receipt.appended_rows,
+        "note": receipt.note,
+        "psnr": [view.psnr_after for view in receipt.views],
+    }
+    # The result comes last: a record counts only beside a result that is what the receipt says.
+    write_text(receipt_of(job.out), receipt.to_json())
+    write_text(job.folder / RECORD, json.dumps(record, indent=2) + "\n")
+    replace_file(asset, job.out)
+    sync_folder(job.out.parent)
+    _clear(job, [])
+    return {**record, "resumed": False}
+
+
+def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
+    """One edit, from file to file with a receipt beside it."""
+    shared: dict[str, Any] = {"asset": asset, "out": target, "frame": frame, "overwrite": True}
+    values = step.step
+    if isinstance(values, PicturesEdit):
+        paths = {name: tuple(map(Path, getattr(values, name))) for name in ("files", "cameras", "masks")}
+        names = ("mode", "method", "preset", "angle_limit", "depth_edge_limit")
+        settings: dict[str, Any] = {name: getattr(values, name) for name in names}
+        edit.run(edit.Config(**shared, views=paths["files"], camera=paths["cameras"], mask=paths["masks"], **settings))
+    elif isinstance(values, DecalEdit):
+        edit.run(
+            edit.Config(
+                **shared,
+                decal=_path(values.picture),
+                decal_text=values.text,
+                decal_font=_path(values.font),
+                decal_color=values.color,
+                at=",".join(f"{number:.17g}" for number in values.at),
+                camera=(Path(values.camera),),
+                width=str(values.width),
+                angle=values.angle,
+                wrap=values.wrap,
+                method=values.method,
+            )
+        )
+    elif isinstance(values, GradeEdit):
+        names = ("exposure", "temperature", "tint", "contrast", "saturation", "hue", "recolor", "strength", "where")
+        settings = {name: getattr(values, name) for name in names}
+        looks: dict[str, Any] = {name: _path(getattr(values, name)) for name in ("look", "lut", "match")}
+        grade.run(grade.Config(**shared, **settings, **looks))
+    else:
+        replay_layers(cast(LayersEdit, values), asset, target, frame)
+
+
+def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> None:
+    """A project's visible layers on another asset, from the same cameras, with the winners that it names where layers
+    disagree. Raises ValueError: no such layers, one that cannot be applied to this asset."""
+    from splatpainter.session import Session
+
+    with Session.load(step.project, readonly=True) as source, tempfile.TemporaryDirectory() as folder:
+        missing = sorted(set(step.only) - {layer.name for layer in source.layers})
+        chosen = [layer for layer in source.layers if layer.visible and (not step.only or layer.name in step.only)]
+        if missing or not chosen:
+            raise ValueError(f"{step.project}: expected visible layers, got none called {', '.join(missing) or 'so'}")
+        with Session(asset, frame=frame) as session:
+            ids: dict[str, str] = {}
+            for k, layer in enumerate(chosen):
+                path = Path(folder) / f"{k}.splatlayer"
+                source.export_layer(layer.id, path)
+                try:
+                    new = session.import_layer(path)
+                except ValueError as error:
+                    reason = str(error).removeprefix(f"{path}: ")
+                    raise ValueError(f"{step.project}: layer {layer.name!r}: {reason}") from None
+                pairs = zip(layer.leaves(), new.leaves(), strict=True)
+                ids |= {old.id: copy.id for old, copy in pairs}
+            for lower, upper, policy in source.snapshot.document.policies:
+                if lower in ids and upper in ids:
+                    session.resolve_conflict(ids[lower], ids[upper], policy)
+            session.export(target, overwrite=True)
+
+
+def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
+    """From the asset to the result: of one edit that of the command, of several one that is proved anew."""
+    if len(job.steps) == 1:
+        return read_receipt(receipt_of(last))
+    from splatpainter.session.asset_files import receipt_between
+
+    receipts = [read_receipt(receipt_of(_step_file(job, k))) for k in range(len(job.steps))]
+    same = format_of_name(last) == format_of_name(job.asset)
+    edited = read(last, frame=job.frame if same else "auto")
+    notes = [f"{step.kind}: {receipt.note}" for step, receipt in zip(job.steps, receipts, strict=True) if receipt.note]
+    total = receipt_between(original, edited, receipts[-1].preset, f"{len(receipts)} edits; {'; '.join(notes)}"[:2000])
+    seconds = {f"edit {k + 1}": sum(receipt.seconds.values()) for k, receipt in enumerate(receipts)}
+    views = tuple(view for receipt in receipts for view in receipt.views)
+    total = replace(total, mode="batch", method="edits", views=views, seconds=seconds)
+    return prove(original, last, total, job.frame if same else "auto")[0]
+
+
+def _step_file(job: Job, k: int) -> Path:
+    """The file of a step: in the result's format at the end, before that in the asset's."""
+    if k == len(job.steps) - 1:
+        return job.folder / f"result.{job.out.name.removeprefix(job.name + '.')}"
+    key = format_of_name(job.asset) or "ply"
+    single = FORMATS[key].write is not None and not job.asset.is_dir()
+    return job.folder / f"step-{k}{FORMATS[key].suffixes[0] if single else '.ply'}"
+
+
+def _step_done(job: Job, k: int, digest: str) -> bool:
+    """Whether a step was finished before, and its file is what its receipt says."""
+    try:
+        target = _step_file(job, k)
+        mark = files.read_head(job.folder / f"step-{k}.done", 100).decode(errors="replace")
+        return mark == digest and _file_sha256(target) == read_receipt(receipt_of(target)).output_sha256
+    except (ValueError, OSError):
+        return False
+
+
+def _clear(job: Job, hashes: list[str]) -> None:
+    """Remove what is no step of these edits: of others, of a run that was killed, or (no hashes) all but the record."""
+    valid: set[str] = set()
+    for k, digest in enumerate(hashes):
+        if not _step_done(job, k, digest):
+            break
+        target = _step_file(job, k)
+        valid |= {target.name, receipt_of(target).name, f"step-{k}.done"}
+    valid |= {RECORD, BEFORE, AFTER}
+    for path in job.folder.iterdir():
+        if path.name not in valid:
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                files.remove(path)
+
+
+def _file_sha256(path: Path) -> str:
+    """As `Splats.sha256` of a file."""
+    return files.sha256(files.read_all(path))
+
+
+def _path(name: str) -> Path | None:
+    return Path(name) if name else None
+
+
+def _previews(job: Job, before: Splats, after: Splats) -> None:
+    from PIL import Image
+
+    from splatpainter.color import to_display
+    from splatpainter.image_files import to_uint8
+    from splatpainter.rendering import render
+
+    camera = replace(_preview_camera(job, before), background=(0.25, 0.25, 0.25))
+    for name, splats in ((BEFORE, before), (AFTER, after)):
+        pixels = to_uint8(to_display(render(splats, camera).colors[0].clip(0, 1), splats.color_space))
+        with files.writing(job.folder / name) as file:
+            Image.fromarray(pixels).save(file, "WEBP", quality=PREVIEW_QUALITY)
+
+
+def _preview_camera(job: Job, splats: Splats) -> Camera:
+    """That of the jobs file, else of the first edit that has one, else from the front."""
+    from splatpainter.cameras import orbit_cameras
+    from splatpainter.sources.edit_files import camera_from
+
+    names = [job.preview_camera]
+    for step in job.steps:
+        if isinstance(step.step, PicturesEdit):
+            names += [*step.step.cameras[:1], *step.step.files[:1]]
+        elif isinstance(step.step, DecalEdit):
+            names.append(step.step.camera)
+    for name in filter(None, names):
+        with contextlib.suppress(ValueError):
+            camera = camera_from(Path(name))
+            scale = job.preview_px / max(camera.width, camera.height)
+            return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    return orbit_cameras(splats, 1, size=job.preview_px)[0]
