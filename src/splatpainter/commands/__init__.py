@@ -19,6 +19,8 @@ SUMMARIES = {
     "edit": "write edited pictures of an asset onto the asset",
     "grade": "new colours for an asset or a region of it: sliders, LUTs, a picture's colours",
     "batch": "the edits of a JOBS.yaml on many assets, in variants: resumable, with a page of all results",
+    "watch": "lift every edited picture that is saved into a folder onto an asset",
+    "source": "where edited pictures come from: programs, image services, local models",
     "verify": "prove which rows of an edited asset are the same; exit 1 if a wrong one differs",
     "fit": "optimise an asset from a mesh, from pictures with cameras, or from another asset",
     "data": "training and evaluation data: render, check, list",

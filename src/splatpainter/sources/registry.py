@@ -33,7 +33,7 @@ from splatpainter.sources.source_options import SourceDescription, parse_options
 
 ENTRY_POINTS = "splatpainter.sources"
 """Group by which other distributions add sources: name = module:factory, factory(options) -> PictureSource."""
-BUILT_IN = ("command", "gemini", "openai", "comfyui")
+BUILT_IN = ("command", "gemini", "openai", "comfyui", "diffusers", "upscale", "watch")
 """Modules of splatpainter.sources.backends, imported when they are asked for: DESCRIPTION and open_source(options)."""
 MAX_LINE_CHARACTERS = 600
 """Of an error or a note that a source gives."""

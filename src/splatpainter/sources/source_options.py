@@ -73,12 +73,20 @@ class SourceDescription:
     @property
     def missing_modules(self) -> tuple[str, ...]:
         """Those of `modules` that are not installed; nothing is imported."""
-        return tuple(name for name in self.modules if importlib.util.find_spec(name) is None)
+        return tuple(name for name in self.modules if not is_installed(name))
 
     @property
     def key_variable(self) -> str:
         """The variable that holds the key here, or ""."""
         return next((name for name in self.keys if os.environ.get(name)), "")
+
+
+def is_installed(module: str) -> bool:
+    """Whether a module of that name is there; it is not imported to find out."""
+    try:
+        return importlib.util.find_spec(module) is not None
+    except (ImportError, ValueError):  # half installed
+        return False
 
 
 def option(

@@ -103,7 +103,7 @@ class Service:
                         if response.is_success:
                             return await self._body(response, max_bytes), kind
                         body = await self._body(response, MAX_ERROR_BYTES, cut=True)
-                        status, asked_wait = response.status_code, response.headers.get("retry-after")
+                        status, retry_after = response.status_code, response.headers.get("retry-after")
                         target = response.headers.get("location", "")
                 except httpx.HTTPError as error:
                     problem = f"cannot be reached at {self.host} ({_reason(error)})"
@@ -112,7 +112,7 @@ class Service:
                 else:
                     if status not in BUSY or attempt == MAX_TRIES - 1:
                         raise self._refusal(status, body, kind, target)
-                    await self._wait(status, asked_wait, attempt, body, kind)
+                    await self._wait(status, retry_after, attempt, body, kind)
                     continue
                 raise self.error(problem)  # outside of the handler: the first error holds the request
         raise self.error("no answer")  # not reached: the last attempt raises
@@ -135,8 +135,8 @@ class Service:
                 raise self.error(f"answers with more than {max_bytes >> 20} MiB")
         return b"".join(chunks)[: max_bytes if cut else None]
 
-    async def _wait(self, status: int, asked_wait: str | None, attempt: int, body: bytes, kind: str) -> None:
-        seconds = retry_seconds(asked_wait)
+    async def _wait(self, status: int, retry_after: str | None, attempt: int, body: bytes, kind: str) -> None:
+        seconds = retry_seconds(retry_after)
         if seconds is None:
             seconds = FIRST_WAIT_SECONDS * 2**attempt
         elif seconds > MAX_WAIT_SECONDS:

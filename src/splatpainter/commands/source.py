@@ -1,0 +1,228 @@
+"""`splatpainter source`: where edited pictures can come from, and one picture through one of them."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from splatpainter.atomic import writing
+from splatpainter.commands import Outcome
+from splatpainter.commands.option_parsing import parse
+from splatpainter.commands.targets import check_target
+from splatpainter.commands.terminal import PATIENCE, watched
+from splatpainter.image_files import encode_png, find_camera, quantized
+from splatpainter.sources.picture_reader import read_mask, read_picture, resample
+from splatpainter.sources.picture_source import PictureRequest, Progress
+from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
+from splatpainter.sources.source_options import option_words, options_help
+
+SUMMARIES = {
+    "list": "the sources, what each takes, and what it needs that is not there",
+    "try": "send one picture through a source, and write what comes back",
+}
+SourceName: TypeAlias = Annotated[Positional[str], arg(metavar="NAME")]
+SourceOptions: TypeAlias = Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")]
+Pictures: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="PICTURE ...", help_behavior_hint="")]
+
+
+def dispatch(words: Sequence[str]) -> Outcome:
+    """`source NAME ...`. Raises ValueError for another NAME."""
+    if not words or words[0] in ("-h", "--help"):
+        rows = [f"  {name:<5} {line}" for name, line in SUMMARIES.items()]
+        head = ["usage: splatpainter source COMMAND ...", "", "Where edited pictures come from.", "", "commands:"]
+        tail = ["", "example:", "  splatpainter source list"]
+        return Outcome({"source": SUMMARIES}, [*head, *rows, *tail])
+    if words[0] not in SUMMARIES:
+        raise ValueError(f"splatpainter source: expected one of {', '.join(SUMMARIES)}, got {words[0]!r}")
+    kind, run = {"list": (SourceListConfig, listing), "try": (SourceTryConfig, attempt)}[words[0]]
+    config = parse(kind, f"splatpainter source {words[0]}", words[1:])
+    outcome = run(config)
+    return outcome.as_json() if config.json else outcome
+
+
+@dataclass(frozen=True)
+class SourceListConfig:
+    """Show every source: what it takes, its options, what it needs and whether that is here. Keys are looked for in the
+    environment and never shown.
+
+    example:
+      splatpainter source list
+      splatpainter source list openai
+    """
+
+    names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME ...", help_behavior_hint="")] = ()
+    """Only these, with their options."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+@dataclass(frozen=True)
+class SourceTryConfig:
+    """Send one picture through a source and write the answer as it came: nothing is registered, corrected or cut.
+
+    example:
+      splatpainter source try gemini views/view_000.png --prompt "covered in rust" --out rusty.png
+      splatpainter source try upscale view.png --scale 2 --out larger.png
+      splatpainter source try command view.png --source-option "run=tool {image} {out}" --out new.png
+    """
+
+    name: SourceName
+    """Source, see splatpainter source list."""
+    picture: Annotated[Positional[Path], arg(metavar="PICTURE")]
+    """The picture to be edited: PNG, JPEG, WebP or TIFF."""
+    out: Annotated[Path, arg(metavar="OUT.png")]
+    """The answer, a PNG."""
+    prompt: Annotated[str, arg(metavar="TEXT")] = ""
+    """What is to be done to it."""
+    mask: Annotated[Path | None, arg(metavar="M.png", help_behavior_hint="")] = None
+    """What is not black may change."""
+    reference: Pictures = ()
+    """Pictures that show what is meant."""
+    seed: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Of the source's random numbers."""
+    scale: int = 1
+    """How many times wider and higher the answer is to be."""
+    source_option: SourceOptions = ()
+    """Options of the source, see splatpainter source list NAME."""
+    overwrite: bool = False
+    """Replace OUT if it exists."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def listing(config: SourceListConfig) -> Outcome:
+    """All sources, or those that were named. Raises ValueError for a name that there is not."""
+    statuses = describe_sources()
+    names = [status.description.name for status in statuses]
+    for name in config.names:
+        if name not in names:
+            raise ValueError(f"splatpainter source list: no source {name!r}; there are {', '.join(names)}")
+    chosen = [status for status in statuses if not config.names or status.description.name in config.names]
+    lines = [line for status in chosen for line in _lines(status, bool(config.names))]
+    hint = [] if config.names else ["", "splatpainter source list NAME shows the options of a source."]
+    return Outcome({"sources": [_record(status) for status in chosen]}, [*lines, *hint])
+
+
+def attempt(config: SourceTryConfig) -> Outcome:
+    """One picture there and back."""
+    if config.out.suffix.lower() != ".png":
+        raise ValueError(f"{config.out}: expected a name ending in .png")
+    inputs = [config.picture, *config.reference, *([config.mask] if config.mask else [])]
+    check_target(config.out, config.overwrite, [], inputs)
+    source = open_source(config.name, option_words(config.source_option))
+    request = _request(config)
+    with source_progress() as progress:
+        answer = source.edit(request, progress, threading.Event())
+    with writing(config.out) as file:
+        file.write(encode_png(quantized(answer.image)))
+    height, width = answer.image.shape[:2]
+    record = {
+        "out": config.out,
+        "source": config.name,
+        "model": answer.model,
+        "prompt": config.prompt,
+        "seed": answer.seed,
+        "cost": answer.cost,
+        "notes": list(answer.notes),
+        "size": [width, height],
+    }
+    facts = [answer.model, f"seed {answer.seed}" if answer.seed is not None else "", answer.cost]
+    made = ", ".join(filter(None, [config.name, *facts]))
+    lines = [f"{config.picture} -> {config.out} ({width}x{height})", made, *(f"note: {note}" for note in answer.notes)]
+    return Outcome(record, lines)
+
+
+@contextlib.contextmanager
+def source_progress() -> Iterator[Progress]:
+    """Shows what a source reports, in one line on stderr after PATIENCE seconds, where a person is looking."""
+    if not watched():
+        yield lambda share, words: None
+        return
+    from tqdm import tqdm
+
+    form = "{desc:<40.40} {bar} {percentage:3.0f} % [{elapsed}]"
+    bar = tqdm(total=1.0, delay=PATIENCE, leave=False, file=sys.stderr, bar_format=form)
+    lock = threading.Lock()  # services report from their thread
+
+    def report(share: float, words: str) -> None:
+        with lock:
+            bar.n = max(0.0, min(share, 1.0))
+            bar.set_description_str(words, refresh=False)
+            bar.update(0)
+            bar.refresh()
+
+    try:
+        yield report
+    finally:
+        bar.close()
+
+
+def _request(config: SourceTryConfig) -> PictureRequest:
+    picture = read_picture(config.picture)
+    width, height = picture.size
+    mask = None
+    if config.mask is not None:
+        mask = read_mask(config.mask).astype(np.float32)
+        if abs((mask.shape[1] / mask.shape[0]) / (width / height) - 1) > 0.01:
+            raise ValueError(f"{config.mask}: expected the size of the picture ({width}x{height})")
+        if mask.shape != (height, width):
+            mask = (resample(mask, width, height) > 0.25).astype(np.float32)
+        if not mask.any():
+            raise ValueError(f"{config.mask}: empty mask; expected some pixels that are not black")
+    camera = None
+    with contextlib.suppress(ValueError):  # any picture can be tried
+        camera = find_camera(config.picture)
+    alpha = np.ones((height, width), np.float32) if picture.alpha is None else picture.alpha
+    references = tuple(read_picture(path).colors for path in config.reference)
+    colors = picture.colors * alpha[..., None]
+    return PictureRequest(colors, alpha, mask, config.prompt, references, config.seed, config.scale, camera)
+
+
+def _record(status: SourceStatus) -> dict[str, Any]:
+    description = status.description
+    return {
+        "name": description.name,
+        "summary": description.summary,
+        "takes": description.accepts,
+        "paid": bool(description.capabilities and description.capabilities.paid),
+        "options": [
+            {
+                "name": option.name,
+                "meaning": option.meaning,
+                "default": option.default,
+                "required": option.required,
+                "environment": list(option.environment),
+            }
+            for option in options_help(description)
+        ],
+        "keys": {"variables": list(description.keys), "set": bool(description.key_variable)},
+        "distribution": status.distribution or "splatpainter",
+        "ready": not status.missing,
+        "missing": list(status.missing),
+    }
+
+
+def _lines(status: SourceStatus, full: bool) -> list[str]:
+    description = status.description
+    origin = f" (of {status.distribution})" if status.distribution else ""
+    lines = [f"{description.name:<10} {description.summary}{origin}"]
+    lines += [f"{'':<10} takes {description.accepts}"] if description.accepts else []
+    lines += [f"{'':<10} missing: {line}" for line in status.missing] or [f"{'':<10} ready"]
+    if description.keys:
+        optional = ", not needed everywhere" if description.key_optional else ""
+        state = f"in {description.key_variable}" if description.key_variable else "none"
+        lines.append(f"{'':<10} key: {state} ({' or '.join(description.keys)}{optional})")
+    for option in options_help(description) if full else ():
+        default = "required" if option.required else f"default {option.default}" if option.default else "default: none"
+        lines.append(
+            f"{'':<10} {option.name}= {option.meaning.rstrip('.')} ({default}; {', '.join(option.environment)})"
+        )
+    return lines

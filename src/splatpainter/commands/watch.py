@@ -1,0 +1,203 @@
+"""`splatpainter watch`: a folder, an asset and a result that follows the pictures that are saved in the folder."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatpainter.atomic import clash
+from splatpainter.commands import Outcome
+from splatpainter.commands.option_parsing import FrameOption
+from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.terminal import complain, count, decibels
+from splatpainter.commands.verify import receipt_of
+from splatpainter.io import files, read, write
+from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
+from splatpainter.receipts import prove
+from splatpainter.sources import FileEdit, edit_from_files
+from splatpainter.sources.saved_pictures import LOOK_SECONDS, SavedPictures
+from splatpainter.splats import Splats
+
+MASK_ENDING = ".mask.png"
+"""view_000.mask.png is the mask of view_000.png: what is not black was edited."""
+SIDE_FILES = (".mask.", ".reference_", ".depth.", ".normal.", ".alpha.", ".gaussian-ids.", ".coverage.")
+"""In the names of pictures that are no edits."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Lift every edited picture that is saved into a folder onto an asset. OUT and its receipt are written anew after
+    each save, whole or not at all; all pictures count, each as it was saved last, in the order of their first save.
+    Ctrl-C ends it.
+
+    Pictures carry their camera, as those of splatpainter render do, or have it beside them (NAME.json); NAME.mask.png
+    says what of NAME.png was edited. What lies in the folder at the start counts once it is saved again.
+
+    example:
+      splatpainter watch views --asset vase.ply --out painted.ply
+
+    (views made by splatpainter render vase.ply --out views; paint on them in any editor)
+    """
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """The folder to watch."""
+    asset: Annotated[Path, arg(metavar="ASSET")]
+    """The splat file that the pictures show; it is not changed."""
+    out: Annotated[Path, arg(metavar="OUT")]
+    """The file to write; its name says the format. It lies outside of DIR or is no picture."""
+    mode: Mode = "local"
+    """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
+    method: Method = "auto"
+    """How: see splatpainter edit."""
+    preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
+    """Weights: see splatpainter edit."""
+    frame: FrameOption = "auto"
+    """Axes of ASSET's numbers."""
+    out_frame: FrameOption = "auto"
+    """Axes of OUT's numbers."""
+    receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
+    """Where the receipt goes; default: OUT.receipt.json."""
+    once: bool = False
+    """End after the first picture that was lifted."""
+    timeout: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")] = None
+    """End after so many seconds; an error where nothing was lifted until then."""
+    overwrite: bool = False
+    """Replace OUT and the receipt if they exist at the start."""
+    json: bool = False
+    """Print one JSON object at the end instead of text."""
+
+
+@dataclass
+class _Watch:
+    """The state of one watch."""
+
+    config: Config
+    receipt_path: Path
+    splats: Splats
+    painter: Painter
+    asset: Asset
+    edits: dict[str, FileEdit] = field(default_factory=dict)
+    """File name -> the picture as it was saved last."""
+    lifted: int = 0
+    refused: int = 0
+    last_line: str = ""
+
+    def save(self, path: Path) -> None:
+        """Lift a picture that was saved, or say in a line why not; the result stays as it was then."""
+        try:
+            edit = self._edit(path)
+            edits_before = dict(self.edits)
+            self.edits[path.name] = edit
+            try:
+                line = self._write()
+            except BaseException:
+                self.edits = edits_before
+                raise
+        except (ValueError, OSError, MemoryError) as error:
+            self.refused += 1
+            text = str(error) or type(error).__name__
+            complain(text if path.name in text else f"{path}: {text}")
+            return
+        self.lifted += 1
+        self.last_line = line
+        if not self.config.json:
+            print(line, flush=True)
+
+    def _edit(self, path: Path) -> FileEdit:
+        if path.name not in self.edits and len(self.edits) >= MAX_VIEWS:
+            raise ValueError(f"{path}: {MAX_VIEWS} pictures are the most; go on with OUT as the new ASSET")
+        mask = path.with_name(path.stem + MASK_ENDING)
+        edit = edit_from_files(path, mask=mask if mask.is_file() else None)
+        made_for = edit.camera.asset_sha256
+        if made_for is not None and self.splats.sha256 is not None and made_for != self.splats.sha256:
+            raise ValueError(f"{path}: was rendered from another asset (sha256 {made_for[:12]}...)")
+        return edit
+
+    def _write(self) -> str:
+        """All pictures onto the asset, and OUT and the receipt; a line that says so."""
+        config = self.config
+        edits = [edit.edit(self.splats, config.mode) for edit in self.edits.values()]
+        edited = self.painter.apply(self.asset, edits, config.mode, config.method)
+        assert edited.receipt is not None
+        with files.writing(self.receipt_path) as file, placed(config.out) as partial:
+            write(partial, edited.splats, frame=config.out_frame)
+            receipt, verification = prove(self.splats, partial, edited.receipt, config.out_frame)
+            file.write(receipt.to_json().encode())
+            file.flush()
+            os.fsync(file.fileno())
+        latest = next(reversed(self.edits.values()))
+        score = decibels(receipt.views[-1].psnr_after) if receipt.views else "no pixels"
+        return (
+            f"{latest.path.name}: {count(len(self.edits), 'picture')} on {config.out}, "
+            f"{count(len(receipt.touched), 'Gaussian')} changed, {receipt.appended_rows:,} appended, "
+            f"{score} against the last; {verification.same:,} the same, verified"
+        )
+
+
+def run(config: Config) -> Outcome:
+    """Watch until Ctrl-C, `once` or `timeout`. Raises ValueError: options, an asset that cannot be read, a folder that
+    is gone; with a timeout also where nothing was lifted."""
+    receipt_path = config.receipt or receipt_of(config.out)
+    _check(config, receipt_path)
+    painter = replace(Painter.load(config.preset, modes=[config.mode]), aside=True)
+    saved = SavedPictures(config.folder)
+    splats = read(config.asset, frame=config.frame)
+    _compile()
+    watch = _Watch(config, receipt_path, splats, painter, painter.encode(splats, config.method, [config.mode]))
+    until = None if config.timeout is None else time.monotonic() + config.timeout
+    if not config.json:
+        print(f"watching {config.folder}; Ctrl-C ends it", flush=True)
+    ended = "timeout"
+    try:
+        while until is None or time.monotonic() < until:
+            for path in saved.take():
+                if any(part in path.name for part in SIDE_FILES) or _same(path, config.out):
+                    continue
+                watch.save(path)
+                if config.once and watch.lifted:
+                    break
+            if config.once and watch.lifted:
+                ended = "once"
+                break
+            time.sleep(LOOK_SECONDS)
+    except KeyboardInterrupt:
+        ended = "interrupted"
+    if ended == "timeout" and not watch.lifted:
+        raise ValueError(f"splatpainter watch: no picture was lifted within {config.timeout:g} seconds")
+    record = {
+        "out": config.out if watch.lifted else None,
+        "receipt_file": receipt_path if watch.lifted else None,
+        "pictures": list(watch.edits),
+        "lifted": watch.lifted,
+        "refused": watch.refused,
+        "ended": ended,
+    }
+    refused = f", {count(watch.refused, 'picture')} refused" if watch.refused else ""
+    return Outcome(record, [f"ended: {count(watch.lifted, 'save')} lifted{refused}"])
+
+
+def _check(config: Config, receipt_path: Path) -> None:
+    if not config.folder.is_dir():
+        raise ValueError(f"{config.folder}: no such folder; expected the folder to watch")
+    if config.timeout is not None and not config.timeout > 0:
+        raise ValueError(f"splatpainter watch: expected --timeout of more than 0 seconds, got {config.timeout:g}")
+    splat_format(config.out)
+    check_target(config.out, config.overwrite, [], [config.asset])
+    check_target(receipt_path, config.overwrite, [], [config.asset])
+    if clash(receipt_path, config.out):
+        raise ValueError(f"{receipt_path}: OUT and the receipt need different names, not only in upper and lower case")
+
+
+def _same(a: Path, b: Path) -> bool:
+    return os.path.abspath(a) == os.path.abspath(b)
+
+
+def _compile() -> None:
+    from splatpainter.kernels.compile import ensure_compiled
+
+    ensure_compiled()
