@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import tempfile
@@ -23,6 +24,18 @@ def pytest_configure() -> None:
         if shutil.disk_usage(MEMORY_DISK).free >= MIN_FREE_BYTES:
             os.environ["TMPDIR"] = str(MEMORY_DISK)
             tempfile.tempdir = None  # is looked up again
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Kernels are compiled before xdist's workers start when the whole suite is run: else each would compile those that
+    it needs, both at the same time."""
+    config = session.config
+    several = getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput")
+    if several and config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.collectonly:
+        from splatpainter.kernels.compile import ensure_compiled
+
+        with contextlib.suppress(RuntimeError):  # a kernel that does not compile is for its tests to show
+            ensure_compiled(progress=False)
 
 
 @pytest.fixture(scope="session")

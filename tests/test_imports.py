@@ -86,14 +86,23 @@ def imports(source: str, package: str) -> Iterator[str]:
                 yield str(literal.value)
 
 
+@cache
+def targets() -> dict[str, tuple[str, ...]]:
+    """Module -> what it imports, as written (see `imports`); parsed once for all tests."""
+    out = {}
+    for name, path in modules().items():
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        out[name] = tuple(imports(path.read_text(encoding="utf-8"), package))
+    return out
+
+
 def graph() -> dict[str, set[str]]:
     """Module -> modules that it imports, lazily or not. `from package import name` is the package where that is no
     module of it."""
     edges: dict[str, set[str]] = {}
-    for name, path in modules().items():
-        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    for name in modules():
         edges[name] = set()
-        for target in imports(path.read_text(encoding="utf-8"), package):
+        for target in targets()[name]:
             while target and target not in modules():
                 target = target.rpartition(".")[0]
             if target and target != name:
@@ -130,13 +139,12 @@ def complaint(importer: str, target: str) -> str | None:
 
 def test_imports_point_up_the_list() -> None:
     wrong = []
-    for name, path in modules().items():
+    for name in modules():
         if name == "splatpainter" or not name.startswith("splatpainter."):
             continue
         importer = name.split(".")[1]
         assert importer in LEVEL, f"{importer} has no line in ORDER: give it one"
-        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-        for target in imports(path.read_text(encoding="utf-8"), package):
+        for target in targets()[name]:
             parts = target.split(".")
             if parts[0] == "splatbench":
                 wrong.append(f"{name} imports {target}: the package knows no benchmarks")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import re
 from collections import defaultdict
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,8 +60,23 @@ def assigned(tree: ast.AST) -> set[str]:
     return names
 
 
-def trees() -> dict[Path, ast.Module]:
-    return {p: ast.parse(p.read_text(encoding="utf-8")) for folder in FOLDERS for p in sorted(folder.rglob("*.py"))}
+@dataclass(frozen=True)
+class Module:
+    names: frozenset[str]
+    """See `assigned`."""
+    classes: tuple[str, ...]
+    """Of the module itself, not within functions or other classes."""
+
+
+@cache
+def modules() -> dict[Path, Module]:
+    """What each file of FOLDERS defines; parsed once for all tests."""
+    out = {}
+    for path in (path for folder in FOLDERS for path in sorted(folder.rglob("*.py"))):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        classes = tuple(node.name for node in tree.body if isinstance(node, ast.ClassDef))
+        out[path] = Module(frozenset(assigned(tree)), classes)
+    return out
 
 
 def words(name: str) -> set[str]:
@@ -70,8 +87,8 @@ def words(name: str) -> set[str]:
 def test_no_name_is_vague() -> None:
     vague = {
         f"{path.relative_to(ROOT)}: {name}"
-        for path, tree in trees().items()
-        for name in assigned(tree)
+        for path, module in modules().items()
+        for name in module.names
         if words(name) & VAGUE or name.strip("_").lower() in VAGUE_ALONE
         if (path.name, name) not in EXCEPTIONS
     }
@@ -81,9 +98,9 @@ def test_no_name_is_vague() -> None:
 def test_a_gaussian_is_no_row() -> None:
     rows = {
         f"{path.relative_to(ROOT)}: {name}"
-        for path, tree in trees().items()
+        for path, module in modules().items()
         if path.is_relative_to(FOLDERS[0]) and path.relative_to(FOLDERS[0]).parts[0] in WITHOUT_ROWS
-        for name in assigned(tree)
+        for name in module.names
         if words(name) & {"row", "rows"} and (path.name, name) not in ROW_EXCEPTIONS
     }
     assert not rows
@@ -92,11 +109,11 @@ def test_a_gaussian_is_no_row() -> None:
 def test_a_class_has_its_name_for_itself() -> None:
     for folder in FOLDERS:
         homes = defaultdict(list)
-        for path, tree in trees().items():
+        for path, module in modules().items():
             if path.is_relative_to(folder):
-                for node in tree.body:
-                    if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node.name not in SHARED:
-                        homes[node.name].append(str(path.relative_to(ROOT)))
+                for name in module.classes:
+                    if not name.startswith("_") and name not in SHARED:
+                        homes[name].append(str(path.relative_to(ROOT)))
         assert not {name: paths for name, paths in homes.items() if len(paths) > 1}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import io
 import json
+import os
 import subprocess
 import sys
 import tarfile
@@ -137,31 +138,60 @@ def plain_scene(number: int) -> RenderedScene:
 
 
 KILLED = """
-import os
+import os, sys
 from pathlib import Path
 from splatpainter.data.shards import RenderedScene, ShardWriter
-rename, left = os.replace, {after}
-def replace(*names):
-    global left
-    left -= 1
-    if left < 0:
-        os.kill(os.getpid(), 9)
-    rename(*names)
-os.replace = replace
-with ShardWriter(Path({folder!r}), {{"seed": 3}}, 5, 2) as writer:
-    for number in range(5):
-        writer.add(number, RenderedScene("thing", [{{"txt": b"%d" % number * 5000}}], ["plain"]))
+
+def write(folder, after):
+    rename, left = os.replace, after
+    def replace(*names):
+        nonlocal left
+        left -= 1
+        if left < 0:
+            os.kill(os.getpid(), 9)
+        rename(*names)
+    os.replace = replace
+    with ShardWriter(Path(folder), {"seed": 3}, 5, 2) as writer:
+        for number in range(5):
+            writer.add(number, RenderedScene("thing", [{"txt": b"%d" % number * 5000}], ["plain"]))
+
+folder, *counts = sys.argv[1:]
+for after in counts:
+    if len(counts) == 1:
+        write(f"{folder}/{after}", int(after))
+    child = os.fork()
+    if child == 0:
+        try:
+            write(f"{folder}/{after}", int(after))
+        finally:
+            os._exit(1)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
+"""A program: arguments are a folder and numbers of renames; for each number a writer of folder/NUMBER that is killed
+before one more. Several are forked from one process, which imports once, and their exit codes are printed."""
+KILLED_AFTER = {0: 0, 2: 1, 3: 2, 4: 2, 5: 2, 7: 4}
+"""Renames before the kill -> scenes that are there then."""
 
 
-@pytest.mark.parametrize(("after", "finished"), [(0, 0), (2, 1), (3, 2), (4, 2), (5, 2), (7, 4)])
-def test_a_killed_run_carries_on_and_ends_with_the_same_bytes(tmp_path: Path, after: int, finished: int) -> None:
+@pytest.fixture(scope="module")
+def killed_writers(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, int]]:
+    """The folder of the writers' folders, and how each writer ended."""
+    folder = tmp_path_factory.mktemp("killed")
+    command = [sys.executable, "-c", KILLED, str(folder)]
+    if not hasattr(os, "fork"):
+        return folder, {n: subprocess.run([*command, str(n)], check=False).returncode for n in KILLED_AFTER}
+    done = subprocess.run([*command, *map(str, KILLED_AFTER)], capture_output=True, text=True, check=True)
+    return folder, dict(zip(KILLED_AFTER, map(int, done.stdout.split()), strict=True))
+
+
+@pytest.mark.parametrize(("after", "finished"), KILLED_AFTER.items())
+def test_a_killed_run_carries_on_and_ends_with_the_same_bytes(
+    tmp_path: Path, killed_writers: tuple[Path, dict[int, int]], after: int, finished: int
+) -> None:
     """Killed (SIGKILL) before one of its renames, the only moments that count. They are: the index; then scene, scene,
     shard, index, again and again."""
-    killed, uninterrupted = tmp_path / "killed", tmp_path / "uninterrupted"
-    script = KILLED.format(after=after, folder=str(killed))
-    code = subprocess.run([sys.executable, "-c", script], check=False).returncode
-    assert code == (9 if sys.platform == "win32" else -9)
+    killed, uninterrupted = killed_writers[0] / str(after), tmp_path / "uninterrupted"
+    assert killed_writers[1][after] == (9 if sys.platform == "win32" else -9)
     for folder, expected in ((killed, range(finished, 5)), (uninterrupted, range(5))):
         with ShardWriter(folder, {"seed": 3}, 5, 2) as writer:
             left = writer.missing()
