@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,18 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
         with contextlib.suppress(RuntimeError):  # a kernel that does not compile is for its tests to show
             ensure_compiled(progress=False)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What is imported while tests are collected stays: the garbage collector need not walk through torch for it, and
+    not again in every test."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")

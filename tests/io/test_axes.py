@@ -103,8 +103,8 @@ def test_new_spz_files_name_their_frame(version: int, tmp_path: Path, node_modul
     assert (tmp_path / "auto.spz").read_bytes() == (tmp_path / "rub.spz").read_bytes()
     if version == 4:
         assert (said(tmp_path / "rub.spz"), said(tmp_path / "rdf.spz")) == (4, 6)
-    for path, ours in ((tmp_path / "rub.spz", rub), (tmp_path / "rdf.spz", rdf)):
-        (truth,) = spz_reference(node_modules, tmp_path, [path])
+    truths = spz_reference(node_modules, tmp_path, [tmp_path / f"{frame}.spz" for frame in FRAMES])
+    for truth, ours in zip(truths, (rub, rdf), strict=True):
         assert np.array_equal(ours.means, truth.means) and np.array_equal(ours.sh[:, 1:], truth.sh[:, 1:])
     assert np.array_equal(rub.means, rdf.means)
 

@@ -3,33 +3,54 @@
 from __future__ import annotations
 
 import csv
+import multiprocessing
 import os
 import socket
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
+from splatpainter import processes
 from splatpainter.models import checkpoint
 from splatpainter.train.distributed import join
 from splatpainter.train.loop import sample_numbers
-from tests.support.train_scenes import RECIPE, loop
+from tests.support.train_scenes import RECIPE, loop, stream
 
 STEPS = 3
 ONCE = replace(RECIPE, steps=STEPS)
 KINDS = ("ddp", "fsdp")
 
 
-def work(out: Path) -> None:
+def work(out: Path, rank: int) -> None:
     """What each process of the test runs."""
+    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank)}
     torch.set_num_threads(1)
     group = join("cpu")
     for kind in KINDS:
         loop(replace(ONCE, parallel=kind), out / kind, group=group)()  # type: ignore[arg-type]
     group.close()
+
+
+def both(out: Path) -> int:
+    """Both processes, forked where the system can: torch is imported and samples are made once for them."""
+    import torch.distributed.fsdp  # noqa: F401
+
+    torch.set_num_threads(1)
+    for step in range(STEPS):
+        for number in sample_numbers(step, ONCE.batch, ONCE.stay):
+            _ = stream()[number]
+    context: Any = multiprocessing.get_context("fork" if hasattr(os, "fork") else "spawn")
+    ranks = [context.Process(target=work, args=(out, rank)) for rank in range(2)]
+    for process in ranks:
+        process.start()
+    for process in ranks:
+        process.join()
+    return sum(process.exitcode != 0 for process in ranks)
 
 
 def losses(out: Path) -> list[float]:
@@ -46,23 +67,18 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = Path(__file__).parents[2]
     shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "OMP_NUM_THREADS": "1"}
     shared |= {"PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
-    code = (
-        "import sys; from pathlib import Path; from tests.train.test_distributed import work; work(Path(sys.argv[1]))"
-    )
-    processes = []
-    for rank in ("0", "1"):
-        environment = {**os.environ, **shared, "RANK": rank, "LOCAL_RANK": rank}
-        command = [sys.executable, "-c", code, str(out)]
-        processes.append(
-            subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        )
-    loop(ONCE, out / "one")()  # meanwhile
+    code = "import sys; from pathlib import Path; from tests.train.test_distributed import both; "
+    code += "sys.exit(both(Path(sys.argv[1])))"
+    # A process of its own: forking this one, with its threads, would not be sound.
+    command = [sys.executable, "-c", code, str(out)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    process = processes.begin(command, env={**os.environ, **shared}, **pipes)
     try:
-        outputs = [process.communicate(timeout=180)[0] for process in processes]
+        loop(ONCE, out / "one")()  # meanwhile
+        output = process.communicate(timeout=180)[0]
     finally:
-        for process in processes:
-            process.kill()
-    assert [process.returncode for process in processes] == [0, 0], "\n".join(outputs)[-3000:]
+        processes.end(process)
+    assert process.returncode == 0, output[-3000:]
     return out
 
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from splatpainter.kernels import parallel
+from splatpainter.kernels import parallel, simd
 from splatpainter.rendering.profiles import MIN_ALPHA
 from splatpainter.splats import Splats
 
@@ -78,9 +78,8 @@ def warm() -> None:
 
 
 def _arrays(splats: Splats) -> tuple[np.ndarray, ...]:
-    # Always C-contiguous float32: another layout would compile another copy of every kernel.
     a = splats.numpy()
-    return tuple(np.ascontiguousarray(v, np.float32) for v in (a.means, a.quats, a.scales, a.opacities))
+    return tuple(simd.readonly(v, np.float32) for v in (a.means, a.quats, a.scales, a.opacities))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
