@@ -521,3 +521,59 @@ def test_one_click_turns_the_asset_over(opened: tuple[studio_scenes.Live, Page])
     button.click()
     page.wait("-y above again", lambda: down() > 0.9)
     assert live.studio.session.up == "-y"
+
+
+def test_the_panel_shows_at_once_what_was_asked_and_says_what_was_refused(
+    opened: tuple[studio_scenes.Live, Page],
+) -> None:
+    live, page = opened
+    page.drag((0.45, 0.5), (0.5, 0.5))
+    page.settled()
+    page.tab.get_by_role("button", name="New layer to paint into").click()
+    page.wait("the new layer", lambda: len(page.names()) == 2)
+    page.drag((0.45, 0.55), (0.55, 0.55))
+    page.settled()
+    footer = page.tab.locator(".last-edit")
+    latest = footer.inner_text()
+    assert latest.startswith("Brush in Paint 2")
+    saved = page.tab.locator(".connection")
+
+    def visible() -> list[bool]:
+        return [layer["visible"] for layer in page.state()["layers"]]
+
+    with live.studio.session._commands:  # the server is busy
+        page.tab.get_by_role("button", name="Hide Paint 2").click()
+        page.tab.get_by_role("button", name="Show Paint 2").wait_for()
+        page.tab.get_by_label("Blend").select_option("color")
+        opacity = page.tab.get_by_role("region", name="Layers").get_by_role("textbox", name="Opacity, number")
+        opacity.fill("40")
+        opacity.press("Enter")
+        page.tab.locator(".layer-name").first.focus()
+        page.tab.keyboard.press("Alt+ArrowDown")
+        page.wait("the order", lambda: page.tab.locator(".layer-name b").all_inner_texts() == ["Paint", "Paint 2"])
+        row = page.tab.locator(".layer").nth(1)
+        assert "40 %, color" in row.inner_text() and row.locator(".spinner").count() == 1
+        assert page.tab.locator(".layer").nth(0).locator(".spinner").count() == 0
+        page.wait("the job", lambda: "Hiding Paint 2" in page.tab.locator(".jobs").inner_text())
+        assert saved.inner_text().strip() == "Saving"
+        assert visible() == [True, True] and page.names() == ["Paint", "Paint 2"]
+    page.wait("the end of it", lambda: not page.tab.locator(".spinner").count())
+    page.settled()
+    assert page.names() == ["Paint 2", "Paint"] and visible() == [False, True]
+    assert page.state()["layers"][0]["opacity"] == 0.4
+    page.wait("the figures of what is visible", lambda: footer.inner_text().startswith("Brush in Paint "))
+    for _ in range(4):
+        page.tab.keyboard.press("Control+z")
+    page.wait("the figures again", lambda: footer.inner_text() == latest)
+    page.tab.keyboard.press("Control+z")
+    page.wait("those of the first stroke", lambda: footer.inner_text().startswith("Brush in Paint "))
+
+    page.drag((0.02, 0.05), (0.05, 0.05))  # beside the asset
+    reason = page.tab.locator(".refusal")
+    page.wait("the reason", reason.count)
+    assert "Not done: Brush" in reason.inner_text() and "masked pixels" in reason.inner_text()
+    page.tab.get_by_role("button", name="Dismiss").click()
+    assert reason.count() == 1
+    page.drag((0.45, 0.5), (0.5, 0.5))
+    page.settled()
+    page.wait("no reason any more", lambda: not reason.count())

@@ -109,6 +109,30 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
     )
 
 
+def latest_edit(session: Session) -> protocol.EditFigures | None:
+    """Of the newest stroke or layer that is in effect: ids only ever go up."""
+    latest: tuple[int, Layer, str, dict[str, Any]] | None = None
+    for layer in (leaf for one in session.layers if one.visible for leaf in one.leaves()):
+        facts = session.facts(layer.id)
+        newest = layer.strokes[-1] if layer.strokes else layer
+        number = int(newest.id) if newest.id.isdecimal() else 0
+        if "rows_touched" in facts and (latest is None or number > latest[0]):
+            name = f"{newest.name} in {layer.name}" if layer.strokes else layer.name
+            latest = number, layer, name, facts
+    if latest is None:
+        return None
+    _, layer, name, facts = latest
+    counts = facts.get("stroke", facts)
+    score = next(iter(facts.get("views", ())), {})
+    return protocol.EditFigures(
+        layer=layer.id,
+        name=name,
+        seconds=counts.get("seconds", 0.0),
+        gaussians=counts.get("rows_touched", 0) + counts.get("rows_appended", 0),
+        **{k: score.get(k) for k in ("psnr_before", "psnr_after", "psnr_outside")},
+    )
+
+
 def _takes_strokes(layer: Layer) -> bool:
     """Whether strokes can be painted into it (document.add_stroke)."""
     pictured = layer.kind in ("paint", "clone") and layer.mode == "local" and bool(layer.views)

@@ -198,6 +198,21 @@ class StepInfo(Message):
     label: str
 
 
+class EditFigures(Message):
+    """What the latest edit did that is in effect: after an undo the one before."""
+
+    layer: str
+    """Layer id."""
+    name: str
+    seconds: float
+    gaussians: int
+    """Edited and appended ones."""
+    psnr_before: float | None
+    """As of LayerViewInfo, of its first view."""
+    psnr_after: float | None
+    psnr_outside: float | None
+
+
 class ConflictInfo(Message):
     """A layer overwrites Gaussians that another layer edited from another view."""
 
@@ -240,6 +255,8 @@ class Present(Message):
     cursor: int
     """Index in the history of the step in effect: undo: cursor - 1, redo: cursor + 1; 0 is as it was opened, or the
     oldest step that is still stored."""
+    latest_edit: EditFigures | None
+    """None: nothing was edited, or all of it is hidden."""
     conflicts: list[ConflictInfo]
     project: ProjectInfo
     methods: list[Method]

@@ -133,6 +133,7 @@ class Studio:
             layers=[describe.layer_info(session, layer) for layer in session.layers],
             history=lists.history(session),
             cursor=session.cursor,
+            latest_edit=describe.latest_edit(session),
             conflicts=describe.conflict_infos(session),
             bookmarks=lists.bookmarks(session),
             project=self._project(session, name),

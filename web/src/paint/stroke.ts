@@ -25,7 +25,8 @@ export interface StrokeOptions {
   name: string;
   /** Where it goes, asked when the strokes before it are committed. */
   target: () => StrokeTarget;
-  committed: (layer: LayerInfo, sent: StrokeTarget) => void;
+  /** Send the commit. */
+  commit: (fields: PaintEnd) => Promise<LayerInfo>;
   method: "auto" | "ttt" | "lift" | "fit";
   limits: PaintLimits;
   opacity: number;
@@ -109,11 +110,8 @@ export class Stroke {
     while (this.dirty.width || this.pumping) await (this.pumping ??= this.pump());
     this.done = true;
     if (this.failure) throw this.failure;
-    const { link, name, method, limits, target, committed } = this.options;
-    const sent = target();
-    const answer = await link.do("paint.end", { stroke, name, method, limits, ...sent });
-    committed(answer.layer, sent);
-    return answer.layer;
+    const { name, method, limits, target, commit } = this.options;
+    return commit({ stroke, name, method, limits, ...target() });
   }
 
   async cancel(): Promise<void> {

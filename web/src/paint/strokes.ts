@@ -7,7 +7,8 @@ import { signal } from "@preact/signals";
 
 import { blobUrl, pixelsOf } from "../net/blobs";
 import { brush, camera, limits, method, readOnly, selectedLayer, state, toast } from "../state/store";
-import { link, remember, report, run, viewer } from "../state/studio";
+import { painting } from "../state/pending-layers";
+import { link, report, run, track, viewer } from "../state/studio";
 import type { LayerInfo } from "../messages";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
@@ -115,8 +116,18 @@ export function beginStroke(
     kind,
     name: single && !target?.replaces ? unused(name) : name,
     target: single ? () => target ?? {} : paintTarget(),
-    committed: (layer, sent) => {
-      if (sent.into_new) firstOf = { chosen: before, session, layer: layer.id };
+    commit: async (fields) => {
+      const { layer: id, into_new, replaces } = fields;
+      const goal = id ?? replaces;
+      const there = state.value?.layers.find((one) => one.id === goal)?.name ?? into_new;
+      if (goal) painting.value = [...painting.value, goal];
+      try {
+        const { layer } = await track("paint.end", fields, there ? `${name} in ${there}` : fields.name!);
+        if (into_new) firstOf = { chosen: before, session, layer: layer.id };
+        return layer;
+      } finally {
+        if (goal) painting.value = painting.value.filter((_, k) => k !== painting.value.indexOf(goal));
+      }
     },
     method: method.value,
     limits: limitsToSend(limits.value),
@@ -139,13 +150,10 @@ export function endStroke(stroke: Stroke, finish: (stroke: Stroke) => void = () 
       await stroke.ready;
       finish(stroke);
       const layer = await stroke.end();
-      if (layer) {
-        remember(layer);
-        selectedLayer.value = layer.id;
-      }
+      if (layer) selectedLayer.value = layer.id;
       await viewer.settle();
     } catch (error) {
-      report(error);
+      report(error, stroke.name);
       await stroke.cancel();
     } finally {
       forget(stroke);

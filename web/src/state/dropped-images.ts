@@ -10,7 +10,7 @@ import { maskPng } from "../paint/picture";
 import { selectedArea } from "../paint/selection";
 import { sameViewpoint, type CameraJson } from "../view/camera";
 import { camera, limits, selectedLayer, state, tab, toast } from "./store";
-import { link, remember, report, run, watched } from "./studio";
+import { link, report, run, watched } from "./studio";
 
 export const MAX_IMAGES = 4;
 
@@ -123,7 +123,6 @@ export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Prom
   );
   if (!answer) return;
   droppedImages.value = droppedImages.value.filter((one) => !ready.includes(one));
-  remember(answer.layer);
   selectedLayer.value = answer.layer.id;
 }
 

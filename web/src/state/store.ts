@@ -63,15 +63,6 @@ export const selectedLayer = signal<string | null>(null);
 export const help = signal(false);
 /** What was done from this window, as Python lines. */
 export const pythonLog = signal<string[]>([]);
-export const lastEdit = signal<{
-  seconds: number;
-  inside: number | null;
-  before: number | null;
-  outside: number | null;
-  gaussians: number;
-  name: string;
-} | null>(null);
-
 export interface Toast {
   id: number;
   level: "info" | "warning" | "error";
@@ -88,6 +79,10 @@ export interface Job {
   cancel: () => void;
 }
 export const jobs = signal<Job[]>([]);
+/** Commands under way that change something: nothing is "Saved" before they are answered. */
+export const working = signal(0);
+/** Why the latest command was refused; it stays until another one works or it is closed. */
+export const refusal = signal<{ what: string; message: string; hint: string } | null>(null);
 
 export const readOnly = computed(() => state.value?.project.read_only ?? false);
 export const canUndo = computed(() => (state.value?.cursor ?? 0) > 0);

@@ -7,7 +7,21 @@ import { CommandError, Link, type Fields, type Name, type Result } from "../net/
 import { between, fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
 import { axisName } from "./up-axis";
-import { camera, jobs, lastEdit, pose, pythonLog, rgb, state, status, stopped, toast, view } from "./store";
+import {
+  camera,
+  jobs,
+  pose,
+  pythonLog,
+  refusal,
+  rgb,
+  selectedLayer,
+  state,
+  status,
+  stopped,
+  toast,
+  view,
+  working,
+} from "./store";
 
 /** Set by `start`, before the interface is mounted. */
 export let viewer: Viewer;
@@ -53,49 +67,43 @@ export function start(canvas: HTMLCanvasElement): void {
  * `label`: what the progress bar says; "" for quick things that need none.
  */
 export async function run<N extends Name>(name: N, fields: Fields<N>, label = ""): Promise<Result<N> | null> {
+  try {
+    return await track(name, fields, label);
+  } catch (error) {
+    report(error, label);
+    return null;
+  }
+}
+
+/** Run a command, showing progress when it takes a while. Rejects with a CommandError. */
+export async function track<N extends Name>(name: N, fields: Fields<N>, label: string): Promise<Result<N>> {
   const running = link.do(name, fields, (progress, stage) => {
     jobs.value = jobs.value.map((job) => (job.id === running.id ? { ...job, progress, stage } : job));
   });
   const job = { id: running.id, label, progress: 0, stage: "", cancel: () => running.cancel() };
   const timer = label ? setTimeout(() => (jobs.value = [...jobs.value, job]), JOB_DELAY_MS) : undefined;
+  if (label) working.value++;
   try {
-    return await running;
-  } catch (error) {
-    report(error);
-    return null;
+    const answer = await running;
+    if (label) refusal.value = null;
+    return answer;
   } finally {
+    if (label) working.value--;
     clearTimeout(timer);
     jobs.value = jobs.value.filter((other) => other.id !== running.id);
   }
 }
 
-/** Show what went wrong. A cancelled command is no error. */
-export function report(error: unknown): void {
+/** Show what went wrong, and leave it in the status line. A cancelled command is no error. */
+export function report(error: unknown, what = ""): void {
   if (error instanceof CommandError) {
-    if (error.kind !== "cancelled") toast(error.kind === "fault" ? "error" : "warning", error.message, error.hint);
+    if (error.kind === "cancelled") return;
+    toast(error.kind === "fault" ? "error" : "warning", error.message, error.hint);
+    refusal.value = { what, message: error.message, hint: error.hint };
   } else {
     toast("error", error instanceof Error ? error.message : String(error));
     console.error(error);
   }
-}
-
-/** Remember what an edit did, for the status line. */
-export function remember(layer: {
-  name: string;
-  seconds: number;
-  gaussians_edited: number;
-  gaussians_appended: number;
-  views: State["layers"][0]["views"];
-}): void {
-  const [first] = layer.views;
-  lastEdit.value = {
-    name: layer.name,
-    seconds: layer.seconds,
-    gaussians: layer.gaussians_edited + layer.gaussians_appended,
-    before: first?.psnr_before ?? null,
-    inside: first?.psnr_after ?? null,
-    outside: first?.psnr_outside ?? null,
-  };
 }
 
 const GLIDE_MS = 260;
@@ -157,6 +165,12 @@ function applyState({ state: present, history, bookmarks }: StateEvent): void {
 function adopt(next: State): void {
   const before = state.value;
   state.value = next;
+  const chosen = selectedLayer.value;
+  if (chosen !== null && !next.layers.some((one) => one.id === chosen)) {
+    // it was undone, deleted or merged: go on with what lies there now
+    const at = before?.session === next.session ? before.layers.findIndex((one) => one.id === chosen) : Infinity;
+    selectedLayer.value = next.layers[Math.min(at, next.layers.length - 1)]?.id ?? null;
+  } else if (before?.session !== next.session) selectedLayer.value = next.layers.at(-1)?.id ?? null;
   const { asset } = next;
   if (before?.session === next.session) {
     if (axisName(before.asset.up) !== axisName(asset.up)) resetView(asset);

@@ -8,7 +8,7 @@ import { sendBlob } from "../net/blobs";
 import { maskPng } from "../paint/picture";
 import { selectedArea } from "../paint/selection";
 import { readOnly, selectedLayer, state } from "../state/store";
-import { link, remember, report, run } from "../state/studio";
+import { link, report, run } from "../state/studio";
 import type { CameraJson } from "../view/camera";
 import { Curve } from "./curve";
 import { Button, Check, Percent, Slider } from "./parts";
@@ -89,7 +89,6 @@ async function commit(): Promise<void> {
   );
   if (!answer) return;
   sliders.value = NEUTRAL;
-  remember(answer.layer);
   selectedLayer.value = answer.layer.id;
 }
 
@@ -197,7 +196,9 @@ export function Adjustments() {
             text="Into layer"
             disabled={neutral || readOnly.value}
             onClick={() =>
-              void run("layer.set", { layer: chosen.id, parameters: { ...values } }, "Adjustment").then(resetSliders)
+              void run("layer.set", { layer: chosen.id, parameters: { ...values } }, `Changing ${chosen.name}`).then(
+                resetSliders,
+              )
             }
           />
         )}

@@ -1,7 +1,7 @@
 /** Messages of the studio: toasts, progress, the status line, the sheet of shortcuts. */
 
 import { deselect, storedArea } from "../paint/selection";
-import { dismiss, jobs, lastEdit, pythonLog, state, status, stopped, toast, toasts } from "../state/store";
+import { dismiss, jobs, pythonLog, refusal, state, status, stopped, toast, toasts } from "../state/store";
 import { go } from "../state/studio";
 import { Button } from "./parts";
 
@@ -51,7 +51,8 @@ export async function copy(line: string): Promise<void> {
 
 export function StatusLine() {
   const now = state.value;
-  const edit = lastEdit.value;
+  const edit = now?.latest_edit;
+  const refused = refusal.value;
   const line = pythonLog.value.at(-1);
   return (
     <footer class="status">
@@ -62,9 +63,16 @@ export function StatusLine() {
           title="The last edit: its time, how near the view is to the picture inside the mask, and what changed outside"
         >
           <b>{edit.name}</b> {edit.seconds.toFixed(2)} s
-          {edit.inside !== null &&
-            `, inside ${edit.before !== null ? `${decibels(edit.before)} → ` : ""}${decibels(edit.inside)}`}
-          {edit.outside !== null && `, outside ${decibels(edit.outside)}`}, {edit.gaussians.toLocaleString()} Gaussians
+          {edit.psnr_after !== null &&
+            `, inside ${edit.psnr_before !== null ? `${decibels(edit.psnr_before)} → ` : ""}${decibels(edit.psnr_after)}`}
+          {edit.psnr_outside !== null && `, outside ${decibels(edit.psnr_outside)}`}, {edit.gaussians.toLocaleString()}{" "}
+          Gaussians
+        </span>
+      )}
+      {refused && (
+        <span class="refusal" role="status" title={`${refused.message} ${refused.hint}`}>
+          <b>Not done{refused.what && `: ${refused.what}`}</b> {refused.message} {refused.hint}
+          <Button icon="close" label="Close the reason" onClick={() => (refusal.value = null)} />
         </span>
       )}
       <span class="gap" />

@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 
 import { pendingStrokes } from "../paint/strokes";
-import { canRedo, canUndo, help, pose, readOnly, state, status, view } from "../state/store";
+import { canRedo, canUndo, help, pose, readOnly, state, status, view, working } from "../state/store";
 import { go, run } from "../state/studio";
 import { axisName, OPPOSITE } from "../state/up-axis";
 import { frame, zoomLens, type Vec3 } from "../view/camera";
@@ -29,8 +29,8 @@ const PROFILES: readonly (readonly [string, string])[] = [
   ["playcanvas", "PlayCanvas"],
 ];
 
-export const undo = () => void run("undo", {}, "Undo");
-export const redo = () => void run("redo", {}, "Redo");
+export const undo = () => void run("undo", {}, `Undo: ${state.value?.history[state.value.cursor]?.label ?? ""}`);
+export const redo = () => void run("redo", {}, `Redo: ${state.value?.history[state.value.cursor + 1]?.label ?? ""}`);
 
 /** The whole asset in the window, seen from the same side. */
 export function frameAll(): void {
@@ -149,6 +149,7 @@ function Connection() {
     lost: "Connection lost, trying again",
     stopped: "Stopped",
   }[status.value];
+  const busy = pendingStrokes.value > 0 || working.value > 0;
   const otherWindows = (state.value?.clients ?? 1) - 1;
   return (
     <span
@@ -157,7 +158,7 @@ function Connection() {
       title={otherWindows > 0 ? `${words}; ${otherWindows} more window${otherWindows > 1 ? "s" : ""}` : words}
     >
       <i aria-hidden="true" />
-      <span class="quiet">{status.value === "open" ? (pendingStrokes.value ? "Saving" : "Saved") : words}</span>
+      <span class="quiet">{status.value === "open" ? (busy ? "Saving" : "Saved") : words}</span>
     </span>
   );
 }

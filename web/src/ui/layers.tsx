@@ -1,10 +1,11 @@
 /** The list of layers, uppermost first. */
 
-import { useState } from "preact/hooks";
+import { useRef, useState } from "preact/hooks";
 
 import { chordOf } from "../keys/chord";
-import type { LayerInfo, LayerSet } from "../messages";
+import type { LayerInfo } from "../messages";
 import { blobUrl, download } from "../net/blobs";
+import { dragged, isPending, moveLayer, setLayer, shownLayers } from "../state/pending-layers";
 import { readOnly, selectedLayer, state, tab } from "../state/store";
 import { report, run } from "../state/studio";
 import { openFile } from "./files";
@@ -20,10 +21,8 @@ const BLENDS = [
   ["lighten", "Lighten"],
 ] as const;
 
-const set = (layer: string, fields: Omit<LayerSet, "layer">) => run("layer.set", { layer, ...fields }, "Layer");
-
 export function Layers() {
-  const layers = state.value?.layers ?? [];
+  const layers = shownLayers.value;
   const topDown = [...layers].reverse();
   const chosen = layers.find((layer) => layer.id === selectedLayer.value) ?? null;
   const [rangeEnd, setRangeEnd] = useState<string | null>(null);
@@ -35,10 +34,11 @@ export function Layers() {
     if (!extend || !chosen) selectedLayer.value = layer.id;
   };
   const [over, setOver] = useState<number | null>(null);
-  const [dragged, setDragged] = useState<string | null>(null);
+  const [carried, setCarried] = useState<string | null>(null);
   const drop = (to: number) => {
-    if (dragged) void run("layer.move", { layer: dragged, to }, "Reordering");
-    setDragged(null);
+    const name = layers.find((layer) => layer.id === carried)?.name;
+    if (carried) void moveLayer(carried, to, `Moving ${name}`);
+    setCarried(null);
     setOver(null);
   };
   return (
@@ -60,22 +60,28 @@ export function Layers() {
               onClick={(event) => choose(layer, event.shiftKey)}
               onDragStart={(event) => {
                 event.dataTransfer!.setData("text/plain", layer.id);
-                setDragged(layer.id);
+                setCarried(layer.id);
               }}
               onDragOver={(event) => {
-                if (!dragged) return;
+                if (!carried) return;
                 event.preventDefault();
                 setOver(index);
               }}
               onDragLeave={() => setOver(null)}
-              onDragEnd={() => (setDragged(null), setOver(null))}
+              onDragEnd={() => (setCarried(null), setOver(null))}
               onDrop={(event) => (event.preventDefault(), event.stopPropagation(), drop(index))}
             >
               <Button
                 icon={layer.visible ? "eye" : "hidden"}
                 label={layer.visible ? `Hide ${layer.name}` : `Show ${layer.name}`}
                 disabled={readOnly.value}
-                onClick={() => void set(layer.id, { visible: !layer.visible })}
+                onClick={() =>
+                  void setLayer(
+                    layer.id,
+                    { visible: !layer.visible },
+                    `${layer.visible ? "Hiding" : "Showing"} ${layer.name}`,
+                  )
+                }
               />
               <Thumbnail layer={layer} />
               {layer.placed && (
@@ -91,6 +97,7 @@ export function Layers() {
                 chosen={range.includes(layer)}
                 onKeyDown={(event) => onKey(event, layer, index, layers.length)}
               />
+              {isPending(layer.id) && <i class="spinner" role="status" aria-label={`${layer.name} is being changed`} />}
             </li>
           );
         })}
@@ -110,11 +117,11 @@ export function Layers() {
 function onKey(event: KeyboardEvent, layer: LayerInfo, index: number, count: number): void {
   const handled = () => (event.preventDefault(), event.stopPropagation());
   if (chordOf(event) === "Delete" && !readOnly.value)
-    (void run("layer.delete", { layer: layer.id }, "Deleting"), handled());
+    (void run("layer.delete", { layer: layer.id }, `Deleting ${layer.name}`), handled());
   if (event.altKey && event.key === "ArrowUp" && index < count - 1)
-    (void run("layer.move", { layer: layer.id, to: index + 1 }, "Reordering"), handled());
+    (void moveLayer(layer.id, index + 1, `Moving ${layer.name}`), handled());
   if (event.altKey && event.key === "ArrowDown" && index > 0)
-    (void run("layer.move", { layer: layer.id, to: index - 1 }, "Reordering"), handled());
+    (void moveLayer(layer.id, index - 1, `Moving ${layer.name}`), handled());
 }
 
 function Thumbnail({ layer }: { layer: LayerInfo }) {
@@ -142,11 +149,12 @@ function Name({ layer, chosen, onKeyDown }: NameProps) {
         aria-label="Layer name"
         autoFocus
         ref={(input) => input?.focus()}
+        onFocus={(event) => event.currentTarget.select()}
         onClick={(event) => event.stopPropagation()}
         onBlur={(event) => {
           setEditing(false);
           const name = event.currentTarget.value.trim();
-          if (name && name !== layer.name) void set(layer.id, { name });
+          if (name && name !== layer.name) void setLayer(layer.id, { name }, `Renaming ${layer.name}`);
         }}
         onKeyDown={(event) => {
           event.stopPropagation();
@@ -175,6 +183,7 @@ function Name({ layer, chosen, onKeyDown }: NameProps) {
         {count.toLocaleString()} Gaussians{layer.opacity < 1 ? `, ${Math.round(layer.opacity * 100)} %` : ""}
         {layer.blend !== "normal" ? `, ${layer.blend}` : ""}
       </span>
+      {layer.visible && layer.problem && <span class="problem">Changes nothing: {layer.problem}</span>}
     </button>
   );
 }
@@ -185,7 +194,7 @@ const chooseMade = (answer: { layer: LayerInfo } | null): void => {
 };
 
 async function exportLayer(layer: LayerInfo): Promise<void> {
-  const answer = await run("layer.export", { layer: layer.id }, "Writing the layer");
+  const answer = await run("layer.export", { layer: layer.id }, `Writing ${layer.name}`);
   if (answer) download(answer.url, answer.file);
 }
 
@@ -213,7 +222,9 @@ function LayerActions({ layer, layers, range }: ActionProps) {
         icon="copy"
         command="layer.duplicate"
         disabled={off}
-        onClick={() => layer && void run("layer.duplicate", { layer: layer.id }, "Duplicating").then(chooseMade)}
+        onClick={() =>
+          layer && void run("layer.duplicate", { layer: layer.id }, `Duplicating ${layer.name}`).then(chooseMade)
+        }
       />
       <Button
         icon="merge"
@@ -242,7 +253,7 @@ function LayerActions({ layer, layers, range }: ActionProps) {
         label="Delete the layer"
         command="edit.delete"
         disabled={off}
-        onClick={() => layer && void run("layer.delete", { layer: layer.id }, "Deleting")}
+        onClick={() => layer && void run("layer.delete", { layer: layer.id }, `Deleting ${layer.name}`)}
       />
     </span>
   );
@@ -250,8 +261,19 @@ function LayerActions({ layer, layers, range }: ActionProps) {
 
 /** Blend and opacity of the chosen layer. */
 function LayerSettings({ layer }: { layer: LayerInfo | null }) {
+  const drag = useRef<{ layer: string; send: ReturnType<typeof dragged> } | null>(null);
   const [draft, setDraft] = useState<number | null>(null);
   const off = !layer || readOnly.value;
+  const fade = (opacity: number, end: boolean) => {
+    if (!layer) return;
+    if (drag.current?.layer !== layer.id)
+      drag.current = { layer: layer.id, send: dragged(layer.id, `Opacity of ${layer.name}`) };
+    setDraft(opacity);
+    const sent = drag.current.send({ opacity });
+    if (!end) return;
+    drag.current = null;
+    void sent.finally(() => setDraft(null));
+  };
   return (
     <div class="layer-settings">
       <Choice
@@ -259,19 +281,18 @@ function LayerSettings({ layer }: { layer: LayerInfo | null }) {
         value={layer?.blend ?? "normal"}
         options={BLENDS}
         disabled={off}
-        onChange={(blend) => layer && void set(layer.id, { blend })}
+        onChange={(blend) => layer && void setLayer(layer.id, { blend }, `Blend of ${layer.name}`)}
       />
       <Slider
         label="Opacity"
         value={(draft ?? layer?.opacity ?? 1) * 100}
         min={0}
         max={100}
+        step={1}
         unit=" %"
         disabled={off}
-        onInput={(v) => setDraft(v / 100)}
-        onChange={(v) => {
-          if (layer) void set(layer.id, { opacity: Math.round(v) / 100 }).finally(() => setDraft(null));
-        }}
+        onInput={(v) => fade(Math.round(v) / 100, false)}
+        onChange={(v) => fade(Math.round(v) / 100, true)}
       />
     </div>
   );
