@@ -252,6 +252,7 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     studio.post("project.save_as", file="mine")
     state = studio.http.get("/api/state").json()
     assert state["project"] == {
+        "id": "mine",
         "name": "mine",
         "file": "mine.splatproj",
         "read_only": False,
@@ -276,6 +277,57 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     studio.post("project.open", blob=studio.send(data, "back.splatproj"))
     assert rows_sha256(studio.studio.session.splats) == digest
     assert [entry["name"] for entry in studio.post("project.recent")["recent"]] == ["back"]
+
+
+def test_what_was_painted_before_is_offered_again(studio: Live, tmp_path: Path) -> None:
+    """The same original, opened anew: its project with layers is named, with its picture; copies are no doubles."""
+    write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
+    studio.post("asset.open", file="other.ply")
+    layer = studio.post("layer.new")["layer"]
+    project = studio.http.get("/api/state").json()["project"]["id"]
+    digest = rows_sha256(studio.studio.session.splats)
+    studio.post("asset.open", demo=True)
+    assert studio.http.get("/api/state").json()["earlier"] == []
+    studio.post("asset.open", file="other.ply")
+    (offer,) = studio.http.get("/api/state").json()["earlier"]
+    assert (offer["id"], offer["layers"], offer["is_open"]) == (project, 1, False)
+    listed = [entry for entry in studio.post("project.recent")["recent"] if entry["id"] == project]
+    assert listed[0]["changed"] == offer["changed"]
+    studio.post("project.open", recent=project)
+    state = studio.http.get("/api/state").json()
+    assert [one["id"] for one in state["layers"]] == [layer["id"]] and state["project"]["id"] == project
+    assert rows_sha256(studio.studio.session.splats) == digest and state["earlier"] == []
+    data = studio.http.get(studio.post("project.download")["url"]).content
+    for _ in range(2):
+        studio.post("project.open", blob=studio.send(data, "copy.splatproj"))
+    studio.post("asset.open", demo=True)
+    names = [entry["name"] for entry in studio.post("project.recent")["recent"]]
+    assert len(names) == len(set(names)) and "copy" in names
+    image, _ = edited(studio)
+    studio.post("asset.open", file="other.ply")
+    studio.post("edit", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])
+    assert studio.http.get("/api/state").json()["earlier"] == []  # something was done
+    (painted,) = (entry for entry in studio.post("project.recent")["recent"] if entry["is_open"])
+    picture = Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{painted['picture']}").content))
+    assert picture.size == (96, 96) and painted["layers"] == 1
+
+
+def test_the_time_of_the_last_edit_is_not_that_of_opening(tmp_path: Path) -> None:
+    from splatpainter.server.storage import Projects
+
+    projects = Projects(tmp_path)
+    for name in ("one", "two"):
+        with Session(ball(50), projects.fresh(name)) as session:
+            session.new_layer(name)
+    times = {project.name: project.changed for project in projects.recent()}
+    one = next(project for project in projects.recent() if project.name == "one")
+    with Session.load(one.path):
+        pass
+    (tmp_path / "broken_1.splatproj").write_bytes(b"no project")
+    recent = projects.recent()
+    assert {project.name: project.changed for project in recent if project.summary} == times
+    assert [project.name for project in recent if project.summary] == ["two", "one"]
+    assert [project.name for project in recent if not project.summary] == ["broken"]
 
 
 def test_turning_an_asset_over_is_kept(studio: Live, tmp_path: Path) -> None:

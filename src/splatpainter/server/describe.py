@@ -6,6 +6,7 @@ import json
 import math
 import operator
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import takewhile
 from typing import Any
 
@@ -14,6 +15,7 @@ from pydantic import ValidationError
 
 from splatpainter import cameras
 from splatpainter.cameras import FRAME_MARGIN, UPS, bounding_sphere
+from splatpainter.color import to_display
 from splatpainter.io import FORMATS, frame_line
 from splatpainter.receipts import changed_rows
 from splatpainter.server import protocol
@@ -24,6 +26,8 @@ from splatpainter.splats import Splats
 
 HOME_VIEW = {"elevation": 15.0, "fov": 40.0}
 BACKGROUND = (0.16, 0.17, 0.18)
+PICTURE_PX = 96
+"""Width and height of the picture of a project."""
 
 
 def up_axis(session: Session) -> tuple[int, int, int]:
@@ -39,6 +43,28 @@ def home_view(splats: Splats, up: tuple[int, int, int], start: float) -> tuple[n
         center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME_VIEW
     )[0]
     return center, radius, view
+
+
+def small_view(info: protocol.AssetInfo) -> cameras.Camera:
+    """The first view of the asset, as small as a list shows it."""
+    camera = info.home.to_camera()
+    scale = PICTURE_PX / camera.width
+    return replace(
+        camera,
+        width=PICTURE_PX,
+        height=PICTURE_PX,
+        fx=camera.fx * scale,
+        fy=camera.fy * scale,
+        cx=camera.cx * scale,
+        cy=camera.cy * scale,
+    )
+
+
+def drawn(splats: Splats, camera: cameras.Camera) -> np.ndarray:
+    """[H, W, 3] display colours 0..1."""
+    from splatpainter.rendering import render
+
+    return np.clip(to_display(render(splats, camera).colors[0], splats.color_space), 0, 1)
 
 
 def asset_info(session: Session, name: str) -> protocol.AssetInfo:

@@ -231,9 +231,25 @@ class BookmarkInfo(Message):
     camera: CameraInfo
 
 
+class RecentInfo(Message):
+    """A project in the studio's own folder."""
+
+    id: str
+    name: str
+    changed: float
+    """Of its latest edit, seconds since 1970."""
+    layers: int | None
+    """None: not known before it is opened."""
+    picture: Blob | None
+    """How it looks, a small PNG."""
+    is_open: bool = False
+
+
 class ProjectInfo(Message):
     """Where the session lives. There is no unsaved state: every acknowledged command is in the file."""
 
+    id: str
+    """The same whenever this project is open, so that a page can tell whether it is back where it was."""
     name: str
     file: str | None
     """Its name in the studio's folder; None while it only lives in the studio's own data folder (autosave)."""
@@ -258,6 +274,8 @@ class Present(Message):
     latest_edit: EditFigures | None
     """None: nothing was edited, or all of it is hidden."""
     conflicts: list[ConflictInfo]
+    earlier: list[RecentInfo]
+    """Projects with layers over the same original, latest first, while nothing was done in this one: to continue."""
     project: ProjectInfo
     methods: list[Method]
     """That work on this machine with what is installed (trained weights or not)."""

@@ -25,10 +25,13 @@ from splatpainter.jsonio import brief
 from splatpainter.server.upload_sniffing import UploadInfo, sniff
 from splatpainter.session.asset_files import MAX_NAME_BYTES
 from splatpainter.session.scratch import ScratchFolder
+from splatpainter.session.summary import ProjectSummary, summarize
 from splatpainter.splats import Splats
 from splatpainter.user_folders import cache_folder
 
 PROJECT = ".splatproj"
+MAX_SUMMARIES = 512
+"""Of project files, in memory."""
 MAX_DOWNLOADS = 16
 """Exported files that are kept for their download."""
 DEMO_FLIP = (-1, -1, 1)
@@ -75,6 +78,38 @@ class RecentProject:
     name: str
     path: Path
     changed: float
+    """When it was last edited, seconds since 1970."""
+    summary: ProjectSummary | None
+    """None where it cannot be read without being opened for writing (a damaged one, or of version 1)."""
+
+
+class Summaries:
+    """Summaries of project files, read anew when a file has changed. May be used from several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._cache: OrderedDict[Path, tuple[object, ProjectSummary | None]] = OrderedDict()
+
+    def get(self, path: Path) -> ProjectSummary | None:
+        key = tuple(_stamp(path.with_name(path.name + ending)) for ending in ("", "-wal"))
+        with self._lock:
+            entry = self._cache.get(path)
+        if entry is None or entry[0] != key:
+            entry = key, summarize(path)
+        with self._lock:
+            self._cache[path] = entry
+            self._cache.move_to_end(path)
+            while len(self._cache) > MAX_SUMMARIES:
+                self._cache.popitem(last=False)
+        return entry[1]
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return stat.st_mtime_ns, stat.st_size
 
 
 class Projects:
@@ -87,6 +122,7 @@ class Projects:
         except OSError as error:
             raise ValueError(f"{root}: cannot be made ({error.strerror or error})") from None
         self.root = root
+        self.summaries = Summaries()
 
     def fresh(self, name: str) -> Path:
         """A file name for a new project about something called `name`."""
@@ -94,20 +130,47 @@ class Projects:
         stamp = time.strftime("%Y%m%d-%H%M%S")
         return self.root / f"{stem}_{stamp}-{secrets.token_hex(2)}{PROJECT}"
 
-    def recent(self) -> list[RecentProject]:
-        """Newest first."""
+    def recent(self, present: Path | None = None) -> list[RecentProject]:
+        """Latest edit first. Of copies the latest; projects in which nothing was done are left out, but for the
+        present one."""
         out = []
-        for path in self.root.glob(f"*{PROJECT}"):
-            if not path.name.startswith(".") and path.is_file():
-                out.append(RecentProject(path.stem, path.stem.rsplit("_", 1)[0], path, path.stat().st_mtime))
-        return sorted(out, key=lambda project: -project.changed)
+        for path in self._paths():
+            summary = self.summaries.get(path)
+            if summary is not None and summary.is_untouched and path != present:
+                continue
+            changed = path.stat().st_mtime if summary is None else summary.edited
+            out.append(RecentProject(path.stem, path.stem.rsplit("_", 1)[0], path, changed, summary))
+        out.sort(key=lambda project: -project.changed)
+        contents: set[str] = set()
+        latest = []
+        for project in out:
+            content = project.id if project.summary is None else project.summary.content
+            if content not in contents:
+                latest.append(project)
+            contents.add(content)
+        return latest
+
+    def of_original(self, sha256: str, *, without: Path | None = None) -> list[RecentProject]:
+        """Those with layers over one original, latest edit first. without: the one that is open."""
+        return [
+            project
+            for project in self.recent()
+            if project.path != without
+            and project.summary is not None
+            and project.summary.original_sha256 == sha256
+            and project.summary.layers
+        ]
 
     def find(self, id: str) -> Path:
         """Raises ValueError for an unknown one."""
-        for project in self.recent():
-            if project.id == id:
-                return project.path
+        for path in self._paths():
+            if path.stem == id:
+                return path
         raise ValueError(f"project {brief(id)}: not among the recent ones (any more)")
+
+    def _paths(self) -> list[Path]:
+        paths = self.root.glob(f"*{PROJECT}")
+        return [path for path in paths if not path.name.startswith(".") and path.is_file()]
 
 
 @dataclass

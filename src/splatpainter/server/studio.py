@@ -21,13 +21,16 @@ from pydantic import ValidationError
 from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.server import describe
-from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, State, first_fault
-from splatpainter.server.storage import Blobs, Downloads, Folder, Projects, UploadLimits
+from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, RecentInfo, State, first_fault
+from splatpainter.server.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
 from splatpainter.session import Session
+from splatpainter.session.layer_factory import thumbnail
 from splatpainter.session.scratch import ScratchFolder, sweep_folder, sweep_scratch
 from splatpainter.splats import Splats
 from splatpainter.user_folders import projects_folder
 
+MAX_EARLIER = 3
+"""Projects over the same original that are offered."""
 MAX_EXPORTED_VIEWS = 64
 """The latest ones, which a returning picture is compared with."""
 
@@ -70,6 +73,8 @@ class Studio:
         self.scratch = ScratchFolder("studio")
         self.downloads = Downloads(self.scratch.path)
         self._preparing: threading.Thread | None = None
+        self._drawn = 0
+        """Version of the session of which its project has a picture."""
         self.exports: deque[ExportedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
@@ -89,6 +94,7 @@ class Studio:
         clients, everything stays as it was."""
         fresh = make()
         old = self.session
+        self.draw_picture()
         try:
             self._adopt(fresh, name)
         except BaseException:
@@ -105,10 +111,11 @@ class Studio:
 
     def _adopt(self, session: Session, name: str) -> None:
         session_id, lists, snapshot = secrets.token_hex(8), describe.Lists(), session.snapshot
+        self._earlier = [] if len(snapshot.history) > 1 else self._earlier_of(session)
         with _one_line_errors(name):
             asset = describe.counted(describe.asset_info(session, name), session.original, snapshot.splats)
             state = self._state_of(session, session_id, name, asset, lists)
-        self.session, self.session_id, self.name = session, session_id, name
+        self.session, self.session_id, self.name, self._drawn = session, session_id, name, snapshot.version
         self._asset, self._lists, self._counted = asset, lists, snapshot.version
         self._front = session.front
         self.state = state
@@ -119,6 +126,8 @@ class Studio:
         if self._asset.up != list(describe.up_axis(session)) or self._front != session.front:
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
             self._front = session.front
+        if len(snapshot.history) > 1:
+            self._earlier = []
         if self._counted != snapshot.version:
             self._asset = describe.counted(self._asset, session.original, snapshot.splats)
             self._counted = snapshot.version
@@ -136,6 +145,7 @@ class Studio:
             latest_edit=describe.latest_edit(session),
             conflicts=describe.conflict_infos(session),
             bookmarks=lists.bookmarks(session),
+            earlier=self._earlier,
             project=self._project(session, name),
             methods=describe.methods(session),
             folder=None if self.folder is None else self.folder.root.name,
@@ -149,7 +159,37 @@ class Studio:
         name = name if path is None or not inside else path.stem
         file = path.name if path is not None and inside else None
         reason = session.read_only
-        return ProjectInfo(name=name, file=file, read_only=bool(reason), read_only_reason=self.public(reason))
+        id = "" if path is None else path.stem
+        return ProjectInfo(id=id, name=name, file=file, read_only=bool(reason), read_only_reason=self.public(reason))
+
+    def _earlier_of(self, session: Session) -> list[RecentInfo]:
+        projects = self.projects.of_original(session.original.sha256, without=session.path)
+        return [self.recent_info(project) for project in projects[:MAX_EARLIER]]
+
+    def recent_info(self, project: RecentProject) -> RecentInfo:
+        """A project as clients see it; its picture is a blob."""
+        summary, picture = project.summary, None
+        if summary is not None and summary.picture is not None:
+            with contextlib.suppress(ValueError):  # damaged, or nothing can be kept
+                picture = self.blobs.put(summary.picture, f"{project.id}.png").sha256
+        return RecentInfo(
+            id=project.id,
+            name=project.name,
+            changed=project.changed,
+            layers=None if summary is None else summary.layers,
+            picture=picture,
+            is_open=getattr(self, "session", None) is not None and self.session.path == project.path,
+        )
+
+    def draw_picture(self) -> None:
+        """Leave a small picture of the asset in its project, for lists."""
+        session = self.session
+        if session.read_only or len(session.history) < 2 or session.version == self._drawn:
+            return
+        self._drawn = session.version
+        camera = describe.small_view(self._asset)
+        with contextlib.suppress(ValueError):  # a full disk
+            session.set_picture(thumbnail(describe.drawn(session.splats, camera), None, few_colors=True))
 
     def public(self, text: str) -> str:
         """A message without the folders that clients have no business with; names of files in them stay."""
@@ -176,6 +216,7 @@ class Studio:
         """Leave nothing but the project file: no thread either."""
         if self._preparing is not None:
             self._preparing.join()
+        self.draw_picture()
         _close(self.session, self.projects)
         self.blobs.close()
         self.scratch.close()

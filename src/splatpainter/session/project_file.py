@@ -11,6 +11,7 @@ import json
 import os
 import sqlite3
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -480,6 +481,7 @@ def _unpack_state(data: bytes) -> RefineState:
 
 def _set_cursor(db: sqlite3.Connection, step: int) -> None:
     db.execute("UPDATE facts SET value = ? WHERE name = 'cursor'", (str(step),))
+    db.execute("INSERT OR REPLACE INTO facts VALUES ('edited', ?)", (f"{time.time():.3f}",))
 
 
 UNUSED_RESULTS = """

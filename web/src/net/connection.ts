@@ -123,8 +123,10 @@ export class Link {
         const greeting = answer as Greeting;
         this.wait = FIRST_WAIT_MS;
         this.greeted = true;
+        const swapped = this.session !== null && this.session !== greeting.state.session;
         this.session = greeting.state.session;
         if (!greeting.returning) this.fail((number) => this.sent.has(number));
+        if (swapped) this.fail((number) => !this.sent.has(number)); // they were meant for another project
         this.sent.clear();
         this.handlers.status("open", "");
         this.handlers.greeted(greeting);

@@ -84,6 +84,10 @@ export const working = signal(0);
 /** Why the latest command was refused; it stays until another one works or it is closed. */
 export const refusal = signal<{ what: string; message: string; hint: string } | null>(null);
 
+/** The project that this page was in when another one was opened without it asking: in another window, or while it had
+ * no connection. */
+export const swapped = signal<{ id: string; name: string; file: string | null; layers: number } | null>(null);
+
 export const readOnly = computed(() => state.value?.project.read_only ?? false);
 export const canUndo = computed(() => (state.value?.cursor ?? 0) > 0);
 export const canRedo = computed(() => (state.value ? state.value.cursor < state.value.history.length - 1 : false));

@@ -18,6 +18,7 @@ import {
   state,
   status,
   stopped,
+  swapped,
   toast,
   view,
   working,
@@ -83,12 +84,14 @@ export async function track<N extends Name>(name: N, fields: Fields<N>, label: s
   const job = { id: running.id, label, progress: 0, stage: "", cancel: () => running.cancel() };
   const timer = label ? setTimeout(() => (jobs.value = [...jobs.value, job]), JOB_DELAY_MS) : undefined;
   if (label) working.value++;
+  if (OPENING.includes(name)) opening++;
   try {
     const answer = await running;
     if (label) refusal.value = null;
     return answer;
   } finally {
     if (label) working.value--;
+    if (OPENING.includes(name)) opening--;
     clearTimeout(timer);
     jobs.value = jobs.value.filter((other) => other.id !== running.id);
   }
@@ -162,9 +165,21 @@ function applyState({ state: present, history, bookmarks }: StateEvent): void {
   });
 }
 
+/** Commands of this page that open another project. */
+const OPENING: readonly Name[] = ["asset.open", "project.open"];
+let opening = 0;
+
 function adopt(next: State): void {
   const before = state.value;
   state.value = next;
+  if (before && before.session !== next.session) {
+    const same = before.project.id !== "" && before.project.id === next.project.id;
+    const { id, name, file } = before.project;
+    const asked = opening > 0 || (swapped.value !== null && swapped.value.id === next.project.id);
+    const nothingDone = before.history.length < 2;
+    if (same || asked || nothingDone) swapped.value = null;
+    else swapped.value = { id, name: file ?? before.asset.name ?? name, file, layers: before.layers.length };
+  }
   const chosen = selectedLayer.value;
   if (chosen !== null && !next.layers.some((one) => one.id === chosen)) {
     // it was undone, deleted or merged: go on with what lies there now

@@ -8,7 +8,7 @@ import { addPicture } from "../state/dropped-images";
 import { camera, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
 import { Away, Jobs, SelectedElsewhere, StatusLine, Toasts } from "./feedback";
-import { Files, openFile } from "./files";
+import { Continue, Files, openFile, Swapped } from "./files";
 import { Gizmo } from "./gizmo";
 import { filesOpen, Header } from "./header";
 import { Help } from "./help";
@@ -73,6 +73,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
           </p>
         )}
         <SelectedElsewhere />
+        <Swapped />
         <Jobs />
         <Toasts />
         <Away />
@@ -105,6 +106,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
       </aside>
       <StatusLine />
       <Help />
+      <Continue />
       {filesOpen.value && <Files saving={filesOpen.value === "save"} onClose={() => (filesOpen.value = null)} />}
     </div>
   );

@@ -2,9 +2,9 @@
 
 import { useEffect, useState } from "preact/hooks";
 
-import type { RecentProjects } from "../messages";
-import { download, sendBlob } from "../net/blobs";
-import { readOnly, selectedLayer, state, toast } from "../state/store";
+import type { RecentInfo, RecentProjects } from "../messages";
+import { blobUrl, download, sendBlob } from "../net/blobs";
+import { readOnly, selectedLayer, state, swapped, toast } from "../state/store";
 import { report, run } from "../state/studio";
 import { Button, Choice, Dialog, FileButton } from "./parts";
 
@@ -57,9 +57,8 @@ function Opening({ onClose }: { onClose: () => void }) {
       <ul class="list">
         {projects?.recent.map((one) => (
           <li key={one.id}>
-            <button type="button" onClick={() => open(run("project.open", { recent: one.id }, `Opening ${one.name}`))}>
-              <span>{one.name}</span>
-              <span class="quiet">{new Date(one.changed * 1000).toLocaleString()}</span>
+            <button type="button" disabled={one.is_open} onClick={() => open(openRecent(one))}>
+              <RecentEntry project={one} />
             </button>
           </li>
         ))}
@@ -89,6 +88,91 @@ function Opening({ onClose }: { onClose: () => void }) {
         </>
       )}
     </>
+  );
+}
+
+const openRecent = (one: RecentInfo) => run("project.open", { recent: one.id }, `Opening ${one.name}`);
+
+/** "13:12" of today, else with its date. */
+export function timeOf(seconds: number, now = new Date()): string {
+  const time = new Date(seconds * 1000);
+  const clock = time.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  if (time.toDateString() === now.toDateString()) return clock;
+  return `${time.toLocaleDateString([], { day: "numeric", month: "short", year: "numeric" })}, ${clock}`;
+}
+
+const layersOf = (count: number | null): string =>
+  count === null ? "" : count === 1 ? "1 layer, " : `${count} layers, `;
+
+function RecentEntry({ project }: { project: RecentInfo }) {
+  return (
+    <>
+      {project.picture ? (
+        <img class="thumbnail" src={blobUrl(project.picture)} alt="" />
+      ) : (
+        <span class="thumbnail none" aria-hidden="true" />
+      )}
+      <span>{project.name}</span>
+      <span class="quiet">
+        {layersOf(project.layers)}
+        {timeOf(project.changed)}
+        {project.is_open ? ", open now" : ""}
+      </span>
+    </>
+  );
+}
+
+/** An asset that was painted before: go on with that, or start anew. */
+export function Continue() {
+  const now = state.value;
+  const [declined, setDeclined] = useState("");
+  if (!now || now.earlier.length === 0 || declined === now.session || swapped.value) return null;
+  const stay = () => setDeclined(now.session);
+  return (
+    <Dialog title={`${now.asset.name} was painted before`} onClose={stay}>
+      <ul class="list">
+        {now.earlier.map((one) => (
+          <li key={one.id}>
+            <button type="button" onClick={() => void openRecent(one)}>
+              {one.picture && <img class="thumbnail" src={blobUrl(one.picture)} alt="" />}
+              <span>
+                Continue ({layersOf(one.layers)}
+                {timeOf(one.changed)})
+              </span>
+            </button>
+          </li>
+        ))}
+      </ul>
+      <p class="row">
+        <Button label="Start anew" text="Start anew" onClick={stay} />
+        <span class="quiet">What was painted before stays under Open.</span>
+      </p>
+    </Dialog>
+  );
+}
+
+/** The studio shows another project than this page was in when it lost it. */
+export function Swapped() {
+  const before = swapped.value;
+  const now = state.value;
+  if (!before || !now) return null;
+  const back = async () => {
+    const fields = before.file ? { file: before.file } : { recent: before.id };
+    const answer = await run("project.open", fields, `Opening ${before.name}`);
+    if (answer) swapped.value = null;
+  };
+  return (
+    <div class="elsewhere swapped" role="alert">
+      <span>
+        The studio has another project open now: {now.project.name}. You were in {before.name} (
+        {layersOf(before.layers)}
+        nothing of it is lost).
+      </span>
+      {before.id && (
+        <Button label={`Back to ${before.name}`} text={`Back to ${before.name}`} onClick={() => void back()} />
+      )}
+      <Button label="Stay here" text="Stay here" onClick={() => (swapped.value = null)} />
+    </div>
   );
 }
 

@@ -18,8 +18,8 @@ from splatpainter.server.protocol import (
     Command,
     Exported,
     FileName,
-    Message,
     Name,
+    RecentInfo,
 )
 from splatpainter.server.storage import PROJECT, StoredBlob, demo
 from splatpainter.server.studio import Studio
@@ -205,16 +205,9 @@ def download_project(context: CommandContext, request: ProjectDownload) -> Expor
     )
 
 
-class RecentInfo(Message):
-    id: str
-    name: str
-    changed: float
-    """Seconds since 1970."""
-
-
 class RecentProjects(Answer):
     recent: list[RecentInfo]
-    """Newest first."""
+    """Latest edit first."""
     files: list[str]
     """Assets and projects in the studio's folder."""
 
@@ -224,10 +217,11 @@ class ProjectRecent(Command):
     ANSWER = RecentProjects
 
 
-@command(ProjectRecent)
+@command(ProjectRecent, writes=True)
 def recent_projects(context: CommandContext, request: ProjectRecent) -> RecentProjects:
     studio = context.studio
-    recent = [RecentInfo(id=p.id, name=p.name, changed=p.changed) for p in studio.projects.recent()]
+    studio.draw_picture()
+    recent = [studio.recent_info(project) for project in studio.projects.recent(studio.session.path)]
     return RecentProjects(recent=recent, files=[] if studio.folder is None else studio.folder.names())
 
 

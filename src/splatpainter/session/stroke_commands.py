@@ -1,0 +1,152 @@
+"""Commands of a session that paint into layers that are there: strokes, and other pictures in place of a layer's."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from itertools import count
+from typing import Any
+
+from splatpainter.io import files
+from splatpainter.jsonio import brief
+from splatpainter.painter import Edit, Method, Painter
+from splatpainter.session.compose import Replay, fingerprint
+from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, add_layer, add_stroke, change_layer
+from splatpainter.session.layer_factory import new_layer
+from splatpainter.session.project_file import Transaction
+from splatpainter.splats import Splats
+
+
+class StrokeCommands(ABC):
+    """What Session has beside the layers as such; see there."""
+
+    painter: Painter
+    _replay: Replay
+    _transaction: Transaction
+
+    @property
+    @abstractmethod
+    def splats(self) -> Splats: ...
+
+    @property
+    @abstractmethod
+    def _document(self) -> Document: ...
+
+    @abstractmethod
+    def layer(self, layer: str) -> Layer: ...
+
+    @abstractmethod
+    def _command(self) -> AbstractContextManager[None]: ...
+
+    @abstractmethod
+    def _commit(
+        self, label: str, document: Document, *, strict: str | None = None, gesture: str | None = None
+    ) -> None: ...
+
+    def new_layer(self, name: str | None = None, *, index: int | None = None) -> Layer:
+        """An empty layer that strokes can be painted into (on top, or at an index, 0 the lowest)."""
+        with self._command():
+            document, layer = add_layer(self._document, self._empty_layer(name), index)
+            self._commit(f"new layer {layer.name}", document)
+            return layer
+
+    def _empty_layer(self, name: str | None) -> Layer:
+        taken = {layer.name for layer in self._document.layers}
+        numbered = (f"Paint {k}" if k > 1 else "Paint" for k in count(1))
+        name = name or next(name for name in numbered if name not in taken)
+        return Layer("", name, "paint", method="lift", painter=fingerprint(self.painter, "lift"))
+
+    def paint(
+        self,
+        layer: str,
+        edits: Sequence[Edit],
+        *,
+        name: str = "Stroke",
+        kind: Kind = "paint",
+        method: Method = "auto",
+        parameters: Mapping[str, Any] | None = None,
+    ) -> Layer:
+        """One more stroke in a paint layer, from any view; returns the layer. Only the stroke is computed, on what the
+        strokes before it made (`painted_on` shows that). It is one step of the history. A layer of local views that
+        `add` made takes strokes too. kind: paint, clone; parameters: angle_limit, depth_edge_limit, as of `add`; name:
+        of the step. Raises ValueError as `add`, and for a layer that takes no strokes or is hidden."""
+        with self._command():
+            document = self._document
+            return self._painted(document, layer, None, edits, name, kind, method, parameters)
+
+    def _painted(
+        self,
+        document: Document,
+        layer: str,
+        below: Splats | None,
+        edits: Sequence[Edit],
+        name: str,
+        kind: Kind = "paint",
+        method: Method = "auto",
+        parameters: Mapping[str, Any] | None = None,
+    ) -> Layer:
+        """Commit a document with one more stroke. below: what it is painted on, if at hand."""
+        if kind not in STROKE_KINDS:
+            raise ValueError(f"stroke: expected a kind of {', '.join(STROKE_KINDS)}, got {brief(kind)}")
+        target = document.layers[document.index(layer)]
+        if not target.visible or target.opacity == 0:
+            raise ValueError(f"{target.title}: is hidden; show it to paint into it")
+        method = self.painter.choose(method, "local")[0]
+        settings = {"mode": "local", "method": method, "painter": fingerprint(self.painter, method)}
+        below = self.painted_on(layer) if below is None else below
+        stroke, blobs = new_layer(below, kind, edits, name, dict(parameters or {}), settings, cut_out=True)
+        stroke, thumbnail = replace(stroke, thumbnail=None), stroke.thumbnail
+        document, stroke = add_stroke(document, layer, stroke)
+        self._transaction.blobs = blobs
+        document = change_layer(document, layer, thumbnail=thumbnail)
+        self._commit(f"{name} in {target.name}", document, strict=stroke.id)
+        return self.layer(layer)
+
+    def first_stroke(self, layer_name: str | None, edits: Sequence[Edit], *, name: str = "Stroke", **how: Any) -> Layer:
+        """`new_layer` and `paint` in one step of the history; nothing where the stroke cannot be painted."""
+        with self._command():
+            document, layer = add_layer(self._document, self._empty_layer(layer_name))
+            return self._painted(document, layer.id, self.splats, edits, name, **how)
+
+    def painted_on(self, layer: str) -> Splats:
+        """The Gaussians that the next stroke of a layer is painted on: what is below it, with its strokes in full."""
+        return self._replay.painted_on(self._document, layer)
+
+    def below(self, layer: str) -> Splats:
+        """The Gaussians below a layer."""
+        document = self._document
+        layers = document.layers[: document.index(layer)]
+        return self._replay.compose(replace(document, layers=layers)).splats
+
+    def replace_views(
+        self,
+        layer: str,
+        edits: Sequence[Edit],
+        *,
+        name: str | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        gesture: str | None = None,
+        attached: Sequence[bytes] = (),
+    ) -> Layer:
+        """Other pictures in a layer that stays where it is, with its opacity and blend: other words of a text, another
+        state of a picture. It is visible then. name, parameters: None: as they are; gesture: as of `set`; attached: as
+        of `add`. Raises ValueError as `add`, and for a layer without pictures."""
+        with self._command():
+            before = self.layer(layer)
+            if before.kind not in ("paint", "picture", "clone") or before.holds_strokes:
+                raise ValueError(f"{before.title}: expected a layer of edited pictures")
+            settings = {
+                "mode": before.mode,
+                "method": before.method,
+                "painter": fingerprint(self.painter, before.method),
+            }
+            values = dict(before.parameters if parameters is None else parameters)
+            fresh, blobs = new_layer(self.below(layer), before.kind, edits, name or before.name, values, settings)
+            self._transaction.blobs = blobs | {files.sha256(data): data for data in attached}
+            fields = {"views": fresh.views, "thumbnail": fresh.thumbnail, "painter": fresh.painter, "visible": True}
+            fields |= {"name": fresh.name, "parameters": fresh.parameters}
+            document = change_layer(self._document, layer, **fields)
+            self._commit(f"change {before.name}", document, strict=layer, gesture=gesture)
+            return self.layer(layer)
