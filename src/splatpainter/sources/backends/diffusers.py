@@ -8,6 +8,7 @@ pixels stay where they are.
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import json
 from dataclasses import dataclass
@@ -149,8 +150,9 @@ class DiffusersSource:
 
     def _loaded(self, task: str) -> Any:
         try:
-            import diffusers  # type: ignore[import-not-found]
             import torch
+
+            diffusers: Any = importlib.import_module("diffusers")
         except ImportError:
             raise SourceError("source diffusers: needs diffusers; pip install 'splatpainter[diffusers]'") from None
         chosen = self.options.device

@@ -153,6 +153,8 @@ def load_model(path: Path, device: str) -> UpscaleModel:
         import torch
     except ImportError:
         raise SourceError("source upscale: models need spandrel; pip install 'splatpainter[upscale]'") from None
+    except Exception as error:  # torchvision of another torch
+        raise SourceError(f"source upscale: spandrel cannot be used here ({type(error).__name__}: {error})") from None
     chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
     try:
         descriptor = spandrel.ModelLoader(device=torch.device(chosen)).load_from_file(str(path))
