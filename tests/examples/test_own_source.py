@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from tests.support.fake_services import pixels, png
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "own_source"
+RECIPE = ROOT / "docs" / "recipes" / "own_source.md"
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +47,17 @@ def splatpainter(installed: Path, *words: object) -> subprocess.CompletedProcess
 
 def test_it_is_as_short_as_the_guide_says() -> None:
     assert len((EXAMPLE / "splatpainter_sepia.py").read_text("utf-8").splitlines()) <= 34
+
+
+def test_the_recipe_is_the_example() -> None:
+    blocks = dict(re.findall(r"^```(\w+)\n(.*?)^```$", RECIPE.read_text("utf-8"), re.M | re.S))
+    assert blocks["toml"] == (EXAMPLE / "pyproject.toml").read_text("utf-8")
+    assert blocks["python"] == (EXAMPLE / "splatpainter_sepia.py").read_text("utf-8")
+    assert [line.split()[:4] for line in blocks["sh"].splitlines()] == [
+        ["pip", "install", "examples/own_source"],
+        ["splatpainter", "source", "list", "sepia"],
+        ["splatpainter", "source", "try", "sepia"],
+    ]
 
 
 def test_a_source_of_another_package(installed: Path, tmp_path: Path) -> None:
