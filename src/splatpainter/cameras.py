@@ -279,19 +279,20 @@ def orbit_cameras(
     size: int,
     up: str = "auto",
     elevation: float = 15.0,
+    azimuth: float = 0.0,
     fov: float = 40.0,
     distance: float | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> list[Camera]:
-    """`count` square views around the asset. up: "auto" or a key of UPS; fov: vertical, degrees; distance: of the eye
+    """`count` square views around the asset. up: "auto" or a key of UPS; elevation and azimuth: degrees, above the
+    horizon and of the first view around `up`; fov: vertical, degrees; distance: of the eye
     from the centre, world units, by default so that the asset fills the picture."""
     center, radius = bounding_sphere(splats)
     if distance is None:
         distance = FRAME_MARGIN * radius / math.sin(math.radians(fov / 2))
     axis = UPS[AUTO_UP if up == "auto" else up]
-    return orbit(
-        center, distance, count, elevation=elevation, up=axis, width=size, height=size, fov=fov, background=background
-    )
+    around = {"elevation": elevation, "start": azimuth, "up": axis, "fov": fov, "background": background}
+    return orbit(center, distance, count, width=size, height=size, **around)
 
 
 def spherical_cameras(

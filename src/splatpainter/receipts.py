@@ -35,6 +35,9 @@ from splatpainter.splats import Frame, Splats, rows_sha256
 MAX_RECEIPT_ROWS = 1 << 27
 """Rows of an asset that a receipt may speak of."""
 
+MAX_CARRIED, MAX_CARRIED_CHARACTERS = 100, 4000
+"""Entries of a list or an object, and characters of a text, that say where an edit's pictures came from."""
+
 
 @dataclass(frozen=True)
 class ViewScore:
@@ -82,6 +85,9 @@ class Receipt:
     """Per view, edited pixels' worth of paint that its limits left out."""
     precision: str = ""
     """Arithmetic of the networks, "float32" or "bfloat16" (nn.precision); "" where none ran, and not in the JSON."""
+    source: dict[str, Any] | None = None
+    """Of an edit by a picture source (source_edits/edit.py): its name, prompt and strictness, and per view its model,
+    seed, cost, SHA-256 of the pictures sent and received, and what was corrected. None: pictures were given."""
 
     @property
     def untouched_rows(self) -> int:
@@ -111,6 +117,8 @@ class Receipt:
             record["limited_px"] = list(self.limited_px)
         if self.precision:
             record["precision"] = self.precision
+        if self.source is not None:
+            record["source"] = self.source
         text = json.dumps(record, indent=2).removesuffix("\n}")
         for name, rows in (("touched", self.touched), ("replaced", self.replaced), ("removed", self.removed)):
             if name == "touched" or len(rows):
@@ -146,6 +154,7 @@ class Receipt:
                 tuple((_number(s["psnr"], none=True), _number(s["covered"])) for s in data.get("aside", ())),
                 tuple(float(_number(value)) for value in data.get("limited_px", ())),
                 _text(data.get("precision", "")),
+                None if data.get("source") is None else dict(_plain(data["source"])),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             reason = " ".join(repr(error).split())
@@ -168,6 +177,18 @@ def _text(value: Any, max_length: int = 200) -> str:
     if not text.isprintable() or len(text) > max_length or not isinstance(value, str | int):
         raise ValueError(f"expected a line of text, got {repr(value)[:80]}")
     return text
+
+
+def _plain(value: Any, depth: int = 8) -> Any:
+    """A value of JSON that is only carried along: finite, and no longer or deeper than receipts need. Raises
+    ValueError."""
+    if depth and isinstance(value, dict) and len(value) <= MAX_CARRIED:
+        return {_text(key): _plain(item, depth - 1) for key, item in value.items()}
+    if depth and isinstance(value, list) and len(value) <= MAX_CARRIED:
+        return [_plain(item, depth - 1) for item in value]
+    if value is None or isinstance(value, bool) or (isinstance(value, str) and len(value) <= MAX_CARRIED_CHARACTERS):
+        return value
+    return _number(value)
 
 
 def _number(value: Any, none: bool = False) -> Any:

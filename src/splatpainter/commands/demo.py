@@ -124,7 +124,7 @@ def _shot(splats: Splats, camera: Camera) -> np.ndarray:
 
 
 def _edit(asset: Path, picture: Path, out: Path, mode: Any) -> dict[str, Any]:
-    return edit.run(edit.Config(asset, views=(picture,), out=out, mode=mode, overwrite=True)).record
+    return edit.run(edit.Config(asset, pictures=(picture,), out=out, mode=mode, overwrite=True)).record
 
 
 def _panels(

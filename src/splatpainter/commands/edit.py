@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -14,6 +14,12 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.decal_options import DecalView, decal_from_options, paint_decal
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption, OutFile
 from splatpainter.commands.proved import check_outputs, proved_record, write_proved
+from splatpainter.commands.source_options import (
+    check_source_options,
+    paint_from_source,
+    plan_lines,
+    source_from_options,
+)
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.io import read
@@ -23,6 +29,7 @@ from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, Verification
 from splatpainter.sources import FileEdit, edit_from_files
 from splatpainter.sources.decals import Decal
+from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.splats import Splats
 
 
@@ -38,14 +45,15 @@ class Config:
       splatpainter edit vase.ply views/view_000.png --out painted.ply
       splatpainter edit vase.ply warm.png --mode global --out warm.ply
       splatpainter edit vase.ply --decal label.png --at 400,300 --camera cam.json --width 20% --out new.ply
+      splatpainter edit vase.ply --source gemini --prompt "mossy stone" --views auto --out mossy.ply
     """
 
     asset: AssetFile
     """The splat file to edit; it is not changed."""
     out: OutFile
     """The file to write; its name says the format."""
-    views: Annotated[Positional[tuple[Path, ...]], arg(metavar="VIEW.png ...", help_behavior_hint="")] = ()
-    """1 to 16 edited pictures of it; none with a decal."""
+    pictures: Annotated[Positional[tuple[Path, ...]], arg(metavar="VIEW.png ...", help_behavior_hint="")] = ()
+    """1 to 16 edited pictures of it; none with a decal or a source."""
     frame: FrameOption = "auto"
     """Axes of ASSET's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     out_frame: FrameOption = "auto"
@@ -88,6 +96,39 @@ class Config:
     """Degrees by which the decal is turned, counter-clockwise from outside; at 0 its up is the camera's."""
     wrap: float = 180.0
     """Degrees by which the surface may turn away under the decal; 180: as far as it goes."""
+    source: Annotated[str, arg(metavar="NAME", help_behavior_hint="")] = ""
+    """Instead of VIEW: a view is rendered and sent to this picture source (`splatpainter source list`), whose picture
+    is registered, corrected and cut to what changed."""
+    prompt: Annotated[str, arg(metavar="TEXT", help_behavior_hint="")] = ""
+    """What the source is to make of the view."""
+    view: Annotated[Path | None, arg(metavar="CAM.json", help_behavior_hint="")] = None
+    """Camera of the view that is sent; default: --azimuth 0 --elevation 15, as the first picture of `render`."""
+    azimuth: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
+    """... or its direction around the asset, degrees."""
+    elevation: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
+    """... and above the horizon."""
+    size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Pixels of the longer side of the views that are sent; default: 800, or what --view says."""
+    views: Annotated[Literal["", "auto"], arg(metavar="auto", help_behavior_hint="")] = ""
+    """auto: view after view, each for what none before it showed, until the surface is covered."""
+    max_views: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
+    """Of --views auto, at most; default: 8."""
+    reference: Annotated[tuple[Path, ...], arg(metavar="PICTURE ...", help_behavior_hint="")] = ()
+    """Pictures that show the source what is meant."""
+    seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
+    """For sources that take one."""
+    enlarge: int = 1
+    """How many times larger the source's picture is to be; the edit is made at that size."""
+    source_option: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
+    """Options of the source; `splatpainter source list` names them. Keys come from the environment alone."""
+    source_strictness: Strictness = "normal"
+    """Pictures that are refused: strict: edges agree by less than 0.7 of 1, moved by over 1 %, turned by over 0.5
+    degrees, 0.25 stops off, over 10 % changed outside the mask, or cropped; normal: less than 0.38, over 10 %, 6
+    degrees, 1.5 stops; loose: less than 0.2, over 30 %, 12 degrees."""
+    source_report: Annotated[Path | None, arg(metavar="REPORT.png", help_behavior_hint="")] = None
+    """A page of pictures: sent, came back, mask, what was taken, difference."""
+    dry_run: bool = False
+    """Print which views would be sent and how many paid calls that are; ask and write nothing."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False
@@ -100,7 +141,10 @@ def run(config: Config) -> Outcome:
     """Check everything that can be checked for nothing, then read, paint, write, verify."""
     receipt_path = config.receipt or receipt_of(config.out)
     _check(config, receipt_path)
-    decal = _decal(config)
+    decal, source_edit = _decal(config), source_from_options(config)
+    if source_edit is not None and config.dry_run:
+        _compile()
+        return Outcome(*plan_lines(read(config.asset, frame=config.frame, lenient=config.lenient).numpy(), source_edit))
     pictures = _pictures(config)
     sources: Sequence[FileEdit | DecalView] = pictures
     clock = time.perf_counter()
@@ -114,6 +158,8 @@ def run(config: Config) -> Outcome:
         bar.enter("painting")
         if decal is not None:
             edited, sources = paint_decal(splats, decal, config.method, painter)
+        elif source_edit is not None:
+            edited, sources = paint_from_source(splats, source_edit, painter)
         else:
             edited = paint(splats, pictures, config.mode, config.method, painter)
         assert edited.receipt is not None
@@ -151,22 +197,28 @@ def _painter(config: Config) -> Painter:
 
 
 def _check(config: Config, receipt_path: Path) -> None:
+    check_source_options(config)
     decal = config.decal is not None or bool(config.decal_text)
-    if decal and (config.views or config.mask):
+    if config.source and (decal or config.pictures or config.camera):
+        raise ValueError(
+            "splatpainter edit: a source takes the place of pictures (VIEW.png), their --camera and decals; the view "
+            "that is sent is --view CAM.json"
+        )
+    if decal and (config.pictures or config.mask):
         raise ValueError(
             "splatpainter edit: a decal takes the place of pictures (VIEW.png) and masks; give one or the other"
         )
     if decal and (config.mode != "local" or config.method == "ttt"):
         raise ValueError("splatpainter edit: a decal is an edit of mode local by method lift or fit")
-    if not decal and not 1 <= len(config.views) <= MAX_VIEWS:
-        got = len(config.views) or "none"
+    if not (decal or config.source) and not 1 <= len(config.pictures) <= MAX_VIEWS:
+        got = len(config.pictures) or "none"
         raise ValueError(f"splatpainter edit: expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {got}")
     for name, given in (("--camera", config.camera), ("--mask", config.mask)):
-        if given and len(given) != len(config.views) and not decal:
-            raise ValueError(
-                f"splatpainter edit: expected as many {name} files as pictures ({len(config.views)}), got {len(given)}"
-            )
-    pictures = [*config.views, *config.camera, *config.mask, *filter(None, [config.decal, config.decal_font])]
+        if given and len(given) != len(config.pictures) and not (decal or config.source):
+            expected = f"as many {name} files as pictures ({len(config.pictures)})"
+            raise ValueError(f"splatpainter edit: expected {expected}, got {len(given)}")
+    pictures = [*config.pictures, *config.camera, *config.mask, *config.reference]
+    pictures += filter(None, [config.decal, config.decal_font, config.view])
     check_outputs(config.out, receipt_path, config.overwrite, config.asset, pictures)
 
 
@@ -178,9 +230,13 @@ def _decal(config: Config) -> Decal | None:
 
 
 def _pictures(config: Config) -> list[FileEdit]:
-    cameras = config.camera or (None,) * len(config.views)
-    masks = config.mask or (None,) * len(config.views)
-    return [edit_from_files(*files) for files in zip(config.views, cameras[: len(config.views)], masks, strict=True)]
+    if config.source:  # its mask is that of the view that is sent
+        return []
+    cameras = config.camera or (None,) * len(config.pictures)
+    masks = config.mask or (None,) * len(config.pictures)
+    return [
+        edit_from_files(*files) for files in zip(config.pictures, cameras[: len(config.pictures)], masks, strict=True)
+    ]
 
 
 def _warn_of_other_assets(sources: list[FileEdit], splats: Splats) -> None:

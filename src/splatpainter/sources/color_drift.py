@@ -31,6 +31,10 @@ MIN_SPREAD = 0.002
 """Standard deviation, linear light, below which differences are rounding."""
 MIN_AGREEING = 0.25
 """Share of the pixels that must agree after the correction, where any of them may have been painted over."""
+MIN_AGREEING_MASKED = 0.15
+"""... and where a mask says that none was to be."""
+MAX_MIXED = 0.3
+"""Largest part of one channel that drifts into another."""
 AGREEING = 0.02
 """Largest difference, display values, of a pixel that agrees."""
 MIN_GAIN_RANGE = 0.03
@@ -84,8 +88,8 @@ NO_DRIFT = ColorDrift("none", np.eye(3, 4))
 def estimate_drift(picture: np.ndarray, render: np.ndarray, reference: np.ndarray, certain: bool) -> ColorDrift:
     """The drift of a picture [H, W, 3] that lies over its render [H, W, 3], on the pixels `reference` [H, W] bool.
 
-    certain: whether nobody was to change these (a mask says so); otherwise the drift must make MIN_AGREEING of them
-    agree, or there is none."""
+    certain: whether nobody was to change these (a mask says so). A correction that makes too few of them agree, or that
+    exchanges channels, is none: there the picture was changed on purpose."""
     low, high = CLIPPED
     usable = reference & ((picture > low) & (picture < high) & (render > low) & (render < high)).all(-1)
     if usable.sum() < MIN_SAMPLES:
@@ -99,9 +103,10 @@ def estimate_drift(picture: np.ndarray, render: np.ndarray, reference: np.ndarra
         after = ColorDrift(kind, matrix).corrected(display)
         distance = np.abs(after - expected).max(-1)
         rest = float(np.minimum(distance, 2 * AGREEING).mean()) + 0.25 / 255
-        if rest < MIN_IMPROVEMENT * error:
+        mixed = np.abs(matrix[:, :3] - np.diag(np.diag(matrix[:, :3]))).max()
+        if rest < MIN_IMPROVEMENT * error and mixed < MAX_MIXED:
             drift, error = ColorDrift(kind, matrix, float((distance < AGREEING).mean())), rest
-    if not certain and drift.agreeing < MIN_AGREEING:
+    if drift.agreeing < (MIN_AGREEING_MASKED if certain else MIN_AGREEING):
         return NO_DRIFT
     moved = np.abs(drift.corrected(display) - display).mean(0).max()
     return drift if moved > MIN_DRIFT else NO_DRIFT

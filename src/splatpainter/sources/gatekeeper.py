@@ -60,6 +60,10 @@ CONSISTENT_ROUNDS = 8
 """Of back-projection."""
 
 
+class RefusedPicture(SourceError):
+    """A picture that came back and is not painted with; the line says why."""
+
+
 @dataclass(frozen=True)
 class AdmissionLimits:
     """What a level of strictness refuses."""
@@ -144,7 +148,7 @@ def admit(
     at k times the view's size, on which an enlarged picture is laid; None: it is admitted at the view's size. name:
     what errors call it.
 
-    Raises SourceError, one line: a picture of something else, moved or recoloured beyond the level's limits, with a
+    Raises RefusedPicture, one line: a picture of something else, moved or recoloured beyond the level's limits, with a
     mask that is the wrong way round, or unchanged where it was to change."""
     render = np.clip(request.image, 0, 1).astype(np.float32)
     colors, content = _flat(picture, render)
@@ -156,7 +160,7 @@ def admit(
     registration = register(colors, render, None if mask is None else outside.astype(np.float32), content)
     if registration.score < limits.score:
         _complain_of_polarity(colors, render, mask, content, name, limits)
-        raise SourceError(
+        raise RefusedPicture(
             f"{name}: the picture shows something else than what was sent: its edges agree by {registration.score:.2f} "
             f"of 1, expected {limits.score:g} (strictness {strictness}); mask what is to change, or ask again"
         )
@@ -172,7 +176,7 @@ def admit(
         drift = estimate_drift(aligned, render, (outside if certain else np.ones_like(outside)) & inside, certain)
     if drift.strength > limits.stops:
         _complain_of_polarity(colors, render, mask, content, name, limits)
-        raise SourceError(
+        raise RefusedPicture(
             f"{name}: the picture's colours drifted by {drift.strength:.1f} stops outside what was to change, expected "
             f"at most {limits.stops:g} (strictness {strictness})"
         )
@@ -184,9 +188,9 @@ def admit(
         changed &= np.abs(aligned - like).max(-1) > MAX_ROUNDING + SLACK_PX * edge_strength(render)
     spilled = _share(changed & outside, outside & cover) if mask is not None else 0.0
     if mask is not None and _share(changed, (mask > 0.5) & cover) < MAX_UNTOUCHED and spilled > MIN_SPILLED:
-        raise SourceError(_wrong_polarity(name))
+        raise RefusedPicture(_wrong_polarity(name))
     if spilled > limits.spilled:
-        raise SourceError(
+        raise RefusedPicture(
             f"{name}: {100 * spilled:.0f} % of the asset outside the mask changed, expected at most "
             f"{100 * limits.spilled:.0f} % (strictness {strictness})"
         )
@@ -226,7 +230,7 @@ def admit(
     )
     if not result.changed.any():
         where = "" if mask is None else " within the mask"
-        raise SourceError(f"{name}: the picture came back unchanged{where}; there is nothing to paint")
+        raise RefusedPicture(f"{name}: the picture came back unchanged{where}; there is nothing to paint")
     return result
 
 
@@ -339,9 +343,9 @@ def _check_moves(
     )
     for what, refused, limit in checks:
         if refused:
-            raise SourceError(f"{name}: the picture {what}, expected at most {limit} (strictness {strictness})")
+            raise RefusedPicture(f"{name}: the picture {what}, expected at most {limit} (strictness {strictness})")
     if limits.framed and registration.framing != "full":
-        raise SourceError(
+        raise RefusedPicture(
             f"{name}: the picture came back {registration.framing}, expected all of the view (strictness {strictness})"
         )
 
@@ -354,11 +358,11 @@ def _complain_of_polarity(
     name: str,
     limits: AdmissionLimits,
 ) -> None:
-    """Raises SourceError where the picture agrees inside the mask and not outside it."""
+    """Raises RefusedPicture where the picture agrees inside the mask and not outside it."""
     if mask is not None:
         inverse = register(colors, render, (mask > 0.5).astype(np.float32), content)
         if inverse.score > max(limits.score, 0.7) and not inverse.inside:
-            raise SourceError(_wrong_polarity(name))
+            raise RefusedPicture(_wrong_polarity(name))
 
 
 def _wrong_polarity(name: str) -> str:

@@ -1,0 +1,201 @@
+"""Assets edited by picture sources: one view, or as many as the surface needs."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatpainter.cameras import orbit_cameras
+from splatpainter.painter import Painter
+from splatpainter.receipts import Receipt, changed_rows
+from splatpainter.source_edits import coverage
+from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
+from splatpainter.source_edits.edit import cover, edit_with_source
+from splatpainter.source_edits.view_edit import SourceBrief, ask_for_edit, displayed, picture_sha256
+from splatpainter.sources.gatekeeper import RefusedPicture
+from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
+from splatpainter.splats import SH_C0, Splats
+from splatpainter.view_files import normals_of
+from tests.support.cli_scenes import ball
+from tests.support.picture_sources import EXCHANGE, FunctionSource, exchanged, without_masks
+
+GREY = (0.25, 0.25, 0.25)
+LIFT = Painter.load("lift")
+
+
+@pytest.fixture(autouse=True)
+def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ball looks alike from everywhere; 20 views to choose from are enough, and half the time."""
+    monkeypatch.setattr(coverage, "CANDIDATES", 20)
+
+
+def patterned(count: int = 2500) -> Splats:
+    """A ball with patches of colours that have a hue everywhere."""
+    splats = ball(count, degree=0)
+    x, y, z = splats.means.T
+    colors = 0.45 + 0.25 * np.stack([np.sin(4 * x + y), np.sin(3 * y + 2), np.cos(3 * z - x)], 1)
+    colors[:, 0] += 0.15
+    return replace(splats, sh=((colors - 0.5) / SH_C0)[:, None].astype(np.float32))
+
+
+def edit(splats: Splats, source: FunctionSource, **options):
+    return edit_with_source(splats, source, "exchange", painter=LIFT, size=128, **options)
+
+
+def test_one_view_is_edited_and_the_receipt_says_by_whom() -> None:
+    splats, source = patterned(), FunctionSource(exchanged)
+    mask = np.zeros((128, 128), np.float32)
+    mask[50:80, 50:80] = 1
+    result = edit(splats, source, mask=mask, seed=3)
+    assert result.receipt is not None and result.receipt.source is not None
+    (request,) = source.requests
+    assert request.prompt == "exchange" and request.seed == 3 and np.array_equal(request.mask, mask)
+    record = result.receipt.source
+    (view,) = record["views"]
+    assert (record["name"], record["prompt"], record["strictness"]) == ("function", "exchange", "normal")
+    assert (view["model"], view["seed"], view["cost"]) == ("function-1", 7, "0.04 USD")
+    assert view["request_sha256"] == picture_sha256(request.image) and len(view["answer_sha256"]) == 64
+    assert view["registration"]["framing"] == "full" and view["registration"]["score"] > 0.9
+    again = Receipt.from_json(result.receipt.to_json())
+    assert again.source == record and result.receipt.untouched_sha256_before == result.receipt.untouched_sha256_after
+    (score,) = result.receipt.views
+    assert score.psnr_after > score.psnr_before + 6
+    touched = changed_rows(splats, result.splats)
+    assert 0 < len(touched) < 0.1 * len(splats)
+    older = replace(result.receipt, source=None)
+    assert "source" not in older.to_json() and Receipt.from_json(older.to_json()).source is None
+    with pytest.raises(ValueError, match="expected a receipt"):
+        Receipt.from_json(replace(older, source={"name": "x" * 5000}).to_json())
+
+
+def test_a_source_without_masks_is_cut_afterwards_and_maps_are_drawn_on_demand() -> None:
+    splats = patterned()
+    source = FunctionSource(lambda image: np.clip(exchanged(image) * 0.9 + 0.05, 0, 1), without_masks())
+    (camera,) = orbit_cameras(splats, 1, size=128, background=GREY)
+    mask = np.zeros((128, 128), np.float32)
+    mask[40:90, 40:90] = 1
+    brief = SourceBrief("x", strictness="loose")
+    made = ask_for_edit(splats, camera, source, brief, progress=lambda *_: None, cancel=threading.Event(), mask=mask)
+    (request,) = source.requests
+    assert request.mask is None and made.request.mask is not None
+    assert not made.edit.mask[mask == 0].any() and made.edit.mask[55:75, 55:75].all()
+    render = displayed(splats, camera)[0]
+    assert np.array_equal(made.edit.image[mask == 0], render[mask == 0])
+    depth, normal = request.depth(), request.normal()
+    assert depth[64, 64] == pytest.approx(np.linalg.norm(camera.position) - 1, abs=0.03) and depth[0, 0] == 0
+    assert np.allclose(normal[64, 64], (0, 0, -1), atol=0.15) and not normal[0, 0].any()
+
+
+def test_an_enlarged_answer_is_painted_at_its_size() -> None:
+    splats = patterned()
+
+    def larger(image: np.ndarray) -> np.ndarray:
+        return exchanged(image).repeat(2, 0).repeat(2, 1)
+
+    source = FunctionSource(larger, without_masks())
+    (camera,) = orbit_cameras(splats, 1, size=96, background=GREY)
+    made = ask_for_edit(
+        splats, camera, source, SourceBrief(scale=2), progress=lambda *_: None, cancel=threading.Event()
+    )
+    assert made.admitted.factor == 2 and made.edit.camera.width == 192 and made.edit.image.shape == (192, 192, 3)
+
+
+def test_errors_of_sources_reach_the_caller() -> None:
+    splats = patterned(400)
+    with pytest.raises(SourceError, match="does not take a prompt"):
+        edit(splats, FunctionSource(exchanged, Capabilities(mask=True)))
+    with pytest.raises(RefusedPicture, match="something else"):
+        edit(splats, FunctionSource(lambda image: np.random.default_rng(0).uniform(size=image.shape)))
+    with pytest.raises(RefusedPicture, match="unchanged"):
+        edit(splats, FunctionSource(lambda image: image))
+    with pytest.raises(SourceError, match="not in view"):
+        away = orbit_cameras(splats, 1, size=64, distance=3)[0]
+        turned = np.diag([-1.0, 1, -1, 1]) @ away.world_to_camera
+        edit(splats, FunctionSource(exchanged), camera=replace(away, world_to_camera=turned))
+    with pytest.raises(ValueError, match="views auto"):
+        edit(splats, FunctionSource(exchanged), views="auto", mode="global")
+
+
+def test_plans_choose_what_is_unseen_and_masks_do_not_overlap() -> None:
+    splats = patterned()
+    plan = plan_views(splats, size=96, max_views=12)
+    assert plan.covered > 0.95 and 5 <= len(plan.cameras) <= 12 and plan.gains[0] == max(plan.gains)
+    assert len(plan_views(splats, size=96, max_views=2).cameras) == 2
+    (first,) = orbit_cameras(splats, 1, size=80, background=GREY)
+    assert plan_views(splats, size=96, max_views=2, first=first).cameras[0] is first
+    normals, earlier, painted, surely = normals_of(splats), [], np.zeros(len(splats)), np.zeros(len(splats))
+    for camera in plan.cameras:
+        view = SurfaceView.of(splats, camera, normals)
+        mask = unreached(view, earlier)
+        earlier.append((view, mask))
+        facing = view.facing(splats.means.astype(np.float64), splats.means.astype(np.float64))
+        pixels, _ = camera.project(splats.means)
+        x, y = np.clip(pixels.astype(int), 0, 95).T
+        painted += (facing > 0) & (mask[y, x] > 0.5)
+        surely += (facing > 0) & (mask[y, x] > 0.75)
+    assert (painted >= 1).mean() > 0.97 and (surely >= 2).mean() < 0.06
+
+
+def test_views_cover_the_surface_once_and_novel_views_agree() -> None:
+    splats, source = patterned(), FunctionSource(exchanged)
+    plan = plan_views(splats, size=144, max_views=12, background=GREY)
+    asset, steps = LIFT.encode(splats, "lift", ["local"]), []
+    made = cover(
+        LIFT,
+        asset,
+        source,
+        SourceBrief("exchange"),
+        plan,
+        method="lift",
+        progress=lambda share, words: steps.append((share, words)),
+        cancel=threading.Event(),
+    )
+    receipt = made.asset.receipt
+    assert receipt is not None and receipt.source is not None and made.refused == ()
+    assert len(receipt.source["views"]) == len(receipt.views) == len(made.edits) == len(source.requests)
+    assert [share for share, _ in steps] == sorted(share for share, _ in steps) and "view 2 of" in steps[1][1]
+    assert receipt.asset_rows == len(splats) and receipt.appended_rows == len(made.asset.splats) - len(splats)
+    assert np.array_equal(receipt.touched, changed_rows(splats, made.asset.splats))
+    truth = replace(splats, sh=(splats.sh @ EXCHANGE.T).astype(np.float32))
+    changed = visible = twice = 0
+    before_error, after_error = [], []
+    for camera in [c for e in (-35, 10, 50) for c in orbit_cameras(splats, 4, size=120, elevation=e, background=GREY)]:
+        before, alpha = displayed(splats, camera)
+        after, expected = displayed(made.asset.splats, camera)[0], displayed(truth, camera)[0]
+        again = exchanged(expected)
+        use = (alpha > 0.95) & (np.abs(before - expected).max(-1) > 0.15)
+        visible += int(use.sum())
+        changed += int((np.abs(after - before).max(-1) > 0.25 * np.abs(expected - before).max(-1))[use].sum())
+        nearer = np.abs(after - again).max(-1) < np.abs(after - expected).max(-1)
+        twice += int((nearer & (np.abs(after - before).max(-1) > 0.05))[use].sum())
+        before_error.append(((before - expected)[use] ** 2).mean())
+        after_error.append(((after - expected)[use] ** 2).mean())
+    gain = 10 * np.log10(np.mean(before_error) / np.mean(after_error))
+    assert changed > 0.97 * visible
+    assert twice < 0.04 * visible
+    assert gain > 8
+
+
+def test_a_refused_view_is_noted_and_the_others_are_painted() -> None:
+    splats = patterned(800)
+
+    class Moody(FunctionSource):
+        def edit(self, request, progress, cancel) -> PictureAnswer:
+            answer = super().edit(request, progress, cancel)
+            if len(self.requests) == 2:
+                return replace(answer, image=np.random.default_rng(1).uniform(size=answer.image.shape))
+            return answer
+
+    source = Moody(exchanged)
+    result = edit(splats, source, views="auto", max_views=3)
+    assert result.receipt is not None and len(result.receipt.views) == 2 and len(source.requests) == 3
+    assert "function view 2" in result.receipt.note and "something else" in result.receipt.note
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(SourceCancelled):
+        edit(splats, FunctionSource(exchanged), views="auto", cancel=stop)
+    with pytest.raises(RefusedPicture, match="view 2"):
+        edit(splats, FunctionSource(lambda image: image), views="auto", max_views=2)
