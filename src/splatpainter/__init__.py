@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from splatpainter.rendering import render as render
     from splatpainter.server.launch import studio as studio
     from splatpainter.session import Session as Session
+    from splatpainter.source_edits.edit import edit_with_source as edit_with_source
     from splatpainter.sources.color_grading import GradeSettings as GradeSettings
     from splatpainter.sources.decals import Decal as Decal
     from splatpainter.splats import Splats as Splats
@@ -47,6 +48,7 @@ _HOME = {
     "Asset": "painter",
     "Edit": "painter",
     "Decal": "sources.decals",
+    "edit_with_source": "source_edits.edit",
     "grade": "grading.grade",
     "GradeSettings": "sources.color_grading",
     "Region": "grading.region",
@@ -72,6 +74,7 @@ __all__ = [
     "Render",
     "Session",
     "Splats",
+    "edit_with_source",
     "grade",
     "look_at",
     "orbit",

@@ -9,9 +9,10 @@ import pytest
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.sources.color_drift import estimate_drift
+from splatpainter.sources.gate_report import numbers, report_page
 from splatpainter.sources.gatekeeper import admit, consistent, pooled
 from splatpainter.sources.picture_reader import resample
-from splatpainter.sources.picture_source import PictureRequest, SourceError
+from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceError
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved, painted_over
 
 SIZE = 200
@@ -175,3 +176,14 @@ def test_enlarged_pictures_are_consistent_with_the_render() -> None:
     held = consistent(blurred, render, np.zeros((SIZE, SIZE), bool))
     assert np.abs(pooled(held, 2) - render).max() < 1e-3
     assert np.abs(held - pooled(held, 2).repeat(2, 0).repeat(2, 1)).mean() > 0.02  # detail stays
+
+
+def test_the_report_is_one_page_of_pictures() -> None:
+    request, painted = scene()
+    answer = PictureAnswer(np.concatenate([painted, np.ones((SIZE, SIZE, 1), np.float32)], -1), "tool")
+    admitted = admit(answer.image, replace(request, mask=box_mask()))
+    page = report_page([(request, answer, admitted)], "tool: a blue box")
+    assert page.dtype == np.uint8 and page.shape[1] > 4 * 360 and page.shape[0] > 2 * 360
+    two = report_page([(request, answer, admitted)] * 2)
+    assert two.shape[0] > 1.8 * page.shape[0]
+    assert "agrees 1.00; full" in numbers(admitted) or "agrees 0.9" in numbers(admitted)
