@@ -14,10 +14,10 @@ demo: .venv/installed
 studio: .venv/installed-studio
 	.venv/bin/splatpainter studio
 
-# Workers take tests from each other when they have none left. Bytecode is kept: else 16 s go by before the first test.
+# Workers take tests from each other when they have none left.
 test: .venv/installed-dev
 	scripts/web test
-	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist worksteal
+	OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist worksteal
 
 # Hostile inputs for all readers, projects and the studio: make fuzz SECONDS=3600 JOBS=2 TARGETS=ply,spz SEED=7
 SECONDS ?= 600
@@ -39,7 +39,7 @@ check: .venv/installed-dev
 quick: .venv/installed-dev
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
-	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile -m 'not slow' $(QUICK)
+	OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile -m 'not slow' $(QUICK)
 QUICK := tests/test_imports.py tests/test_names.py tests/test_docs.py tests/test_splats.py tests/test_cameras.py tests/test_transforms.py tests/test_color.py tests/lift tests/nn tests/voxels tests/session/test_layers.py
 
 docs: .venv/installed-dev

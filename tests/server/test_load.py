@@ -17,7 +17,7 @@ import pytest
 from splatpainter.splats import rows_sha256
 from tests.support.studio_scenes import Browser, Live, Mirror, ball, live, make_studio, view, wire
 
-CLIENTS, EDITS = (int(number) for number in os.environ.get("SPLATPAINTER_LOAD", "20x10").split("x"))
+CLIENTS, EDITS = (int(number) for number in os.environ.get("SPLATPAINTER_LOAD", "12x10").split("x"))
 MOST = 500 << 20
 """Bytes of resident memory that a load test may add: the session's cache of levels may grow to half of this."""
 

@@ -38,6 +38,7 @@ def work(out: Path, rank: int) -> None:
 
 def both(out: Path) -> int:
     """Both processes, forked where the system can: torch is imported and samples are made once for them."""
+    import torch._dynamo  # noqa: F401
     import torch.distributed.fsdp  # noqa: F401
 
     torch.set_num_threads(1)
