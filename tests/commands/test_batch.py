@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -161,6 +162,34 @@ def test_a_decal_in_another_format(folder: Path, capfd: Capture) -> None:
     assert (folder / "out/shoe1.spz").read_bytes() == (folder / "d.spz").read_bytes()
 
 
+def test_pictures_of_a_source_are_asked_for_once(folder: Path, capfd: Capture) -> None:
+    """A program paints; of two variants the second one fails after it, and later the program is not asked again."""
+    program = folder / "paint.py"
+    program.write_text(
+        "import sys; from PIL import Image\n"
+        "picture = Image.open(sys.argv[1]).convert('RGB')\n"
+        "picture.paste((20, 120, 40), (36, 40, 60, 58)); picture.save(sys.argv[2])\n"
+        f"open({str(folder / 'calls')!r}, 'a').write(sys.argv[3] + ' ')\n"
+    )
+    run_option = f"{sys.executable} {program} {{image}} {{out}} {{prompt}}"
+    source = {"name": "command", "prompt": "moss on {asset}", "options": {"run": run_option}, "view": "cam.json"}
+    edits = [{"source": source}, {"grade": {"lut": "{asset}.cube"}}]
+    jobs = jobs_file(folder, json.dumps({"assets": ["shoes/shoe0.ply"], "edits": edits}))
+    (folder / "shoe0.cube").write_text("LUT_1D_SIZE 2\n0 0 0\n")
+    assert run(capfd, "batch", jobs, "--dry-run").out.endswith("1 of 1 job to do: 1 free call\n")
+    assert not (folder / "calls").exists()
+    assert "expected 2 entries" in run(capfd, "batch", jobs).out
+    (folder / "shoe0.cube").write_text("LUT_1D_SIZE 2\n1 1 1\n0 0 0\n")
+    assert run(capfd, "batch", jobs).code == 0
+    assert (folder / "calls").read_text() == "moss on shoe0 "
+    words = ["--source", "command", "--prompt", "moss on shoe0", "--source-option", f"run={run_option}"]
+    words += ["--view", str(folder / "cam.json")]
+    painted, out = folder / "painted.ply", folder / "negative.ply"
+    assert run(capfd, "edit", folder / "shoes/shoe0.ply", *words, "--out", painted).code == 0
+    assert run(capfd, "grade", painted, "--lut", folder / "shoe0.cube", "--out", out).code == 0
+    assert out.read_bytes() == (folder / "out/shoe0.ply").read_bytes()
+
+
 def test_nothing_is_replaced_that_no_batch_made(folder: Path, capfd: Capture) -> None:
     (folder / "out").mkdir()
     (folder / "out" / "shoe0-plain.ply").write_bytes(b"mine")
@@ -191,7 +220,7 @@ def test_two_batches_do_not_write_into_one_folder(folder: Path, capfd: Capture) 
         ("assets: [cam.json]\nedits: [{grade: {}}]\n", ":1: {folder}/cam.json: expected a splat file"),
         ("assets: [shoes/*.ply]\nedits:\n  - grde: {}\n", ":3: unknown key 'edits[0].grde'; known there: pictures, "),
         ("assets: [shoes/*.ply]\nedits:\n  - grade: {exposure: warm}\n", ":3: expected float as 'edits[0].grade.exp"),
-        ("assets: [shoes/*.ply]\nedits:\n  - {}\n", ":3: edits[0]: expected one of pictures, decal, grade, layers"),
+        ("assets: [shoes/*.ply]\nedits:\n  - {}\n", ":3: edits[0]: expected one of pictures, decal, grade, source"),
         (
             "assets: [shoes/*.ply]\nedits:\n  - grade:\n      lut: film.cube\n",
             ":4: {folder}/film.cube: no such file",
@@ -241,7 +270,7 @@ def test_the_example_of_the_guide_is_a_batch(folder: Path) -> None:
     jobs = read_jobs(jobs_file(folder, example)).jobs
     assert [job.name for job in jobs[:3]] == ["shoe0-blue", "shoe0-autumn", "shoe0-plain"] and len(jobs) == 6
     kinds = (schema.Batch, schema.Variant, schema.Preview, schema.JobEdit, schema.PicturesEdit, schema.DecalEdit)
-    for kind in (*kinds, schema.GradeEdit, schema.LayersEdit):
+    for kind in (*kinds, schema.GradeEdit, schema.SourceStep, schema.LayersEdit):
         assert not [field.name for field in fields(kind) if f"`{field.name}`" not in guide], kind
 
 

@@ -55,7 +55,7 @@ class Config:
 def run(config: Config) -> Outcome:
     """Plan, lock the folder, work, summarise."""
     from splatpainter.commands.batch.plan import read_jobs
-    from splatpainter.commands.batch.work import BatchWork, finished
+    from splatpainter.commands.batch.work import BatchWork
     from splatpainter.commands.targets import check_folder, make_folder
 
     if config.workers < 1:
@@ -65,7 +65,7 @@ def run(config: Config) -> Outcome:
     plan = read_jobs(config.jobs, config.overwrite)
     check_folder(plan.out)
     if config.dry_run:
-        return _dry_run(plan, finished)
+        return _dry_run(plan)
     from splatpainter.commands.batch.page import require_jinja, write_page
 
     require_jinja()
@@ -131,21 +131,32 @@ def _outcome(plan: JobList, records: list[dict[str, Any]]) -> Outcome:
     return Outcome(record, lines, 1 if failed else 0)
 
 
-def _dry_run(plan: JobList, finished: Callable[[Job, list[str]], dict[str, Any] | None]) -> Outcome:
-    jobs, lines = [], []
+def _dry_run(plan: JobList) -> Outcome:
+    """What would be done, and how often sources would be asked: of jobs that are not done, nothing counted that a
+    killed run has asked already."""
+    from splatpainter.commands.batch.work import calls_of, finished
+
+    jobs, lines, totals = [], [], {True: 0, False: 0}
     for job in plan.jobs:
+        calls: list[dict[str, Any]] = []
         try:
             state, reason = ("done", "") if finished(job, job.hashes()) else ("to do", "")
+            calls = calls_of(job) if state == "to do" else []
         except (ValueError, OSError) as error:
             state, reason = "fails", str(error)
+        for call in calls:
+            totals[call["paid"]] += call["calls"]
         kinds = [step.kind for step in job.steps]
-        jobs.append({"name": job.name, "asset": job.asset, "out": job.out, "edits": kinds, "state": state} | (
-            {"error": reason} if reason else {}))  # fmt: skip
+        entry = {"name": job.name, "asset": job.asset, "out": job.out, "edits": kinds, "state": state}
+        entry["calls"] = [{name: call[name] for name in ("source", "calls", "paid")} for call in calls]
+        jobs.append(entry | ({"error": reason} if reason else {}))
         lines.append(f"{state}: {job.asset} -> {job.out} ({', '.join(kinds)}){': ' + reason if reason else ''}")
     waiting = sum(entry["state"] == "to do" for entry in jobs)
-    lines.append(f"{waiting:,} of {count(len(jobs), 'job')} to do")
+    sources = [count(number, "paid call" if paid else "free call") for paid, number in totals.items() if number]
+    lines.append(f"{waiting:,} of {count(len(jobs), 'job')} to do{': ' + ', '.join(sources) if sources else ''}")
     failing = any(entry["state"] == "fails" for entry in jobs)
-    return Outcome({"jobs": jobs, "to_do": waiting}, lines, 1 if failing else 0)
+    record = {"jobs": jobs, "to_do": waiting, "paid_calls": totals[True], "free_calls": totals[False]}
+    return Outcome(record, lines, 1 if failing else 0)
 
 
 class _locked:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.painter import Method, Mode
+from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.splats import Frame
 
 FILE = {"file": True}
@@ -80,6 +81,35 @@ class GradeEdit:
 
 
 @dataclass(frozen=True)
+class SourceStep:
+    """Pictures that a source makes, as `splatpainter edit --source`."""
+
+    name: str
+    prompt: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+    """As `--source-option`. A value that names a file beside the jobs file is that file."""
+    view: str = field(default="", metadata=FILE)
+    """Camera of the view that is sent; without it azimuth and elevation."""
+    azimuth: float | None = None
+    elevation: float | None = None
+    size: int | None = None
+    views: Literal["", "auto"] = ""
+    max_views: int | None = None
+    mask: str = field(default="", metadata=FILE)
+    references: tuple[str, ...] = field(default=(), metadata=FILE)
+    seed: int | None = None
+    enlarge: int = 1
+    strictness: Strictness = "normal"
+    mode: Mode = "local"
+    method: Method = "auto"
+
+    def __post_init__(self) -> None:
+        for key, value in self.options.items():
+            if not isinstance(value, str | int | float):
+                raise ValueError(f"expected text or a number as the option {key!r:.40}")
+
+
+@dataclass(frozen=True)
 class LayersEdit:
     """The visible layers of a project, painted anew on the asset from the same cameras."""
 
@@ -95,6 +125,7 @@ class JobEdit:
     pictures: PicturesEdit | None = None
     decal: DecalEdit | None = None
     grade: GradeEdit | None = None
+    source: SourceStep | None = None
     layers: LayersEdit | None = None
 
     def __post_init__(self) -> None:

@@ -23,7 +23,7 @@ from splatpainter.atomic import sync_folder, write_text
 from splatpainter.cameras import Camera
 from splatpainter.commands import edit, grade
 from splatpainter.commands.batch.plan import Job, JobStep
-from splatpainter.commands.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit
+from splatpainter.commands.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit, SourceStep
 from splatpainter.commands.verify import read_receipt, receipt_of
 from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.receipts import Receipt, prove
@@ -129,7 +129,9 @@ def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
         paths = {name: tuple(map(Path, getattr(values, name))) for name in ("files", "cameras", "masks")}
         names = ("mode", "method", "preset", "angle_limit", "depth_edge_limit")
         settings: dict[str, Any] = {name: getattr(values, name) for name in names}
-        edit.run(edit.Config(**shared, views=paths["files"], camera=paths["cameras"], mask=paths["masks"], **settings))
+        edit.run(
+            edit.Config(**shared, pictures=paths["files"], camera=paths["cameras"], mask=paths["masks"], **settings)
+        )
     elif isinstance(values, DecalEdit):
         edit.run(
             edit.Config(
@@ -146,6 +148,8 @@ def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
                 method=values.method,
             )
         )
+    elif isinstance(values, SourceStep):
+        edit.run(source_config(values, asset, target, frame))
     elif isinstance(values, GradeEdit):
         names = ("exposure", "temperature", "tint", "contrast", "saturation", "hue", "recolor", "strength", "where")
         settings = {name: getattr(values, name) for name in names}
@@ -153,6 +157,37 @@ def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
         grade.run(grade.Config(**shared, **settings, **looks))
     else:
         replay_layers(cast(LayersEdit, values), asset, target, frame)
+
+
+def source_config(step: SourceStep, asset: Path, target: Path, frame: Frame, dry_run: bool = False) -> edit.Config:
+    """The options of `splatpainter edit` of a step."""
+    names = ("prompt", "azimuth", "elevation", "size", "views", "max_views", "seed", "enlarge", "mode", "method")
+    settings: dict[str, Any] = {name: getattr(step, name) for name in names}
+    return edit.Config(
+        asset,
+        target,
+        source=step.name,
+        source_option=tuple(f"{key}={value}" for key, value in step.options.items()),
+        source_strictness=step.strictness,
+        view=_path(step.view),
+        mask=(Path(step.mask),) if step.mask else (),
+        reference=tuple(map(Path, step.references)),
+        frame=frame,
+        overwrite=True,
+        dry_run=dry_run,
+        **settings,
+    )
+
+
+def calls_of(job: Job) -> list[dict[str, Any]]:
+    """What the sources of a job would be asked: per step, `source`, `calls` and `paid`; nothing is sent."""
+    out = []
+    with tempfile.TemporaryDirectory() as folder:  # an existing one; nothing is written
+        for step in job.steps:
+            if isinstance(step.step, SourceStep):
+                config = source_config(step.step, job.asset, Path(folder) / "plan.ply", job.frame, dry_run=True)
+                out.append(edit.run(config).record)
+    return out
 
 
 def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> None:
@@ -270,6 +305,8 @@ def _preview_camera(job: Job, splats: Splats) -> Camera:
             names += [*step.step.cameras[:1], *step.step.files[:1]]
         elif isinstance(step.step, DecalEdit):
             names.append(step.step.camera)
+        elif isinstance(step.step, SourceStep):
+            names.append(step.step.view)
     for name in filter(None, names):
         with contextlib.suppress(ValueError):
             camera = camera_from(Path(name))
