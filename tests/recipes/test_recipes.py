@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from splatpainter.cameras import orbit_cameras
+from splatpainter.splats import SH_C0, Splats
 from tests.support.cli_scenes import Capture, ball, paint, run, saved
 
 FOLDER = Path(__file__).parents[2] / "docs" / "recipes"
@@ -56,6 +61,16 @@ ELSEWHERE = {"own_source.md"}
 ASSETS = {"graffiti.md": "wall", "night.md": "house", "recolour.md": "shoes/runner", "logo.md": "bottle"}
 
 
+def specimen() -> Splats:
+    """The ball with a dark spot in the middle of the first view of `render`."""
+    splats = ball(1200)
+    eye = orbit_cameras(splats, 1, size=SIZE)[0].position
+    spot = np.linalg.norm(splats.means - eye / np.linalg.norm(eye), axis=1) < 0.2
+    sh = splats.sh.copy()
+    sh[spot, 0] = (np.array([0.2, 0.05, 0.3]) - 0.5) / SH_C0
+    return replace(splats, sh=sh)
+
+
 def void(_: object) -> None: ...
 
 
@@ -73,12 +88,13 @@ def words_of(line: str) -> list[str]:
 @pytest.mark.parametrize("name", STEPS)
 def test_a_recipe_works_as_it_says(name: str, tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     (tmp_path / "shoes").mkdir()
-    saved(tmp_path / f"{ASSETS[name]}.ply", ball(1200))
+    saved(tmp_path / f"{ASSETS[name]}.ply", specimen())
     steps, done, outputs = STEPS[name], set(), 0
     for language, text in blocks(FOLDER / name):
-        if language == "yaml":
-            (file,) = re.findall(r"^# (\S+\.yaml)$", text, re.M)
+        if language in ("yaml", "python"):
+            (file,) = re.findall(r"^# (\S+\.(?:yaml|py))$", text, re.M)
             (tmp_path / file).write_text(text, encoding="utf-8")
             continue
         assert language == "sh", f"{name}: a block of {language} that nobody runs"
