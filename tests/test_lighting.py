@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splatpainter.lift.surface import outward_normals
+from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer, unoccluded_transfer
 from tests.lift.test_global import ball
 

@@ -111,7 +111,7 @@ class Asset:
     @cached_property
     def normals(self) -> np.ndarray:
         """[N, 3] float32 outward unit normals, made on first use; zeros for Gaussians that cannot be drawn."""
-        from splatpainter.lift.surface import outward_normals
+        from splatpainter.lift.depth_normals import outward_normals
 
         return outward_normals(self.splats)
 
@@ -476,7 +476,7 @@ def _one_size(edits: Sequence[Edit]) -> None:
 def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
     """The edit beside what the asset shows. Raises ValueError, naming the edit, where there is nothing to do."""
     from splatpainter.lift.edit_views import EditView, errors_name
-    from splatpainter.lift.masks import change_mask
+    from splatpainter.lift.masks import change_mask, changed_throughout
     from splatpainter.voxels.raycast import inside
 
     with errors_name(edit.name):
@@ -485,7 +485,12 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
         before, depth, alpha = _draw(asset.splats, edit.camera)
         mask = edit.mask
         if mask is None:
-            mask = alpha > 0.5 if mode == "global" else change_mask(edit.image, before)
+            if mode == "global":
+                mask = alpha > 0.5
+            elif changed_throughout(edit.image, before, alpha):
+                mask = np.ones(alpha.shape, bool)
+            else:
+                mask = change_mask(edit.image, before)
         if not mask.any():
             unchanged = (
                 "the asset is not in view" if mode == "global" else "the picture does not differ from the render"
@@ -503,6 +508,7 @@ def _scored(view: EditView) -> np.ndarray:
 
 def _beside(views: Sequence[EditView]) -> str:
     """A line about edited pixels that no Gaussian can paint, or none."""
+    views = [view for view in views if not view.mask.all()]
     edited = sum(int(view.mask.sum()) for view in views)
     beside = edited - sum(int(_scored(view).sum()) for view in views)
     return f"{beside} edited pixels lie beside the asset and cannot be painted" if beside > 0.01 * edited else ""

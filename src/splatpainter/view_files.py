@@ -27,7 +27,7 @@ from splatpainter.image_files import (
     quantized,
     require_deep,
 )
-from splatpainter.lift.surface import outward_normals
+from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.rendering.profiles import Profile
 from splatpainter.sources.picture_reader import straight
 from splatpainter.splats import ColorSpace, Splats

@@ -137,9 +137,9 @@ def test_what_it_calls_the_lift_is_the_lift() -> None:
     from splatpainter.data.lit_scenes import render_views
     from splatpainter.data.surfels import to_splats
     from splatpainter.data.viewpoints import Optics, ring
+    from splatpainter.lift.depth_normals import outward_normals
     from splatpainter.lift.global_edit import regressed, seen_change
     from splatpainter.lift.options import GlobalOptions
-    from splatpainter.lift.surface import outward_normals
 
     subject = stream().stream.scene_object(0)
     rng = np.random.default_rng(0)

@@ -107,7 +107,7 @@ def forward(rng: np.random.Generator, dtype: type) -> None:
 
 def frames(rng: np.random.Generator, dtype: type) -> None:
     """What the lifts call on a frame."""
-    from splatpainter.lift.surface import surface
+    from splatpainter.lift.depth_normals import surface
     from splatpainter.rendering.cpu.projected_view import project, tile_shape
     from splatpainter.rendering.cpu.sirt import CachedWeights
 

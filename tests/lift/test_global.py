@@ -9,8 +9,8 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
+from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import GlobalLift, lift_global
-from splatpainter.lift.surface import outward_normals
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import SH_C0, base_colors, bits, db, differing, same_bits, sheet, texture
 

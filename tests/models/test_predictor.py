@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import lift_global, regressed, seen_change
-from splatpainter.lift.surface import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.models import predictor as module
 from splatpainter.models.config import PRESETS, ModelConfig, PredictConfig

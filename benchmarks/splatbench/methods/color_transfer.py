@@ -31,7 +31,7 @@ import numpy as np
 from splatbench.cases import Budget, EditStep
 from splatbench.methods import EditResult, EditTask, Method
 from splatpainter.color import base_color, sh_from_color
-from splatpainter.lift.surface import outward_normals
+from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.transforms import sh_basis

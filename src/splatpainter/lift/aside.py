@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
+from splatpainter.lift.depth_normals import surface
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated
-from splatpainter.lift.surface import surface
+from splatpainter.lift.warping import ViewedChange, bilinear, seen_in_both, shrunk
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 
@@ -28,8 +29,6 @@ MAX_SIDE_PX = 256
 """Pixels of a side view's edge."""
 MARGIN_PX = 8
 """Of the edited picture, around the mask."""
-MAX_DEPTH_DIFFERENCE = 0.02
-"""Between a point's depth and that of the surface which a view shows there, of that depth: else something hides it."""
 MIN_ALPHA = 0.5
 """Pixels that the asset covers by less have no surface."""
 MIN_EDITED = 0.25
@@ -102,13 +101,7 @@ def side_views(before: Splats, after: Splats, view: EditView) -> list[SideView]:
 class _Window:
     """The part of the edited picture around the mask, small."""
 
-    camera: Camera
-    change: np.ndarray
-    """[h, w, 3] edited - before, 0 outside the mask."""
-    mask: np.ndarray
-    """[h, w] float32 share of the pixel that was edited and has a surface."""
-    depth: np.ndarray
-    """[h, w] z-depth of the surface, 0 for none."""
+    edit: ViewedChange
     center: np.ndarray
     """[3] of the painted surface."""
 
@@ -123,7 +116,7 @@ class _Window:
         mask = view.mask[part].astype(np.float32)
         change = (view.edited[part] - view.before[part]) * mask[..., None]
         factor = -(-max(height, width) // MAX_SIDE_PX)
-        mask, change = _shrunk(mask, factor), _shrunk(change, factor)
+        mask, change = shrunk(mask, factor), shrunk(change, factor)
         height, width = mask.shape
         camera = view.camera.cropped(left, top, width * factor, height * factor).resized(width, height)
         projected = project(splats, camera)
@@ -133,19 +126,19 @@ class _Window:
         if not (mask > MIN_EDITED).any():
             return None
         center = np.median(camera.unproject(depth)[mask > MIN_EDITED], axis=0)
-        return _Window(camera, change, mask, depth, center)
+        return _Window(ViewedChange(camera, change, mask, depth), center)
 
     def turned(self, right: float, up: float) -> Camera:
         """The painted part from another side at the same distance; turns in SIDE_DEGREES."""
-        axes = self.camera.world_to_camera[:3, :3]
-        offset = self.camera.position - self.center
+        axes = self.edit.camera.world_to_camera[:3, :3]
+        offset = self.edit.camera.position - self.center
         towards = math.sin(math.radians(SIDE_DEGREES)) * (right * axes[0] - up * axes[1])
         distance = float(np.linalg.norm(offset))
         eye = math.cos(math.radians(SIDE_DEGREES)) * offset / distance + towards
-        size = max(self.camera.width, self.camera.height)
-        fov = math.degrees(2 * math.atan(size / 2 / self.camera.fy))
-        upwards = -axes[1] if not up else -axes[1] - up * self.camera.forward
-        background = self.camera.background
+        size = max(self.edit.camera.width, self.edit.camera.height)
+        fov = math.degrees(2 * math.atan(size / 2 / self.edit.camera.fy))
+        upwards = -axes[1] if not up else -axes[1] - up * self.edit.camera.forward
+        background = self.edit.camera.background
         eye = self.center + distance * eye / np.linalg.norm(eye)
         return look_at(eye, self.center, upwards, width=size, height=size, fov=fov, background=background)
 
@@ -154,49 +147,13 @@ class _Window:
         view = project(before, camera)
         unpainted, alpha, expected = view.rasterize()
         # Where the surface matters: in reach of the mask, by the expected depth, which is at hand.
-        pixels, _ = self.camera.project(camera.unproject(np.where(alpha > MIN_ALPHA, expected, 1)))
-        near = _bilinear(self.mask[..., None], pixels)[..., 0] > 0
+        pixels, _ = self.edit.camera.project(camera.unproject(np.where(alpha > MIN_ALPHA, expected, 1)))
+        near = bilinear(self.edit.mask[..., None], pixels)[..., 0] > 0
         depth = surface(view, dilated(near & (alpha > MIN_ALPHA), MARGIN_PX))[0]
         depth = np.where(alpha > MIN_ALPHA, depth, 0)
-        visible = _visible(self.camera, self.depth, camera, depth)
-        pixels, _ = self.camera.project(camera.unproject(np.where(depth > 0, depth, 1)))
-        moved = _bilinear(np.concatenate([self.change, self.mask[..., None]], -1), pixels)
-        moved *= visible[..., None]
+        moved = self.edit.moved(camera, depth)
         painted = moved[..., 3] > MIN_EDITED
         image = project(after, camera).rasterize()[0]
-        seen = _visible(camera, depth, self.camera, self.depth) & (self.mask > MIN_EDITED)
-        covered = float(seen.sum() / (self.mask > MIN_EDITED).sum())
+        seen = seen_in_both(camera, depth, self.edit.camera, self.edit.depth) & (self.edit.mask > MIN_EDITED)
+        covered = float(seen.sum() / (self.edit.mask > MIN_EDITED).sum())
         return SideView(unpainted + moved[..., :3], image, unpainted, painted, covered)
-
-
-def _visible(first: Camera, first_depth: np.ndarray, other: Camera, other_depth: np.ndarray) -> np.ndarray:
-    """[H, W] of `other`: the surface that it shows (z-depths, 0 for none) is the one that `first` shows there."""
-    pixels, z = first.project(other.unproject(np.where(other_depth > 0, other_depth, 1)))
-    height, width = first_depth.shape
-    x, y = (np.floor(np.nan_to_num(pixels[..., k], nan=-1, posinf=-1, neginf=-1)).astype(int) for k in (0, 1))
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z > 0) & (other_depth > 0)
-    there = first_depth[y.clip(0, height - 1), x.clip(0, width - 1)]
-    return inside & (there > 0) & (np.abs(there - z) < MAX_DEPTH_DIFFERENCE * z)
-
-
-def _bilinear(values: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """[..., C] of pictures [h, w, C] at pixel positions [..., 2] (centres at +0.5), 0 outside."""
-    height, width = values.shape[:2]
-    padded = np.pad(values, ((1, 1), (1, 1), (0, 0)))
-    x = np.clip(np.nan_to_num(pixels[..., 0]) + 0.5, 0, width + 0.999)
-    y = np.clip(np.nan_to_num(pixels[..., 1]) + 0.5, 0, height + 0.999)
-    left, top = x.astype(int), y.astype(int)
-    fx, fy = (x - left)[..., None], (y - top)[..., None]
-    upper = padded[top, left] * (1 - fx) + padded[top, left + 1] * fx
-    lower = padded[top + 1, left] * (1 - fx) + padded[top + 1, left + 1] * fx
-    return upper * (1 - fy) + lower * fy
-
-
-def _shrunk(values: np.ndarray, factor: int) -> np.ndarray:
-    """[h, w, ...] means of factor x factor blocks of [H, W, ...]; beyond the edges there are zeros."""
-    if factor == 1:
-        return values
-    rest = [(0, -n % factor) for n in values.shape[:2]]
-    values = np.pad(values, [*rest, *[(0, 0)] * (values.ndim - 2)])
-    height, width = (n // factor for n in values.shape[:2])
-    return values.reshape(height, factor, width, factor, *values.shape[2:]).mean((1, 3))

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatpainter.lift.colors import recolor
+from splatpainter.lift.depth_normals import SMOOTHING_PX, surface, surface_normals
 from splatpainter.lift.masks import dilated
-from splatpainter.lift.surface import SMOOTHING_PX, surface, surface_normals
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import MAX_MAGNITUDE, Splats
 from splatpainter.transforms import matrix_to_quat

@@ -19,8 +19,10 @@ from splatpainter.lift.colors import refine_colors_local
 from splatpainter.lift.edit_views import EditView, errors_name, gaussians_in_views
 from splatpainter.lift.features import global_features, local_features, no_features
 from splatpainter.lift.global_edit import Predict, lift_global
+from splatpainter.lift.local_edit import is_wide
 from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS, GlobalOptions, LocalOptions, ResidualBase
 from splatpainter.lift.paint import paint_view
+from splatpainter.lift.wide_edit import lift_wide
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.voxels.grid import VoxelGrid, voxelize
@@ -77,7 +79,11 @@ def lift_local_views(
     Gaussians are split, as networks know it); originals: how many of the N are the original's (default: all). Raises
     ValueError, naming the view, where an edit reaches no Gaussian."""
     if base == "lift":
-        lifted = _one_after_the_other(splats, grid, views, options, surface if options.resurface else None, originals)
+        if surface is not None and options.resurface and all(is_wide(view.mask) for view in views):
+            lifted = _together(splats, views, options)
+        else:
+            where = surface if options.resurface else None
+            lifted = _one_after_the_other(splats, grid, views, options, where, originals)
         if not features:
             return lifted
         return replace(lifted, features=local_features(splats, lifted.splats, lifted.ids, lifted.parents, views))
@@ -111,6 +117,14 @@ def lift_global_views(
         lift = lift_global(splats, pictures, options, normals, predict)
     values = global_features(splats, lift, ids) if features else no_features(ids)
     return LiftedEdit(lift.splats if base == "lift" else splats, ids, ids, values, lift.confidence)
+
+
+def _together(splats: Splats, views: Sequence[EditView], options: LocalOptions) -> LiftedEdit:
+    """Views that are edited nearly everywhere, without features."""
+    lifted, count = lift_wide(splats, views, options), len(splats)
+    ids = np.append(lifted.touched, np.arange(count, len(lifted.splats)))
+    parents = np.append(lifted.touched, lifted.parents)
+    return LiftedEdit(lifted.splats, ids, parents, no_features(ids), limited=(0.0,) * len(views))
 
 
 def _one_after_the_other(

@@ -14,8 +14,8 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.colors import MAX_COLOR, MIN_SEEN_PX, SolidView, joint_change, total_weight
+from splatpainter.lift.depth_normals import outward_normals, scattered
 from splatpainter.lift.options import GLOBAL_DEFAULTS, GlobalOptions
-from splatpainter.lift.surface import outward_normals, scattered
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import SH_C0, Splats
 

@@ -27,6 +27,11 @@ layer: detail that is everywhere finer than the asset, as in close-ups, would be
 painted on a part is wanted as it is, however fine."""
 
 
+def is_wide(mask: np.ndarray) -> bool:
+    """Whether an edit of these pixels ([H, W] bool) is one of the whole picture."""
+    return bool(mask.mean() > WIDE_EDIT_FRACTION)
+
+
 @dataclass(frozen=True)
 class LocalLift:
     """Result of a local lift."""
@@ -53,6 +58,34 @@ def lift_local(
     target: [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may change (default: all);
     within: [TH, TW] bool tiles of which nothing beyond is looked at.
     Raises ValueError when no Gaussian contributes to the masked pixels."""
+    ids, before, patch = _split_patch(splats, camera, target, mask, options, allowed, within)
+    wide = is_wide(mask)
+    if wide and patch.evidence.doubt > MAX_DOUBT_WIDE:
+        patch = before
+    painted = patch.painted(options)
+    detail = None if wide and patch.evidence.doubt > MAX_DOUBT_WIDE else patch.detail(painted, options)
+    return _assemble(splats, ids, painted, patch.lattice, detail)
+
+
+def split_local(
+    splats: Splats, camera: Camera, target: np.ndarray, mask: np.ndarray, options: LocalOptions = LOCAL_DEFAULTS
+) -> LocalLift:
+    """The Gaussians over which the masked change varies, split for it; the picture hardly changes. Arguments and errors
+    as of `lift_local`."""
+    ids, _, patch = _split_patch(splats, camera, target, mask, options)
+    return _assemble(splats, ids, patch.splats, patch.lattice, None)
+
+
+def _split_patch(
+    splats: Splats,
+    camera: Camera,
+    target: np.ndarray,
+    mask: np.ndarray,
+    options: LocalOptions,
+    allowed: np.ndarray | None = None,
+    within: np.ndarray | None = None,
+) -> tuple[np.ndarray, Patch, Patch]:
+    """([S] int64 the Gaussians in work, them as they are, them split)."""
     view = project(splats, camera, tiles=tiles_of_mask(mask))
     reached = gaussians_in_mask(splats, camera, mask, allowed, view)
     editable = reached & ~_hopeless(splats, view, mask, reached, options)
@@ -65,12 +98,7 @@ def lift_local(
         if not coarse.any():
             break
         patch = patch.split(coarse, options)
-    wide = mask.mean() > WIDE_EDIT_FRACTION
-    if wide and patch.evidence.doubt > MAX_DOUBT_WIDE:
-        patch = before
-    painted = patch.painted(options)
-    detail = None if wide and patch.evidence.doubt > MAX_DOUBT_WIDE else patch.detail(painted, options)
-    return _assemble(splats, ids, painted, patch.lattice, detail)
+    return ids, before, patch
 
 
 def gaussians_in_mask(

@@ -12,6 +12,10 @@ MAX_LOSSLESS = 0.3 / 255
 """Where a picture has detail, JPEG even of quality 100 leaves more than this at all but one pixel in twenty."""
 DETAIL_BINS = 8
 """Levels of detail, each with its noise."""
+MIN_MEDIAN_CHANGE = 1.15 / 255
+"""Median difference on the asset from which all of it may have changed; rounding leaves 0.7 / 255."""
+MIN_SMOOTH_SHARE = 0.6
+"""What averaging over 9 x 9 pixels leaves of the median difference, at least: noise averages out, other detail less."""
 
 
 def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
@@ -37,6 +41,22 @@ def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
         core = (shift > np.clip(MAX_ROUNDING + 6 * noise, MAX_ROUNDING, MAX_NOISE)) | (near > MAX_NOISE)
     core &= box_mean(core, 1) > 3.5 / 9
     return (box_mean(core, 1) > 0.5 / 9) & (difference > MAX_ROUNDING)
+
+
+def changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> bool:
+    """Whether a picture differs from the render nearly everywhere on the asset, and by more than a camera's or JPEG's
+    noise: it was sharpened, upscaled, relit or made anew, not painted on. edited, render: [H, W, 3]; alpha: [H, W].
+
+    On 28 meshes (of each the close-up of a finer asset, a painted view, and either through JPEG of quality 50 to 90):
+    89 % of the close-ups, none of the painted views as PNG, 3 % of them as JPEG of quality 75."""
+    solid = alpha > 0.9
+    if not solid.any():
+        return False
+    signed = np.clip(edited, 0, 1) - np.clip(render, 0, 1)
+    median = float(np.median(_largest(np.abs(signed))[solid]))
+    if median < MIN_MEDIAN_CHANGE:
+        return False
+    return float(np.median(_largest(np.abs(box_mean(signed, 4)))[solid])) > MIN_SMOOTH_SHARE * median
 
 
 def dilated(mask: np.ndarray, reach: int) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.limits import paintable
-from splatpainter.lift.local_edit import NOTHING_THERE, WIDE_EDIT_FRACTION, gaussians_in_mask, lift_local
+from splatpainter.lift.local_edit import NOTHING_THERE, gaussians_in_mask, is_wide, lift_local
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.resurface import MIN_COVER, RING_PX, resurface
@@ -62,7 +62,7 @@ def paint_view(
     number of Gaussians of the original (default: N).
     Raises ValueError when no Gaussian contributes to the masked pixels."""
     none = np.zeros(0, np.int64)
-    if surface is None or mask.mean() > WIDE_EDIT_FRACTION:
+    if surface is None or is_wide(mask):
         lifted = lift_local(splats, camera, edited, mask, options, allowed)
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, 0.0)
     reach = dilated(mask, RING_PX)

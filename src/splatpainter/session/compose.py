@@ -79,7 +79,7 @@ RECORDED_NAMES = {
     "rim_px": "rim",
 }
 """Fields of LocalOptions -> their names in projects: results of layers are found by them."""
-SHEETS = "sheets-1"
+SHEETS = "sheets-2"
 """What stands in the fingerprints of painters that lay sheets. Layers of older ones are lifted as they were made:
 split, without sheets, blended and erased from the colours of parents."""
 WITHOUT_SHEETS = "lifted without sheets, as it was made; set its method to paint it anew"

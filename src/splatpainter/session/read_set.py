@@ -40,6 +40,7 @@ def read_set_of(
     """What a local lift of the masked pixels ([H, W] bool) reads of `splats`, whose voxels are `grid`; None where it
     could not be applied. originals: how many of the first are the original's, on whose surface sheets are laid; None:
     the edit knows no surface, and splits only Gaussians that the voxels let it."""
+    from splatpainter.lift.local_edit import is_wide
     from splatpainter.lift.paint import read_by_edit
     from splatpainter.rendering.cpu.projected_view import project
     from splatpainter.voxels.raycast import editable_gaussians, inside
@@ -55,6 +56,8 @@ def read_set_of(
         if not may_split.any():
             return None
     gaussian_ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
+    if originals is not None and is_wide(mask):  # views from all around count (lift/wide_edit.py)
+        gaussian_ids = np.arange(len(splats))
     first = len(splats) if originals is None else originals
     digest = hashlib.sha256(np.packbits(may_split[gaussian_ids]).tobytes())
     digest.update(int(np.searchsorted(gaussian_ids, first)).to_bytes(8, "little"))

@@ -16,11 +16,11 @@ from torch import Tensor
 
 from splatpainter.cameras import Camera
 from splatpainter.data.recent import Recent
+from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit, lift_global_views, lift_local_views
 from splatpainter.lift.global_edit import Predict
 from splatpainter.lift.options import ResidualBase
-from splatpainter.lift.surface import outward_normals
 from splatpainter.lighting import prt_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit

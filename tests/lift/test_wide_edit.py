@@ -1,0 +1,129 @@
+"""Zoom-ins: detail arrives and is seen from other sides too, and what the close-ups do not show stays."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import splatpainter as sp
+from splatpainter.cameras import Camera, look_at
+from splatpainter.lift.edit_views import EditView, edit_views
+from splatpainter.lift.masks import changed_throughout
+from splatpainter.lift.options import LOCAL_DEFAULTS
+from splatpainter.lift.wide_edit import WideLift, lift_wide
+from splatpainter.metrics import psnr
+from splatpainter.painter import Asset, Edit, Painter
+from splatpainter.splats import SH_C0, Splats, rows_sha256
+from tests.support.lift_scenes import front, sheet
+
+PX = 96
+
+
+def closeup(x: float, y: float) -> Camera:
+    return look_at((x, y, 1.6), (x / 3, y / 3, 0), width=PX, height=PX, fov=40, background=(0.5, 0.5, 0.5))
+
+
+def with_detail(side: int) -> Splats:
+    """A plane with stripes that only a fine one can show."""
+    splats = sheet(side, degree=1, opacity=0.95)
+    sh = splats.sh.copy()
+    sh[:, 0] = ((0.5 + 0.35 * np.sin(24 * splats.means[:, :1] + [0, 1, 2])) - 0.5) / SH_C0
+    return replace(splats, sh=(sh * [[1], [0], [0], [0]]).astype(np.float32))
+
+
+def box(front_side: Splats) -> Splats:
+    """The plane, and a second one behind it, back to back."""
+    behind = sheet(24, z=-0.3, degree=1, opacity=0.95)
+    return front_side.append(behind)
+
+
+def picture(splats: Splats, camera: Camera) -> np.ndarray:
+    return np.clip(sp.render(splats, camera).colors[0], 0, 1)
+
+
+@pytest.fixture(scope="module")
+def asset() -> Splats:
+    return box(sheet(24, degree=1, opacity=0.95))
+
+
+@pytest.fixture(scope="module")
+def views(asset: Splats) -> list[EditView]:
+    cameras = [closeup(0.3, 0.2), closeup(-0.35, -0.1)]
+    pictures = [picture(box(with_detail(120)), camera) for camera in cameras]
+    return edit_views(asset, cameras, pictures, [np.ones((PX, PX), bool)] * 2)
+
+
+@pytest.fixture(scope="module")
+def lifted(asset: Splats, views: list[EditView]) -> WideLift:
+    return lift_wide(asset, views, LOCAL_DEFAULTS)
+
+
+def test_detail_arrives_and_is_seen_from_another_side(asset, views, lifted) -> None:
+    for view in views:
+        before, after = (psnr(picture(splats, view.camera), view.edited) for splats in (asset, lifted.splats))
+        assert after > before + 9
+    other = closeup(0.05, -0.3)
+    truth = picture(box(with_detail(120)), other)
+    assert psnr(picture(lifted.splats, other), truth) > psnr(picture(asset, other), truth) + 7
+
+
+def test_what_the_views_do_not_show_stays(asset, lifted) -> None:
+    camera = look_at((0.4, 0.3, -3), (0, 0, 0), width=PX, height=PX, fov=42)
+    assert psnr(picture(lifted.splats, camera), picture(asset, camera)) > 45
+    touched = np.zeros(len(asset), bool)
+    touched[lifted.touched] = True
+    assert 0 < touched[: 24 * 24].sum() and not touched[24 * 24 :].any()
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        old, new = getattr(asset, name), getattr(lifted.splats, name)[: len(asset)]
+        assert old[~touched].tobytes() == new[~touched].tobytes()
+    assert len(lifted.parents) == len(lifted.splats) - len(asset) > 100 and touched[lifted.parents].all()
+
+
+def test_from_afar_nothing_has_changed(asset, views) -> None:
+    """Close-ups of the asset's own mean colours: what is sharper near is the same when it is small."""
+    far = look_at((0, 0, 9), (0, 0, 0), width=48, height=48, fov=25)
+    sharper = [
+        replace(view, edited=np.clip(view.before + 0.08 * np.sign(np.sin(np.arange(PX) * 2.1))[None, :, None], 0, 1))
+        for view in views
+    ]
+    after = lift_wide(asset, sharper, LOCAL_DEFAULTS).splats
+    assert psnr(picture(after, far), picture(asset, far)) > 35
+
+
+def test_equal_bits_for_any_number_of_threads(asset, views, lifted, monkeypatch) -> None:
+    for threads in ("1", "3"):
+        monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+        again = lift_wide(asset, views, LOCAL_DEFAULTS)
+        assert rows_sha256(again.splats) == rows_sha256(lifted.splats)
+
+
+def test_pictures_without_a_mask_that_differ_everywhere_are_lifted_together(asset, views, lifted) -> None:
+    edits = [Edit(view.edited, view.camera, None) for view in views]
+    result = Painter.load("lift").apply(Asset(asset), edits)
+    assert rows_sha256(result.splats) == rows_sha256(lifted.splats)
+    receipt = result.receipt
+    assert receipt is not None and not len(receipt.removed) and "beside the asset" not in receipt.note
+
+
+def test_paint_and_noise_are_not_taken_for_detail(asset, views) -> None:
+    camera = front(PX)
+    before, alpha = picture(asset, camera), np.asarray(sp.render(asset, camera).alphas[0, ..., 0])
+    painted = np.round(before * 255) / 255
+    painted[30:50, 20:60] = (0.9, 0.1, 0.1)
+    assert not changed_throughout(painted, before, alpha)
+    file = io.BytesIO()
+    Image.fromarray((painted * 255).astype(np.uint8)).save(file, "JPEG", quality=85)
+    assert not changed_throughout(np.asarray(Image.open(file), np.float32) / 255, before, alpha)
+    assert not changed_throughout(before, before, np.zeros_like(alpha))
+    assert changed_throughout(views[0].edited, views[0].before, np.ones((PX, PX), np.float32))
+
+
+def test_a_view_beside_the_asset_is_named(asset, views) -> None:
+    away = look_at((0, 0, 3), (9, 0, 3), width=PX, height=PX, fov=40)
+    nothing = edit_views(asset, [away], [np.zeros((PX, PX, 3), np.float32)], [np.ones((PX, PX), bool)])[0]
+    with pytest.raises(ValueError, match="second: no row of the asset"):
+        lift_wide(asset, [views[0], replace(nothing, name="second")], LOCAL_DEFAULTS)
