@@ -390,6 +390,16 @@ def test_another_degree_is_found(tmp_path):
     assert not found.ok and any("degree 1 became 0" in problem for problem in found.problems)
 
 
+def test_an_original_that_the_other_format_cannot_hold_is_named(tmp_path):
+    far = sheet(5)
+    far.means[3, 0] = 5000
+    sp.write(tmp_path / "far.ply", far)
+    sp.write(tmp_path / "near.spz", sheet(5))
+    with pytest.raises(ValueError, match=r"far\.ply: cannot be compared with .*near\.spz as spz: row 3 at") as refused:
+        sp.verify(tmp_path / "far.ply", tmp_path / "near.spz")
+    assert "converted" not in str(refused.value) and "write .ply" not in str(refused.value)
+
+
 def test_a_ply_edited_into_another_format(tmp_path):
     original, edited, proof = edited_files(tmp_path, ".splat")
     found = sp.verify(original, edited, proof)

@@ -141,14 +141,21 @@ def _compare_converted(original: Splats, edited: Splats) -> Comparison:
 
 
 def _converted(before: Splats, after: Splats) -> Splats:
-    """`before` as its rows would be in the format of `after`."""
-    assert after.source is not None
+    """`before` as its rows would be in the format of `after`. Raises ValueError, naming the file of `before`, where that
+    format cannot hold them."""
+    assert before.source is not None and after.source is not None
     entry = FORMATS[after.source.format]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
         # Words are rounded in the frame of the edited file: -1 and 1 are not rounded alike.
         frame = option(after.source.frame)
-        write(path, before, frame=frame)
+        try:
+            write(path, before, frame=frame)
+        except ValueError as error:
+            reason = str(error).removeprefix(f"{path}: ").partition("; write ")[0]
+            raise ValueError(
+                f"{before.source.path}: cannot be compared with {after.source.path} as {after.source.format}: {reason}"
+            ) from None
         return read(path, frame=frame)
 
 
