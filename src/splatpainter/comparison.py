@@ -141,8 +141,8 @@ def _compare_converted(original: Splats, edited: Splats) -> Comparison:
 
 
 def _converted(before: Splats, after: Splats) -> Splats:
-    """`before` as its rows would be in the format of `after`. Raises ValueError, naming the file, where that cannot hold
-    them."""
+    """`before` as its rows would be in the format of `after`. Raises ValueError, naming the file, where it cannot
+    hold them."""
     assert before.source is not None and after.source is not None
     entry = FORMATS[after.source.format]
     with tempfile.TemporaryDirectory() as folder:
