@@ -18,7 +18,7 @@ from splatpainter import jsonio
 
 MAX_YAML_BYTES = 1 << 20
 """Of a file."""
-MAX_NODES = 200_000
+MAX_NODES = 50_000
 """Values of a file, anchors written out."""
 MAX_DEPTH = 40
 _Dataclass = TypeVar("_Dataclass")

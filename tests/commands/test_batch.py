@@ -17,7 +17,6 @@ from splatpainter.commands import Outcome, grade
 from splatpainter.commands.batch import Config, run_jobs, schema
 from splatpainter.commands.batch.plan import read_jobs
 from splatpainter.commands.batch.work import BatchWork
-from splatpainter.data.cluster import run_on_ray
 from splatpainter.painter import Painter
 from tests.support.batch_jobs import CAMERA, Killed, colored_ball, jobs_file, write_assets
 from tests.support.cli_scenes import Capture, listing, run, saved
@@ -324,8 +323,8 @@ def test_ray_with_two_workers_one_killed(folder: Path, workers_find_this_folder:
     plans = [read_jobs(jobs_file(folder, GRADES.replace("*", "shoe0").replace("out: out", f"out: {k}"))) for k in "ab"]
     (folder / "seen").mkdir()
     work = Killed(Work(str(folder / "seen"), dies_once=1), BatchWork(plans[0].jobs))
-    records = dict(run_on_ray(work, range(2), workers=2))
-    assert [records[k]["status"] for k in range(2)] == ["done", "done"], records  # type: ignore[index]
+    records = run_jobs(work, plans[0].jobs, Config(plans[0].file, workers=2, ray=()))
+    assert [record["status"] for record in records] == ["done", "done"], records
     assert attempts(folder / "seen", 1) == 2
     alone = run_jobs(BatchWork(plans[1].jobs), plans[1].jobs, Config(plans[1].file))
     assert all(record["status"] == "done" for record in alone)
