@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import splatpainter as sp
 from splatpainter.io import read
+from splatpainter.painter import Painter
 from splatpainter.sources.color_grading import GradeSettings, grade_sh
 from tests.support.cli_scenes import Capture, ball, listing, rows_of, run, saved
 
@@ -88,6 +90,26 @@ def test_a_look_file_names_what_is_wrong_in_it(asset: Path, tmp_path: Path, capf
     (tmp_path / "look.json").write_text('{"exposure": "much"}')
     done = run(capfd, "grade", asset, "--look", tmp_path / "look.json", "--out", tmp_path / "out.ply")
     assert done.error.endswith("look.json: expected float as 'exposure', got 'much'")
+
+
+def test_a_layer_of_the_studio_is_a_look(asset: Path, tmp_path: Path, capfd: Capture) -> None:
+    settings = {"look": "grade", "exposure": 0.4, "curve": [[0.3, 0.4]], "hues": [{"hue": 0.0, "shift": 40.0}]}
+    with sp.Session(asset, painter=Painter()) as session:
+        layer = session.add("look", parameters=settings)
+        session.export_layer(layer.id, tmp_path / "a.splatlayer")
+        session.export(tmp_path / "session.ply")
+        session.set(layer.id, blend="color")
+        session.export_layer(layer.id, tmp_path / "b.splatlayer")
+        gain = session.add("look", parameters={"look": "gain", "gain": [2, 1, 1]})
+        session.export_layer(gain.id, tmp_path / "c.splatlayer")
+    assert run(capfd, "grade", asset, "--look", tmp_path / "a.splatlayer", "--out", tmp_path / "o.ply").code == 0
+    assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "session.ply").read_bytes()
+    for name, line in (
+        ("b", "expected a layer of blend normal, got color"),
+        ("c", "expected an adjustment layer with"),
+    ):
+        done = run(capfd, "grade", asset, "--look", tmp_path / f"{name}.splatlayer", "--out", tmp_path / "p.ply")
+        assert line in done.error
 
 
 def test_the_asset_and_its_inputs_are_never_overwritten(asset: Path, tmp_path: Path, capfd: Capture) -> None:

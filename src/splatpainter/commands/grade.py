@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +20,8 @@ from splatpainter.grading.grade import Look, grade
 from splatpainter.grading.region import Region
 from splatpainter.io import files, read
 from splatpainter.jsonio import load_object
-from splatpainter.sources.color_grading import GradeSettings
+from splatpainter.session.asset_files import LAYER_SUFFIX, read_layer
+from splatpainter.sources.color_grading import GRADE, GradeSettings
 from splatpainter.sources.picture_reader import read_picture
 
 COMMAND = "splatpainter grade"
@@ -65,7 +66,8 @@ class Config:
     hue: float = 0.0
     """Degrees by which all hues turn, about the grey axis; 120: red to green."""
     look: Annotated[Path | None, arg(metavar="LOOK.json", help_behavior_hint="")] = None
-    """Instead of sliders: settings of an adjustment layer as JSON: the sliders, curve, hues, strength."""
+    """Instead of sliders: an adjustment layer, as the studio exports it (.splatlayer), or its settings as JSON: the
+    sliders, curve, hues, strength."""
     lut: Annotated[Path | None, arg(metavar="FILE.cube", help_behavior_hint="")] = None
     """... or a table of display colours, 1D or 3D, as grading programs write it."""
     match: Annotated[Path | None, arg(metavar="PICTURE", help_behavior_hint="")] = None
@@ -146,12 +148,26 @@ def look_of(config: Config) -> Look:
 
 
 def read_look(path: Path) -> Look:
-    """Settings of an adjustment layer from a JSON file. Raises ValueError naming it."""
+    """Settings of an adjustment layer: a JSON file, or a layer of the studio. Raises ValueError naming it."""
+    if path.suffix.lower() == LAYER_SUFFIX:
+        return _look_of_layer(path)
     data = load_object(files.read_head(path, MAX_LOOK_BYTES + 1), path, "a look", MAX_LOOK_BYTES)
     try:
         return GradeSettings.from_dict(data)
     except ValueError as error:
         raise ValueError(f"{path}: {str(error).removeprefix('look: ')}") from None
+
+
+def _look_of_layer(path: Path) -> Look:
+    layer, _ = read_layer(path)
+    if layer.kind != "look" or layer.parameters.get("look") != GRADE:
+        raise ValueError(f"{path}: expected an adjustment layer with sliders, got a layer of kind {layer.kind}")
+    if layer.views:
+        raise ValueError(f"{path}: is limited to a selection, which grade takes as --where mask=M.png@CAM.json instead")
+    if layer.blend != "normal":
+        raise ValueError(f"{path}: expected a layer of blend normal, got {layer.blend}")
+    sliders = GradeSettings.from_dict(layer.parameters)
+    return replace(sliders, strength=sliders.strength * layer.opacity)
 
 
 def _color(text: str) -> tuple[float, float, float]:
