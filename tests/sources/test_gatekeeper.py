@@ -46,6 +46,12 @@ def test_a_painted_picture_comes_through_and_all_else_stays() -> None:
     assert ((result.weight > 0) & (result.weight < 1)).any()  # soft edges
 
 
+def test_a_picture_that_changed_at_every_pixel() -> None:
+    request, _ = scene()
+    magenta = (0.3 * request.image + 0.7 * np.array([1, 0, 1])).astype(np.float32)
+    assert admit(magenta, request).changed[request.alpha > 0.5].all()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_moved_recoloured_compressed_picture_is_put_right(seed: int) -> None:
     request, painted = scene(seed)

@@ -240,7 +240,7 @@ def _changed(
     """[H, W] bool: pixels that were edited. Within a mask every difference counts that is no rounding, elsewhere those
     above the picture's noise; where most of what may change did, all of it did."""
     changed, difference = change_mask(picture, render), np.abs(picture - render).max(-1)
-    if changed.any() and np.quantile(difference[~changed], 0.9) > MAX_LOSSLESS:
+    if changed.any() and not changed.all() and np.quantile(difference[~changed], 0.9) > MAX_LOSSLESS:
         changed &= box_mean(changed, SPECK_PX) > SPECK_SHARE
     region = cover if mask is None else cover & (mask > 0)
     if mask is not None:

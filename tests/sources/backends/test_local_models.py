@@ -181,6 +181,7 @@ class Pipeline:
 
     calls: list[dict[str, Any]] = []
     flagged = False
+    num_timesteps = 0
 
     def to(self, device: str) -> Pipeline:
         assert device == "cpu"
@@ -191,7 +192,7 @@ class Pipeline:
 
     def paint(self, values: dict[str, Any]) -> SimpleNamespace:
         self.calls.append(values)
-        for step in range(values["num_inference_steps"]):
+        for step in range(self.num_timesteps or values["num_inference_steps"]):
             assert values["callback_on_step_end"](self, step, 1000 - step, {"latents": 0}) == {"latents": 0}
         pixels = np.asarray(values["image"]).copy()
         mask = values.get("mask_image")
@@ -282,6 +283,10 @@ def test_a_pipeline_without_a_mask(folder: Path) -> None:
 def test_a_pipeline_that_is_cancelled_or_flags(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SourceCancelled):
         edit("diffusers", request("moss"), Progressed("step 2"), model=folder, device="cpu")
+    monkeypatch.setattr(Pipeline, "num_timesteps", 2)
+    progress = Progressed()
+    edit("diffusers", request("moss"), progress, model=folder, steps=4, device="cpu")
+    assert progress.reports[-1] == (1.0, "step 2 of 2")
     monkeypatch.setattr(Pipeline, "flagged", True)
     with pytest.raises(SourceError, match="its safety checker took the picture out"):
         edit("diffusers", request("moss"), model=folder, steps=1, device="cpu")

@@ -120,7 +120,7 @@ class ComfyUISource:
         """Run the workflow once. Raises SourceError with what the server says; SourceCancelled."""
         key = os.environ.get(KEYS[0], "").strip()
         headers = {"Authorization": f"Bearer {key}"} if key else {}
-        job = _Job(Service("comfyui", self.url, headers, progress, KEYS), headers, progress)
+        job = ComfyJob(Service("comfyui", self.url, headers, progress, KEYS), headers, progress)
         body = run(lambda: job.run(self.workflow, self.slots, request), "comfyui", self.options.timeout, cancel)
         image, notes = read_answer(body, "comfyui")
         seed = request.seed if "seed" in self.slots else None
@@ -197,7 +197,7 @@ def _inputs(node: dict[str, Any], slot: str) -> list[str]:
     return [name for name in INPUTS[slot] if isinstance(node["inputs"].get(name), kinds)]
 
 
-class _Job:
+class ComfyJob:
     """One run of a workflow, within the loop of `run`."""
 
     def __init__(self, service: Service, headers: dict[str, str], progress: Progress) -> None:
@@ -298,7 +298,7 @@ class _Job:
                     message = ""
                 except Exception:  # closed by the server or on the way
                     socket, message = None, ""
-                if message and not self._is_end(message, graph):
+                if message and not self.is_end(message, graph):
                     continue
             else:
                 await asyncio.sleep(HISTORY_SECONDS)
@@ -310,7 +310,7 @@ class _Job:
                 if status == "success" or at(entry, "status", "completed") or entry.get("outputs"):
                     return entry
 
-    def _is_end(self, message: str | bytes, graph: dict[str, Any]) -> bool:
+    def is_end(self, message: str | bytes, graph: dict[str, Any]) -> bool:
         """Whether a message ends the run. Reports progress; raises SourceError where it says that the run failed."""
         try:
             data = json.loads(message) if isinstance(message, str) else None

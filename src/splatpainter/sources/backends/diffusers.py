@@ -100,7 +100,9 @@ class DiffusersSource:
         def step_ended(_: Any, step: int, timestep: Any, values: dict[str, Any]) -> dict[str, Any]:
             if cancel.is_set():
                 raise SourceCancelled
-            progress(min((step + 1) / self.options.steps, 1.0), f"step {step + 1} of {self.options.steps}")
+            steps = getattr(pipeline, "num_timesteps", None)  # fewer than were asked for, by the strength
+            total = steps if isinstance(steps, int) and steps > 0 else self.options.steps
+            progress(min((step + 1) / total, 1.0), f"step {step + 1} of {total}")
             return values
 
         image = padded(quantized(request.image))
@@ -161,6 +163,7 @@ class DiffusersSource:
         precision = self.options.precision
         if precision == "auto":
             precision = "float16" if chosen == "cuda" else "float32"
+        _silence(diffusers)
         kind = diffusers.AutoPipelineForInpainting if task == "inpaint" else diffusers.AutoPipelineForImage2Image
         try:
             pipeline = kind.from_pretrained(
@@ -180,6 +183,13 @@ class DiffusersSource:
         if hasattr(pipeline, "set_progress_bar_config"):
             pipeline.set_progress_bar_config(disable=True)
         return pipeline
+
+
+def _silence(library: Any) -> None:
+    """No bars of the library's on stderr: `progress` says how far it is."""
+    quiet = getattr(getattr(getattr(library, "utils", None), "logging", None), "disable_progress_bar", None)
+    if callable(quiet):
+        quiet()
 
 
 def check_model_folder(path: Path) -> str:
