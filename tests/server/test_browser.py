@@ -160,7 +160,7 @@ def test_limits_are_shown_while_painting_and_go_with_the_layer(opened: tuple[stu
 
 
 def test_every_painting_tool_paints(opened: tuple[studio_scenes.Live, Page]) -> None:
-    """Strokes go into the chosen paint layer; the eraser and a text are layers of their own."""
+    """Strokes, and the eraser's, go into the chosen paint layer; a text, and with Shift the eraser, are layers."""
     _, page = opened
     keys = page.tab.keyboard
 
@@ -187,7 +187,12 @@ def test_every_painting_tool_paints(opened: tuple[studio_scenes.Live, Page]) -> 
     painted("Fill in Paint", ["Paint"])
     assert page.state()["layers"][0]["strokes"] == 4
     keys.press("e")
+    page.drag((0.4, 0.45), (0.5, 0.48))
+    painted("Erase in Paint", ["Paint"])
+    assert page.state()["layers"][0]["strokes"] == 5
+    keys.down("Shift")
     page.drag((0.4, 0.45), (0.6, 0.5))
+    keys.up("Shift")
     painted("add Erase", ["Paint", "Erase to original"])
     keys.press("t")
     page.drag((0.5, 0.5))
@@ -634,3 +639,28 @@ def test_nothing_seems_lost(browser: Any, tmp_path: Path) -> None:
             assert [problem for problem in page.problems if "WebSocket" not in problem] == []
         finally:
             tab.close()
+
+
+def test_the_eraser_takes_the_layers_paint_and_leaves_what_is_below(opened: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = opened
+
+    def middle() -> np.ndarray:
+        pixels = page.pixels()
+        height, width, _ = pixels.shape
+        return pixels[height // 2 - 3 : height // 2 + 4, width // 2 - 3 : width // 2 + 4].mean((0, 1))
+
+    page.drag((0.4, 0.5), (0.6, 0.5))
+    page.settled()
+    red = middle()
+    page.tab.get_by_role("button", name="New layer to paint into").click()
+    page.wait("the new layer", lambda: len(page.names()) == 2)
+    page.tab.get_by_role("textbox", name="Colour").fill("#2040d0")
+    page.drag((0.45, 0.5), (0.55, 0.5))
+    page.settled()
+    assert middle()[2] > 0.5 > middle()[0]
+    page.tab.keyboard.press("e")
+    page.drag((0.44, 0.5), (0.56, 0.5))
+    page.settled()
+    assert np.abs(middle() - red).max() < 0.05 and page.names() == ["Paint", "Paint 2"]
+    page.tab.keyboard.press("Control+z")
+    page.wait("the blue again", lambda: middle()[2] > 0.5)

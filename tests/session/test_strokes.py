@@ -12,6 +12,7 @@ import pytest
 from splatpainter.cameras import look_at
 from splatpainter.session import Session
 from splatpainter.session.document import MAX_STROKES, Layer
+from splatpainter.splats import rows_sha256
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, FlatPainter, dab, flat, load, print_of
 
 SIDE = look_at((1.5, 0, -3), (0, 0, 0), (0, -1, 0), width=32, height=32, fov=40)
@@ -238,3 +239,29 @@ def test_only_the_placed_picture_of_a_sticker_is_kept_with_it(path: Path) -> Non
     layer = Layer("1", "a", "paint", parameters={"placed": {"image": "a" * 64}})
     assert layer.blobs() == {"a" * 64}
     assert replace(layer, parameters={"placed": {"image": "../x"}}).blobs() == set()
+
+
+def test_the_eraser_takes_away_what_its_layer_painted(path: Path) -> None:
+    """Where everything of the layer is erased, what is below it is there bit for bit; the rest is hidden."""
+    with flat(project=path) as session:
+        lower = session.new_layer("lower")
+        session.paint(lower.id, [dab(RED, radius=6)])
+        below = session.splats
+        upper = session.new_layer("upper")
+        session.paint(upper.id, [dab(BLUE, 14, radius=4)])
+        painted_over = session.splats
+        session.paint(upper.id, [dab(RED, 14, radius=9)], kind="erase", name="Erase")
+        erased = session.splats
+        assert rows_sha256(erased.take(np.arange(len(below)))) == rows_sha256(below)
+        assert not erased.opacities[len(below) :].any() and len(erased) >= len(painted_over)
+        session.paint(upper.id, [dab(GREEN, 14, radius=3)])
+        assert calls(session) == 3 and session.facts(upper.id)["stroke"]["rows_touched"]
+        again = print_of(session)
+        session.undo()
+        assert print_of(session) == rows_sha256(erased)
+        session.redo()
+        session.set(lower.id, visible=False)
+        session.set(lower.id, visible=True)
+        assert print_of(session) == again and session.verify(repaint=True) == []
+    with load(path) as session:
+        assert print_of(session) == again and calls(session) == 0

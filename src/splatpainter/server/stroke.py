@@ -57,10 +57,17 @@ class _Canvas:
 class Stroke:
     """One stroke of one page; used by one thread at a time."""
 
-    def __init__(self, camera: Camera, erase: bool = False, session: Session | None = None) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        erase: bool = False,
+        session: Session | None = None,
+        beneath: Splats | None = None,
+    ) -> None:
         """session: what it is drawn on (`belongs_to`). Versions are numbers of one session: of another one, `version`
-        may be the same and every Gaussian different."""
-        self.camera, self.erase = camera, erase
+        may be the same and every Gaussian different. beneath: of an eraser of one layer, what comes out; None: the
+        original."""
+        self.camera, self.erase, self._beneath = camera, erase, beneath
         self._session = None if session is None else weakref.ref(session)
         self.rgba = np.zeros((camera.height, camera.width, 4), np.uint8)
         self._canvas: _Canvas | None = None
@@ -75,7 +82,7 @@ class Stroke:
             return
         frame = project(splats, self.camera)
         base = frame.rasterize()[0]
-        erased = project(original, self.camera).rasterize()[0] if self.erase else base
+        erased = project(self._beneath or original, self.camera).rasterize()[0] if self.erase else base
         everywhere = np.ones(base.shape[:2], np.float32)
         weights = frame.backproject(np.zeros_like(base), everywhere).weight
         colors = np.maximum(frame.unclamped_colors, 0)

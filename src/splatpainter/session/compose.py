@@ -43,7 +43,7 @@ from splatpainter.session.layer_blending import (
     reached_gaussians,
 )
 from splatpainter.session.layer_factory import decode_mask, decode_picture, is_cut_out, limits_of
-from splatpainter.session.layer_state import LayerResult, LayerState, Progress, ResultStore
+from splatpainter.session.layer_state import LayerResult, LayerState, Progress, ResultStore, ancestors, lineage
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
 from splatpainter.session.strokes import Chain, Painted, StrokeChains
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -300,6 +300,8 @@ class Replay:
 
     def _painted_stroke(self, state: LayerState, stroke: Layer, below: LayerState) -> LayerResult:
         """What a stroke makes of the state after those before it. below: the state below its layer."""
+        if stroke.kind == "erase":
+            return self._try(state, stroke, below)
         result = self._renumbered(state, stroke) or self._try(state, stroke)
         self._note_placement(state, stroke, Chain.of(state.key, (stroke,)).results[0])
         return result
@@ -335,7 +337,7 @@ class Replay:
         """What a merged layer did, for another opacity or blend; the latest one is cached, for sliders."""
         key = (below.key, state.key)
         if self._merged is None or self._merged[0] != key:
-            delta = between(below.splats, state.splats, _ancestors(state, len(below.splats)))
+            delta = between(below.splats, state.splats, ancestors(state, len(below.splats)))
             leaves = [leaf for leaf in layer.leaves() if _is_visible(leaf)]
             if any(map(_has_base, leaves)):
                 cameras = [camera for leaf in leaves if _has_base(leaf) for camera in leaf.cameras]
@@ -395,10 +397,15 @@ class Replay:
         painted = layer.mode == "local" and layer.method == "lift" and layer.kind in ("paint", "picture", "clone")
         return painted and type(self.painter) is Painter and len(layer.views) == 1 and layer.views[0].mask is not None
 
-    def _try(self, below: LayerState, layer: Layer) -> LayerResult:
+    def _try(self, below: LayerState, layer: Layer, erased_to: LayerState | None = None) -> LayerResult:
+        """erased_to: of an eraser inside a layer, the state below that layer."""
         start = time.perf_counter()
         try:
-            result = self._result(below, layer)
+            if erased_to is None:
+                result = self._result(below, layer)
+            else:
+                splats = replace(below.splats, origin=lineage(below, len(erased_to.splats)))
+                result = LayerResult(self._erased(splats, erased_to.splats, layer))
         except ValueError as error:
             return LayerResult(no_delta(below.splats), {"problem": str(error)})
         facts: dict[str, Any] = {"rows_touched": len(result.delta.gaussian_ids)}
@@ -410,15 +417,19 @@ class Replay:
         """What a layer makes of a state; nothing is cached. Raises ValueError where it cannot be applied."""
         splats = below.splats
         if layer.kind == "erase":
-            views = [(view.camera, self.mask(view)) for view in layer.views]
-            delta = fade_delta if _fades(layer) else erase_delta
-            return LayerResult(delta(splats, self.original, views, reached_gaussians(splats, views)))
+            return LayerResult(self._erased(splats, self.original, layer))
         if layer.kind == "look" and not any(view.picture for view in layer.views):
             adjusted = replace(splats, sh=adjust_sh(splats.sh, layer.parameters, self.adjustments))
             if layer.views:
                 adjusted = _within(self._reached(splats, layer.views), splats, adjusted)
             return LayerResult(between(splats, adjusted))
         return self._paint(below, layer)
+
+    def _erased(self, splats: Splats, original: Splats, layer: Layer) -> Delta:
+        """What an eraser does to `splats`, whose `origin` says which Gaussian of `original` each comes from."""
+        views = [(view.camera, self.mask(view)) for view in layer.views]
+        delta = fade_delta if _fades(layer) else erase_delta
+        return delta(splats, original, views, reached_gaussians(splats, views))
 
     def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
         local = layer.mode == "local" and layer.method != "ttt"  # networks paint without limits
@@ -578,15 +589,6 @@ def _fades(layer: Layer) -> bool:
     """Whether a layer is an eraser that only fades (eraser.fade_delta)."""
     partial = layer.opacity < 1 or layer.blend != "normal"
     return layer.kind == "erase" and partial and lays_sheets(layer.painter)
-
-
-def _ancestors(state: LayerState, count: int) -> np.ndarray:
-    """[A] the Gaussian among the first `count` that each later one was split from, over any number of splits."""
-    first = len(state.splats) - len(state.parent_ids)
-    ancestors = state.parent_ids[count - first :].copy()
-    while (late := ancestors >= count).any():
-        ancestors[late] = state.parent_ids[ancestors[late] - first]
-    return ancestors
 
 
 def _fit(confidence: np.ndarray, count: int) -> np.ndarray:

@@ -62,3 +62,18 @@ class LayerState:
 
 Progress = Callable[[int, int, str], None]
 """(layers done, layers in all, name of the one in work); what it raises ends the work, and nothing has changed."""
+
+
+def ancestors(state: LayerState, count: int) -> np.ndarray:
+    """[A] the Gaussian among the first `count` that each later one was split from, over any number of splits; -1:
+    none."""
+    first = len(state.splats) - len(state.parent_ids)
+    out = state.parent_ids[count - first :].copy()
+    while (late := out >= count).any():
+        out[late] = state.parent_ids[out[late] - first]
+    return out
+
+
+def lineage(state: LayerState, count: int) -> np.ndarray:
+    """[N] the Gaussian among the first `count` that each is, or was split from; -1: none."""
+    return np.concatenate([np.arange(count), ancestors(state, count)])

@@ -25,6 +25,8 @@ class StrokeCommands(ABC):
     painter: Painter
     _replay: Replay
     _transaction: Transaction
+    _commands: Any
+    """Lock of the commands."""
 
     @property
     @abstractmethod
@@ -70,8 +72,11 @@ class StrokeCommands(ABC):
     ) -> Layer:
         """One more stroke in a paint layer, from any view; returns the layer. Only the stroke is computed, on what the
         strokes before it made (`painted_on` shows that). It is one step of the history. A layer of local views that
-        `add` made takes strokes too. kind: paint, clone; parameters: angle_limit, depth_edge_limit, as of `add`; name:
-        of the step. Raises ValueError as `add`, and for a layer that takes no strokes or is hidden."""
+        `add` made takes strokes too.
+
+        kind: paint, clone, or erase, which takes this layer's paint away, and nothing below it; parameters:
+        angle_limit, depth_edge_limit, as of `add`; name: of the step. Raises ValueError as `add`, and for a layer that
+        takes no strokes or is hidden."""
         with self._command():
             document = self._document
             return self._painted(document, layer, None, edits, name, kind, method, parameters)
@@ -112,13 +117,15 @@ class StrokeCommands(ABC):
 
     def painted_on(self, layer: str) -> Splats:
         """The Gaussians that the next stroke of a layer is painted on: what is below it, with its strokes in full."""
-        return self._replay.painted_on(self._document, layer)
+        with self._commands:
+            return self._replay.painted_on(self._document, layer)
 
     def below(self, layer: str) -> Splats:
         """The Gaussians below a layer."""
-        document = self._document
-        layers = document.layers[: document.index(layer)]
-        return self._replay.compose(replace(document, layers=layers)).splats
+        with self._commands:
+            document = self._document
+            layers = document.layers[: document.index(layer)]
+            return self._replay.compose(replace(document, layers=layers)).splats
 
     def replace_views(
         self,

@@ -18,7 +18,7 @@ import numpy as np
 
 from splatpainter.session.delta import Delta, bare
 from splatpainter.session.document import Layer, digest
-from splatpainter.session.layer_state import LayerResult, LayerState, ResultStore
+from splatpainter.session.layer_state import LayerResult, LayerState, ResultStore, ancestors
 from splatpainter.splats import ATTRIBUTES
 
 CACHED_BYTES = 1 << 27
@@ -71,12 +71,9 @@ class Painted:
     def delta(self, below: LayerState) -> Delta:
         """What all strokes did to the state below the layer."""
         count, splats = len(below.splats), self.state.splats
-        first = len(splats) - len(self.state.parent_ids)
-        ancestors = self.state.parent_ids[count - first :].copy()
-        while (late := ancestors >= count).any():
-            ancestors[late] = self.state.parent_ids[ancestors[late] - first]
         appended = splats.take(np.arange(count, len(splats)))
-        return Delta(count, self.changed, bare(splats.take(self.changed)), bare(appended), ancestors)
+        parent_ids = ancestors(self.state, count)
+        return Delta(count, self.changed, bare(splats.take(self.changed)), bare(appended), parent_ids)
 
     def layer_facts(self, layer: Layer, below: LayerState) -> dict[str, Any]:
         """Facts of the layer: the latest stroke's, and the counts of all."""

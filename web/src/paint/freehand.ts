@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 
 import { brush, color, paintMode, rgb, toast } from "../state/store";
-import { beginStroke, cancelStroke, cloneFrom, endStroke, originalPixels } from "./strokes";
+import { beginStroke, cancelStroke, chosenPaintLayer, cloneFrom, endStroke, originalPixels } from "./strokes";
 import type { Pixels } from "./flood";
 import { heal } from "./heal";
 import { limit, picture, shifted, solid } from "./patch";
@@ -63,12 +63,16 @@ export const paintBrush = along(() => {
   return stroke;
 });
 
-export const eraser = along(() => {
-  const stroke = beginStroke("erase", "Erase to original");
+/** Takes away the chosen layer's paint; with Shift, and where no paint is chosen, everything down to the original. */
+export const eraser = along((pen) => {
+  const chosen = pen.shift ? null : chosenPaintLayer();
+  const stroke = chosen
+    ? beginStroke("erase", "Erase")
+    : beginStroke("erase", "Erase to original", brush.value.opacity, {});
   if (!stroke) return null;
   let original: Pixels | null = null;
   stroke.setSource(picture(() => original ?? stroke.base));
-  originalPixels().then(
+  originalPixels(chosen?.id ?? null).then(
     (pixels) => {
       original = pixels;
       stroke.paint();

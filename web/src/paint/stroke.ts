@@ -22,6 +22,8 @@ export interface StrokeOptions {
   /** Whether the view is still on the screen. */
   onScreen: () => boolean;
   kind: "paint" | "clone" | "erase";
+  /** Of an eraser: the layer whose paint it takes away; null: back to the original. */
+  layer: string | null;
   name: string;
   /** Where it goes, asked when the strokes before it are committed. */
   target: () => StrokeTarget;
@@ -55,7 +57,7 @@ export class Stroke {
   private failure: unknown = null;
 
   constructor(private readonly options: StrokeOptions) {
-    const { camera, kind, link } = options;
+    const { camera, kind, layer, link } = options;
     this.name = options.name;
     this.mask = emptyMask(camera.width, camera.height);
     this.ready = options.base.then((pixels) => {
@@ -63,7 +65,7 @@ export class Stroke {
       this.paint();
     });
     this.id = Promise.all([this.ready, options.after])
-      .then(() => link.do("paint.begin", { camera, kind }))
+      .then(() => link.do("paint.begin", { camera, kind, layer }))
       .then((answer) => answer.stroke);
     this.id.catch(() => {});
   }

@@ -29,7 +29,7 @@ const active = new Set<Stroke>();
 /** The commit that runs last; strokes wait for it before they read the view. */
 let lastCommit: Promise<void> = Promise.resolve();
 let cached: { camera: CameraJson; revision: number; pixels: Promise<ImageData> } | null = null;
-let original: { camera: CameraJson; pixels: Promise<Pixels> } | null = null;
+let original: { camera: CameraJson; below: string | null; pixels: Promise<Pixels> } | null = null;
 
 /** The view as it is seen now, 8 bit. Drawn anew only when something changed. */
 export function viewPixels(): Promise<ImageData> {
@@ -41,15 +41,15 @@ export function viewPixels(): Promise<ImageData> {
   return cached.pixels;
 }
 
-/** The view of the original asset, rendered by the server. */
-export function originalPixels(): Promise<Pixels> {
+/** The view of the original asset, or of what is below a layer, rendered by the server. */
+export function originalPixels(below: string | null = null): Promise<Pixels> {
   const now = camera.value!;
-  if (original?.camera !== now) {
-    const pixels = run("view.render", { camera: now, which: "original" }).then((answer) => {
+  if (below !== null || original?.camera !== now || original.below !== below) {
+    const pixels = run("view.render", { camera: now, which: "original", below }).then((answer) => {
       if (!answer) throw new Error("the original could not be rendered");
       return pixelsOf(blobUrl(answer.picture), now.width, now.height);
     });
-    original = { camera: now, pixels };
+    original = { camera: now, below, pixels };
     pixels.catch(() => (original = null));
   }
   return original.pixels;
@@ -98,11 +98,11 @@ export function beginStroke(
     return null;
   }
   const chosen = chosenPaintLayer();
-  if (kind !== "erase" && !target && chosen && (!chosen.visible || chosen.opacity === 0)) {
+  if (!target && chosen && (!chosen.visible || chosen.opacity === 0)) {
     toast("warning", `${chosen.name} is hidden.`, "Show it, or choose another layer to paint into.");
     return null;
   }
-  const single = target || kind === "erase";
+  const single = target !== undefined;
   const [before, session] = [selectedLayer.value, state.value!.session];
   fitOverlay(now);
   const base = asSeen();
@@ -114,6 +114,7 @@ export function beginStroke(
     after: lastCommit,
     onScreen: () => camera.value === now,
     kind,
+    layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
     name: single && !target?.replaces ? unused(name) : name,
     target: single ? () => target ?? {} : paintTarget(),
     commit: async (fields) => {

@@ -68,6 +68,7 @@ export function Options() {
           at a point
         </span>
       )}
+      {current === "erase" && <span class="hint">This layer's paint; Shift: back to the original</span>}
       {current === "pick" && <span class="hint">Click: takes the colour as it is seen</span>}
       {colored && (
         <Choice label="Mode" value={paintMode.value} options={MODES} onChange={(value) => (paintMode.value = value)} />

@@ -65,12 +65,15 @@ class PaintBegin(Command):
     camera: CameraInfo
     kind: Literal["paint", "clone", "erase"] = "paint"
     """erase: back to the original; the patches' alpha counts, their colours do not."""
+    layer: str | None = None
+    """Of an eraser: the paint layer whose paint it takes away; None: back to the original."""
 
 
 @command(PaintBegin)
 def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     session = context.studio.session
-    stroke = Stroke(request.camera.to_camera(), request.kind == "erase", session)
+    beneath = None if request.layer is None or request.kind != "erase" else session.below(request.layer)
+    stroke = Stroke(request.camera.to_camera(), request.kind == "erase", session, beneath)
     now = session.snapshot
     stroke.prepare(now.splats, session.original, now.version)
     context.studio.prepare_edit()  # ready when the pen goes up

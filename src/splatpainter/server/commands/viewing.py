@@ -51,6 +51,8 @@ class ViewRender(Command):
     ANSWER = PictureMade
     camera: CameraInfo
     which: Literal["now", "original"] = "now"
+    below: str | None = None
+    """Layer whose paint, and what is above it, is left out."""
     profile: Profile = "inria"
     """Whose formula for alpha; pictures to be painted on have the default."""
 
@@ -59,6 +61,8 @@ class ViewRender(Command):
 def render_view(context: CommandContext, request: ViewRender) -> PictureMade:
     studio, camera = context.studio, request.camera.to_camera()
     splats = studio.session.splats if request.which == "now" else studio.original
+    if request.below is not None:
+        splats = studio.session.below(request.below)
     blob = studio.blobs.put(png_bytes(render_display(splats, camera, request.profile), camera), "render.png")
     keyword = "" if request.profile == "inria" else f", profile={request.profile!r}"
     return PictureMade(picture=blob.sha256, python=f"sp.render(session.splats, camera{keyword})")
