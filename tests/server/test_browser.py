@@ -614,7 +614,8 @@ def test_nothing_seems_lost(browser: Any, tmp_path: Path) -> None:
             offer.click()
             page.wait("the layer", lambda: page.names() == ["Paint"] and page.state()["project"]["id"] == project)
             tab.keyboard.press("Control+o")
-            (entry,) = (row for row in tab.locator(".list button").all() if "1 layer" in row.inner_text())
+            entry = tab.get_by_role("dialog", name="Open").locator(".list button", has_text="1 layer")
+            entry.wait_for()
             assert "open now" in entry.inner_text() and entry.locator("img").count() == 1
             tab.get_by_role("button", name="Close").click()
             open_file("two.ply")
@@ -664,3 +665,64 @@ def test_the_eraser_takes_the_layers_paint_and_leaves_what_is_below(opened: tupl
     assert np.abs(middle() - red).max() < 0.05 and page.names() == ["Paint", "Paint 2"]
     page.tab.keyboard.press("Control+z")
     page.wait("the blue again", lambda: middle()[2] > 0.5)
+
+
+def test_masks_hide_and_show_a_layer(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """Painted with the brush, taken from the selection, by a rule; off and away again."""
+    _, page = opened
+    tab = page.tab
+    before = page.pixels()
+    height, width, _ = before.shape
+
+    def red(pixels: np.ndarray, x: float) -> float:
+        """How much of the stroke shows at a share of the width."""
+        at = int(x * width)
+        part = (slice(height // 2 - 3, height // 2 + 4), slice(at - 3, at + 4))
+        full = np.abs(painted[part] - before[part]).mean()
+        return float(np.abs(pixels[part] - before[part]).mean() / full)
+
+    page.drag((0.4, 0.5), (0.6, 0.5))
+    page.settled()
+    painted = page.pixels()
+    tab.get_by_role("button", name="Mask of the layer").click()
+    panel = tab.get_by_role("group", name="Mask of Paint")
+    panel.get_by_role("button", name="Paint").click()
+    page.wait("the mask", lambda: page.state()["layers"][0]["mask"])
+    page.drag((0.56, 0.5), (0.6, 0.5))
+    page.wait("the painted mask", lambda: page.state()["layers"][0]["mask"]["parts"] == 1)
+    page.settled()
+    masked = page.pixels()
+    assert red(masked, 0.42) > 0.8 and red(masked, 0.58) < 0.3
+    assert page.state()["layers"][0]["strokes"] == 1 and page.state()["history"][-1]["label"] == "Hide of Paint"
+    panel.get_by_label("Brush").select_option("show")
+    page.drag((0.56, 0.5), (0.6, 0.5))
+    page.wait("it shown again", lambda: red(page.pixels(), 0.58) > 0.8)
+    page.settled()
+    panel.get_by_role("button", name="Hide all").click()
+    page.wait("nothing of it", lambda: np.array_equal(page.pixels(), before))
+    tab.keyboard.press("m")
+    page.drag((0.3, 0.2), (0.5, 0.8))
+    panel.get_by_role("button", name="Selection").click()
+    page.wait("the left half", lambda: red(page.pixels(), 0.42) > 0.8)
+    assert red(page.pixels(), 0.58) < 0.2
+    tab.keyboard.press("Control+d")
+    panel.get_by_label("By").select_option("height")
+    page.wait("the lower half", lambda: page.state()["history"][-1]["label"] == "mask (height) of Paint")
+    steps = len(page.state()["history"])
+    panel.get_by_role("textbox", name="To, number").fill("100")
+    panel.get_by_role("textbox", name="To, number").press("Enter")
+    page.wait("all heights", lambda: red(page.pixels(), 0.5) > 0.9)
+    assert len(page.state()["history"]) == steps
+    panel.get_by_role("button", name="Hide all").click()
+    page.wait("nothing of it", lambda: np.array_equal(page.pixels(), before))
+    panel.get_by_role("button", name="Off").click()
+    page.wait("all of it", lambda: np.array_equal(page.pixels(), painted))
+    panel.get_by_role("button", name="Remove").click()
+    page.wait("no mask", lambda: page.state()["layers"][0]["mask"] is None)
+    page.drag((0.45, 0.4), (0.5, 0.4))
+    page.settled()
+    assert page.state()["layers"][0]["strokes"] == 1  # the rectangle is in hand
+    tab.keyboard.press("b")
+    page.drag((0.45, 0.4), (0.5, 0.4))
+    page.settled()
+    assert page.state()["layers"][0]["strokes"] == 2

@@ -21,6 +21,7 @@ from splatpainter.receipts import changed_rows
 from splatpainter.server import protocol
 from splatpainter.session import Layer, Session
 from splatpainter.session.document import PLACED
+from splatpainter.session.layer_mask import LayerMask
 from splatpainter.session.project_file import Bookmark, Step
 from splatpainter.splats import Splats
 
@@ -125,6 +126,7 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
         views=views,
         strokes=len(layer.strokes) if _takes_strokes(layer) else None,
         placed=_placed(layer),
+        mask=_mask_info(layer.mask),
         parameters=json.loads(json.dumps(layer.parameters)),
         gaussians_edited=facts.get("rows_touched", 0),
         gaussians_appended=facts.get("rows_appended", 0),
@@ -163,6 +165,10 @@ def _takes_strokes(layer: Layer) -> bool:
     """Whether strokes can be painted into it (document.add_stroke)."""
     pictured = layer.kind in ("paint", "clone") and layer.mode == "local" and bool(layer.views)
     return layer.holds_strokes or (pictured and PLACED not in layer.parameters)
+
+
+def _mask_info(mask: LayerMask | None) -> protocol.MaskInfo | None:
+    return None if mask is None else protocol.MaskInfo(enabled=mask.enabled, shows=mask.shows, parts=len(mask.parts))
 
 
 def _placed(layer: Layer) -> protocol.Placed | None:

@@ -161,6 +161,16 @@ class Placed(Message):
     """Of a sticker."""
 
 
+class MaskInfo(Message):
+    """How much of a layer shows where."""
+
+    enabled: bool
+    shows: bool
+    """Whether it starts from all of the layer, or from nothing."""
+    parts: int
+    """Views and rules that change that."""
+
+
 class LayerInfo(Message):
     """One layer; the list of layers goes from bottom to top."""
 
@@ -178,6 +188,7 @@ class LayerInfo(Message):
     """How many it holds; None: none can be painted into it."""
     placed: Placed | None = None
     """Of a text or a sticker: what it is and where, to be changed."""
+    mask: MaskInfo | None = None
     parameters: dict[str, Any]
     gaussians_edited: int
     gaussians_appended: int

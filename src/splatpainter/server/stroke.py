@@ -68,6 +68,8 @@ class Stroke:
         may be the same and every Gaussian different. beneath: of an eraser of one layer, what comes out; None: the
         original."""
         self.camera, self.erase, self._beneath = camera, erase, beneath
+        self.masks = False
+        """Whether it paints the mask of a layer."""
         self._session = None if session is None else weakref.ref(session)
         self.rgba = np.zeros((camera.height, camera.width, 4), np.uint8)
         self._canvas: _Canvas | None = None

@@ -44,6 +44,7 @@ from splatpainter.session.layer_blending import (
 )
 from splatpainter.session.layer_factory import decode_mask, decode_picture, is_cut_out, limits_of
 from splatpainter.session.layer_state import LayerResult, LayerState, Progress, ResultStore, ancestors, lineage
+from splatpainter.session.mask_weights import MaskWeights
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
 from splatpainter.session.strokes import Chain, Painted, StrokeChains
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -188,6 +189,7 @@ class Replay:
         """(key of the state below, key of a layer) -> what it reads there."""
         self._merged: tuple[tuple[str, str], Delta] | None = None
         self._strokes = StrokeChains(store, self._painted_stroke)
+        self._masks = MaskWeights(store)
         self._seen: tuple[str, VisibleSurface] | None = None
         """Of the latest state and view that `left_out` was asked for."""
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)
@@ -210,7 +212,7 @@ class Replay:
             return self._over_strokes(below, layer, document, strict, progress, step)
         strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
         result_key = digest(f"{below.key} {layer.key}{' fade' if _fades(layer) else ''}")
-        key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}")
+        key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}{_mask_text(layer)}")
         cached = self._cached(key, below, layer)
         if cached is not None:
             return cached
@@ -230,7 +232,8 @@ class Replay:
             if based is not result.delta:
                 result = replace(result, delta=based)
                 self._store.put(result_key, result)
-        delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength)
+        mask = self._masks.weights(below, result.delta, layer, result_key)
+        delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength, mask)
         splats = delta.apply(below.splats)
         span = (len(below.splats), len(splats))
         confidence = None if result.confidence is None else _fit(result.confidence, len(splats))
@@ -260,7 +263,7 @@ class Replay:
         strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
         chain = Chain.of(below.key, layer.strokes)
         result_key = chain.results[-1]
-        key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}")
+        key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}{_mask_text(layer)}")
         cached = self._cached(key, below, layer)
         if cached is not None:
             return cached
@@ -274,7 +277,8 @@ class Replay:
         splats, parent_ids, changed = painted.state.splats, painted.state.parent_ids, painted.changed
         if strength is not None or _mixes(layer, None):
             delta = self._strokes_delta(below, painted, layer)
-            delta = blend_delta(below.splats, delta, layer.opacity, layer.blend, strength)
+            mask = self._masks.weights(below, delta, layer, result_key)
+            delta = blend_delta(below.splats, delta, layer.opacity, layer.blend, strength, mask)
             splats, parent_ids = delta.apply(below.splats), np.concatenate([below.parent_ids, delta.parent_ids])
         span = (len(below.splats), len(splats))
         state = LayerState(
@@ -326,11 +330,12 @@ class Replay:
         names = ("rows_touched", "rows_appended", "seconds")
         total = {name: sum(facts.get(name, 0) for _, facts in inner_facts) for name in names}
         facts = (*below.facts, (layer.id, total), *inner_facts)
-        if (layer.opacity, layer.blend) == (1, "normal"):
+        if not _mixes(layer, None):
             return replace(state, facts=facts)
         delta = self._merged_delta(below, state, layer)
-        splats = blend_delta(below.splats, delta, layer.opacity, layer.blend).apply(below.splats)
-        key = digest(f"{below.key} merged {state.key} {layer.opacity!r} {layer.blend}")
+        mask = self._masks.weights(below, delta, layer, state.key)
+        splats = blend_delta(below.splats, delta, layer.opacity, layer.blend, mask=mask).apply(below.splats)
+        key = digest(f"{below.key} merged {state.key} {layer.opacity!r} {layer.blend}{_mask_text(layer)}")
         return replace(state, key=key, splats=splats, facts=facts)
 
     def _merged_delta(self, below: LayerState, state: LayerState, layer: Layer) -> Delta:
@@ -576,7 +581,14 @@ def _is_visible(layer: Layer) -> bool:
 def _mixes(layer: Layer, strength: np.ndarray | None) -> bool:
     """Whether a layer's opacity and blend, or a policy's factors of the former, mix colours with those below."""
     partial = strength is not None and bool(((strength > 0) & (strength < 1)).any())
-    return layer.opacity < 1 or layer.blend != "normal" or partial
+    return layer.opacity < 1 or layer.blend != "normal" or partial or bool(_mask_text(layer))
+
+
+def _mask_text(layer: Layer) -> str:
+    """What of a mask decides the result; "" without one."""
+    if layer.mask is None or not layer.mask.enabled:
+        return ""
+    return f" mask {json.dumps(layer.mask.record(), sort_keys=True)}"
 
 
 def _has_base(layer: Layer) -> bool:

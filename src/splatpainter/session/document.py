@@ -17,6 +17,7 @@ from splatpainter.cameras import Camera
 from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS, Method, Mode
+from splatpainter.session.layer_mask import LayerMask
 
 Kind = Literal["paint", "picture", "look", "clone", "erase", "merged"]
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
@@ -87,6 +88,8 @@ class Layer:
     strokes: tuple[Layer, ...] = ()
     """Of kind "paint" without views: what was painted into it, oldest first. Each stroke is a layer of its own views,
     painted on those before it; its opacity, blend and visibility do not count."""
+    mask: LayerMask | None = None
+    """How much of it shows where; None: all."""
 
     def __post_init__(self) -> None:
         for name, value, choices in (
@@ -133,6 +136,8 @@ class Layer:
         """JSON object of all fields. strokes False: of these only their number."""
         names = ("id", "name", "opacity", "blend", "visible", "thumbnail")
         record = {**{name: getattr(self, name) for name in names}, **self._content()}
+        if self.mask is not None:
+            record["mask"] = self.mask.record()
         if self.strokes:
             record["strokes"] = [stroke.record() for stroke in self.strokes] if strokes else len(self.strokes)
         return record
@@ -144,8 +149,8 @@ class Layer:
 
     @cached_property
     def key(self) -> str:
-        """Hash of what decides its result on given Gaussians below (not: name, opacity, blend, visibility). Of a layer
-        that holds strokes the strokes' keys count instead."""
+        """Hash of what decides its result on given Gaussians below (not: name, opacity, blend, mask, visibility). Of a
+        layer that holds strokes the strokes' keys count instead."""
         return digest(json.dumps(self._content(), sort_keys=True))
 
     def _content(self) -> dict[str, Any]:
@@ -178,6 +183,7 @@ class Layer:
                 _checked_hash(data["thumbnail"], where),
                 str(data["painter"]),
                 _parsed_strokes(data.get("strokes", []), where, depth),
+                LayerMask.parse(data.get("mask"), where),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             reason = f"has no {error}" if isinstance(error, KeyError) else str(error).removeprefix(f"{where}: ")
@@ -192,7 +198,8 @@ class Layer:
         names = [self.thumbnail, *(name for view in self.views for name in (view.picture, view.mask))]
         placed = self.parameters.get(PLACED)
         image = placed.get("image") if isinstance(placed, dict) else None
-        return {name for name in [*names, image if _is_hash(image) else None] if name}
+        pictures = self.mask.pictures() if self.mask is not None else set()
+        return {name for name in [*names, image if _is_hash(image) else None] if name} | pictures
 
     def leaves(self) -> Iterator[Layer]:
         """Itself, or the layers that a merged one is made of, lowest first."""
@@ -254,7 +261,8 @@ def add_stroke(document: Document, layer: str, stroke: Layer) -> tuple[Document,
     if target.kind in ("paint", "clone") and target.mode == "local" and target.views:
         if PLACED in target.parameters:
             raise ValueError(f"{target.title}: is a text or a picture that can be changed; paint into another layer")
-        first = replace(target, opacity=1.0, blend="normal", visible=True, thumbnail=None, id=str(document.next_id))
+        plain: dict[str, Any] = {"opacity": 1.0, "blend": "normal", "visible": True, "thumbnail": None, "mask": None}
+        first = replace(target, id=str(document.next_id), **plain)
         target = replace(target, kind="paint", views=(), parameters={}, strokes=(first,))
         document = replace(document, next_id=document.next_id + 1)
     if not target.holds_strokes:

@@ -42,7 +42,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.jsonio import brief
-from splatpainter.session.delta import Delta
+from splatpainter.session.delta import Delta, no_delta
 from splatpainter.session.document import Blend
 from splatpainter.sources.color_grading import GRADE, grade_sh
 from splatpainter.splats import MAX_MAGNITUDE, SH_C0, Splats
@@ -54,16 +54,26 @@ outwards."""
 
 
 def blend_delta(
-    below: Splats, delta: Delta, opacity: float, blend: Blend = "normal", strength: np.ndarray | None = None
+    below: Splats,
+    delta: Delta,
+    opacity: float,
+    blend: Blend = "normal",
+    strength: np.ndarray | None = None,
+    mask: np.ndarray | None = None,
 ) -> Delta:
     """What is left of a delta at an opacity of 0..1. strength: [N] 0..1, a factor of the opacity per Gaussian
-    (appended ones take their parents'); those without any are left out."""
-    if opacity == 1 and blend == "normal" and strength is None:
+    (appended ones take their parents'); those without any are left out. mask: [T + A] 0..1, another factor, of the
+    changed and the appended Gaussians themselves: where it is 0 their geometry stays and looks as what is below."""
+    if opacity == 1 and blend == "normal" and strength is None and mask is None:
         return delta
+    if mask is not None and not mask.any():
+        return no_delta(below)
     factor = np.ones(len(below), np.float32) if strength is None else strength.astype(np.float32)
     parent_factor = np.where(delta.parent_ids >= 0, factor[np.maximum(delta.parent_ids, 0)], 1)
     share, tail_share = np.float32(opacity) * factor[delta.gaussian_ids], np.float32(opacity) * parent_factor
     some, some_tail = share > 0, tail_share > 0
+    if mask is not None:
+        share, tail_share = share * mask[: len(share)], tail_share * mask[len(share) :]
     gaussian_ids, parent_ids = delta.gaussian_ids[some], delta.parent_ids[some_tail]
     old, new = below.take(gaussian_ids), delta.values.take(some)
     moved = np.zeros(len(gaussian_ids), bool)

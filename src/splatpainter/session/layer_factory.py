@@ -124,6 +124,16 @@ def decode_picture(data: bytes, camera: Camera, where: str, space: ColorSpace = 
     return levels[_pixels(data, camera, where, "RGB")]
 
 
+def encode_mask_part(shows: np.ndarray, share: np.ndarray) -> bytes:
+    """[H, W] 0..1 each -> PNG of two channels: what a mask shows, and how far it goes there."""
+    return _png(to_uint8(np.stack([np.where(share > 0, shows, 0), share], 2)))
+
+
+def decode_mask_part(data: bytes, camera: Camera, where: str) -> np.ndarray:
+    """[H, W, 2] float32 0..1. Raises ValueError as `decode_picture`."""
+    return _pixels(data, camera, where, "LA").astype(np.float32) / 255
+
+
 def decode_mask(data: bytes, camera: Camera, where: str) -> np.ndarray:
     """[H, W] bool. Raises ValueError as `decode_picture`."""
     return _pixels(data, camera, where, "L") > 127

@@ -9,12 +9,16 @@ from dataclasses import replace
 from itertools import count
 from typing import Any
 
+import numpy as np
+
+from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
 from splatpainter.painter import Edit, Method, Painter
 from splatpainter.session.compose import Replay, fingerprint
 from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, add_layer, add_stroke, change_layer
-from splatpainter.session.layer_factory import new_layer
+from splatpainter.session.layer_factory import decode_mask_part, encode_mask_part, new_layer
+from splatpainter.session.layer_mask import MAX_PARTS, LayerMask, MaskPart, over
 from splatpainter.session.project_file import Transaction
 from splatpainter.splats import Splats
 
@@ -157,3 +161,50 @@ class StrokeCommands(ABC):
             document = change_layer(self._document, layer, **fields)
             self._commit(f"change {before.name}", document, strict=layer, gesture=gesture)
             return self.layer(layer)
+
+    def set_mask(self, layer: str, mask: LayerMask | None, *, what: str = "mask", gesture: str | None = None) -> Layer:
+        """Another mask of a layer of any kind (layer_mask.py); None: all of it shows. what: of the step; gesture: as of
+        `set`."""
+        with self._command():
+            document = change_layer(self._document, layer, mask=mask)
+            self._commit(f"{what} of {self.layer(layer).name}", document, gesture=gesture)
+            return self.layer(layer)
+
+    def mask_area(self, layer: str, camera: Camera, shows: np.ndarray) -> Layer:
+        """A mask that shows what is selected on one view ([H, W] 0..1), and nothing else."""
+        with self._command():
+            data = encode_mask_part(shows, np.ones_like(shows))
+            self._transaction.blobs = {files.sha256(data): data}
+            mask = LayerMask(False, (MaskPart(camera, files.sha256(data)),))
+            self._commit(f"mask (area) of {self.layer(layer).name}", change_layer(self._document, layer, mask=mask))
+            return self.layer(layer)
+
+    def paint_mask(
+        self, layer: str, camera: Camera, shows: np.ndarray, share: np.ndarray, *, name: str = "paint the mask"
+    ) -> Layer:
+        """Change a layer's mask on one view. shows: [H, W] 0 (nothing of the layer) to 1 (all); share: [H, W] 0..1, how
+        far to go there. Raises ValueError: other shapes, nothing to change, too many parts."""
+        shape = (camera.height, camera.width)
+        if shows.shape != shape or share.shape != shape:
+            raise ValueError(f"mask: expected pictures of shape {list(shape)}, got {list(shows.shape)}")
+        if not share.any():
+            raise ValueError("mask: nothing was painted")
+        with self._command():
+            mask = self.layer(layer).mask or LayerMask()
+            parts, last = mask.parts, mask.parts[-1] if mask.parts else None
+            if last is not None and last.camera is not None and last.picture is not None and _same(last.camera, camera):
+                earlier = decode_mask_part(self._transaction.blob(last.picture), camera, "mask")
+                shows, share = over(earlier[..., 0], earlier[..., 1], shows, share)
+                parts = parts[:-1]
+            if len(parts) >= MAX_PARTS:
+                raise ValueError(f"mask: was painted from {MAX_PARTS} views; make another layer")
+            data = encode_mask_part(shows, share)
+            self._transaction.blobs = {files.sha256(data): data}
+            part = MaskPart(camera, files.sha256(data))
+            document = change_layer(self._document, layer, mask=replace(mask, parts=(*parts, part), enabled=True))
+            self._commit(f"{name} of {self.layer(layer).name}", document)
+            return self.layer(layer)
+
+
+def _same(a: Camera, b: Camera) -> bool:
+    return a == b and np.array_equal(a.world_to_camera, b.world_to_camera)

@@ -2,8 +2,16 @@
 
 import { signal } from "@preact/signals";
 
-import { brush, color, paintMode, rgb, toast } from "../state/store";
-import { beginStroke, cancelStroke, chosenPaintLayer, cloneFrom, endStroke, originalPixels } from "./strokes";
+import { brush, color, maskShows, paintMode, rgb, toast } from "../state/store";
+import {
+  beginStroke,
+  cancelStroke,
+  chosenMask,
+  chosenPaintLayer,
+  cloneFrom,
+  endStroke,
+  originalPixels,
+} from "./strokes";
 import type { Pixels } from "./flood";
 import { heal } from "./heal";
 import { limit, picture, shifted, solid } from "./patch";
@@ -57,7 +65,17 @@ function along(begin: (pen: Pen) => Stroke | null, finish: (stroke: Stroke) => v
 
 const NAMES = { normal: "Brush", color: "Colour", darken: "Darken", lighten: "Lighten" } as const;
 
+/** Hide or show the layer whose mask is chosen. */
+function maskStroke(shows: boolean): Stroke | null {
+  const layer = chosenMask();
+  if (!layer) return null;
+  const stroke = beginStroke("mask", shows ? "Show" : "Hide", brush.value.opacity, { layer: layer.id });
+  stroke?.setSource(solid(shows ? [255, 255, 255] : [0, 0, 0], "normal", () => stroke.base));
+  return stroke;
+}
+
 export const paintBrush = along(() => {
+  if (chosenMask()) return maskStroke(maskShows.value);
   const stroke = beginStroke("paint", NAMES[paintMode.value]);
   stroke?.setSource(solid(brushColor(), paintMode.value, () => stroke.base));
   return stroke;
@@ -65,6 +83,7 @@ export const paintBrush = along(() => {
 
 /** Takes away the chosen layer's paint; with Shift, and where no paint is chosen, everything down to the original. */
 export const eraser = along((pen) => {
+  if (chosenMask()) return maskStroke(!maskShows.value);
   const chosen = pen.shift ? null : chosenPaintLayer();
   const stroke = chosen
     ? beginStroke("erase", "Erase")

@@ -21,7 +21,7 @@ export interface StrokeOptions {
   after: Promise<void>;
   /** Whether the view is still on the screen. */
   onScreen: () => boolean;
-  kind: "paint" | "clone" | "erase";
+  kind: "paint" | "clone" | "erase" | "mask";
   /** Of an eraser: the layer whose paint it takes away; null: back to the original. */
   layer: string | null;
   name: string;

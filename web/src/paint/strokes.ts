@@ -6,7 +6,7 @@
 import { signal } from "@preact/signals";
 
 import { blobUrl, pixelsOf } from "../net/blobs";
-import { brush, camera, limits, method, readOnly, selectedLayer, state, toast } from "../state/store";
+import { brush, camera, limits, maskedLayer, method, readOnly, selectedLayer, state, toast } from "../state/store";
 import { painting } from "../state/pending-layers";
 import { link, report, run, track, viewer } from "../state/studio";
 import type { LayerInfo } from "../messages";
@@ -64,6 +64,12 @@ export function chosenPaintLayer(): LayerInfo | null {
   return layer && layer.strokes !== null ? layer : null;
 }
 
+/** The layer whose mask is being painted, while it is the chosen one. */
+export function chosenMask(): LayerInfo | null {
+  const layer = state.value?.layers.find((one) => one.id === maskedLayer.value);
+  return layer?.mask && layer.id === selectedLayer.value ? layer : null;
+}
+
 /** Where a stroke that begins now will go: into the chosen paint layer, else into a new one. */
 function paintTarget(): () => StrokeTarget {
   const chosen = chosenPaintLayer();
@@ -82,7 +88,7 @@ function paintTarget(): () => StrokeTarget {
  * default it goes into the chosen paint layer.
  */
 export function beginStroke(
-  kind: "paint" | "clone" | "erase",
+  kind: "paint" | "clone" | "erase" | "mask",
   name: string,
   opacity = brush.value.opacity,
   target?: StrokeTarget,
@@ -115,8 +121,8 @@ export function beginStroke(
     onScreen: () => camera.value === now,
     kind,
     layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
-    name: single && !target?.replaces ? unused(name) : name,
-    target: single ? () => target ?? {} : paintTarget(),
+    name: single && !target.replaces && kind !== "mask" ? unused(name) : name,
+    target: single ? () => target : paintTarget(),
     commit: async (fields) => {
       const { layer: id, into_new, replaces } = fields;
       const goal = id ?? replaces;

@@ -60,6 +60,10 @@ export const compareAt = signal(0.5);
 
 export const tab = signal<Tab>("history");
 export const selectedLayer = signal<string | null>(null);
+/** The layer whose mask the brush paints; null: it paints layers. */
+export const maskedLayer = signal<string | null>(null);
+/** Whether the brush shows the layer there, or hides it. */
+export const maskShows = signal(false);
 export const help = signal(false);
 /** What was done from this window, as Python lines. */
 export const pythonLog = signal<string[]>([]);

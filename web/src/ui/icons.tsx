@@ -23,6 +23,7 @@ const PATHS = {
   bin: "M5 7h14M9 7V4h6v3M7 7l1 13h8l1-13M10.5 11v5M13.5 11v5",
   copy: "M9 9h11v11H9zM5 15H4V4h11v1",
   merge: "M12 3v11M8 10l4 4 4-4M5 19h14",
+  mask: "M4 5h16v14H4zM12 8a4 4 0 1 0 0 8 4 4 0 0 0 0-8",
   plus: "M12 5v14M5 12h14",
   minus: "M5 12h14",
   close: "M6 6l12 12M18 6 6 18",

@@ -6,11 +6,12 @@ import { chordOf } from "../keys/chord";
 import type { LayerInfo } from "../messages";
 import { blobUrl, download } from "../net/blobs";
 import { dragged, isPending, moveLayer, setLayer, shownLayers } from "../state/pending-layers";
-import { readOnly, selectedLayer, state, tab } from "../state/store";
+import { maskedLayer, readOnly, selectedLayer, state, tab } from "../state/store";
 import { report, run } from "../state/studio";
 import { openFile } from "./files";
 import { changePlaced } from "../paint/placement";
 import { Icon } from "./icons";
+import { LayerMask, maskOpen, paintMask } from "./layer-mask";
 import { Button, Choice, FileButton, Slider } from "./parts";
 
 const BLENDS = [
@@ -48,6 +49,7 @@ export function Layers() {
         <LayerActions layer={chosen} layers={layers} range={range} />
       </header>
       <LayerSettings layer={chosen} />
+      <LayerMask layer={chosen} />
       <InConflict />
       <ul class="layer-list" aria-label="Layers, uppermost first">
         {topDown.map((layer, k) => {
@@ -90,6 +92,17 @@ export function Layers() {
                   label={`Change ${layer.name}`}
                   disabled={readOnly.value}
                   onClick={() => void changePlaced(layer).catch(report)}
+                />
+              )}
+              {layer.mask && (
+                <Button
+                  icon="mask"
+                  label={
+                    maskedLayer.value === layer.id ? `Paint ${layer.name} itself` : `Paint the mask of ${layer.name}`
+                  }
+                  pressed={maskedLayer.value === layer.id}
+                  disabled={readOnly.value}
+                  onClick={() => void paintMask(layer)}
                 />
               )}
               <Name
@@ -225,6 +238,13 @@ function LayerActions({ layer, layers, range }: ActionProps) {
         onClick={() =>
           layer && void run("layer.duplicate", { layer: layer.id }, `Duplicating ${layer.name}`).then(chooseMade)
         }
+      />
+      <Button
+        icon="mask"
+        label="Mask of the layer"
+        pressed={maskOpen.value}
+        disabled={!layer}
+        onClick={() => (maskOpen.value = !maskOpen.value)}
       />
       <Button
         icon="merge"

@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 
-import { cloneFrom } from "../paint/strokes";
+import { chosenMask, cloneFrom } from "../paint/strokes";
 import { choosingSource } from "../paint/freehand";
 import { commitPlacement, discardPlacement, editedLayer, placement, startStamp } from "../paint/placement";
 import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
@@ -15,6 +15,7 @@ import {
   color,
   fill,
   limits,
+  maskShows,
   method,
   paintMode,
   recentColors,
@@ -68,7 +69,14 @@ export function Options() {
           at a point
         </span>
       )}
-      {current === "erase" && <span class="hint">This layer's paint; Shift: back to the original</span>}
+      {round && chosenMask() && (
+        <span class="hint">
+          Mask of {chosenMask()!.name}: {maskShows.value === (current === "erase") ? "hides" : "shows"} it
+        </span>
+      )}
+      {current === "erase" && !chosenMask() && (
+        <span class="hint">This layer's paint; Shift: back to the original</span>
+      )}
       {current === "pick" && <span class="hint">Click: takes the colour as it is seen</span>}
       {colored && (
         <Choice label="Mode" value={paintMode.value} options={MODES} onChange={(value) => (paintMode.value = value)} />

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from splatpainter.server.commands.context import (
     CommandContext,
+    RawExpr,
     command,
     layer_made,
+    mask_from_upload,
     naming_errors,
     progress,
     python_line,
 )
-from splatpainter.server.describe import conflict_infos
-from splatpainter.server.protocol import Answer, Blend, Blob, Command, ConflictInfo, Exported, LayerMade, Name, Unit
+from splatpainter.server.describe import conflict_infos, up_axis
+from splatpainter.server.protocol import (
+    Answer,
+    Blend,
+    Blob,
+    CameraInfo,
+    Command,
+    ConflictInfo,
+    Exported,
+    LayerMade,
+    Name,
+    Unit,
+)
+from splatpainter.session.layer_mask import LayerMask, by_rule
 from splatpainter.sources.color_grading import GRADE, GradeSettings
 
 
@@ -70,6 +86,51 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
     with progress(context, "layers"):
         session.set(request.layer, gesture=request.gesture, **values)
     return layer_made(context, request.layer, python_line("session.set", request.layer, **values))
+
+
+class MaskSet(Command):
+    """Another mask of a layer. reveal, hide: all of it; remove: none; on, off: as it is, in force or not; area: what is
+    selected on a view, and nothing else; a rule: what lies from low to high, with a ramp of `soft` on both sides."""
+
+    NAME = "layer.mask"
+    ANSWER = LayerMade
+    layer: str
+    mask: Literal["reveal", "hide", "remove", "on", "off", "area", "height", "slope", "coverage"]
+    camera: CameraInfo | None = None
+    """Of an area."""
+    area: Blob | None = None
+    """Of an area: a mask picture of the camera's shape; what is not black is selected, by its brightness."""
+    low: float = 0.0
+    """Of a rule: share of the height (0..1), degrees from `up` (0..180), or coverage (0: as the original, 1: seen in a
+    view of the layers below, 2: predicted)."""
+    high: float = 1.0
+    soft: float = Field(default=0.0, ge=0)
+    gesture: Name | None = None
+    """As of layer.set."""
+
+
+@command(MaskSet, writes=True)
+def set_mask(context: CommandContext, request: MaskSet) -> LayerMade:
+    session = context.studio.session
+    before = session.layer(request.layer).mask
+    with progress(context, "mask"):
+        if request.mask == "area":
+            if request.camera is None or request.area is None:
+                raise ValueError("mask: expected a camera and an area; select something on a view")
+            camera = request.camera.to_camera()
+            shows = mask_from_upload(context, request.area, camera).astype(np.float32)
+            session.mask_area(request.layer, camera, shows)
+        else:
+            mask: LayerMask | None = LayerMask(shows=request.mask != "hide")
+            if request.mask == "remove":
+                mask = None
+            elif request.mask in ("on", "off"):
+                mask = replace(before or LayerMask(), enabled=request.mask == "on")
+            elif request.mask in ("height", "slope", "coverage"):
+                axis = up_axis(session)
+                mask = LayerMask(parts=(by_rule(request.mask, request.low, request.high, request.soft, axis),))
+            session.set_mask(request.layer, mask, what=f"mask ({request.mask})", gesture=request.gesture)
+    return layer_made(context, request.layer, python_line("session.set_mask", request.layer, RawExpr("mask")))
 
 
 class LayerMove(Command):

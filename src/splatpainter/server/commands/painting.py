@@ -63,8 +63,9 @@ class PaintBegin(Command):
     NAME = "paint.begin"
     ANSWER = StrokeStarted
     camera: CameraInfo
-    kind: Literal["paint", "clone", "erase"] = "paint"
-    """erase: back to the original; the patches' alpha counts, their colours do not."""
+    kind: Literal["paint", "clone", "erase", "mask"] = "paint"
+    """erase: back to the original; the patches' alpha counts, their colours do not. mask: of the layer that `paint.end`
+    names: black hides it, white shows it, alpha is how far; there are no previews."""
     layer: str | None = None
     """Of an eraser: the paint layer whose paint it takes away; None: back to the original."""
 
@@ -74,6 +75,7 @@ def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     session = context.studio.session
     beneath = None if request.layer is None or request.kind != "erase" else session.below(request.layer)
     stroke = Stroke(request.camera.to_camera(), request.kind == "erase", session, beneath)
+    stroke.masks = request.kind == "mask"
     now = session.snapshot
     stroke.prepare(now.splats, session.original, now.version)
     context.studio.prepare_edit()  # ready when the pen goes up
@@ -108,6 +110,8 @@ def dab(context: CommandContext, request: PaintDab) -> Previewed:
     except binascii.Error:
         raise ValueError("dab: expected base64 of RGBA bytes") from None
     box = stroke.patch(request.x, request.y, request.width, request.height, rgba)
+    if stroke.masks:
+        return Previewed(gaussians=0)
     now = session.snapshot
     ids, sh = stroke.preview(now.splats, session.original, now.version, box)
     if len(ids):
@@ -152,6 +156,8 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         raise ValueError("stroke: expected one of layer, into_new and replaces")
     if request.placed is not None and (request.layer or request.into_new):
         raise ValueError("stroke: a text or a picture that can be changed is a layer of its own")
+    if stroke.masks:
+        return _masked(context, request, stroke)
     kind = "erase" if stroke.erase else "paint"
     parameters = {} if stroke.erase else request.limits.parameters()
     with progress(context, "painting"):
@@ -172,6 +178,18 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     context.page.strokes.pop(request.stroke, None)
     context.clear_preview = True
     return layer_made(context, layer, line)
+
+
+def _masked(context: CommandContext, request: PaintEnd, stroke: Stroke) -> LayerMade:
+    if request.layer is None:
+        raise ValueError("mask: expected the layer whose mask is painted")
+    shows, share = stroke.rgba[..., 0].astype(np.float32) / 255, stroke.rgba[..., 3].astype(np.float32) / 255
+    with progress(context, "mask"):
+        layer = context.studio.session.paint_mask(request.layer, stroke.camera, shows, share, name=request.name)
+    context.page.strokes.pop(request.stroke, None)
+    context.clear_preview = True
+    line = python_line("session.paint_mask", layer.id, *map(RawExpr, ("camera", "shows", "share")))
+    return layer_made(context, layer.id, line)
 
 
 def _committed(

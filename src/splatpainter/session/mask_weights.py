@@ -1,0 +1,53 @@
+"""The weights of layers' masks on what the layers made, cached part after part: painting on goes on from there."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+
+import numpy as np
+
+from splatpainter.session.conflicts import coverage
+from splatpainter.session.delta import Delta
+from splatpainter.session.document import Layer, digest
+from splatpainter.session.layer_factory import decode_mask_part
+from splatpainter.session.layer_mask import changed_weights
+from splatpainter.session.layer_state import LayerState, ResultStore
+
+MAX_CACHED = 16
+"""Weights of all Gaussians, after some part of some mask."""
+
+
+class MaskWeights:
+    """Of one session."""
+
+    def __init__(self, store: ResultStore) -> None:
+        self._store = store
+        self._cache: OrderedDict[str, np.ndarray] = OrderedDict()
+
+    def weights(self, below: LayerState, delta: Delta, layer: Layer, result_key: str) -> np.ndarray | None:
+        """[T + A] float32 of what a layer changed and appended; None: it has no mask, or one that is off. result_key:
+        names the state below and the delta. Raises ValueError where a picture is damaged."""
+        mask = layer.mask
+        if mask is None or not mask.enabled:
+            return None
+        keys = [digest(f"{result_key} {mask.shows}")]
+        for part in mask.parts:
+            keys.append(digest(f"{keys[-1]} {json.dumps(part.record(), sort_keys=True)}"))
+        start = next((k for k in range(len(keys) - 1, -1, -1) if keys[k] in self._cache), None)
+        splats = delta.apply(below.splats)
+        if start is None:
+            start = 0
+            self._cache[keys[0]] = np.full(len(splats), 1.0 if mask.shows else 0.0, np.float32)
+        weights = self._cache[keys[start]]
+        for k in range(start, len(mask.parts)):
+            part = mask.parts[k]
+            picture = None
+            if part.picture is not None and part.camera is not None:
+                picture = decode_mask_part(self._store.blob(part.picture), part.camera, layer.title)
+            seen = coverage(below.edited, len(splats)) if part.rule == "coverage" else np.zeros(0, np.uint8)
+            weights = changed_weights(weights, splats, part, picture, seen)
+            self._cache[keys[k + 1]] = weights
+        while len(self._cache) > MAX_CACHED:
+            self._cache.popitem(last=False)
+        return np.concatenate([weights[delta.gaussian_ids], weights[delta.count :]])

@@ -1,0 +1,121 @@
+"""Masks of layers: what shows where, exact at both ends, on layers of every kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatpainter.session.layer_mask import LayerMask, MaskPart, by_rule, over
+from tests.support.session_scenes import BLUE, CAMERA, RED, SIZE, dab, flat, load, print_of
+
+LEFT = np.zeros((SIZE, SIZE), np.float32)
+LEFT[:, : SIZE // 2] = 1
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "one.splatproj"
+
+
+def test_hidden_is_not_there_and_revealed_is_all_of_it(path: Path) -> None:
+    with flat(project=path) as session:
+        before = print_of(session)
+        layer = session.new_layer()
+        session.paint(layer.id, [dab(RED, radius=9)])
+        full, splats = print_of(session), session.splats
+        session.set_mask(layer.id, LayerMask(shows=False))
+        assert print_of(session) == before
+        session.paint_mask(layer.id, CAMERA, np.ones_like(LEFT), np.ones_like(LEFT))
+        np.testing.assert_array_equal(session.splats.sh, splats.sh)
+        session.paint_mask(layer.id, CAMERA, np.zeros_like(LEFT), LEFT)
+        half, original = session.splats, session.original
+        n = len(original)
+        same = (half.scales[:n] == original.scales).all(1)
+        left = np.flatnonzero(same & (original.means[:, 0] < -0.7))
+        right = np.flatnonzero(same & (original.means[:, 0] > 0.7))
+        np.testing.assert_allclose(half.sh[left], original.sh[left], atol=0.01)
+        np.testing.assert_allclose(half.sh[right], splats.sh[right], atol=0.01)
+        mask = session.layer(layer.id).mask
+        assert mask is not None and len(mask.parts) == 1  # of one view
+        session.set_mask(layer.id, replace(mask, enabled=False), what="mask off")
+        assert print_of(session) == full
+        session.undo()
+        painted = print_of(session)
+    with load(path) as session:
+        assert print_of(session) == painted and session.verify(repaint=True) == []
+        session.set_mask(layer.id, None)
+        assert print_of(session) == full
+        with pytest.raises(ValueError, match="nothing was painted"):
+            session.paint_mask(layer.id, CAMERA, LEFT, np.zeros_like(LEFT))
+        with pytest.raises(ValueError, match="expected pictures of shape"):
+            session.paint_mask(layer.id, CAMERA, LEFT[1:], LEFT[1:])
+
+
+@pytest.mark.parametrize("kind", ["picture", "look", "merged", "erase"])
+def test_layers_of_every_kind_have_masks(kind: str) -> None:
+    with flat() as session:
+        if kind == "erase":
+            session.add("paint", [dab(BLUE, radius=9)])
+        below = session.splats
+        if kind == "look":
+            layer = session.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+        elif kind == "merged":
+            layers = [session.add("picture", [dab(RED, x)]) for x in (12, 20)]
+            layer = session.merge([one.id for one in layers])
+        else:
+            layer = session.add(kind, [dab(RED, radius=9)])  # type: ignore[arg-type]
+        full = session.splats
+        session.paint_mask(layer.id, CAMERA, np.zeros_like(LEFT), LEFT)
+        masked, n = session.splats, len(below)
+        geometry = (full.scales[:n] == below.scales).all(1) & (full.opacities[:n] == below.opacities)
+        left, right = geometry & (below.means[:, 0] < -0.7), geometry & (below.means[:, 0] > 0.7)
+        np.testing.assert_allclose(masked.sh[:n][left], below.sh[left], atol=0.01)
+        np.testing.assert_allclose(masked.sh[:n][right], full.sh[:n][right], atol=0.01)
+        assert np.abs(full.sh[:n] - masked.sh[:n]).max() > 0.01
+
+
+def test_rules_show_by_height_slope_and_coverage() -> None:
+    with flat() as session:
+        session.add("paint", [dab(BLUE, 12, radius=4)])
+        below = session.splats
+        layer = session.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+
+        def changed(mask: LayerMask) -> np.ndarray:
+            session.set_mask(layer.id, mask)
+            return (session.splats.sh != below.sh).any((1, 2))
+
+        heights = -below.means[:, 1]
+        share = (heights - heights.min()) / np.ptp(heights)
+        upper = changed(LayerMask(parts=(by_rule("height", 0.6, 1),)))
+        np.testing.assert_array_equal(upper, share >= 0.6)
+        assert upper.sum() < changed(LayerMask(parts=(by_rule("height", 0.6, 1, 0.3),))).sum()
+        facing, away = (changed(LayerMask(parts=(by_rule("slope", 0, 90, axis=(0, 0, z)),))) for z in (-1, 1))
+        assert facing.any() and not (facing & away).any() and (facing | away).all()
+        seen = changed(LayerMask(parts=(by_rule("coverage", 1, 1),)))
+        assert 0 < seen.sum() < len(below) and not (seen & changed(LayerMask(parts=(by_rule("coverage", 0, 0),)))).any()
+
+
+def test_records_go_there_and_back_and_others_are_refused() -> None:
+    mask = LayerMask(False, (MaskPart(CAMERA, "a" * 64), by_rule("height", 0, 0.5, 0.1)), enabled=False)
+    again = LayerMask.parse(mask.record(), "x")
+    assert again is not None and again.record() == mask.record() and again.pictures() == {"a" * 64}
+    record = mask.record()
+    for part in ({"rule": "mood"}, {"low": 2.0}, {"soft": -1.0}, {"axis": [0, 0, 0]}, {"axis": [0, 1]}, {"low": 1e9}):
+        wrong = {**record, "parts": [{**record["parts"][1], **part}]}
+        with pytest.raises(ValueError, match="expected"):
+            LayerMask.parse(wrong, "x")
+    with pytest.raises(ValueError, match="SHA-256"):
+        LayerMask.parse({**record, "parts": [{**record["parts"][0], "picture": "../x"}]}, "x")
+    with pytest.raises(ValueError, match="at most"):
+        LayerMask.parse({**record, "parts": record["parts"] * 200}, "x")
+
+
+def test_one_part_over_another_is_both_in_turn() -> None:
+    weight, first, second = 0.3, (1.0, 0.5), (0.0, 0.25)
+    after = weight * 0.5 + 0.5
+    after = after * 0.75 + 0.0
+    shows, share = over(*(np.array([value]) for value in (*first, *second)))
+    np.testing.assert_allclose(weight * (1 - share) + shows * share, after)

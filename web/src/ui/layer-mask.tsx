@@ -1,0 +1,156 @@
+/** The mask of the chosen layer: painted, from the selection, or by a rule. */
+
+import { signal } from "@preact/signals";
+
+import type { LayerInfo, MaskSet } from "../messages";
+import { sendBlob } from "../net/blobs";
+import { maskPng } from "../paint/picture";
+import { selectedArea } from "../paint/selection";
+import { maskedLayer, maskShows, readOnly, selectedLayer, tool } from "../state/store";
+import { report, run } from "../state/studio";
+import { Button, Choice, Slider } from "./parts";
+
+/** Whether the settings of masks are open. */
+export const maskOpen = signal(false);
+
+type RuleName = "height" | "slope" | "coverage";
+const RULES: Record<RuleName, { label: string; max: number; step: number; unit: string; scale: number }> = {
+  height: { label: "Height", max: 100, step: 1, unit: " %", scale: 0.01 },
+  slope: { label: "Angle from upright", max: 180, step: 1, unit: "°", scale: 1 },
+  coverage: { label: "Coverage", max: 2, step: 1, unit: "", scale: 1 },
+};
+const SHOWS = [
+  ["hide", "Hide"],
+  ["show", "Show"],
+] as const;
+const rule = signal<{ name: RuleName; low: number; high: number; soft: number }>({
+  name: "height",
+  low: 0,
+  high: 50,
+  soft: 0,
+});
+
+const set = (layer: LayerInfo, fields: Omit<MaskSet, "layer">) =>
+  run("layer.mask", { layer: layer.id, ...fields }, `Mask of ${layer.name}`);
+
+/** Paint the layer's mask with the brush from now on, or stop. */
+export async function paintMask(layer: LayerInfo): Promise<void> {
+  if (maskedLayer.value === layer.id) {
+    maskedLayer.value = null;
+    return;
+  }
+  if (!layer.mask && !(await set(layer, { mask: "reveal" }))) return;
+  selectedLayer.value = layer.id;
+  maskedLayer.value = layer.id;
+  if (tool.value !== "erase") tool.value = "brush";
+}
+
+async function fromSelection(layer: LayerInfo): Promise<void> {
+  const area = selectedArea.value;
+  if (!area) return;
+  const blob = await sendBlob(await maskPng(area.mask), "selection.png");
+  await set(layer, { mask: "area", camera: area.camera, area: blob });
+}
+
+let gesture = "";
+function byRule(layer: LayerInfo, part: Partial<typeof rule.value>, end: boolean): void {
+  rule.value = { ...rule.value, ...part };
+  if (!end) return;
+  const { name, low, high, soft } = rule.value;
+  const { scale } = RULES[name];
+  const values = { low: Math.min(low, high) * scale, high: Math.max(low, high) * scale, soft: soft * scale };
+  gesture ||= `rule ${Math.random().toString(36).slice(2)}`;
+  void set(layer, { mask: name, ...values, gesture });
+}
+
+export function LayerMask({ layer }: { layer: LayerInfo | null }) {
+  if (!maskOpen.value || !layer) return null;
+  const off = readOnly.value;
+  const mask = layer.mask;
+  const r = rule.value;
+  const { max, step, unit } = RULES[r.name];
+  const painting = mask !== null && maskedLayer.value === layer.id;
+  return (
+    <div class="layer-mask" role="group" aria-label={`Mask of ${layer.name}`}>
+      <p class="row">
+        <Button
+          label="Paint the mask with the brush"
+          icon="brush"
+          text="Paint"
+          pressed={painting}
+          disabled={off}
+          onClick={() => void paintMask(layer)}
+        />
+        <Choice
+          label="Brush"
+          value={maskShows.value ? "show" : "hide"}
+          options={SHOWS}
+          disabled={!painting}
+          onChange={(value) => (maskShows.value = value === "show")}
+        />
+      </p>
+      <p class="row">
+        <Button
+          label="Show all of the layer"
+          text="Show all"
+          disabled={off}
+          onClick={() => void set(layer, { mask: "reveal" })}
+        />
+        <Button
+          label="Hide all of the layer"
+          text="Hide all"
+          disabled={off}
+          onClick={() => void set(layer, { mask: "hide" })}
+        />
+        <Button
+          label="Show the layer in the selection only"
+          text="Selection"
+          disabled={off || !selectedArea.value}
+          onClick={() => void fromSelection(layer).catch(report)}
+        />
+      </p>
+      <p class="row">
+        <Choice
+          label="By"
+          value={r.name}
+          options={(Object.keys(RULES) as RuleName[]).map((name) => [name, RULES[name].label] as const)}
+          disabled={off}
+          onChange={(name) => {
+            gesture = "";
+            byRule(layer, { name, low: 0, high: name === "coverage" ? 0 : RULES[name].max / 2, soft: 0 }, true);
+          }}
+        />
+      </p>
+      {(["low", "high", "soft"] as const).map((key) => (
+        <Slider
+          key={key}
+          label={{ low: "From", high: "To", soft: "Soft" }[key]}
+          value={r[key]}
+          min={0}
+          max={max}
+          step={step}
+          unit={unit}
+          disabled={off}
+          onInput={(v) => byRule(layer, { [key]: Math.round(v) }, false)}
+          onChange={(v) => byRule(layer, { [key]: Math.round(v) }, true)}
+        />
+      ))}
+      {mask && (
+        <p class="row">
+          <Button
+            label={mask.enabled ? "Leave the mask out of account" : "Use the mask"}
+            text={mask.enabled ? "Off" : "On"}
+            disabled={off}
+            onClick={() => void set(layer, { mask: mask.enabled ? "off" : "on" })}
+          />
+          <Button
+            label="Remove the mask"
+            text="Remove"
+            disabled={off}
+            onClick={() => void set(layer, { mask: "remove" })}
+          />
+        </p>
+      )}
+    </div>
+  );
+}
