@@ -23,12 +23,8 @@ const SHOWS = [
   ["hide", "Hide"],
   ["show", "Show"],
 ] as const;
-const rule = signal<{ name: RuleName; low: number; high: number; soft: number }>({
-  name: "height",
-  low: 0,
-  high: 50,
-  soft: 0,
-});
+/** The rule in hand, and of which layer: its sliders are there then. */
+const rule = signal<{ layer: string; name: RuleName; low: number; high: number; soft: number } | null>(null);
 
 const set = (layer: LayerInfo, fields: Omit<MaskSet, "layer">) =>
   run("layer.mask", { layer: layer.id, ...fields }, `Mask of ${layer.name}`);
@@ -53,10 +49,11 @@ async function fromSelection(layer: LayerInfo): Promise<void> {
 }
 
 let gesture = "";
-function byRule(layer: LayerInfo, part: Partial<typeof rule.value>, end: boolean): void {
-  rule.value = { ...rule.value, ...part };
+function byRule(layer: LayerInfo, part: Partial<NonNullable<typeof rule.value>>, end: boolean): void {
+  const next = { layer: layer.id, name: "height" as RuleName, low: 0, high: 1, soft: 0, ...rule.value, ...part };
+  rule.value = next;
   if (!end) return;
-  const { name, low, high, soft } = rule.value;
+  const { name, low, high, soft } = next;
   const { scale } = RULES[name];
   const values = { low: Math.min(low, high) * scale, high: Math.max(low, high) * scale, soft: soft * scale };
   gesture ||= `rule ${Math.random().toString(36).slice(2)}`;
@@ -67,8 +64,8 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
   if (!maskOpen.value || !layer) return null;
   const off = readOnly.value;
   const mask = layer.mask;
-  const r = rule.value;
-  const { max, step, unit } = RULES[r.name];
+  const r = rule.value?.layer === layer.id ? rule.value : null;
+  const measure = r && RULES[r.name];
   const painting = mask !== null && maskedLayer.value === layer.id;
   return (
     <div class="layer-mask" role="group" aria-label={`Mask of ${layer.name}`}>
@@ -112,45 +109,52 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
       <p class="row">
         <Choice
           label="By"
-          value={r.name}
-          options={(Object.keys(RULES) as RuleName[]).map((name) => [name, RULES[name].label] as const)}
+          value={r?.name ?? ""}
+          options={[
+            ...(r ? [] : ([["", "Rule"]] as const)),
+            ...(Object.keys(RULES) as RuleName[]).map((name) => [name, RULES[name].label] as const),
+          ]}
           disabled={off}
           onChange={(name) => {
+            if (!name) return;
             gesture = "";
-            byRule(layer, { name, low: 0, high: name === "coverage" ? 0 : RULES[name].max / 2, soft: 0 }, true);
+            const high = name === "coverage" ? 0 : RULES[name].max / 2;
+            byRule(layer, { layer: layer.id, name, low: 0, high, soft: 0 }, true);
           }}
         />
+        {mask && (
+          <>
+            <Button
+              label={mask.enabled ? "Leave the mask out of account" : "Use the mask"}
+              text={mask.enabled ? "Off" : "On"}
+              disabled={off}
+              onClick={() => void set(layer, { mask: mask.enabled ? "off" : "on" })}
+            />
+            <Button
+              label="Remove the mask"
+              text="Remove"
+              disabled={off}
+              onClick={() => ((rule.value = null), void set(layer, { mask: "remove" }))}
+            />
+          </>
+        )}
       </p>
-      {(["low", "high", "soft"] as const).map((key) => (
-        <Slider
-          key={key}
-          label={{ low: "From", high: "To", soft: "Soft" }[key]}
-          value={r[key]}
-          min={0}
-          max={max}
-          step={step}
-          unit={unit}
-          disabled={off}
-          onInput={(v) => byRule(layer, { [key]: Math.round(v) }, false)}
-          onChange={(v) => byRule(layer, { [key]: Math.round(v) }, true)}
-        />
-      ))}
-      {mask && (
-        <p class="row">
-          <Button
-            label={mask.enabled ? "Leave the mask out of account" : "Use the mask"}
-            text={mask.enabled ? "Off" : "On"}
+      {r &&
+        measure &&
+        (["low", "high", "soft"] as const).map((key) => (
+          <Slider
+            key={key}
+            label={{ low: "From", high: "To", soft: "Soft" }[key]}
+            value={r[key]}
+            min={0}
+            max={measure.max}
+            step={measure.step}
+            unit={measure.unit}
             disabled={off}
-            onClick={() => void set(layer, { mask: mask.enabled ? "off" : "on" })}
+            onInput={(v) => byRule(layer, { [key]: Math.round(v) }, false)}
+            onChange={(v) => byRule(layer, { [key]: Math.round(v) }, true)}
           />
-          <Button
-            label="Remove the mask"
-            text="Remove"
-            disabled={off}
-            onClick={() => void set(layer, { mask: "remove" })}
-          />
-        </p>
-      )}
+        ))}
     </div>
   );
 }
