@@ -31,7 +31,7 @@ def test_what_the_generator_makes_of_each_kind_of_field() -> None:
     for line in (
         "export interface PaintDab {",
         "  rgba: string;",
-        '  kind?: "paint" | "clone" | "erase";',  # has a default: a client may leave it out
+        '  kind?: "paint" | "clone" | "erase" | "mask";',  # has a default: a client may leave it out
         "  curve?: ([number, number])[];",
         "  hues?: HueSliders[];",
         "  world_to_camera: number[][];",

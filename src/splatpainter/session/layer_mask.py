@@ -168,7 +168,7 @@ def _measured(splats: Splats, part: MaskPart, coverage: np.ndarray) -> np.ndarra
         solid = heights[splats.drawable & (splats.opacities > 0)]
         low, high = (solid.min(), solid.max()) if len(solid) else (0.0, 1.0)
         return (heights - low) / max(high - low, 1e-12)
-    from splatpainter.lift.surface import outward_normals
+    from splatpainter.lift.depth_normals import outward_normals
 
     cosines = np.clip(outward_normals(splats) @ axis, -1, 1)
     return np.degrees(np.arccos(cosines))
