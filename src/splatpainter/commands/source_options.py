@@ -141,7 +141,7 @@ def paint_from_source(splats: Splats, request: SourceEdit, painter: Painter) -> 
     Raises SourceError and what `Painter.apply` raises."""
     config, cancel = request.config, threading.Event()
     asset = painter.encode(splats, config.method, [config.mode])
-    with _Bar() as bar:
+    with SourceBar() as bar:
         source = InterruptibleSource(request.source)
         if config.views == "auto":
             plan = request.plan(asset.splats)
@@ -231,13 +231,13 @@ class InterruptibleSource:
         return result
 
 
-class _Bar:
+class SourceBar:
     """Progress of a source on stderr, where a person is looking."""
 
     def __init__(self) -> None:
         self._bar = None
 
-    def __enter__(self) -> _Bar:
+    def __enter__(self) -> SourceBar:
         if watched():
             import sys
 

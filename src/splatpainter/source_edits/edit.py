@@ -115,6 +115,41 @@ def edit_view(
     return SourcedAsset(replace(edited, receipt=replace(edited.receipt, source=record)), (made,))
 
 
+def refine_views(
+    painter: Painter,
+    asset: Asset,
+    source: PictureSource,
+    brief: SourceBrief,
+    cameras: Sequence[Camera],
+    *,
+    method: Method,
+    progress: Progress,
+    cancel: CancelFlag,
+) -> SourcedAsset:
+    """Views that a source enlarges or restores, each as the asset is, lifted together (lift/wide_edit.py): what is
+    sharper in them is sharper on the asset. Errors as of `edit_with_source`."""
+    edits: list[SourcedEdit] = []
+    for k, camera in enumerate(cameras):
+        if cancel.is_set():
+            raise SourceCancelled
+        made = ask_for_edit(
+            asset.splats,
+            camera,
+            source,
+            brief,
+            progress=_part_of(progress, k, len(cameras)),
+            cancel=cancel,
+            surface=lambda: asset.surface,
+            name=f"view {k + 1}",
+        )
+        everywhere = np.ones((made.edit.camera.height, made.edit.camera.width), bool)
+        edits.append(replace(made, edit=replace(made.edit, mask=everywhere)))
+    refined = painter.apply(asset, [made.edit for made in edits], "local", method)
+    assert refined.receipt is not None
+    record = source_record(source, brief, edits)
+    return SourcedAsset(replace(refined, receipt=replace(refined.receipt, source=record)), tuple(edits))
+
+
 @dataclass
 class _Journey:
     """What has been painted so far."""
