@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,29 @@ class Progressed:
         self.reports.append((share, words))
         if self._cancel_at is not None and self._cancel_at in words:
             self.cancel.set()
+
+
+class HastyClock:
+    """Stands in for the module `time` of a source: once `words` are reported, an hour has passed."""
+
+    def __init__(self, words: str) -> None:
+        self._words, self._ahead = words, 0.0
+        self.time, self.sleep = time.time, time.sleep
+
+    def monotonic(self) -> float:
+        return time.monotonic() + self._ahead
+
+    def progress(self) -> Progressed:
+        """Progress that this clock listens to."""
+        clock = self
+
+        class Listening(Progressed):
+            def __call__(self, share: float, words: str) -> None:
+                super().__call__(share, words)
+                if clock._words in words:
+                    clock._ahead = 3600.0
+
+        return Listening()
 
 
 def script(folder: Path, body: str, name: str = "tool.py") -> Path:

@@ -16,7 +16,7 @@ from splatpainter.sources.backends import comfyui, http
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceCancelled, SourceError
 from splatpainter.sources.registry import open_source
 from tests.support.fake_services import Call, FakeService, Reply, pixels, png, serving
-from tests.support.picture_requests import HEIGHT, WIDTH, Progressed, request
+from tests.support.picture_requests import HEIGHT, WIDTH, HastyClock, Progressed, request
 
 ID = "3a9c"
 
@@ -198,11 +198,15 @@ def test_cancel_interrupts_this_run_alone(server: tuple[FakeService, FakeComfyUI
     assert comfy.posts == [("/queue", {"delete": [ID]}), ("/interrupt", {"prompt_id": ID})]
 
 
-def test_a_run_that_takes_too_long(server: tuple[FakeService, FakeComfyUI], workflow: Path) -> None:
+def test_a_run_that_takes_too_long(
+    server: tuple[FakeService, FakeComfyUI], workflow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     service, comfy = server
     comfy.mode = "hang"
-    with pytest.raises(SourceError, match="gave no answer within 0.6 seconds"):
-        edit(service, workflow, timeout="0.6")
+    clock = HastyClock("step 5")
+    monkeypatch.setattr(http, "time", clock)
+    with pytest.raises(SourceError, match="gave no answer within 600 seconds"):
+        edit(service, workflow, progress=clock.progress(), timeout="600")
     assert comfy.posts[-1] == ("/interrupt", {"prompt_id": ID})
 
 

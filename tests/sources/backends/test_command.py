@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from splatpainter.sources.backends import command
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceCancelled, SourceError
 from splatpainter.sources.registry import open_source
-from tests.support.picture_requests import HEIGHT, WIDTH, Progressed, request, script
+from tests.support.picture_requests import HEIGHT, WIDTH, HastyClock, Progressed, request, script
 from tests.support.systems import posix_only
 
 COPY = "import shutil, sys; shutil.copy(sys.argv[1], sys.argv[2])"
@@ -123,10 +124,12 @@ def test_pictures_that_are_refused(tmp_path: Path) -> None:
         run(f'"{copy}" "{tmp_path / "inks.tif"}" {{out}}', ending="tif")
 
 
-def test_a_program_that_hangs(tmp_path: Path) -> None:
+def test_a_program_that_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     body = "import time; print('loading', flush=True); time.sleep(60)"
-    with pytest.raises(SourceError, match="did not end within 0.5 seconds; it said: loading"):
-        run(f'"{script(tmp_path, body)}" {{out}}', timeout="0.5")
+    clock = HastyClock("loading")
+    monkeypatch.setattr(command, "time", clock)
+    with pytest.raises(SourceError, match="did not end within 600 seconds; it said: loading"):
+        run(f'"{script(tmp_path, body)}" {{out}}', progress=clock.progress())
 
 
 @posix_only

@@ -3,6 +3,7 @@ it fails, and that no key gets anywhere but into the header."""
 
 from __future__ import annotations
 
+import _thread
 import base64
 import logging
 import threading
@@ -18,6 +19,7 @@ from splatpainter.sources.backends.http import retry_seconds
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceCancelled, SourceError
 from splatpainter.sources.registry import open_source
 from tests.support.fake_services import (
+    Call,
     FakeService,
     Reply,
     animated,
@@ -172,6 +174,8 @@ def test_other_services_need_no_key(service: FakeService, monkeypatch: pytest.Mo
     service.replies = [Reply({"data": [{"b64_json": text64(png())}]})]
     assert not openai(service).notes
     assert service.calls[0].headers["authorization"] == "Bearer none"
+    assert open_source("openai").capabilities.paid
+    assert not open_source("openai", {"base_url": f"{service.url}/v1"}).capabilities.paid
     progress = Progressed()
     with pytest.raises(SourceError, match="needs a key in the environment: set OPENAI_API_KEY"):
         open_source("openai").edit(request("rust"), progress, progress.cancel)
@@ -262,6 +266,17 @@ def test_slow_services(service: FakeService) -> None:
     service.replies = [Reply(b"", 429, {"Retry-After": "30"})]
     with pytest.raises(SourceCancelled):
         gemini(service, progress=progress)  # type: ignore[arg-type]
+
+
+def test_ctrl_c(service: FakeService) -> None:
+    def reply(call: Call) -> Reply:
+        _thread.interrupt_main()
+        return Reply(b"{}", wait=threading.Event())
+
+    service.handler = reply
+    with pytest.raises(KeyboardInterrupt):
+        gemini(service)
+    assert not [thread for thread in threading.enumerate() if thread.name == "source gemini" and thread.is_alive()]
 
 
 def test_bodies_that_are_too_long(service: FakeService, monkeypatch: pytest.MonkeyPatch) -> None:

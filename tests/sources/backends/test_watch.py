@@ -15,7 +15,7 @@ from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, S
 from splatpainter.sources.registry import open_source
 from splatpainter.sources.saved_pictures import SavedPictures
 from tests.support.fake_services import pixels, png
-from tests.support.picture_requests import HEIGHT, WIDTH, Progressed, request
+from tests.support.picture_requests import HEIGHT, WIDTH, HastyClock, Progressed, request
 
 
 class Clock:
@@ -113,12 +113,20 @@ def test_what_is_no_answer_is_waited_on(tmp_path: Path) -> None:
     assert person.reports[1][1].startswith("view_000.png: expected a PNG")
 
 
-def test_nobody_saves_a_picture(tmp_path: Path) -> None:
+def test_nobody_saves_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SourceError, match=r"no picture was saved as .*view_000.png within 0.1 seconds$"):
         edit(tmp_path, Progressed(), timeout="0.1")
-    person = Person(lambda: (tmp_path / "view_001.png").write_bytes(b"x"))
+    clock = HastyClock("expected a PNG")
+    monkeypatch.setattr(watch, "time", clock)
+    listening, actions = clock.progress(), [lambda: (tmp_path / "view_001.png").write_bytes(b"x")]
+
+    class Listening(Person):
+        def __call__(self, share: float, words: str) -> None:
+            super().__call__(share, words)
+            listening(share, words)
+
     with pytest.raises(SourceError, match="the last one could not be read: view_001.png: expected a PNG"):
-        edit(tmp_path, person, timeout="0.5")
+        edit(tmp_path, Listening(*actions), timeout="600")
 
 
 def test_cancel(tmp_path: Path) -> None:

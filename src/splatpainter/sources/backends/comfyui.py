@@ -35,6 +35,7 @@ from splatpainter.sources.backends.http import (
     Service,
     at,
     check_url,
+    is_open,
     node_errors,
     require_httpx,
     run,
@@ -123,6 +124,11 @@ class ComfyUISource:
         job = ComfyJob(Service("comfyui", self.url, headers, progress, KEYS), headers, progress)
         body = run(lambda: job.run(self.workflow, self.slots, request), "comfyui", self.options.timeout, cancel)
         image, notes = read_answer(body, "comfyui")
+        if key and is_open(self.url):
+            notes = (
+                *notes,
+                f"the key went to {job.service.host} by http, which anybody on the way can read; use https",
+            )
         seed = request.seed if "seed" in self.slots else None
         return PictureAnswer(image, model=f"ComfyUI workflow {self.options.workflow.name}", seed=seed, notes=notes)
 
@@ -201,20 +207,20 @@ class ComfyJob:
     """One run of a workflow, within the loop of `run`."""
 
     def __init__(self, service: Service, headers: dict[str, str], progress: Progress) -> None:
-        self._service, self._headers, self._progress = service, headers, progress
+        self.service, self._headers, self._progress = service, headers, progress
         self._prompt_id = ""
 
     async def run(self, workflow: dict[str, Any], slots: dict[str, list[str]], request: PictureRequest) -> bytes:
         """The picture file of the slot `out`."""
         try:
-            self._progress(0.0, f"sending to {self._service.host}")
+            self._progress(0.0, f"sending to {self.service.host}")
             graph = await self._filled(workflow, slots, request)
             client = uuid.uuid4().hex
             async with self._socket(client) as socket:
-                answer = await self._service.json("POST", "/prompt", json={"prompt": graph, "client_id": client})
+                answer = await self.service.json("POST", "/prompt", json={"prompt": graph, "client_id": client})
                 self._prompt_id = str(at(answer, "prompt_id") or "")
                 if not self._prompt_id or at(answer, "node_errors"):
-                    raise self._service.error(f"did not take the workflow: {node_errors(answer)}")
+                    raise self.service.error(f"did not take the workflow: {node_errors(answer)}")
                 history = await self._finished(socket, graph)
         except asyncio.CancelledError:
             if self._prompt_id:
@@ -252,10 +258,10 @@ class ComfyJob:
     async def _upload(self, png: bytes, slot: str) -> str:
         name = f"splatpainter_{slot}_{hashlib.sha256(png).hexdigest()[:16]}.png"
         files = {"image": (name, png, "image/png")}
-        answer = await self._service.json("POST", "/upload/image", files=files, data={"overwrite": "true"})
+        answer = await self.service.json("POST", "/upload/image", files=files, data={"overwrite": "true"})
         stored, folder = at(answer, "name"), at(answer, "subfolder")
         if not isinstance(stored, str) or not stored:
-            raise self._service.error("took a picture and did not say its name; is this a ComfyUI server?")
+            raise self.service.error("took a picture and did not say its name; is this a ComfyUI server?")
         return f"{folder}/{stored}" if isinstance(folder, str) and folder else stored
 
     @contextlib.asynccontextmanager
@@ -266,7 +272,7 @@ class ComfyJob:
         except ImportError:
             yield None
             return
-        url = "ws" + self._service.base_url.removeprefix("http") + f"/ws?clientId={client}"
+        url = "ws" + self.service.base_url.removeprefix("http") + f"/ws?clientId={client}"
         try:
             connection = await connect(
                 url,
@@ -302,11 +308,11 @@ class ComfyJob:
                     continue
             else:
                 await asyncio.sleep(HISTORY_SECONDS)
-            entry = at(await self._service.json("GET", f"/history/{quote(self._prompt_id)}"), self._prompt_id)
+            entry = at(await self.service.json("GET", f"/history/{quote(self._prompt_id)}"), self._prompt_id)
             if isinstance(entry, dict):
                 status = at(entry, "status", "status_str")
                 if status == "error":
-                    raise self._service.error(f"stopped{_history_error(entry)}")
+                    raise self.service.error(f"stopped{_history_error(entry)}")
                 if status == "success" or at(entry, "status", "completed") or entry.get("outputs"):
                     return entry
 
@@ -320,9 +326,9 @@ class ComfyJob:
         if at(content, "prompt_id") not in (None, self._prompt_id):
             return False
         if kind == "execution_error":
-            raise self._service.error(f"stopped{_execution_error(content)}")
+            raise self.service.error(f"stopped{_execution_error(content)}")
         if kind == "execution_interrupted":
-            raise self._service.error("was interrupted on the server")
+            raise self.service.error("was interrupted on the server")
         if kind == "execution_success" or (kind == "executing" and at(content, "node") is None):
             return at(content, "prompt_id") is not None
         if kind == "progress":
@@ -347,25 +353,25 @@ class ComfyJob:
         )
         if not files:
             kind = graph[number]["class_type"]
-            raise self._service.error(
+            raise self.service.error(
                 f"ended without a picture from {PREFIX}out (node {number}, {kind}); expected a node that saves or "
                 "previews one"
             )
         query = {key: str(files[-1].get(key) or "") for key in ("filename", "subfolder", "type")}
-        url = f"{self._service.base_url}/view?{urlencode(query)}"
-        body, _ = await self._service.send("GET", url, MAX_FILE_BYTES)
+        url = f"{self.service.base_url}/view?{urlencode(query)}"
+        body, _ = await self.service.send("GET", url, MAX_FILE_BYTES)
         return body
 
     async def _give_up(self) -> None:
         """Take the run out of the queue; interrupt it where it is the one that runs, and no other."""
         await self._post("/queue", {"delete": [self._prompt_id]})
-        queue = await self._service.json("GET", "/queue")
+        queue = await self.service.json("GET", "/queue")
         running = at(queue, "queue_running")
         if isinstance(running, list) and any(at(item, 1) == self._prompt_id for item in running):
             await self._post("/interrupt", {"prompt_id": self._prompt_id})
 
     async def _post(self, path: str, content: dict[str, Any]) -> None:
-        await self._service.send("POST", self._service.base_url + path, 1 << 20, json=content)
+        await self.service.send("POST", self.service.base_url + path, 1 << 20, json=content)
 
 
 def mask_rgba_png(request: PictureRequest) -> bytes:

@@ -193,13 +193,14 @@ def run(work: Callable[[], Awaitable[_T]], source: str, seconds: float, cancel: 
             errors.append(error)
 
     thread = threading.Thread(target=in_thread, name=f"source {source}", daemon=True)
-    thread.start()
     try:
+        thread.start()
         while thread.is_alive():
             thread.join(POLL_SECONDS)
     except BaseException:  # Ctrl-C
         abandoned.set()
-        thread.join(CLEANUP_SECONDS)
+        if thread.ident is not None:
+            thread.join(CLEANUP_SECONDS)
         raise
     if errors:
         raise errors[0]
@@ -240,10 +241,14 @@ def check_url(source: str, name: str, url: str) -> str:
     return url.strip().rstrip("/")
 
 
+def is_here(url: str) -> bool:
+    """Whether an address is one of this machine."""
+    return urlsplit(url).hostname in LOOPBACK
+
+
 def is_open(url: str) -> bool:
     """Whether what is sent to an address can be read on its way."""
-    parts = urlsplit(url)
-    return parts.scheme == "http" and parts.hostname not in LOOPBACK
+    return urlsplit(url).scheme == "http" and not is_here(url)
 
 
 def decode_base64(data: Any, source: str) -> bytes:

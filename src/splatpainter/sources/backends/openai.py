@@ -6,7 +6,7 @@ binds none of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from splatpainter.sources.backends.http import (
     at,
     check_url,
     decode_base64,
+    is_here,
     is_open,
     read_key,
     require_httpx,
@@ -79,12 +80,12 @@ class OpenAISource:
     """One model of one service."""
 
     name = "openai"
-    capabilities = CAPABILITIES
 
     def __init__(self, options: OpenAIOptions) -> None:
         require_httpx("openai")
         self.base_url = check_url("openai", "base_url", options.base_url)
         self.options = options
+        self.capabilities = replace(CAPABILITIES, paid=not is_here(self.base_url))
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """One call. Raises SourceError; SourceCancelled."""
