@@ -63,6 +63,15 @@ async function add(blob: string, name: string): Promise<void> {
   await check(image.id, {});
 }
 
+/** A picture that the server made of a view, and checked already. */
+export function addChecked(name: string, checked: PictureChecked): void {
+  tab.value = "pictures";
+  if (droppedImages.value.length >= MAX_IMAGES)
+    return toast("warning", `One edit takes at most ${MAX_IMAGES} pictures.`, "Apply these or take one away.");
+  const image = { id: nextId++, name, blob: checked.picture, checked, problem: "", threshold: null };
+  droppedImages.value = [...droppedImages.value, image];
+}
+
 /** Find the camera, correct the size, find what changed. `at`: the picture shows this view. */
 export async function check(id: number, given: { camera?: CameraJson; threshold?: number }): Promise<void> {
   const image = droppedImages.value.find((one) => one.id === id);

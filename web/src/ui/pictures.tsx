@@ -21,6 +21,7 @@ import {
 import { camera, method, readOnly } from "../state/store";
 import { report } from "../state/studio";
 import { Button, Check, Choice, FileButton, Slider } from "./parts";
+import { SourceDialog, sourcesOpen } from "./sources";
 import { chooseTool } from "./toolbar";
 import { goTo } from "./views";
 
@@ -48,7 +49,13 @@ export function Pictures() {
           multiple
           onFiles={(files) => files.slice(0, MAX_IMAGES).forEach((file) => void addPicture(file))}
         />
+        <Button
+          label="Send the present view to a program or an image service"
+          text="Edit with a source…"
+          onClick={() => (sourcesOpen.value = true)}
+        />
       </p>
+      {sourcesOpen.value && <SourceDialog onClose={() => (sourcesOpen.value = false)} />}
       {list.length === 0 && (
         <p class="quiet">
           Drop a picture of the asset that you edited in another program. Its camera is found by itself.
