@@ -52,7 +52,8 @@ def test_one_view_is_edited_and_the_receipt_says_by_whom() -> None:
     result = edit(splats, source, mask=mask, seed=3)
     assert result.receipt is not None and result.receipt.source is not None
     (request,) = source.requests
-    assert request.prompt == "exchange" and request.seed == 3 and np.array_equal(request.mask, mask)
+    assert request.mask is not None and np.array_equal(request.mask, mask)
+    assert request.prompt == "exchange" and request.seed == 3
     record = result.receipt.source
     (view,) = record["views"]
     assert (record["name"], record["prompt"], record["strictness"]) == ("function", "exchange", "normal")
@@ -62,6 +63,7 @@ def test_one_view_is_edited_and_the_receipt_says_by_whom() -> None:
     again = Receipt.from_json(result.receipt.to_json())
     assert again.source == record and result.receipt.untouched_sha256_before == result.receipt.untouched_sha256_after
     (score,) = result.receipt.views
+    assert score.psnr_after is not None and score.psnr_before is not None
     assert score.psnr_after > score.psnr_before + 6
     touched = changed_rows(splats, result.splats)
     assert 0 < len(touched) < 0.1 * len(splats)
@@ -81,6 +83,7 @@ def test_a_source_without_masks_is_cut_afterwards_and_maps_are_drawn_on_demand()
     made = ask_for_edit(splats, camera, source, brief, progress=lambda *_: None, cancel=threading.Event(), mask=mask)
     (request,) = source.requests
     assert request.mask is None and made.request.mask is not None
+    assert made.edit.mask is not None and request.depth is not None and request.normal is not None
     assert not made.edit.mask[mask == 0].any() and made.edit.mask[55:75, 55:75].all()
     render = displayed(splats, camera)[0]
     assert np.array_equal(made.edit.image[mask == 0], render[mask == 0])

@@ -78,7 +78,7 @@ class SourceConfig(Protocol):
 
 
 @dataclass(frozen=True)
-class SourceEdit:
+class SourceJob:
     """A source and what it is asked, with every file read."""
 
     source: PictureSource
@@ -119,7 +119,7 @@ class SourceEdit:
         )
 
 
-def source_from_options(config: SourceConfig) -> SourceEdit | None:
+def source_from_options(config: SourceConfig) -> SourceJob | None:
     """The source and what it is asked, or None where no --source is given. Raises ValueError, one line naming the
     option: a source that is not there, files that cannot be read."""
     if not config.source:
@@ -133,10 +133,10 @@ def source_from_options(config: SourceConfig) -> SourceEdit | None:
     cameras = given_cameras([] if config.view is None else [config.view], config.size)
     mask = _mask(config.mask[0]) if config.mask else None
     source = open_source(config.source, option_words(config.source_option))
-    return SourceEdit(source, brief, cameras[0] if cameras else None, mask, config)
+    return SourceJob(source, brief, cameras[0] if cameras else None, mask, config)
 
 
-def paint_from_source(splats: Splats, request: SourceEdit, painter: Painter) -> tuple[Asset, list[DecalView]]:
+def paint_from_source(splats: Splats, request: SourceJob, painter: Painter) -> tuple[Asset, list[DecalView]]:
     """(the edited asset, one entry per view of its receipt). Ctrl-C cancels the source's work before it goes on.
     Raises SourceError and what `Painter.apply` raises."""
     config, cancel = request.config, threading.Event()
@@ -177,7 +177,7 @@ def paint_from_source(splats: Splats, request: SourceEdit, painter: Painter) -> 
     return made.asset, entries
 
 
-def plan_lines(splats: Splats, request: SourceEdit) -> tuple[dict, list[str]]:
+def plan_lines(splats: Splats, request: SourceJob) -> tuple[dict, list[str]]:
     """(record, lines) of a dry run: which views would be sent, and how many calls that are; nothing is asked."""
     plan = request.plan(splats)
     paid = request.source.capabilities.paid
