@@ -27,9 +27,13 @@ CELLS = 48
 FACING = (math.cos(math.radians(75)), math.cos(math.radians(62)))
 """From which a view reaches a surface, and from which fully; between them the mask is soft."""
 MAX_SLOPE = 5.0
-"""Change of depth from one pixel to the next, in pixels' widths there, above which it breaks."""
-EDGE_PX, SMOOTH_PX = 1, 2
-"""Reach around such a break that is not painted, and of the mean over which the angle is taken, pixels."""
+"""Change of depth from one pixel to the next, in pixels' widths there, above which it breaks ..."""
+MIN_STEP = 0.008
+"""... and as a part of the depth, at least: folds and the noise of captures are no edges."""
+EDGE_PX = 1
+"""Reach around such a break that is not painted, pixels."""
+SMOOTH = 1 / 130
+"""Reach of the mean over which the angle is taken, as a part of the view's longer side: captures' normals are rough."""
 FRONTAL = 0.7
 """Facing from which a view of a surface counts as good as any."""
 USUAL_HEIGHTS, UNUSUAL_WEIGHT = (-0.1, 0.8), 0.7
@@ -79,7 +83,8 @@ class SurfaceView:
         and not beside an edge in depth."""
         there = self.depth > 0
         facing = np.where(there, -(self.camera.rays()[1] * self.normal).sum(-1), 0)
-        smooth = box_mean(facing, SMOOTH_PX) / np.maximum(box_mean(there, SMOOTH_PX), 1e-6)
+        reach = max(1, round(SMOOTH * max(self.depth.shape)))
+        smooth = box_mean(facing, reach) / np.maximum(box_mean(there, reach), 1e-6)
         edge = dilated(self._steps, EDGE_PX)
         return np.where(there & ~edge, _ramp(smooth), 0).astype(np.float32)
 
@@ -96,7 +101,7 @@ class SurfaceView:
     @property
     def _steps(self) -> np.ndarray:
         """[H, W] bool: pixels beside which the depth breaks: by more than a plane seen at the limiting angle would."""
-        limit = self.depth / self.camera.fx * MAX_SLOPE
+        limit = np.maximum(self.depth / self.camera.fx * MAX_SLOPE, MIN_STEP * self.depth)
         out = np.zeros(self.depth.shape, bool)
         for axis in (0, 1):
             step = np.abs(np.diff(self.depth, axis=axis))

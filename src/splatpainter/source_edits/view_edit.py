@@ -119,6 +119,7 @@ def ask_for_edit(
         request,
         strictness=brief.strictness,
         regraded=mode == "global",
+        mask_sent=source.capabilities.mask,
         enlarged=lambda factor: displayed(splats, _times(camera, factor))[0],
         name=name,
     )

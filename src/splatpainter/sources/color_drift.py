@@ -29,7 +29,7 @@ TUKEY = 4.685
 """Standard deviations beyond which a pixel does not count."""
 MIN_SPREAD = 0.002
 """Standard deviation, linear light, below which differences are rounding."""
-MIN_AGREEING = 0.25
+MIN_AGREEING = 0.4
 """Share of the pixels that must agree after the correction, where any of them may have been painted over."""
 MIN_AGREEING_MASKED = 0.15
 """... and where a mask says that none was to be."""

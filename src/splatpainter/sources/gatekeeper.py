@@ -138,13 +138,16 @@ def admit(
     *,
     strictness: Strictness = "normal",
     regraded: bool = False,
+    mask_sent: bool = True,
     enlarged: Callable[[int], np.ndarray] | None = None,
     name: str = "source",
 ) -> AdmittedPicture:
     """Lay a picture [h, w, 3 or 4] over what was sent, correct it, and cut it.
 
     request: what it was asked by: its image and mask are compared with. regraded: the picture is to change as a whole
-    (mode global), so colours are corrected by what lies outside a mask alone. enlarged: gives the render [k H, k W, 3]
+    (mode global), so colours are corrected by what lies outside a mask alone. mask_sent: whether the source got the
+    mask; if not, it may have changed what lies outside on purpose, and colours are corrected only by what agrees there.
+    enlarged: gives the render [k H, k W, 3]
     at k times the view's size, on which an enlarged picture is laid; None: it is admitted at the view's size. name:
     what errors call it.
 
@@ -172,8 +175,7 @@ def admit(
         inside &= _laid(content, registration.matrix, size, still)[0] > 0.5
     drift = NO_DRIFT
     if mask is not None or not regraded:
-        certain = mask is not None and bool(outside.any())
-        drift = estimate_drift(aligned, render, (outside if certain else np.ones_like(outside)) & inside, certain)
+        drift = estimate_drift(aligned, render, outside & inside, mask is not None and mask_sent)
     if drift.strength > limits.stops:
         _complain_of_polarity(colors, render, mask, content, name, limits)
         raise RefusedPicture(
