@@ -146,6 +146,7 @@ def test_strictness_says_how_far_a_picture_may_be_off() -> None:
     with pytest.raises(SourceError, match="came back cropped"):
         admit(np.ascontiguousarray(painted[20:-20]), request, strictness="strict")
     cropped = admit(np.ascontiguousarray(painted[20:-20]), request)
+    assert cropped.notes == ("came back cropped",)
     assert np.array_equal(cropped.image[:18], request.image[:18]) and cropped.changed[90:120, 80:110].all()
     dark = linear_to_srgb(srgb_to_linear(painted) * 0.2).astype(np.float32)
     with pytest.raises(SourceError, match="drifted by 2.3 stops"):

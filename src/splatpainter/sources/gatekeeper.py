@@ -228,7 +228,7 @@ def admit(
         drift,
         _share(weight > 0, cover),
         spilled,
-        _notes(registration, drift, spilled, still, factor),
+        _notes(registration, drift, spilled, registration.is_moved(*size), factor),
     )
     if not result.changed.any():
         where = "" if mask is None else " within the mask"
@@ -409,11 +409,11 @@ def _share(region: np.ndarray, of: np.ndarray) -> float:
     return float((region & of).sum() / max(int(of.sum()), 1))
 
 
-def _notes(registration: Registration, drift: ColorDrift, spilled: float, still: bool, factor: int) -> tuple[str, ...]:
+def _notes(registration: Registration, drift: ColorDrift, spilled: float, moved: bool, factor: int) -> tuple[str, ...]:
     out = []
     if registration.framing != "full":
         out.append(f"came back {registration.framing}")
-    if not still:
+    if moved:
         out.append(
             f"moved back by {registration.right:.1f}, {registration.down:.1f} pixels, scale {registration.scale:.3f}, "
             f"{registration.rotation:.1f} degrees"

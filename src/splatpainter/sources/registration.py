@@ -104,12 +104,15 @@ class Registration:
     def __post_init__(self) -> None:
         assert self.matrix.shape == (2, 3)
 
-    def is_still(self, width: int, height: int) -> bool:
-        """Whether the picture of a render of this size was not moved, turned or scaled beyond its framing."""
-        turn = math.radians(self.rotation)
+    def is_moved(self, width: int, height: int) -> bool:
+        """Whether the picture of a render of this size was moved, turned or scaled within its framing."""
         reach = math.hypot(width, height) / 2
-        moved = math.hypot(self.right, self.down) + reach * max(abs(self.scale - 1), abs(turn))
-        return self.framing in ("full", "stretched") and moved < IDENTITY_PX
+        turned = reach * max(abs(self.scale - 1), abs(math.radians(self.rotation)))
+        return math.hypot(self.right, self.down) + turned >= IDENTITY_PX
+
+    def is_still(self, width: int, height: int) -> bool:
+        """Whether the picture shows all of a render of this size, and that where it was."""
+        return self.framing in ("full", "stretched") and not self.is_moved(width, height)
 
     @property
     def pixel_scale(self) -> float:
