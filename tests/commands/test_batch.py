@@ -189,6 +189,16 @@ def test_pictures_of_a_source_are_asked_for_once(folder: Path, capfd: Capture) -
     assert out.read_bytes() == (folder / "out/shoe0.ply").read_bytes()
 
 
+def test_views_are_refined(folder: Path, capfd: Capture) -> None:
+    text = "assets: [shoes/shoe0.ply]\nedits: [{refine: {views: [cam.json]}}]\n"
+    jobs = jobs_file(folder, text)
+    assert run(capfd, "batch", jobs, "--dry-run", "--json").json["free_calls"] == 1
+    assert run(capfd, "batch", jobs).code == 0
+    words = ["--view", folder / "cam.json", "--out", folder / "r.ply"]
+    assert run(capfd, "refine", folder / "shoes/shoe0.ply", *words).code == 0
+    assert (folder / "out/shoe0.ply").read_bytes() == (folder / "r.ply").read_bytes()
+
+
 def test_nothing_is_replaced_that_no_batch_made(folder: Path, capfd: Capture) -> None:
     (folder / "out").mkdir()
     (folder / "out" / "shoe0-plain.ply").write_bytes(b"mine")
@@ -269,7 +279,7 @@ def test_the_example_of_the_guide_is_a_batch(folder: Path) -> None:
     jobs = read_jobs(jobs_file(folder, example)).jobs
     assert [job.name for job in jobs[:3]] == ["shoe0-blue", "shoe0-autumn", "shoe0-plain"] and len(jobs) == 6
     kinds = (schema.Batch, schema.Variant, schema.Preview, schema.JobEdit, schema.PicturesEdit, schema.DecalEdit)
-    for kind in (*kinds, schema.GradeEdit, schema.SourceStep, schema.LayersEdit):
+    for kind in (*kinds, schema.GradeEdit, schema.SourceStep, schema.RefineEdit, schema.LayersEdit):
         assert not [field.name for field in fields(kind) if f"`{field.name}`" not in guide], kind
 
 

@@ -21,6 +21,8 @@ from tests.support.cli_scenes import Capture, ball, paint, run, saved
 FOLDER = Path(__file__).parents[2] / "docs" / "recipes"
 SIZE = 96
 """Pixels of every picture here; the pages say 800 or 400."""
+SMALL_SIZE = 48
+"""Of views that are enlarged."""
 Step = Callable[[Path], None]
 
 
@@ -48,6 +50,7 @@ STEPS: dict[str, dict[str, Step]] = {
     },
     "night.md": {"# regrade": regraded},
     "recolour.md": {},
+    "sharpen.md": {},
     "logo.md": {
         "# draw logo.png": mask_drawn,
         "# inpaint": lambda f: void(
@@ -58,7 +61,13 @@ STEPS: dict[str, dict[str, Step]] = {
 """Page -> beginning of a comment in its commands -> what a person does there."""
 ELSEWHERE = {"own_source.md"}
 """Pages that other tests run: tests/examples/test_own_source.py."""
-ASSETS = {"graffiti.md": "wall", "night.md": "house", "recolour.md": "shoes/runner", "logo.md": "bottle"}
+ASSETS = {
+    "graffiti.md": "wall",
+    "night.md": "house",
+    "recolour.md": "shoes/runner",
+    "logo.md": "bottle",
+    "sharpen.md": "chair",
+}
 
 
 def specimen() -> Splats:
@@ -79,10 +88,10 @@ def blocks(page: Path) -> list[tuple[str, str]]:
     return re.findall(r"^```(\w+)\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
-def words_of(line: str) -> list[str]:
+def words_of(line: str, size: int) -> list[str]:
     """A command's words, its pictures small."""
     words = shlex.split(line, comments=True)
-    return [str(SIZE) if before == "--size" else word for before, word in zip(["", *words], words, strict=False)]
+    return [str(size) if before == "--size" else word for before, word in zip(["", *words], words, strict=False)]
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -105,7 +114,7 @@ def test_a_recipe_works_as_it_says(name: str, tmp_path: Path, capfd: Capture, mo
                 done.add(step)
                 continue
             assert line.startswith("splatpainter "), f"{name}: no command, and no step that is known: {line}"
-            words = words_of(line)[1:]
+            words = words_of(line, SMALL_SIZE if name == "sharpen.md" else SIZE)[1:]
             result = run(capfd, *words)
             assert result.code == 0, f"{line}: {result.err or result.out}"
             if "--out" in words:

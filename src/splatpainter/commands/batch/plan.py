@@ -200,11 +200,11 @@ def _step(edit: JobEdit, path: str, folder: Path, lines: Lines, asset: str, vari
         for k, (entry, target) in enumerate(zip(given, full, strict=True)):
             index = f"[{k}]" if isinstance(original, tuple) else ""
             files.append((target, _checked(entry, target, lines.at(f"{path}.{kind}.{name}{index}"))))
-    if kind == "source":
+    if "options" in values:
         for key, value in values["options"].items():
             if isinstance(value, str) and value and (folder / value).is_file():
                 values["options"][key] = str(folder / value)
-                files.append((str(folder / value), lines.at(f"{path}.source.options.{key}")))
+                files.append((str(folder / value), lines.at(f"{path}.{kind}.options.{key}")))
     if kind == "grade":
         terms = [
             _mask_term(term, folder, lines.at(f"{path}.grade.where[{k}]"), files)

@@ -110,6 +110,23 @@ class SourceStep:
 
 
 @dataclass(frozen=True)
+class RefineEdit:
+    """Views enlarged and their detail put onto the asset, as `splatpainter refine`."""
+
+    views: tuple[str, ...] = field(metadata=FILE)
+    """1 to 16 cameras."""
+    upscale: str = field(default="", metadata=FILE)
+    """A super-resolution model."""
+    scale: Literal[1, 2, 4] = 2
+    name: str = "upscale"
+    """Another source."""
+    options: dict[str, Any] = field(default_factory=dict)
+    prompt: str = ""
+    size: int | None = None
+    method: Literal["lift", "fit"] = "lift"
+
+
+@dataclass(frozen=True)
 class LayersEdit:
     """The visible layers of a project, painted anew on the asset from the same cameras."""
 
@@ -126,6 +143,7 @@ class JobEdit:
     decal: DecalEdit | None = None
     grade: GradeEdit | None = None
     source: SourceStep | None = None
+    refine: RefineEdit | None = None
     layers: LayersEdit | None = None
 
     def __post_init__(self) -> None:

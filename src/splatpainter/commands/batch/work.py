@@ -21,12 +21,14 @@ from typing import Any, cast
 from splatpainter.atomic import replace as replace_file
 from splatpainter.atomic import sync_folder, write_text
 from splatpainter.cameras import Camera
-from splatpainter.commands import edit, grade
+from splatpainter.commands import edit, grade, refine
 from splatpainter.commands.batch.plan import Job, JobStep
-from splatpainter.commands.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit, SourceStep
+from splatpainter.commands.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit, RefineEdit, SourceStep
 from splatpainter.commands.verify import read_receipt, receipt_of
 from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.receipts import Receipt, prove
+from splatpainter.sources.registry import open_source
+from splatpainter.sources.source_options import option_words
 from splatpainter.splats import Frame, Splats
 
 RECORD, BEFORE, AFTER = "record.json", "before.webp", "after.webp"
@@ -150,6 +152,12 @@ def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
         )
     elif isinstance(values, SourceStep):
         edit.run(source_config(values, asset, target, frame))
+    elif isinstance(values, RefineEdit):
+        names = ("scale", "prompt", "size", "method")
+        settings = {name: getattr(values, name) for name in names}
+        settings |= {"view": tuple(map(Path, values.views)), "upscale": _path(values.upscale)}
+        settings |= {"source": values.name, "source_option": _option_words(values.options)}
+        refine.run(refine.Config(**shared, **settings))
     elif isinstance(values, GradeEdit):
         names = ("exposure", "temperature", "tint", "contrast", "saturation", "hue", "recolor", "strength", "where")
         settings = {name: getattr(values, name) for name in names}
@@ -167,7 +175,7 @@ def source_config(step: SourceStep, asset: Path, target: Path, frame: Frame, dry
         asset,
         target,
         source=step.name,
-        source_option=tuple(f"{key}={value}" for key, value in step.options.items()),
+        source_option=_option_words(step.options),
         source_strictness=step.strictness,
         view=_path(step.view),
         mask=(Path(step.mask),) if step.mask else (),
@@ -187,6 +195,10 @@ def calls_of(job: Job) -> list[dict[str, Any]]:
             if isinstance(step.step, SourceStep):
                 config = source_config(step.step, job.asset, Path(folder) / "plan.ply", job.frame, dry_run=True)
                 out.append(edit.run(config).record)
+            elif isinstance(step.step, RefineEdit):
+                words = option_words(_option_words(step.step.options))
+                paid = open_source(step.step.name, words).capabilities.paid
+                out.append({"source": step.step.name, "calls": len(step.step.views), "paid": paid})
     return out
 
 
@@ -216,6 +228,10 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
                 if lower in ids and upper in ids:
                     session.resolve_conflict(ids[lower], ids[upper], policy)
             session.export(target, overwrite=True)
+
+
+def _option_words(options: dict[str, Any]) -> tuple[str, ...]:
+    return tuple(f"{key}={value}" for key, value in options.items())
 
 
 def _receipt(job: Job, original: Splats, last: Path) -> Receipt:
@@ -307,6 +323,8 @@ def _preview_camera(job: Job, splats: Splats) -> Camera:
             names.append(step.step.camera)
         elif isinstance(step.step, SourceStep):
             names.append(step.step.view)
+        elif isinstance(step.step, RefineEdit):
+            names += step.step.views[:1]
     for name in filter(None, names):
         with contextlib.suppress(ValueError):
             camera = camera_from(Path(name))
