@@ -305,32 +305,6 @@ def test_a_layer_goes_out_and_comes_back_as_a_file(opened: tuple[studio_scenes.L
     page.wait("its pixels", lambda: np.array_equal(page.pixels(), painted))
 
 
-def test_a_selection_waits_in_its_view(opened: tuple[studio_scenes.Live, Page]) -> None:
-    """Turned away it limits no stroke but still a look; back in its view it is there again."""
-    _, page = opened
-    page.tab.keyboard.press("m")
-    page.drag((0.3, 0.2), (0.5, 0.8))
-    deselect = page.tab.get_by_role("button", name="Invert")
-    page.wait("the selection", deselect.count)
-    before = page.camera()["world_to_camera"]
-    page.tab.locator("#stage").press("ArrowLeft")
-    page.wait("that it is elsewhere", lambda: page.tab.get_by_text("The selection is of another view").count())
-    assert deselect.count() == 0
-    edited = {"all": 0, "selected": 0}
-    page.tab.get_by_role("tab", name="Adjust").click()
-    for name in edited:
-        page.tab.get_by_label("Only the selected area").set_checked(name == "selected")
-        page.tab.get_by_role("textbox", name="Exposure, number").fill("-1")
-        page.tab.get_by_role("textbox", name="Exposure, number").press("Enter")
-        page.tab.get_by_role("button", name="Apply as layer").click()
-        page.wait("the adjustment", lambda name=name: len(page.names()) == 1 + list(edited).index(name))
-        edited[name] = page.state()["layers"][-1]["gaussians_edited"]
-    assert 0 < edited["selected"] < 0.6 * edited["all"]
-    page.tab.get_by_role("button", name="Go there").click()
-    page.wait("the selection again", deselect.count)
-    assert page.camera()["world_to_camera"] == before
-
-
 def test_two_windows_agree_and_a_lost_connection_comes_back(
     browser: Any, opened: tuple[studio_scenes.Live, Page]
 ) -> None:

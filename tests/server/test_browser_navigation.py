@@ -282,13 +282,13 @@ def test_keys_can_be_changed_and_are_remembered(opened: tuple[studio_scenes.Live
     stage.focus()
     keys.press("?")
     sheet = page.tab.get_by_role("dialog", name="Shortcuts")
-    sheet.get_by_role("button", name="Fill: G. Change the key").click()
+    sheet.get_by_role("button", name="G: Fill. Change the key").click()
     keys.press("Control+w")
     assert "Browsers keep Ctrl-W" in sheet.get_by_role("alert").inner_text()
     keys.press("b")
     assert "B is Brush." in sheet.get_by_role("alert").inner_text()
     sheet.get_by_role("button", name="Use it here").click()
-    assert sheet.get_by_role("button", name="Brush: no key. Change the key").count() == 1
+    assert sheet.get_by_role("button", name="none: Brush. Change the key").count() == 1
     page.open()
     stage.focus()
     keys.press("b")

@@ -31,7 +31,7 @@ MatrixRow = Annotated[list[float], Field(min_length=4, max_length=4)]
 Mode = Literal["local", "global"]
 Method = Literal["auto", "ttt", "lift", "fit"]
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
-LayerKind = Literal["paint", "picture", "look", "clone", "erase", "merged"]
+LayerKind = Literal["paint", "picture", "look", "clone", "erase", "hide", "merged"]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 FileName = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\\\x00-\x1f:]+$")]
 """A plain name inside the studio's folder, never a path."""
@@ -270,6 +270,17 @@ class ProjectInfo(Message):
     """Why, one line; "" where it can be changed."""
 
 
+class SelectionInfo(Message):
+    """What is selected, the same for all windows; it limits what tools change."""
+
+    revision: int
+    """Changes with it: then ask for `selection.view`."""
+    gaussians: int
+    """0: nothing is selected, everything may change."""
+    names: list[str]
+    """Selections that the project keeps."""
+
+
 class Present(Message):
     """What is so now, and bounded by what is on the screen."""
 
@@ -288,6 +299,7 @@ class Present(Message):
     earlier: list[RecentInfo]
     """Projects with layers over the same original, latest first, while nothing was done in this one: to continue."""
     project: ProjectInfo
+    selection: SelectionInfo
     methods: list[Method]
     """That work on this machine with what is installed (trained weights or not)."""
     folder: str | None

@@ -63,11 +63,12 @@ class Stroke:
         erase: bool = False,
         session: Session | None = None,
         beneath: Splats | None = None,
+        selected: np.ndarray | None = None,
     ) -> None:
         """session: what it is drawn on (`belongs_to`). Versions are numbers of one session: of another one, `version`
         may be the same and every Gaussian different. beneath: of an eraser of one layer, what comes out; None: the
-        original."""
-        self.camera, self.erase, self._beneath = camera, erase, beneath
+        original. selected: [H, W] float32 0..1, what of the view may be painted; None: all of it."""
+        self.camera, self.erase, self._beneath, self._selected = camera, erase, beneath, selected
         self.masks = False
         """Whether it paints the mask of a layer."""
         self._session = None if session is None else weakref.ref(session)
@@ -102,7 +103,11 @@ class Stroke:
             raise ValueError(f"dab: expected a rectangle inside the view of {size}, got {width}x{height} at {corner}")
         if len(rgba) != width * height * 4:
             raise ValueError(f"dab: expected {width * height * 4} bytes of RGBA, got {len(rgba)}")
-        self.rgba[y : y + height, x : x + width] = np.frombuffer(rgba, np.uint8).reshape(height, width, 4)
+        patch = np.frombuffer(rgba, np.uint8).reshape(height, width, 4)
+        if self._selected is not None:
+            patch, part = patch.copy(), self._selected[y : y + height, x : x + width]
+            patch[..., 3] = np.round(patch[..., 3] * part)
+        self.rgba[y : y + height, x : x + width] = patch
         return x, y, x + width, y + height
 
     def preview(self, splats: Splats, original: Splats, version: int, box: Box) -> tuple[np.ndarray, np.ndarray]:

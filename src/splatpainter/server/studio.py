@@ -21,7 +21,8 @@ from pydantic import ValidationError
 from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.server import describe
-from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, RecentInfo, State, first_fault
+from splatpainter.server.current_selection import CurrentSelection
+from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, RecentInfo, SelectionInfo, State, first_fault
 from splatpainter.server.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
 from splatpainter.session import Session
 from splatpainter.session.layer_factory import thumbnail
@@ -111,11 +112,13 @@ class Studio:
 
     def _adopt(self, session: Session, name: str) -> None:
         session_id, lists, snapshot = secrets.token_hex(8), describe.Lists(), session.snapshot
+        selection = CurrentSelection(session)
         self._earlier = [] if len(snapshot.history) > 1 else self._earlier_of(session)
         with _one_line_errors(name):
             asset = describe.counted(describe.asset_info(session, name), session.original, snapshot.splats)
-            state = self._state_of(session, session_id, name, asset, lists)
+            state = self._state_of(session, session_id, name, asset, lists, selection)
         self.session, self.session_id, self.name, self._drawn = session, session_id, name, snapshot.version
+        self.selection = selection
         self._asset, self._lists, self._counted = asset, lists, snapshot.version
         self._front = session.front
         self.state = state
@@ -132,9 +135,17 @@ class Studio:
             self._asset = describe.counted(self._asset, session.original, snapshot.splats)
             self._counted = snapshot.version
         with _one_line_errors(self.name):
-            self.state = self._state_of(session, self.session_id, self.name, self._asset, self._lists)
+            self.state = self._state_of(session, self.session_id, self.name, self._asset, self._lists, self.selection)
 
-    def _state_of(self, session: Session, session_id: str, name: str, asset: AssetInfo, lists: describe.Lists) -> State:
+    def _state_of(
+        self,
+        session: Session,
+        session_id: str,
+        name: str,
+        asset: AssetInfo,
+        lists: describe.Lists,
+        selection: CurrentSelection,
+    ) -> State:
         return State(
             session=session_id,
             version=session.snapshot.version,
@@ -147,6 +158,9 @@ class Studio:
             bookmarks=lists.bookmarks(session),
             earlier=self._earlier,
             project=self._project(session, name),
+            selection=SelectionInfo(
+                revision=selection.revision, gaussians=selection.gaussians, names=session.selections()
+            ),
             methods=describe.methods(session),
             folder=None if self.folder is None else self.folder.root.name,
             clients=0,

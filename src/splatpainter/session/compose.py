@@ -34,7 +34,7 @@ from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.session.appearance import picture_of, with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength
 from splatpainter.session.delta import Delta, bare, between, no_delta
-from splatpainter.session.document import Document, Layer, View, digest
+from splatpainter.session.document import SELECTION, Document, Layer, View, digest
 from splatpainter.session.eraser import erase_delta, fade_delta
 from splatpainter.session.layer_blending import (
     AdjustmentFunction,
@@ -46,6 +46,7 @@ from splatpainter.session.layer_factory import decode_mask, decode_picture, is_c
 from splatpainter.session.layer_state import LayerResult, LayerState, Progress, ResultStore, ancestors, lineage
 from splatpainter.session.mask_weights import MaskWeights
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
+from splatpainter.session.selection import Selection
 from splatpainter.session.strokes import Chain, Painted, StrokeChains
 from splatpainter.splats import ATTRIBUTES, Splats
 
@@ -423,10 +424,17 @@ class Replay:
         splats = below.splats
         if layer.kind == "erase":
             return LayerResult(self._erased(splats, self.original, layer))
+        if layer.kind == "hide":
+            weights = self._selected(layer, splats)
+            faded = (splats.opacities * (1 - weights)).astype(np.float32)
+            return LayerResult(between(splats, replace(splats, opacities=faded)))
         if layer.kind == "look" and not any(view.picture for view in layer.views):
-            adjusted = replace(splats, sh=adjust_sh(splats.sh, layer.parameters, self.adjustments))
+            parameters = {name: value for name, value in layer.parameters.items() if name != SELECTION}
+            adjusted = replace(splats, sh=adjust_sh(splats.sh, parameters, self.adjustments))
             if layer.views:
                 adjusted = _within(self._reached(splats, layer.views), splats, adjusted)
+            if SELECTION in layer.parameters:
+                adjusted = _mixed(self._selected(layer, splats), splats, adjusted)
             return LayerResult(between(splats, adjusted))
         return self._paint(below, layer)
 
@@ -468,8 +476,18 @@ class Replay:
             if not masked:
                 raise ValueError(f"{layer.title}: expected a mask in one of its views to stay within")
             splats = _within(self._reached(below.splats, masked), below.splats, splats)
+        if layer.mode == "global" and SELECTION in layer.parameters:
+            splats = _mixed(self._selected(layer, below.splats), below.splats, splats)
         painter_state = None if asset.encoding is None else asset.encoding.state
         return LayerResult(between(numbered, splats, parent_ids), facts, confidence, painter_state)
+
+    def _selected(self, layer: Layer, splats: Splats) -> np.ndarray:
+        """[N] float32 weights of the selection that a layer keeps to."""
+        name = layer.parameters.get(SELECTION)
+        if not isinstance(name, str):
+            raise ValueError(f"{layer.title}: expected a selection")
+        selection = Selection.from_png(self._store.blob(name), len(self.original), layer.title)
+        return selection.on(splats, self.original)
 
     def _reached(self, splats: Splats, views: Sequence[View]) -> np.ndarray:
         """[N] bool: Gaussians that the masks of views reach."""
@@ -571,6 +589,21 @@ def _within(mask: np.ndarray, below: Splats, above: Splats) -> Splats:
     for name in ATTRIBUTES:
         old, new = getattr(below, name), getattr(above, name)
         mixed[name] = old if old is new else np.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+    return replace(above, **mixed)
+
+
+def _mixed(weights: np.ndarray, below: Splats, above: Splats) -> Splats:
+    """Between `below` (weight 0, bit for bit) and `above` (1), [N] float32; attributes in which nothing differs are
+    shared, and places are those of the nearer one."""
+    mixed = {}
+    for name in ATTRIBUTES:
+        old, new = getattr(below, name), getattr(above, name)
+        share = weights.reshape(-1, *[1] * (old.ndim - 1))
+        if name in ("means", "quats", "scales"):
+            mixed[name] = old if old is new else np.where(share >= 0.5, new, old)
+        elif old is not new:
+            part = np.where(share == 1, new, old + share * (new - old))
+            mixed[name] = np.where(share == 0, old, part).astype(np.float32)
     return replace(above, **mixed)
 
 

@@ -113,6 +113,6 @@ def coverage(edited: Sequence[EditedIds], count: int) -> np.ndarray:
         elif entry.confidence is not None:
             certain = entry.confidence[ids] > 127
             out[ids] = np.where(certain | (out[ids] == SEEN), SEEN, PREDICTED)
-        elif entry.layer.kind != "look":
+        elif entry.layer.kind not in ("look", "hide"):
             out[ids] = SEEN
     return out

@@ -19,7 +19,7 @@ from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS, Method, Mode
 from splatpainter.session.layer_mask import LayerMask
 
-Kind = Literal["paint", "picture", "look", "clone", "erase", "merged"]
+Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "merged"]
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
 Policy = Literal["latest", "first", "blend"]
 MAX_NESTING = 16
@@ -31,6 +31,8 @@ STROKE_KINDS = ("paint", "clone", "erase")
 PLACED = "placed"
 """Name of the parameter of layers of a text or a sticker: what it is and where it stands, so that it can be changed;
 its "image" names a blob."""
+SELECTION = "selection"
+"""Name of the parameter of layers that only change what is selected: the hash of a blob (selection.py)."""
 MAX_VIEW_PIXELS = 64_000_000
 """Pixels of one view."""
 MAX_REASON = 300
@@ -198,8 +200,9 @@ class Layer:
         names = [self.thumbnail, *(name for view in self.views for name in (view.picture, view.mask))]
         placed = self.parameters.get(PLACED)
         image = placed.get("image") if isinstance(placed, dict) else None
+        names += [name for name in (image, self.parameters.get(SELECTION)) if _is_hash(name)]
         pictures = self.mask.pictures() if self.mask is not None else set()
-        return {name for name in [*names, image if _is_hash(image) else None] if name} | pictures
+        return {name for name in names if name} | pictures
 
     def leaves(self) -> Iterator[Layer]:
         """Itself, or the layers that a merged one is made of, lowest first."""

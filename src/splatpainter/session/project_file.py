@@ -184,6 +184,11 @@ class Project:
         values = self.rows("SELECT value FROM facts WHERE name = ?", name, kinds=(str,))
         return values[0][0] if values else None
 
+    def facts_named(self, prefix: str) -> list[str]:
+        """Names of facts that begin with a prefix, ascending."""
+        query = "SELECT name FROM facts WHERE substr(name, 1, ?) = ? ORDER BY name"
+        return [name for (name,) in self.rows(query, len(prefix), prefix, kinds=(str,))]
+
     def original(self) -> Iterator[tuple[str, bytes]]:
         """(name, bytes) pieces of the original's files, in order. Raises ValueError: more than the file has."""
         with self._mutex, one_line(self.path):
@@ -346,6 +351,10 @@ class Project:
     def set_fact(self, name: str, value: str) -> None:
         with self._writing() as db:
             db.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, value))
+
+    def delete_fact(self, name: str) -> None:
+        with self._writing() as db:
+            db.execute("DELETE FROM facts WHERE name = ?", (name,))
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:

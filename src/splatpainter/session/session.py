@@ -13,8 +13,6 @@ shows is one immutable Snapshot after the other, for any number of readers in ot
 
 from __future__ import annotations
 
-import base64
-import json
 import struct
 import threading
 import warnings
@@ -28,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.cameras import UPS, Camera
+from splatpainter.cameras import Camera
 from splatpainter.image_files import Alpha
 from splatpainter.io import files, read
 from splatpainter.io.files import printable
@@ -37,11 +35,13 @@ from splatpainter.painter import Edit, Method, Mode, Painter
 from splatpainter.receipts import Receipt, Verification
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import asset_files, conflicts
+from splatpainter.session.annotations import Annotations
 from splatpainter.session.asset_files import ANY_FILE, OriginalRule
 from splatpainter.session.compose import LayerState, Progress, Replay, fingerprint
 from splatpainter.session.database import SUFFIX
 from splatpainter.session.delta import AssetDelta, VersionLog, bare
 from splatpainter.session.document import (
+    SELECTION,
     Blend,
     Document,
     Kind,
@@ -57,11 +57,10 @@ from splatpainter.session.document import (
 )
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.layer_factory import limits_of, new_layer
-from splatpainter.session.orientation import Orientation, azimuth_of, measure, parsed_direction
-from splatpainter.session.project_file import Bookmark, Project, Step, Transaction
+from splatpainter.session.project_file import Project, Step, Transaction
 from splatpainter.session.scratch import ScratchFolder
+from splatpainter.session.selection import Selection
 from splatpainter.session.stroke_commands import StrokeCommands
-from splatpainter.session.summary import PICTURE_FACT
 from splatpainter.session.verify import find_problems
 from splatpainter.splats import Frame, Splats
 from splatpainter.view_files import Aov
@@ -102,7 +101,7 @@ class Snapshot:
         return self.state.splats
 
 
-class Session(StrokeCommands):
+class Session(StrokeCommands, Annotations):
     """An open project. Commands wait for each other; reading waits for nobody."""
 
     def __init__(
@@ -185,7 +184,6 @@ class Session(StrokeCommands):
         self._versions = VersionLog()
         self._transaction = Transaction(project)
         self.painter = painter or Painter.load()
-        self._oriented: tuple[tuple[str | None, str | None], Orientation] | None = None
         self.progress: Progress | None = None
         """Called before each layer that has to be computed; what it raises cancels the command."""
         try:
@@ -237,32 +235,6 @@ class Session(StrokeCommands):
     def path(self) -> Path | None:
         """The project file; None while it is temporary."""
         return None if self._scratch is not None else self._project.path
-
-    @property
-    def up(self) -> str:
-        """Which way of the asset is up on the screen: a key of cameras.UPS; measured where nobody has said it."""
-        return self._orientation().up
-
-    @property
-    def front(self) -> float:
-        """From which side the asset is seen first: degrees around `up`, the `start` of cameras.orbit; measured where
-        nobody has said it."""
-        return self._orientation().front
-
-    @property
-    def oriented(self) -> bool:
-        """Whether somebody has said which way is up, or where the front is."""
-        return bool(self._project.fact("up") or self._project.fact("front"))
-
-    def _orientation(self) -> Orientation:
-        up, front = self._project.fact("up"), self._project.fact("front")
-        key = (up, front)
-        if self._oriented is None or self._oriented[0] != key:
-            chosen = measure(self.original, up if up in UPS else None)
-            if front:
-                chosen = replace(chosen, front=azimuth_of(parsed_direction(front), chosen.up))
-            self._oriented = (key, chosen)
-        return self._oriented[1]
 
     @property
     def read_only(self) -> str:
@@ -320,10 +292,6 @@ class Session(StrokeCommands):
         """[H, W] bool: pixels of a view that a local edit would not paint (by more than half), to about a block of
         1/128 of its longer side. limits: angle_limit, depth_edge_limit, as a layer's parameters."""
         return self._replay.left_out(self._snapshot.state, camera, limits)
-
-    def bookmarks(self) -> list[Bookmark]:
-        """Views to come back to. Not part of the history."""
-        return self._project.bookmarks()
 
     def receipt(self) -> Receipt:
         """Of the session: the original against the asset as it is now."""
@@ -480,6 +448,21 @@ class Session(StrokeCommands):
             self._commit(f"import {layer.name}", document, strict=layer.id)
             return layer
 
+    def hide(self, weights: np.ndarray, name: str = "Hide", *, index: int | None = None) -> Layer:
+        """A layer that hides what is selected: opacities are multiplied by 1 - weight, and 0 where that is all. The
+        Gaussians stay; hiding the layer brings them back bit for bit. weights: [N] 0..1 of `splats`. Raises ValueError
+        where nothing is selected."""
+        weights = self._weights(weights)
+        if not weights.any():
+            raise ValueError("hide: nothing is selected")
+        data = Selection.of(weights, self.splats, self.original).to_png()
+        with self._command():
+            self._transaction.blobs = {files.sha256(data): data}
+            made = Layer("", name, "hide", parameters={SELECTION: files.sha256(data)}, method="lift")
+            document, layer = add_layer(self._snapshot.document, made, index)
+            self._commit(f"add {layer.name}", document, strict=layer.id)
+            return layer
+
     # ---- history
 
     def undo(self) -> bool:
@@ -509,30 +492,6 @@ class Session(StrokeCommands):
             self._transaction.clear()
             self._publish(state, document)
             return True
-
-    # ---- bookmarks
-
-    def add_bookmark(self, name: str, camera: Camera) -> str:
-        """Returns its id."""
-        return self._project.add_bookmark(name, camera)
-
-    def delete_bookmark(self, bookmark: str) -> None:
-        self._project.delete_bookmark(bookmark)
-
-    def set_up(self, up: str) -> None:
-        """Which way of the asset is up on the screen: a key of cameras.UPS. Kept in the project, not part of the
-        history; no Gaussian changes. Raises ValueError for another one."""
-        if up not in UPS:
-            raise ValueError(f"up: expected one of {', '.join(UPS)}, got {str(up)[:20]!r}")
-        self._project.set_fact("up", up)
-
-    def set_front(self, camera: Camera) -> None:
-        """The side that a view shows is the front, from which the asset is seen first. Kept as `set_up` keeps it."""
-        self._project.set_fact("front", json.dumps(np.round(camera.forward, 6).tolist()))
-
-    def set_picture(self, png: bytes) -> None:
-        """A small PNG of the asset as it is now, for lists of projects (summary.py). Not part of the history."""
-        self._project.set_fact(PICTURE_FACT, base64.b64encode(png).decode())
 
     # ---- files
 

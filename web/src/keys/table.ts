@@ -58,7 +58,10 @@ const TABLE = [
 
   { id: "select.all", group: "Selection", label: "Select everything", keys: ["Ctrl-A"] },
   { id: "select.none", group: "Selection", label: "Deselect", keys: ["Ctrl-D"] },
+  { id: "select.again", group: "Selection", label: "Select again what was selected", keys: ["Ctrl-Shift-D"] },
   { id: "select.invert", group: "Selection", label: "Invert the selection", keys: ["Ctrl-Shift-I", "Shift-F7"] },
+  { id: "select.tint", group: "Selection", label: "Tint what is selected", keys: ["Ctrl-H"] },
+  { id: "select.hide", group: "Selection", label: "Hide what is not selected", keys: ["Shift-Delete"] },
 
   { id: "layer.duplicate", group: "Layers", label: "Duplicate the layer", keys: ["Ctrl-J"] },
   { id: "layer.merge", group: "Layers", label: "Merge with the layer below", keys: ["Ctrl-E"] },
@@ -69,7 +72,12 @@ const TABLE = [
 
   { id: "edit.undo", group: "Edit", label: "Undo", keys: ["Ctrl-Z"] },
   { id: "edit.redo", group: "Edit", label: "Redo", keys: ["Ctrl-Shift-Z", "Ctrl-Y"] },
-  { id: "edit.delete", group: "Edit", label: "Delete the chosen layer", keys: ["Delete"] },
+  {
+    id: "edit.delete",
+    group: "Edit",
+    label: "Hide what is selected, else delete the layer",
+    keys: ["Delete", "Backspace"],
+  },
   { id: "edit.transform", group: "Edit", label: "Free transform of the layer", keys: ["Shift-T", "Ctrl-T"] },
   { id: "edit.apply", group: "Edit", label: "Apply text, stamp or transform", keys: ["Enter", "NumEnter"] },
   { id: "edit.cancel", group: "Edit", label: "Cancel what is under way", keys: ["Escape"] },
@@ -100,7 +108,7 @@ export const GESTURES: readonly (readonly [Group, string, string])[] = [
   ["View", "Wheel", "Towards what is under the cursor"],
   ["View", "Double click", "Look at that point (turn tool, right button, Alt)"],
   ["View", "Two fingers", "Turn is one finger; pinch and slide are two"],
-  ["Selection", "Shift, Alt", "Add to what is selected, take away from it"],
+  ["Selection", "Shift, Alt, both", "Add to what is selected, take away, keep what is in both"],
   ["Layers", "F2", "Rename the layer in focus"],
   ["Layers", "Alt-↑ Alt-↓", "Move the layer in focus"],
 ];

@@ -2,14 +2,14 @@
 
 import { signal } from "@preact/signals";
 
-import { brush, camera, color, fill, hex, paintMode, recentColors, rgb, selecting, state } from "../state/store";
-import { report } from "../state/studio";
+import { brush, camera, color, fill, hex, paintMode, recentColors, rgb, selecting } from "../state/store";
+import { report, run } from "../state/studio";
 import { beginStroke, endStroke, viewPixels } from "./strokes";
 import { likeColor, soften } from "./flood";
 import { solid } from "./patch";
 import { combine, isEmpty, polygon, rectangle, type Combine } from "./select";
 import { dab, emptyMask, segment, type Mask } from "./raster";
-import { selection } from "./selection";
+import { deselect, selectArea, selection, sent } from "./selection";
 import type { Pen, ToolHandler } from "./tool";
 
 /** What is being drawn as a selection: x0, y0, x1, y1 ... of a closed polygon. */
@@ -100,15 +100,21 @@ export const selector: ToolHandler = {
     else draft.value = [start.x, start.y, pen.x, start.y, pen.x, pen.y, start.x, pen.y];
   },
   async up(pen) {
-    painting = null;
+    if (painting) {
+      const { before, mask, how } = painting;
+      painting = null;
+      selection.value = before;
+      return selectArea(mask, how, selecting.value.through);
+    }
     const points = draft.value;
     const first = start;
     draft.value = start = null;
     if (!points || !first) return;
     const { width, height } = await viewPixels();
-    if (points.length < 6)
-      return void (selection.value =
-        first.shift || first.alt || selecting.value.combine !== "replace" ? selection.value : null);
+    if (points.length < 6) {
+      if (!first.shift && !first.alt && selecting.value.combine === "replace") deselect();
+      return;
+    }
     const [x, y] = [Math.min(first.x, pen.x), Math.min(first.y, pen.y)];
     const box = { x, y, width: Math.abs(pen.x - first.x), height: Math.abs(pen.y - first.y) };
     take(selecting.value.kind === "lasso" ? polygon(width, height, points) : rectangle(width, height, box), first);
@@ -119,14 +125,23 @@ export const selector: ToolHandler = {
   },
 };
 
+/** As seen: the like-coloured pixels of the view, or Gaussians of that colour all over the asset. */
 async function selectColor(pen: Pen): Promise<void> {
-  const pixels = await viewPixels();
-  take(likeColor(pixels, Math.floor(pen.x), Math.floor(pen.y), selecting.value.tolerance, false), pen);
+  const { tolerance, contiguous } = selecting.value;
+  const now = camera.value;
+  if (!now) return;
+  if (!contiguous) {
+    const fields = { camera: now, x: pen.x, y: pen.y, tolerance, how: howOf(pen) };
+    return void (await sent(() => run("selection.color", fields, "Selecting")));
+  }
+  take(likeColor(await viewPixels(), Math.floor(pen.x), Math.floor(pen.y), tolerance, true), pen);
 }
 
+const howOf = (pen: Pen): Combine => {
+  if (pen.shift && pen.alt) return "intersect";
+  return pen.shift ? "add" : pen.alt ? "subtract" : selecting.value.combine;
+};
+
 function take(mask: Mask, pen: Pen): void {
-  if (!state.value) return;
-  const how: Combine = pen.shift ? "add" : pen.alt ? "subtract" : selecting.value.combine;
-  const next = combine(selection.value, soften(mask, selecting.value.feather), how);
-  selection.value = isEmpty(next) ? null : next;
+  selectArea(soften(mask, selecting.value.feather), howOf(pen), selecting.value.through);
 }

@@ -1,8 +1,8 @@
-/** Selections: masks that limit painting on one view. Pure. */
+/** Masks on one view that choose what is selected. Pure. */
 
 import { clip, emptyMask, type Mask, type Rect } from "./raster";
 
-export type Combine = "replace" | "add" | "subtract";
+export type Combine = "replace" | "add" | "subtract" | "intersect";
 
 export function rectangle(width: number, height: number, rect: Rect): Mask {
   const mask = emptyMask(width, height);
@@ -38,10 +38,14 @@ export function polygon(width: number, height: number, points: number[]): Mask {
 
 /** `next` applied to what was selected. */
 export function combine(before: Mask | null, next: Mask, how: Combine): Mask {
-  if (!before || how === "replace") return how === "subtract" ? emptyMask(next.width, next.height) : next;
-  const data = before.data.map((value, k) =>
-    how === "add" ? Math.max(value, next.data[k]) : value * (1 - next.data[k]),
-  );
+  if (!before || how === "replace")
+    return how === "subtract" || how === "intersect" ? emptyMask(next.width, next.height) : next;
+  const rules = {
+    add: (a: number, b: number) => Math.max(a, b),
+    subtract: (a: number, b: number) => a * (1 - b),
+    intersect: (a: number, b: number) => a * b,
+  };
+  const data = before.data.map((value, k) => rules[how](value, next.data[k]));
   return { width: next.width, height: next.height, data };
 }
 

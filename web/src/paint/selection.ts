@@ -1,48 +1,123 @@
 /**
- * The selection, which belongs to the view on which it was drawn. When the camera moves it limits nothing any more, but
- * is kept with its view: it comes back there, and a global look goes on to use it from anywhere.
+ * What is selected. The server keeps it, on the asset's Gaussians and the same for all windows; here is what of the
+ * present view that is, fetched anew when the view or the selection has changed. It limits every tool on the server;
+ * here it is shown, and strokes are drawn as they will be.
  */
 
-import { computed, signal } from "@preact/signals";
+import { computed, effect, signal } from "@preact/signals";
 
-import { camera, pose, state } from "../state/store";
-import { sameView, type CameraJson, type Pose } from "../view/camera";
+import type { SelectChange } from "../messages";
+import { blobUrl, pixelsOf, sendBlob } from "../net/blobs";
+import { camera, readOnly, selectedLayer, state } from "../state/store";
+import { link, report, run } from "../state/studio";
+import { sameView, type CameraJson, type Vec3 } from "../view/camera";
+import { maskPng } from "./picture";
 import type { Mask } from "./raster";
+import { combine, isEmpty, type Combine } from "./select";
 
-interface Area {
-  mask: Mask;
-  camera: CameraJson;
-}
-
-/** Limits painting on the present view; null: none. */
+/** What of the present view is selected, 0..1; null: nothing is, or it is not known yet. */
 export const selection = signal<Mask | null>(null);
-/** A selection of another view. */
-export const storedArea = signal<(Area & { pose: Pose }) | null>(null);
-/** What is selected, with its view. */
-export const selectedArea = computed<Area | null>(() =>
-  selection.value && camera.value ? { mask: selection.value, camera: camera.value } : storedArea.value,
+export const selectedCount = computed(() => state.value?.selection.gaussians ?? 0);
+/** What of the present view is selected, with its camera; null: nothing is. */
+export const selectedArea = computed(() =>
+  selection.value && camera.value ? { mask: selection.value, camera: camera.value } : null,
 );
+/** Whether the selected area is tinted. */
+export const tinted = signal(true);
+/** A box along the world's axes that is being set; null: none. */
+export const cropBox = signal<{ low: Vec3; high: Vec3 } | null>(null);
 
-let last: { camera: CameraJson; pose: Pose } | null = null;
+const REST_MS = 120;
+/** What was sent and has no answer yet: strokes wait for it. */
+let sending: Promise<unknown> = Promise.resolve();
+let waiting = 0;
+let asked = 0;
 
-selection.subscribe((mask) => mask && (storedArea.value = null)); // a new one replaces it
-computed(() => state.value?.session).subscribe(deselect); // it was drawn on another asset
+/** Resolves when the server knows the selection that is seen here. */
+export const selectionSent = (): Promise<void> => sending.then(() => {});
 
-export function deselect(): void {
-  selection.value = storedArea.value = null;
+/** Apply a mask that was drawn on the present view. It is shown at once. */
+export function selectArea(mask: Mask, how: Combine, through: boolean): void {
+  const now = camera.value;
+  if (!now || !state.value) return;
+  const next = combine(selection.value, mask, how);
+  if (isEmpty(mask) && how !== "replace") return;
+  if (isEmpty(next)) return void changeSelection("none");
+  selection.value = next;
+  asked++; // what was fetched before is out of date
+  void sent(async () => {
+    const blob = await sendBlob(await maskPng(mask), "selection.png");
+    await run("selection.area", { camera: now, mask: blob, how, through }, "Selecting");
+  });
 }
 
-/** The camera moved: put the selection aside, or bring it back. */
-export function viewMoved(): void {
-  const [now, at] = [camera.value, pose.value];
-  const before = last;
-  last = now && at && { camera: now, pose: at };
-  if (!now || (before && sameFrame(before.camera, now))) return;
-  if (selection.value) {
-    storedArea.value = before && { mask: selection.value, ...before };
+/** Everything, nothing, the rest and so on. `radius`: world units. */
+export function changeSelection(to: SelectChange["to"], radius = 0, share?: number): void {
+  if (!state.value) return;
+  if (to === "none") selection.value = null;
+  void sent(() => run("selection.change", { to, radius, ...(share === undefined ? {} : { share }) }, "Selecting"));
+}
+
+export const deselect = (): void => changeSelection("none");
+
+/** Hide what is selected, or all the rest, by a layer. */
+export async function hideSelected(rest: boolean, name: string): Promise<void> {
+  if (readOnly.value) return;
+  const answer = await sent(() => run("selection.hide", { name, rest }, rest ? "Cropping" : "Hiding"));
+  if (answer) selectedLayer.value = answer.layer.id;
+}
+
+/** Run what changes the selection, one after the other. */
+export function sent<T>(work: () => Promise<T>): Promise<T> {
+  const result = sending.then(work);
+  waiting++;
+  sending = result.catch(() => {}).finally(() => waiting--);
+  return result;
+}
+
+/** Fetch what is selected of the present view. */
+async function refresh(): Promise<void> {
+  const [now, number] = [camera.value, ++asked];
+  if (!now || !state.value) return;
+  if (selectedCount.value === 0) return void (selection.value = null);
+  try {
+    const answer = await link.do("selection.view", { camera: now });
+    const mask = answer.mask && (await pixelsOf(blobUrl(answer.mask), now.width, now.height));
+    if (number !== asked || camera.value !== now) return;
+    if (!mask) return void (selection.value = null);
+    const data = new Float32Array(now.width * now.height);
+    for (let k = 0; k < data.length; k++) data[k] = mask.data[k * 4] / 255;
+    selection.value = { width: now.width, height: now.height, data };
+  } catch (error) {
+    report(error);
+  }
+}
+
+let timer: ReturnType<typeof setTimeout> | undefined;
+let seen: { camera: CameraJson | null; revision: number; session: string } = { camera: null, revision: 0, session: "" };
+
+/** The camera moved, or the selection may have changed. */
+function look(): void {
+  const [now, present] = [camera.value, state.value];
+  if (!now || !present) return;
+  const { revision } = present.selection;
+  const moved = !seen.camera || !sameFrame(seen.camera, now);
+  const changed = revision !== seen.revision || present.session !== seen.session;
+  seen = { camera: now, revision, session: present.session };
+  if (!moved && !changed) return;
+  if (present.selection.gaussians === 0) {
+    asked++;
     selection.value = null;
-  } else if (storedArea.value && sameFrame(storedArea.value.camera, now)) selection.value = storedArea.value.mask;
+    return;
+  }
+  if (moved) selection.value = null;
+  clearTimeout(timer);
+  timer = setTimeout(() => waiting === 0 && void refresh(), moved ? REST_MS : 0);
+  if (waiting > 0) void selectionSent().then(refresh);
 }
 
 /** The same pixels see the same places, whatever the background is. */
 const sameFrame = (a: CameraJson, b: CameraJson): boolean => sameView({ ...a, background: b.background }, b);
+
+effect(look);
+computed(() => state.value?.session).subscribe(() => (cropBox.value = null));

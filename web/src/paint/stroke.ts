@@ -32,6 +32,7 @@ export interface StrokeOptions {
   method: "auto" | "ttt" | "lift" | "fit";
   limits: PaintLimits;
   opacity: number;
+  /** As far as it is shown; the server keeps to it. */
   selection: Mask | null;
 }
 
@@ -134,13 +135,13 @@ export class Stroke {
   /** Put it (back) on the overlay. */
   paint(rect: Rect = this.touched): void {
     if (rect.width === 0 || !this.options.onScreen()) return;
-    const patch = this.patch(rect);
+    const patch = this.patch(rect, this.options.selection);
     const seen = this.base ? over(rect, patch, this.base) : patch;
     this.options.overlay.putImageData(new ImageData(seen, rect.width, rect.height), rect.x, rect.y);
   }
 
-  private patch(rect: Rect): Uint8ClampedArray<ArrayBuffer> {
-    return compose(rect, this.mask, this.options.selection, this.options.opacity, this.source);
+  private patch(rect: Rect, selection: Mask | null): Uint8ClampedArray<ArrayBuffer> {
+    return compose(rect, this.mask, selection, this.options.opacity, this.source);
   }
 
   /** Send what is dirty until nothing is. Never rejects: `end` throws what went wrong. */
@@ -150,7 +151,7 @@ export class Stroke {
       while (this.dirty.width && !this.done) {
         const rect = this.dirty;
         this.dirty = NOTHING;
-        await this.options.link.do("paint.dab", { stroke, ...rect, rgba: base64(this.patch(rect)) });
+        await this.options.link.do("paint.dab", { stroke, ...rect, rgba: base64(this.patch(rect, null)) });
       }
     } catch (error) {
       this.failure ??= error;

@@ -13,7 +13,7 @@ import type { LayerInfo } from "../messages";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
 import { limitsToSend } from "./limits";
-import { selection, viewMoved as moveSelection } from "./selection";
+import { selection, selectionSent } from "./selection";
 import { Stroke, type StrokeTarget } from "./stroke";
 
 /** Strokes that are not layers yet. */
@@ -117,7 +117,7 @@ export function beginStroke(
     camera: now,
     overlay,
     base,
-    after: lastCommit,
+    after: Promise.all([lastCommit, selectionSent()]).then(() => {}),
     onScreen: () => camera.value === now,
     kind,
     layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
@@ -180,7 +180,6 @@ export function viewMoved(): void {
   const now = camera.value;
   if (now) fitOverlay(now);
   overlay.clearRect(0, 0, overlayCanvas.width, overlayCanvas.height);
-  moveSelection();
   if (cloneFrom.value) cloneFrom.value = null;
 }
 

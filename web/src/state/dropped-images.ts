@@ -6,9 +6,7 @@ import type { PictureChecked } from "../messages";
 import { blobUrl, sendBlob } from "../net/blobs";
 import { CommandError } from "../net/connection";
 import { limitsToSend } from "../paint/limits";
-import { maskPng } from "../paint/picture";
-import { selectedArea } from "../paint/selection";
-import { sameViewpoint, type CameraJson } from "../view/camera";
+import { type CameraJson } from "../view/camera";
 import { camera, limits, selectedLayer, state, tab, toast } from "./store";
 import { link, report, run, watched } from "./studio";
 
@@ -27,16 +25,6 @@ export interface DroppedImage {
 
 export const droppedImages = signal<DroppedImage[]>([]);
 export const editMode = signal<"local" | "global">("local");
-/** Of global edits: only what is selected on one of the views. */
-export const onlySelection = signal(false);
-/** The picture on whose view something is selected. */
-export const selectedImage = computed(
-  () =>
-    droppedImages.value.find(
-      ({ checked }) =>
-        checked && selectedArea.value && sameViewpoint(checked.camera as CameraJson, selectedArea.value.camera),
-    ) ?? null,
-);
 let nextId = 1;
 
 computed(() => state.value?.session).subscribe(() => (droppedImages.value = [])); // they were pictures of another asset
@@ -106,12 +94,10 @@ export const maskUrl = (image: DroppedImage): string | null => image.checked && 
 export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Promise<void> {
   const ready = droppedImages.value.filter((one) => one.checked);
   const mode = editMode.value;
-  const limiting = mode === "global" && onlySelection.value ? selectedImage.value : null;
-  const selected = limiting && (await sendBlob(await maskPng(selectedArea.value!.mask), "mask.png"));
   const views = ready.map((one) => ({
     camera: one.checked!.camera,
     picture: one.checked!.picture,
-    mask: mode === "local" ? one.checked!.mask : one === limiting ? selected : null,
+    mask: mode === "local" ? one.checked!.mask : null,
   }));
   const name = ready
     .map((one) => one.name.replace(/\.[^.]*$/, ""))
@@ -125,7 +111,6 @@ export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Prom
       mode,
       method,
       name,
-      within: limiting !== null,
       limits: mode === "local" ? limitsToSend(limits.value) : {},
     },
     "Lifting the picture onto the asset",

@@ -9,7 +9,7 @@ import type { CameraJson, Pose } from "../view/camera";
 export type Tool =
   "orbit" | "brush" | "erase" | "fill" | "line" | "text" | "stamp" | "clone" | "heal" | "pick" | "select";
 export type PaintMode = "normal" | "color" | "darken" | "lighten";
-export type Tab = "adjust" | "history" | "views" | "pictures" | "receipt";
+export type Tab = "adjust" | "select" | "history" | "views" | "pictures" | "receipt";
 export type SelectKind = "rectangle" | "lasso" | "color" | "brush";
 
 export const status = signal<Status>("connecting");
@@ -35,14 +35,20 @@ export const fill = signal({ tolerance: 0.12, contiguous: true });
 export const text = signal({ text: "Text", font: "sans-serif", size: 64, bold: true, italic: false });
 export const selecting = signal<{
   kind: SelectKind;
-  combine: "replace" | "add" | "subtract";
+  combine: "replace" | "add" | "subtract" | "intersect";
   tolerance: number;
   feather: number;
+  /** By colour: connected pixels of the view; else all over the asset. */
+  contiguous: boolean;
+  /** Not only the surface that is seen. */
+  through: boolean;
 }>({
   kind: "rectangle",
   combine: "replace",
   tolerance: 0.12,
-  feather: 1,
+  feather: 0,
+  contiguous: false,
+  through: false,
 });
 
 export const view = signal({

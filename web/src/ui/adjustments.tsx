@@ -1,17 +1,14 @@
-/** Adjustment layers: sliders, tone curve and hues on all Gaussians or on the selected area, previewed live. */
+/** Adjustment layers: sliders, tone curve and hues on all Gaussians or on those that are selected, previewed live. */
 
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
 import type { GradeSliders } from "../messages";
-import { sendBlob } from "../net/blobs";
-import { maskPng } from "../paint/picture";
-import { selectedArea } from "../paint/selection";
+import { selectedCount } from "../paint/selection";
 import { readOnly, selectedLayer, state } from "../state/store";
 import { link, report, run } from "../state/studio";
-import type { CameraJson } from "../view/camera";
 import { Curve } from "./curve";
-import { Button, Check, Percent, Slider } from "./parts";
+import { Button, Percent, Slider } from "./parts";
 
 type Full = Required<GradeSliders>;
 const NEUTRAL: Full = {
@@ -34,21 +31,9 @@ const HUES = [
 ] as const;
 
 const sliders = signal<Full>(NEUTRAL);
-const onlySelected = signal(false);
 const hue = signal(0);
 let pending: Full | null = null;
 let busy = false;
-let area: { mask: object; blob: string } | null = null;
-
-/** The fields that say where the adjustment applies. */
-async function where(): Promise<{ mask?: string; camera?: CameraJson }> {
-  const selected = selectedArea.value;
-  if (!onlySelected.value || !selected) return {};
-  const { mask } = selected;
-  if (area?.mask !== mask) area = { mask, blob: await sendBlob(await maskPng(mask), "mask.png") };
-  return { mask: area.blob, camera: selected.camera };
-}
-
 const plain = (values: Full) => JSON.stringify(values) === JSON.stringify(NEUTRAL);
 
 /** Show the newest values; while the server works on one, those in between are skipped. */
@@ -60,7 +45,7 @@ async function preview(values: Full): Promise<void> {
     while (pending) {
       const next: Full = pending;
       pending = null;
-      await link.do("look.preview", { look: plain(next) ? null : next, ...(await where()) });
+      await link.do("look.preview", { look: plain(next) ? null : next });
     }
   } catch (error) {
     report(error);
@@ -82,11 +67,7 @@ export function resetSliders(): void {
 
 async function commit(): Promise<void> {
   pending = null;
-  const answer = await run(
-    "look.commit",
-    { look: sliders.value, name: "Adjustment", ...(await where()) },
-    "Adjustment",
-  );
+  const answer = await run("look.commit", { look: sliders.value, name: "Adjustment" }, "Adjustment");
   if (!answer) return;
   sliders.value = NEUTRAL;
   selectedLayer.value = answer.layer.id;
@@ -174,12 +155,9 @@ export function Adjustments() {
         disabled={readOnly.value}
         onInput={(strength) => change({ strength })}
       />
-      <Check
-        label={selectedArea.value ? "Only the selected area" : "Only the selected area (none yet)"}
-        value={onlySelected.value}
-        disabled={!selectedArea.value}
-        onChange={(on) => ((onlySelected.value = on), void preview(sliders.value))}
-      />
+      {selectedCount.value > 0 && (
+        <p class="quiet">Only what is selected ({selectedCount.value.toLocaleString()} Gaussians).</p>
+      )}
       <p class="row actions">
         <Button
           label="Make it a layer"

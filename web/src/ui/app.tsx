@@ -7,7 +7,7 @@ import { startStamp } from "../paint/placement";
 import { addPicture } from "../state/dropped-images";
 import { camera, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
-import { Away, Jobs, SelectedElsewhere, StatusLine, Toasts } from "./feedback";
+import { Away, Jobs, StatusLine, Toasts } from "./feedback";
 import { Continue, Files, openFile, Swapped } from "./files";
 import { Gizmo } from "./gizmo";
 import { filesOpen, Header } from "./header";
@@ -18,6 +18,7 @@ import { Adjustments } from "./adjustments";
 import { Options } from "./options";
 import { Pictures } from "./pictures";
 import { ReceiptPanel } from "./receipt";
+import { SelectionChip, SelectionPanel } from "./selection";
 import { Stage } from "./stage";
 import { Toolbar } from "./toolbar";
 import { Views } from "./views";
@@ -25,6 +26,7 @@ import { Views } from "./views";
 const TABS: readonly (readonly [Tab, string, () => preact.JSX.Element | null])[] = [
   ["history", "History", History],
   ["adjust", "Adjust", Adjustments],
+  ["select", "Select", SelectionPanel],
   ["pictures", "Pictures", Pictures],
   ["views", "Views", Views],
   ["receipt", "Receipt", ReceiptPanel],
@@ -72,7 +74,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
             Opening
           </p>
         )}
-        <SelectedElsewhere />
+        <SelectionChip />
         <Swapped />
         <Jobs />
         <Toasts />

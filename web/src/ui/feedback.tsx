@@ -1,8 +1,6 @@
 /** Messages of the studio: toasts, progress, the status line, the sheet of shortcuts. */
 
-import { deselect, storedArea } from "../paint/selection";
 import { dismiss, jobs, pythonLog, refusal, state, status, stopped, toast, toasts } from "../state/store";
-import { go } from "../state/studio";
 import { Button } from "./parts";
 
 export function Toasts() {
@@ -83,19 +81,6 @@ export function StatusLine() {
         </span>
       )}
     </footer>
-  );
-}
-
-/** A selection that limits nothing here, and the way back to it. */
-export function SelectedElsewhere() {
-  const area = storedArea.value;
-  if (!area) return null;
-  return (
-    <div class="elsewhere" role="status">
-      <span>The selection is of another view</span>
-      <Button label="Turn back to the selection" text="Go there" onClick={() => go(area.pose)} />
-      <Button command="select.none" icon="close" onClick={deselect} />
-    </div>
   );
 }
 

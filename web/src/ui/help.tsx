@@ -81,13 +81,19 @@ function Row({ id, label }: { id: CommandId; label: string }) {
         <button
           type="button"
           class="keys"
-          aria-label={`${label}: ${keys.map(spoken).join(" or ") || "no key"}. Change the key`}
+          aria-label={`${asked ? "Press a key" : keys.map(spoken).join(" ") || "none"}: ${label}. Change the key`}
           aria-pressed={asked !== null}
           onClick={() => (asking.value = asked ? null : { id, chord: "" })}
           onKeyDown={onKeyDown}
           onBlur={() => !clash && asked && (asking.value = null)}
         >
-          {asked ? <em>Press a key</em> : keys.length ? keys.map((key) => <kbd key={key}>{spoken(key)}</kbd>) : "none"}
+          {asked ? (
+            <em>Press a key</em>
+          ) : keys.length ? (
+            keys.flatMap((key) => [<kbd key={key}>{spoken(key)}</kbd>, " "])
+          ) : (
+            "none"
+          )}
         </button>
       </dt>
       <dd>

@@ -3,11 +3,9 @@
 import { chordOf } from "../keys/chord";
 import { commandFor } from "../keys/bindings";
 import type { CommandId } from "../keys/table";
-import { viewPixels } from "../paint/strokes";
 import { commitPlacement, placement } from "../paint/placement";
 import { setColor } from "../paint/point-tools";
-import { invert, rectangle } from "../paint/select";
-import { deselect, selection } from "../paint/selection";
+import { changeSelection, deselect, hideSelected, selectedCount, tinted } from "../paint/selection";
 import { transformLayer } from "../paint/transform";
 import {
   brush,
@@ -94,6 +92,8 @@ function shift(by: number): () => void {
   });
 }
 
+const deleteLayer = onLayer((layer) => run("layer.delete", { layer }, "Deleting"));
+
 const ACTIONS: Record<CommandId, () => unknown> = {
   "tool.orbit": choose("orbit"),
   "tool.brush": choose("brush"),
@@ -141,13 +141,12 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "view.truecolor": toggle("trueColor"),
   "view.compare": toggle("compare"),
   "view.coverage": toggle("coverage"),
-  "select.all": () =>
-    void viewPixels().then(
-      ({ width, height }) => (selection.value = rectangle(width, height, { x: 0, y: 0, width, height })),
-      report,
-    ),
+  "select.all": () => changeSelection("all"),
   "select.none": deselect,
-  "select.invert": () => selection.value && (selection.value = invert(selection.value)),
+  "select.again": () => changeSelection("again"),
+  "select.invert": () => selectedCount.value > 0 && changeSelection("invert"),
+  "select.tint": () => (tinted.value = !tinted.value),
+  "select.hide": () => selectedCount.value > 0 && void hideSelected(true, "Crop"),
   "layer.duplicate": onLayer(async (layer) => {
     const answer = await run("layer.duplicate", { layer }, "Duplicating");
     if (answer) selectedLayer.value = answer.layer.id;
@@ -163,7 +162,7 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "layer.below": neighbour(-1),
   "edit.undo": undo,
   "edit.redo": redo,
-  "edit.delete": onLayer((layer) => run("layer.delete", { layer }, "Deleting")),
+  "edit.delete": () => (selectedCount.value > 0 ? void hideSelected(false, "Hide") : deleteLayer()),
   "edit.transform": () => void transformLayer().catch(report),
   "edit.apply": () => placement.value && void commitPlacement(),
   "edit.cancel": cancelDrawing,

@@ -141,7 +141,17 @@ function Thumbnail({ layer }: { layer: LayerInfo }) {
   const [first] = layer.views;
   const picture = layer.thumbnail ?? first?.picture;
   if (!picture)
-    return <span class="thumbnail none">{layer.kind === "look" ? <Icon name="lens" /> : <Icon name="brush" />}</span>;
+    return (
+      <span class="thumbnail none">
+        {layer.kind === "look" ? (
+          <Icon name="lens" />
+        ) : layer.kind === "hide" ? (
+          <Icon name="hidden" />
+        ) : (
+          <Icon name="brush" />
+        )}
+      </span>
+    );
   return <img class="thumbnail" src={blobUrl(picture)} alt="" loading="lazy" draggable={false} />;
 }
 

@@ -7,8 +7,7 @@ import { choosingSource } from "../paint/freehand";
 import { commitPlacement, discardPlacement, editedLayer, placement, startStamp } from "../paint/placement";
 import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
 import { setColor } from "../paint/point-tools";
-import { invert, type Combine } from "../paint/select";
-import { deselect, selection } from "../paint/selection";
+import type { Combine } from "../paint/select";
 import {
   brush,
   camera,
@@ -84,11 +83,6 @@ export function Options() {
       {colored && current !== "stamp" && <Recent />}
       {PAINTS.includes(current) && <Methods />}
       {LIMITED_TOOLS.includes(current) && <Limits />}
-      {selection.value && (
-        <span class="group">
-          <Button command="select.none" text="Deselect" onClick={deselect} />
-        </span>
-      )}
     </section>
   );
 }
@@ -254,6 +248,7 @@ const COMBINE: readonly (readonly [Combine, string])[] = [
   ["replace", "New"],
   ["add", "Add (Shift)"],
   ["subtract", "Take away (Alt)"],
+  ["intersect", "Keep what is in both"],
 ];
 
 function Select() {
@@ -274,7 +269,14 @@ function Select() {
         onChange={(combine) => (selecting.value = { ...s, combine })}
       />
       {s.kind === "color" && (
-        <Percent label="Tolerance" value={s.tolerance} onInput={(v) => (selecting.value = { ...s, tolerance: v })} />
+        <>
+          <Percent label="Tolerance" value={s.tolerance} onInput={(v) => (selecting.value = { ...s, tolerance: v })} />
+          <Check
+            label="Connected only"
+            value={s.contiguous}
+            onChange={(contiguous) => (selecting.value = { ...s, contiguous })}
+          />
+        </>
       )}
       <Slider
         label="Feather"
@@ -285,14 +287,13 @@ function Select() {
         unit=" px"
         onInput={(feather) => (selecting.value = { ...s, feather: Math.round(feather) })}
       />
-      {selection.value && (
-        <Button
-          label="Invert"
-          command="select.invert"
-          text="Invert"
-          onClick={() => (selection.value = invert(selection.value!))}
+      {s.kind !== "color" || s.contiguous ? (
+        <Check
+          label="Also what lies behind"
+          value={s.through}
+          onChange={(through) => (selecting.value = { ...s, through })}
         />
-      )}
+      ) : null}
     </>
   );
 }

@@ -6,17 +6,22 @@ import { cloneFrom } from "../paint/strokes";
 import { drawPlacement, handles, placement } from "../paint/placement";
 import { draft } from "../paint/point-tools";
 import { outline } from "../paint/select";
-import { selection } from "../paint/selection";
-import { brush, selecting, tool } from "../state/store";
+import type { Mask } from "../paint/raster";
+import { cropBox, selection, tinted } from "../paint/selection";
+import { brush, camera, selecting, tool } from "../state/store";
+import { project, type CameraJson, type Vec3 } from "../view/camera";
 
 /** Pen over the view, view pixels; null: elsewhere. */
 export const hover = signal<{ x: number; y: number } | null>(null);
 
+/** Alpha of the tint, 0..255. */
+const TINT = 70;
 const ROUND = ["brush", "erase", "clone", "heal", "line"];
 
 /** Keep the canvas up to date. `ratio`: canvas pixels per view pixel. */
 export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () => void {
   const context = canvas.getContext("2d")!;
+  let tint: { mask: Mask; image: HTMLCanvasElement } | null = null;
   let lines: { mask: unknown; path: Path2D } | null = null;
   return effect(() => {
     const k = ratio();
@@ -37,10 +42,18 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
       context.stroke(path);
     };
     const mask = selection.value;
+    if (mask && tinted.value) {
+      if (tint?.mask !== mask) tint = { mask, image: tintOf(mask) };
+      context.drawImage(tint.image, 0, 0);
+      empty = false;
+    }
     if (mask) {
       if (lines?.mask !== mask) lines = { mask, path: segments(outline(mask)) };
       two(lines.path, [4, 4]);
     }
+    const box = cropBox.value;
+    const now = camera.value;
+    if (box && now) two(edges(box, now));
     const points = draft.value;
     if (points && points.length > 2) two(polyline(points), [4, 4]);
     const placed = placement.value;
@@ -71,6 +84,32 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
     } else if (at && (current === "pick" || current === "fill" || current === "select")) two(cross(at.x, at.y, 7 / k));
     canvas.style.visibility = empty ? "hidden" : "visible"; // Chromium goes on showing what was on a canvas that is only cleared
   });
+}
+
+/** The mask in a colour that no asset has for long. */
+function tintOf(mask: Mask): HTMLCanvasElement {
+  const canvas = document.createElement("canvas");
+  [canvas.width, canvas.height] = [mask.width, mask.height];
+  const image = new ImageData(mask.width, mask.height);
+  for (let k = 0; k < mask.data.length; k++) {
+    [image.data[k * 4], image.data[k * 4 + 1], image.data[k * 4 + 2]] = [60, 150, 255];
+    image.data[k * 4 + 3] = mask.data[k] * TINT;
+  }
+  canvas.getContext("2d")!.putImageData(image, 0, 0);
+  return canvas;
+}
+
+/** The edges of a box that lie before the camera. */
+function edges({ low, high }: { low: Vec3; high: Vec3 }, camera: CameraJson): Path2D {
+  const lines: number[] = [];
+  const corner = (k: number): Vec3 => [0, 1, 2].map((axis) => (k & (1 << axis) ? high : low)[axis]) as Vec3;
+  for (let k = 0; k < 8; k++)
+    for (let axis = 0; axis < 3; axis++) {
+      if (k & (1 << axis)) continue;
+      const [a, b] = [project(camera, corner(k)), project(camera, corner(k | (1 << axis)))];
+      if (a[2] > 0 && b[2] > 0) lines.push(a[0], a[1], b[0], b[1]);
+    }
+  return segments(lines);
 }
 
 function segments(lines: number[]): Path2D {

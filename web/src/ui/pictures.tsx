@@ -2,6 +2,7 @@
 
 import { useEffect, useRef } from "preact/hooks";
 
+import { selectedCount } from "../paint/selection";
 import { blobUrl } from "../net/blobs";
 import { startStamp } from "../paint/placement";
 import {
@@ -11,16 +12,14 @@ import {
   discard,
   editMode,
   droppedImages,
-  onlySelection,
   isPresentView,
   maskUrl,
   MAX_IMAGES,
-  selectedImage,
   type DroppedImage,
 } from "../state/dropped-images";
 import { camera, method, readOnly } from "../state/store";
 import { report } from "../state/studio";
-import { Button, Check, Choice, FileButton, Slider } from "./parts";
+import { Button, Choice, FileButton, Slider } from "./parts";
 import { SourceDialog, sourcesOpen } from "./sources";
 import { chooseTool } from "./toolbar";
 import { goTo } from "./views";
@@ -74,18 +73,7 @@ export function Pictures() {
               onChange={(mode) => (editMode.value = mode)}
             />
           </p>
-          {editMode.value === "global" && (
-            <Check
-              label={
-                selectedImage.value
-                  ? `Only the area selected on ${selectedImage.value.name}`
-                  : "Only a selected area (none yet)"
-              }
-              value={onlySelection.value && selectedImage.value !== null}
-              disabled={!selectedImage.value}
-              onChange={(on) => (onlySelection.value = on)}
-            />
-          )}
+          {selectedCount.value > 0 && <p class="quiet">Only what is selected changes.</p>}
           <p class="row actions">
             <Button
               label="Make it a layer"

@@ -4,7 +4,7 @@ import { keyOf } from "../keys/bindings";
 import { spoken } from "../keys/chord";
 import type { CommandId } from "../keys/table";
 import { discardPlacement } from "../paint/placement";
-import { color, readOnly, secondColor, tool, type SelectKind, type Tool } from "../state/store";
+import { color, readOnly, secondColor, tab, tool, type SelectKind, type Tool } from "../state/store";
 import { setColor } from "../paint/point-tools";
 import type { IconName } from "./icons";
 import { Button } from "./parts";
@@ -32,6 +32,7 @@ const SELECT_COMMANDS: readonly (readonly [SelectKind, CommandId])[] = [
 
 export function chooseTool(next: Tool): void {
   if (tool.value !== next) void discardPlacement();
+  if (next === "select" && tool.value !== next) tab.value = "select";
   tool.value = next;
 }
 

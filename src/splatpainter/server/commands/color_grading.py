@@ -20,7 +20,9 @@ from splatpainter.server.commands.context import (
     progress,
     python_line,
 )
+from splatpainter.server.current_selection import limited
 from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
+from splatpainter.session.document import SELECTION
 from splatpainter.session.layer_blending import reached_gaussians
 from splatpainter.sources.color_grading import GradeSettings, grade_sh
 
@@ -81,6 +83,7 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
         camera = _mask_camera(request)
         masks = [(camera, mask_from_upload(context, request.mask, camera))]
         sh = np.where(reached_gaussians(splats, masks)[:, None, None], sh, splats.sh)
+    sh = limited(splats, context.studio.selection.weights(), sh)
     ids = changed_rows(splats, replace(splats, sh=sh))
     if len(ids):
         every = len(ids) == len(splats)  # as a rule; 100,000 Gaussians need not be copied for it
@@ -111,8 +114,11 @@ def commit_grade(context: CommandContext, request: GradeCommit) -> LayerMade:
         camera = _mask_camera(request)
         black = np.zeros((camera.height, camera.width, 3), np.float32)  # only the mask counts
         edits = [Edit(black, camera, mask_from_upload(context, request.mask, camera), request.name)]
+    stored, attached = context.studio.selection.stored(), []
+    if stored is not None:
+        settings, attached = {**settings, SELECTION: stored[0]}, [stored[1]]
     with progress(context, "look"):
-        layer = context.studio.session.add("look", edits, name=request.name, parameters=settings)
+        layer = context.studio.session.add("look", edits, name=request.name, parameters=settings, attached=attached)
     words = [RawExpr("sp.Edit(picture, camera, mask)")] * len(edits)
     line = python_line("session.add", "look", words, name=request.name, parameters=settings)
     return layer_made(context, layer.id, line)

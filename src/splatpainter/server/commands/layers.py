@@ -31,6 +31,7 @@ from splatpainter.server.protocol import (
     Name,
     Unit,
 )
+from splatpainter.session.document import SELECTION
 from splatpainter.session.layer_mask import LayerMask, by_rule
 from splatpainter.sources.color_grading import GRADE, GradeSettings
 
@@ -82,7 +83,9 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
     layer = session.layer(request.layer)
     if "parameters" in values and layer.parameters.get("look") == GRADE:
         space = session.original.color_space
-        values["parameters"] = GradeSettings.from_dict({**values["parameters"], "space": space}).to_dict()
+        kept = {SELECTION: layer.parameters[SELECTION]} if SELECTION in layer.parameters else {}
+        sliders = {name: value for name, value in values["parameters"].items() if name != SELECTION}
+        values["parameters"] = GradeSettings.from_dict({**sliders, "space": space}).to_dict() | kept
     with progress(context, "layers"):
         session.set(request.layer, gesture=request.gesture, **values)
     return layer_made(context, request.layer, python_line("session.set", request.layer, **values))

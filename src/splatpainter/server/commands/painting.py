@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import secrets
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +14,9 @@ from pydantic import Field
 
 from splatpainter.color import from_display
 from splatpainter.image_files import find_alpha
+from splatpainter.lift.masks import change_mask
 from splatpainter.painter import Edit
+from splatpainter.rendering import render
 from splatpainter.server import frames
 from splatpainter.server.commands.context import (
     CommandContext,
@@ -47,7 +50,7 @@ from splatpainter.server.protocol import (
 from splatpainter.server.stroke import Stroke
 from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
-from splatpainter.session.document import PLACED, Kind
+from splatpainter.session.document import PLACED, SELECTION, Kind
 from splatpainter.sources.edit_files import FileEdit, unmultiplied
 from splatpainter.sources.picture_reader import read_picture
 
@@ -74,7 +77,9 @@ class PaintBegin(Command):
 def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     session = context.studio.session
     beneath = None if request.layer is None or request.kind != "erase" else session.below(request.layer)
-    stroke = Stroke(request.camera.to_camera(), request.kind == "erase", session, beneath)
+    camera = request.camera.to_camera()
+    selected = context.studio.selection.view(camera)
+    stroke = Stroke(camera, request.kind == "erase", session, beneath, selected)
     stroke.masks = request.kind == "mask"
     now = session.snapshot
     stroke.prepare(now.splats, session.original, now.version)
@@ -151,7 +156,8 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     session = context.studio.session
     stroke = _stroke(context, request.stroke, session)
     if not stroke.mask.any():
-        raise ValueError("stroke: nothing was painted")
+        where = " where something is selected" if context.studio.selection else ""
+        raise ValueError(f"stroke: nothing was painted{where}")
     if (request.layer, request.into_new, request.replaces).count(None) < 2:
         raise ValueError("stroke: expected one of layer, into_new and replaces")
     if request.placed is not None and (request.layer or request.into_new):
@@ -279,6 +285,8 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         edits = [_eraser_from_upload(context, view) for view in request.views]
     else:
         edits = [edit_from_upload(context, view, request.mode) for view in request.views]
+    if request.mode == "local":
+        edits = [_within_selection(context, edit) for edit in edits]
     options: dict[str, Any] = {"name": request.name, "mode": request.mode, "method": request.method}
     options |= {"opacity": request.opacity, "blend": request.blend}
     if request.within and request.mode == "global":
@@ -286,6 +294,10 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         if not edits:
             raise ValueError("edit: expected a mask in one of the views; select an area on one of them")
         options["parameters"] = {WITHIN: True}
+    stored = context.studio.selection.stored() if request.mode == "global" else None
+    if stored is not None:
+        options["parameters"] = {**options.get("parameters", {}), SELECTION: stored[0]}
+        options["attached"] = [stored[1]]
     if request.mode == "local" and request.kind != "erase":
         options |= _limits(request.limits)
     if request.replaces is not None:
@@ -302,6 +314,19 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
     context.clear_preview = True
     words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
     return layer_made(context, layer.id, python_line("session.add", request.kind, words, **options))
+
+
+def _within_selection(context: CommandContext, edit: Edit) -> Edit:
+    """A local edit of what is selected. Raises ValueError where none of it is."""
+    part = context.studio.selection.view(edit.camera)
+    if part is None:
+        return edit
+    mask = edit.mask
+    if mask is None:
+        mask = change_mask(edit.image, render(context.studio.session.splats, edit.camera).colors[0])
+    if not (mask & (part > 0.5)).any():
+        raise ValueError(f"{edit.name}: changes nothing of what is selected; deselect first")
+    return replace(edit, mask=mask & (part > 0.5))
 
 
 def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> Edit:

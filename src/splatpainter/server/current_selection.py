@@ -1,0 +1,124 @@
+"""What is selected now, of one session: the same for all its windows. Not part of the project until it gets a name.
+
+A selection that was drawn on a view is also kept as it was drawn: on that view paint ends at the drawn edge, to the
+pixel, and not where the Gaussians under it happen to end.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.io import files
+from splatpainter.session import Session
+from splatpainter.session.selection import Combine, Selection, combined, view_of
+from splatpainter.splats import Splats
+
+SHARPEN = (0.3, 0.7)
+"""Shares of a pixel between which a rendered selection goes from 0 to 1: its Gaussians overlap."""
+
+
+class CurrentSelection:
+    """Changed by one thread at a time; read by any."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.revision = 0
+        """Goes up with every change."""
+        self.gaussians = 0
+        """How many are selected by half or more, when it was chosen."""
+        self._selection: Selection | None = None
+        self._previous: Selection | None = None
+        self._drawn: tuple[bytes, np.ndarray] | None = None
+        self._weights: tuple[int, int, np.ndarray] | None = None
+        self._view: tuple[bytes, int, int, np.ndarray] | None = None
+        self._lock = threading.Lock()
+
+    def __bool__(self) -> bool:
+        return self._selection is not None
+
+    def weights(self) -> np.ndarray | None:
+        """[N] float32 of the Gaussians as they are now; None: nothing is selected, everything may change."""
+        selection, snapshot = self._selection, self.session.snapshot
+        if selection is None:
+            return None
+        cached = self._weights
+        if cached is None or cached[:2] != (self.revision, snapshot.version):
+            weights = selection.on(snapshot.splats, self.session.original)
+            cached = self._weights = (self.revision, snapshot.version, weights)
+        return cached[2]
+
+    def choose(self, weights: np.ndarray | None) -> None:
+        """Select these ([N] of the Gaussians as they are now); None, or none of them: nothing."""
+        splats = self.session.splats
+        selection = None
+        if weights is not None and (weights > 0).any():
+            selection = Selection.of(weights, splats, self.session.original)
+        self._set(selection, 0 if weights is None else int((weights >= 0.5).sum()), None)
+
+    def choose_area(self, weights: np.ndarray, camera: Camera, mask: np.ndarray, how: Combine) -> None:
+        """Apply what a mask on a view selects. weights: [N]; mask: [H, W] 0..1."""
+        before = self.view(camera)
+        drawn = combined(before, mask, how)
+        self.choose(combined(self.weights(), weights, how))
+        if self:
+            self._drawn = (_key(camera), drawn)
+
+    def again(self) -> None:
+        """Select what was selected before."""
+        selection = self._previous
+        if selection is not None:
+            weights = selection.on(self.session.splats, self.session.original)
+            self._set(selection, int((weights >= 0.5).sum()), None)
+
+    def invert(self, weights: np.ndarray) -> None:
+        """Select these, which are the rest; what was drawn is turned round too."""
+        drawn = self._drawn
+        self.choose(weights)
+        if self and drawn is not None:
+            self._drawn = (drawn[0], 1 - drawn[1])
+
+    def view(self, camera: Camera) -> np.ndarray | None:
+        """[H, W] float32 0..1: what of a view is selected; None: nothing is, all of it may be painted."""
+        weights, drawn, key = self.weights(), self._drawn, _key(camera)
+        if weights is None:
+            return None
+        if drawn is not None and drawn[0] == key:
+            return drawn[1]
+        version = self.session.version
+        with self._lock:
+            cached = self._view
+            if cached is None or cached[:3] != (key, self.revision, version):
+                low, high = SHARPEN
+                shares = np.clip((view_of(self.session.splats, weights, camera) - low) / (high - low), 0, 1)
+                cached = self._view = (key, self.revision, version, shares.astype(np.float32))
+            return cached[3]
+
+    def stored(self) -> tuple[str, bytes] | None:
+        """(hash, PNG) for a layer that keeps to it; None: nothing is selected."""
+        if self._selection is None:
+            return None
+        data = self._selection.to_png()
+        return files.sha256(data), data
+
+    def _set(self, selection: Selection | None, gaussians: int, drawn: tuple[bytes, np.ndarray] | None) -> None:
+        if self._selection is not None:
+            self._previous = self._selection
+        self._selection, self.gaussians, self._drawn = selection, gaussians, drawn
+        self.revision += 1
+
+
+def limited(splats: Splats, weights: np.ndarray | None, sh: np.ndarray) -> np.ndarray:
+    """[N, K, 3] new colours as far as Gaussians are selected. weights: [N] or None: all."""
+    if weights is None:
+        return sh
+    part = weights[:, None, None]
+    mixed = np.where(part == 1, sh, splats.sh + part * (sh - splats.sh))
+    return np.where(part == 0, splats.sh, mixed).astype(np.float32)
+
+
+def _key(camera: Camera) -> bytes:
+    numbers = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    return np.array([*numbers, *camera.world_to_camera.ravel()], np.float64).tobytes()

@@ -1,0 +1,272 @@
+"""A selection of Gaussians: how much each is selected, 0..1. It belongs to the asset, not to a view. Pure.
+
+Tools give weights, [N] float32 of the composed asset; `combined` joins them. A `Selection` is what stays of them when
+layers come and go: weights of the original's Gaussians, which keep their places, and points with weights for all
+others. `Selection.on` gives the weights of any later state: a Gaussian of the original that is where it was has its
+own weight, every other one that of the nearest point. As bytes it is a grey PNG, for layers to name by its hash.
+
+Spatial tools (grow, connected, floaters) are in selection_space.py.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.color import base_color, to_display
+from splatpainter.jsonio import brief
+from splatpainter.splats import Splats
+from splatpainter.voxels.neighbours import nearest_within
+
+Combine = Literal["replace", "add", "subtract", "intersect"]
+Attribute = Literal["size", "opacity", "depth", "height"]
+FAINT = 0.05
+"""Peak alpha with which footprints are measured where nothing shall hide anything."""
+DEPTH_MARGIN_SIZES = 3.0
+"""Of its largest scale by which a Gaussian may lie behind the visible surface and be selected with it."""
+VISIBLE_SHARE = 0.03
+"""Of a Gaussian's light that reaches the eye, from which it belongs to the visible surface."""
+COVERED_ALPHA = 0.05
+"""Of a pixel from which it shows the asset."""
+EDGE = 0.02
+"""Weights within so much of 0 and 1 are 0 and 1."""
+QUANTILE = 0.01
+"""Of depths and heights, below and above which strays lie."""
+MAGIC = b"SELE"
+PNG_WIDTH = 4096
+MAX_POINTS = 1 << 22
+"""Of a stored selection."""
+SEARCH_STEPS, SEARCH_FACTOR = 6, 4.0
+"""Radii in which the nearest point is looked for, and the factor between them."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Weights that outlive the layers over which they were chosen."""
+
+    weights: np.ndarray
+    """[N0] uint8 of the original's Gaussians."""
+    points: np.ndarray = field(repr=False)
+    """[R, 3] float32 where all other Gaussians lay, and those of the original that were moved."""
+    point_weights: np.ndarray = field(repr=False)
+    """[R] uint8."""
+
+    @staticmethod
+    def of(weights: np.ndarray, splats: Splats, original: Splats) -> Selection:
+        """weights: [N] 0..1 of `splats`, an asset made from `original`."""
+        levels = np.round(np.clip(weights, 0, 1) * 255).astype(np.uint8)
+        moved = moved_ids(splats, original)
+        first = levels[: len(original)].copy()
+        first[moved[moved < len(original)]] = 0
+        return Selection(first, splats.means[moved].astype(np.float32), levels[moved])
+
+    def on(self, splats: Splats, original: Splats) -> np.ndarray:
+        """[N] float32 weights of an asset made from `original`."""
+        if len(self.weights) != len(original):
+            raise ValueError(f"selection: expected one of {len(original)} Gaussians, got {len(self.weights)}")
+        out = np.zeros(len(splats), np.uint8)
+        count = min(len(original), len(splats))
+        out[:count] = self.weights[:count]
+        moved = moved_ids(splats, original)
+        moved = moved[splats.opacities[moved] > 0]
+        if len(moved):
+            points = np.concatenate([original.means, self.points])
+            levels = np.concatenate([self.weights, self.point_weights])
+            near = nearest(points, splats.means[moved], spacing(original))
+            out[moved] = np.where(near >= 0, levels[np.maximum(near, 0)], 0)
+        return out.astype(np.float32) / 255
+
+    def to_png(self) -> bytes:
+        """A grey PNG whose pixels are the arrays, one after the other."""
+        from PIL import Image
+
+        head = MAGIC + struct.pack("<QQ", len(self.weights), len(self.points))
+        data = head + self.weights.tobytes() + self.points.astype("<f4").tobytes() + self.point_weights.tobytes()
+        rows = -(-len(data) // PNG_WIDTH)
+        pixels = np.frombuffer(data.ljust(rows * PNG_WIDTH, b"\0"), np.uint8).reshape(rows, PNG_WIDTH)
+        file = io.BytesIO()
+        Image.fromarray(pixels).save(file, "PNG", compress_level=6)
+        return file.getvalue()
+
+    @staticmethod
+    def from_png(data: bytes, count: int, where: str = "selection") -> Selection:
+        """The inverse. count: Gaussians of the original. Raises ValueError naming `where`."""
+        from PIL import Image
+
+        try:
+            with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+                if (
+                    image.mode != "L"
+                    or image.width != PNG_WIDTH
+                    or image.height > (20 + count + 13 * MAX_POINTS) // PNG_WIDTH + 1
+                ):
+                    raise ValueError("its picture has another shape")
+                flat = np.asarray(image).ravel()
+            if flat[:4].tobytes() != MAGIC:
+                raise ValueError("it is another picture")
+            first, rest = struct.unpack("<QQ", flat[4:20].tobytes())
+            if first != count or not 0 <= rest <= MAX_POINTS or 20 + first + 13 * rest > len(flat):
+                raise ValueError(f"it is of {first} Gaussians and {rest} points")
+        except Exception as error:  # decoders of damaged files raise anything
+            raise ValueError(f"{where}: expected the selection of {count} Gaussians ({error})") from None
+        ends = np.cumsum([20, first, 12 * rest, rest])
+        points = np.frombuffer(flat[ends[1] : ends[2]].tobytes(), "<f4").reshape(-1, 3).astype(np.float32)
+        if not np.isfinite(points).all():
+            raise ValueError(f"{where}: expected finite points")
+        return Selection(flat[ends[0] : ends[1]].copy(), points, flat[ends[2] : ends[3]].copy())
+
+
+def moved_ids(splats: Splats, original: Splats) -> np.ndarray:
+    """[M] int64 ascending: Gaussians that are not where the original has them: moved or appended."""
+    count = min(len(original), len(splats))
+    moved = np.flatnonzero((splats.means[:count] != original.means[:count]).any(1))
+    return np.concatenate([moved, np.arange(count, len(splats))])
+
+
+def nearest(points: np.ndarray, queries: np.ndarray, radius: float) -> np.ndarray:
+    """[Q] int64 nearest point to each query, looked for farther and farther from `radius` on; -1: none at all."""
+    out = np.full(len(queries), -1, np.int64)
+    left = np.arange(len(queries))
+    for _ in range(SEARCH_STEPS):
+        out[left], _ = nearest_within(points, queries[left], radius)
+        left = left[out[left] < 0]
+        radius *= SEARCH_FACTOR
+        if not len(left):
+            break
+    return out
+
+
+def spacing(splats: Splats) -> float:
+    """World units: twice the median of the largest scales of what is visible, about how far neighbours are apart."""
+    visible = splats.drawable & (splats.opacities > FAINT)
+    sizes = splats.scales[visible if visible.any() else slice(None)].max(1)
+    return max(2 * float(np.median(sizes)), 1e-9) if len(sizes) else 1e-9
+
+
+def combined(before: np.ndarray | None, new: np.ndarray, how: Combine) -> np.ndarray:
+    """[N] float32: `new` weights applied to those before (None: nothing was selected)."""
+    if how not in get_args(Combine):
+        raise ValueError(f"selection: expected {', '.join(get_args(Combine))}, got {brief(how)}")
+    before = np.zeros_like(new) if before is None else before
+    joined = {
+        "replace": new,
+        "add": np.maximum(before, new),
+        "subtract": before * (1 - new),
+        "intersect": before * new,
+    }[how]
+    return settled(joined)
+
+
+def settled(weights: np.ndarray) -> np.ndarray:
+    """[N] float32 0..1 with what is nearly nothing and nearly all made so."""
+    out = np.clip(weights, 0, 1).astype(np.float32)
+    out[out < EDGE] = 0
+    out[out > 1 - EDGE] = 1
+    return out
+
+
+def in_mask(splats: Splats, camera: Camera, mask: np.ndarray, through: bool = False) -> np.ndarray:
+    """[N] float32: what a mask on a view selects: the mask's mean over each Gaussian's footprint, for those of the
+    visible surface and right behind it, or (through) for all along the rays. mask: [H, W] 0..1."""
+    from splatpainter.rendering.cpu.projected_view import project
+
+    zeros, ones = np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32)
+    faint = replace(splats, opacities=np.minimum(splats.opacities, np.float32(FAINT)))
+    view = project(faint, camera)
+    inside = view.backproject(zeros, np.ascontiguousarray(mask, np.float32)).alpha
+    total = view.backproject(zeros, ones).alpha
+    out = np.zeros(len(splats), np.float32)
+    out[view.gaussian_ids] = inside / np.maximum(total, 1e-9)
+    out[splats.opacities <= 0] = 0
+    if through:
+        return settled(out)
+    real = project(splats, camera)
+    _, alpha, depth = real.rasterize()
+    sums = real.backproject(zeros, ones)
+    visible_ids = real.gaussian_ids[sums.weight > VISIBLE_SHARE * sums.alpha]
+    hidden = out > 0
+    hidden[visible_ids] = False
+    ids = np.flatnonzero(hidden)
+    pixels, z = camera.project(splats.means[ids].astype(np.float64))
+    column = np.clip(np.nan_to_num(pixels[:, 0]), 0, camera.width - 1).astype(np.int64)
+    line = np.clip(np.nan_to_num(pixels[:, 1]), 0, camera.height - 1).astype(np.int64)
+    front = np.where(alpha[line, column] > COVERED_ALPHA, depth[line, column], np.inf)
+    out[ids[z > front + DEPTH_MARGIN_SIZES * splats.scales[ids].max(1)]] = 0
+    return settled(out)
+
+
+def by_color(
+    splats: Splats, camera: Camera, color: np.ndarray, tolerance: float, everywhere: bool = True
+) -> np.ndarray:
+    """[N] float32 0 or 1: Gaussians that look like `color` ([3] display 0..1), no channel farther off than `tolerance`.
+    One that the view shows looks as its pixels do; others (everywhere) as their base colour."""
+    from splatpainter.rendering.cpu.projected_view import project
+
+    view = project(splats, camera)
+    image, _, _ = view.rasterize()
+    seen = view.backproject(np.ascontiguousarray(image), np.ones(image.shape[:2], np.float32))
+    in_view = seen.weight > 0.05 * seen.alpha + 1e-6
+    looks = base_color(splats.sh)
+    ids = view.gaussian_ids[in_view]
+    looks[ids] = seen.values[in_view] / seen.weight[in_view, None]
+    like = np.abs(to_display(np.clip(looks, 0, 1), splats.color_space) - color).max(1) <= tolerance
+    if not everywhere:
+        visible = np.zeros(len(splats), bool)
+        visible[ids] = True
+        like &= visible
+    return (like & (splats.opacities > 0)).astype(np.float32)
+
+
+def attribute_values(splats: Splats, attribute: Attribute, camera: Camera, up: np.ndarray) -> np.ndarray:
+    """[N] float64 0..1: size: rank of the largest scale; opacity: itself; depth from the camera and height along `up`:
+    share of the way from the nearest (lowest) to the farthest (highest), strays beside."""
+    visible = splats.drawable & (splats.opacities > 0)
+    if attribute == "opacity":
+        return splats.opacities.astype(np.float64)
+    if attribute == "size":
+        out, sizes = np.zeros(len(splats)), splats.scales.max(1)
+        ids = np.flatnonzero(visible)
+        out[ids[np.argsort(sizes[ids], kind="stable")]] = (np.arange(len(ids)) + 1) / max(len(ids), 1)
+        return out
+    means = splats.means.astype(np.float64)
+    raw = camera.project(means)[1] if attribute == "depth" else means @ np.asarray(up, np.float64)
+    if not visible.any():
+        return np.zeros(len(splats))
+    low, high = np.quantile(raw[visible], [QUANTILE, 1 - QUANTILE])
+    return np.clip((raw - low) / max(high - low, 1e-12), 0, 1)
+
+
+def by_attribute(
+    splats: Splats, attribute: Attribute, low: float, high: float, camera: Camera, up: np.ndarray
+) -> np.ndarray:
+    """[N] float32 0 or 1: Gaussians whose value (attribute_values) lies in low..high."""
+    if attribute not in get_args(Attribute):
+        raise ValueError(f"selection: expected {', '.join(get_args(Attribute))}, got {brief(attribute)}")
+    values = attribute_values(splats, attribute, camera, up)
+    return ((values >= low) & (values <= high) & splats.drawable & (splats.opacities > 0)).astype(np.float32)
+
+
+def in_box(splats: Splats, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """[N] float32 0 or 1: Gaussians whose means lie in a box along the world's axes. low, high: [3]."""
+    inside = ((splats.means >= low) & (splats.means <= high)).all(1)
+    return (inside & (splats.opacities > 0)).astype(np.float32)
+
+
+def inverted(splats: Splats, weights: np.ndarray) -> np.ndarray:
+    """[N] float32: the rest of what is visible."""
+    return np.where(splats.opacities > 0, 1 - weights, 0).astype(np.float32)
+
+
+def view_of(splats: Splats, weights: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W] float32 0..1: how much of what each pixel shows is selected; 0 beside the asset."""
+    from splatpainter.rendering.cpu.projected_view import project
+
+    view = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
+    selected = np.repeat(weights[view.gaussian_ids, None], 3, 1).astype(np.float32)
+    image, alpha, _ = view.rasterize(np.ascontiguousarray(selected))
+    return np.where(alpha > COVERED_ALPHA, np.clip(image[..., 0] / np.maximum(alpha, 1e-6), 0, 1), 0)

@@ -1,0 +1,148 @@
+"""Points near to points: the nearest one within a radius, and what hangs together. numpy and numba, no tree.
+
+Points are sorted by the cube that they lie in; a query looks into the 27 cubes around it. What lies farther than
+MAX_CELLS cubes from the middle of the points counts as lying at that distance: a few strays must not cost anything.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from splatpainter.kernels.parallel import run
+
+CELL_BITS = 20
+"""Bits of a cube's index along each axis."""
+MAX_CELLS = 1 << (CELL_BITS - 2)
+"""Cubes to either side of the median point."""
+BLOCK = 256
+"""Queries that a thread takes at a time."""
+
+
+def nearest_within(points: np.ndarray, queries: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """([Q] int64 index of the point nearest to each query, -1 where none is within `radius`; [Q] float64 distance, inf
+    there). points: [P, 3]; queries: [Q, 3]; of equally near ones the first in memory order of its cube."""
+    nearest = np.full(len(queries), -1, np.int64)
+    distance = np.full(len(queries), np.inf)
+    if len(points) and len(queries) and radius > 0:
+        middle = np.median(points, axis=0)
+        keys, order = _sorted(_cells(points, middle, radius))
+        cells = _cells(queries, middle, radius)
+        arrays = (np.ascontiguousarray(points, np.float64), np.ascontiguousarray(queries, np.float64))
+        run(_nearest, *arrays, keys, order, cells, float(radius), nearest, distance)
+    return nearest, distance
+
+
+def components(points: np.ndarray, size: float) -> np.ndarray:
+    """[P] int64: which connected part each point is in, numbered from 0 by their first points. Two points hang together
+    where a chain of cubes of `size` that hold points, side by side or corner to corner, leads from one to the other."""
+    if not len(points):
+        return np.zeros(0, np.int64)
+    cells = _cells(points, np.median(points, axis=0), size)
+    keys, inverse = np.unique(_keys(cells), return_inverse=True)
+    parents = np.arange(len(keys))
+    for x in (0, 1):
+        for y in (-1, 0, 1) if x else (0, 1):
+            for z in (-1, 0, 1) if x or y else (1,):
+                step = (x << 2 * CELL_BITS) + (y << CELL_BITS) + z
+                at = np.searchsorted(keys, keys + step)
+                there = at < len(keys)
+                there[there] = keys[at[there]] == keys[there] + step
+                _join(parents, np.flatnonzero(there), at[there])
+    _flatten(parents)
+    roots = parents[inverse]
+    _, first, labels = np.unique(roots, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[labels]
+
+
+def _cells(points: np.ndarray, middle: np.ndarray, size: float) -> np.ndarray:
+    """[P, 3] int64 cubes, the outermost ones left free."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        cells = np.floor((np.asarray(points, np.float64) - middle) / size)
+    return (np.nan_to_num(np.clip(cells, -MAX_CELLS, MAX_CELLS)) + 2 * MAX_CELLS).astype(np.int64)
+
+
+def _keys(cells: np.ndarray) -> np.ndarray:
+    return (cells[:, 0] << 2 * CELL_BITS) | (cells[:, 1] << CELL_BITS) | cells[:, 2]
+
+
+def _sorted(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    keys = _keys(cells)
+    order = np.argsort(keys, kind="stable")
+    return keys[order], order
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _first_at(keys, key):
+    low, high = 0, keys.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _nearest(points, queries, keys, order, cells, radius, nearest, distance, thread, threads):
+    for start in range(thread * BLOCK, queries.shape[0], threads * BLOCK):
+        for i in range(start, min(start + BLOCK, queries.shape[0])):
+            least, best = radius * radius, -1
+            for x in range(cells[i, 0] - 1, cells[i, 0] + 2):
+                for y in range(cells[i, 1] - 1, cells[i, 1] + 2):
+                    row = (x << 40) | (y << 20)
+                    k = _first_at(keys, row | (cells[i, 2] - 1))
+                    while k < keys.shape[0] and keys[k] <= row | (cells[i, 2] + 1):
+                        j = order[k]
+                        k += 1
+                        dx, dy = points[j, 0] - queries[i, 0], points[j, 1] - queries[i, 1]
+                        dz = points[j, 2] - queries[i, 2]
+                        square = dx * dx + dy * dy + dz * dz
+                        if square < least or (best < 0 and square == least):
+                            least, best = square, j
+            if best >= 0:
+                nearest[i] = best
+                distance[i] = np.sqrt(least)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _root(parents, k):
+    while parents[k] != k:
+        parents[k] = parents[parents[k]]
+        k = parents[k]
+    return k
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _join(parents, one, two):
+    for i in range(one.shape[0]):
+        a, b = _root(parents, one[i]), _root(parents, two[i])
+        if a < b:
+            parents[b] = a
+        elif b < a:
+            parents[a] = b
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _flatten(parents):
+    for k in range(parents.shape[0]):
+        parents[k] = _root(parents, k)
+
+
+def joined_labels(count: int, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """[count] int64: labels after one[i] and two[i] were made the same for every i; the smallest of each stays."""
+    parents = np.arange(count)
+    _join(parents, one, two)
+    _flatten(parents)
+    return parents
+
+
+def warm() -> None:
+    """Compile (or load) the kernels."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [9, 0, 0]])
+    nearest_within(points, points, 1.5)
+    components(points, 1.0)
+    joined_labels(2, np.zeros(1, np.int64), np.ones(1, np.int64))
