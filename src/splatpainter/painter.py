@@ -476,7 +476,7 @@ def _one_size(edits: Sequence[Edit]) -> None:
 def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
     """The edit beside what the asset shows. Raises ValueError, naming the edit, where there is nothing to do."""
     from splatpainter.lift.edit_views import EditView, errors_name
-    from splatpainter.lift.masks import change_mask, changed_throughout
+    from splatpainter.lift.masks import edited_mask
     from splatpainter.voxels.raycast import inside
 
     with errors_name(edit.name):
@@ -485,12 +485,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
         before, depth, alpha = _draw(asset.splats, edit.camera)
         mask = edit.mask
         if mask is None:
-            if mode == "global":
-                mask = alpha > 0.5
-            elif changed_throughout(edit.image, before, alpha):
-                mask = np.ones(alpha.shape, bool)
-            else:
-                mask = change_mask(edit.image, before)
+            mask = alpha > 0.5 if mode == "global" else edited_mask(edit.image, before, alpha)
         if not mask.any():
             unchanged = (
                 "the asset is not in view" if mode == "global" else "the picture does not differ from the render"

@@ -12,7 +12,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, to_uint8
-from splatpainter.lift.masks import change_mask
+from splatpainter.lift.masks import edited_mask
 from splatpainter.sources.edit_files import MAX_ASPECT_ERROR
 from splatpainter.sources.picture_reader import resample
 
@@ -56,10 +56,11 @@ def most_alike(picture: np.ndarray, candidates: Iterable[np.ndarray]) -> int | N
     return int(np.argmin(scores))
 
 
-def changed_mask(picture: np.ndarray, render: np.ndarray, threshold: float | None) -> np.ndarray:
-    """[H, W] bool: pixels that were edited; threshold: the difference (0..1) from which one counts, None: found."""
+def changed_mask(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray, threshold: float | None) -> np.ndarray:
+    """[H, W] bool: pixels that were edited; alpha: [H, W] of the render; threshold: the difference (0..1) from which
+    one counts, None: as in `edited_mask`."""
     if threshold is None:
-        return change_mask(picture, render)
+        return edited_mask(picture, render, alpha)
     return np.abs(np.clip(picture, 0, 1) - np.clip(render, 0, 1)).max(-1) > threshold
 
 

@@ -156,10 +156,11 @@ def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = Fal
 
 
 def _changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
-    from splatpainter.lift.masks import change_mask
+    from splatpainter.lift.masks import edited_mask
     from splatpainter.rendering import render
 
-    mask = change_mask(edit.image, render(splats, edit.camera).colors[0])
+    drawn = render(splats, edit.camera)
+    mask = edited_mask(edit.image, drawn.colors[0], drawn.alphas[0, ..., 0])
     if not mask.any():
         raise ValueError(f"{edit.name}: nothing to do, the picture does not differ from the render")
     return mask

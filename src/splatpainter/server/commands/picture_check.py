@@ -96,7 +96,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     if shift != (0, 0):
         colors = undo_shift(colors, render, *shift)
         notes.append(f"moved back by {shift[0]}, {shift[1]} pixels")
-    mask = registration.changed_mask(colors, render, request.threshold)
+    mask = registration.changed_mask(colors, render, render_alpha(studio.session.splats, camera), request.threshold)
     share = float(mask.mean())
     if camera.asset_sha256 not in (None, studio.original.sha256):
         text = "The picture was rendered from another asset: every difference counts as an edit."
