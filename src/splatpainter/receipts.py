@@ -85,6 +85,9 @@ class Receipt:
     """Per view, edited pixels' worth of paint that its limits left out."""
     precision: str = ""
     """Arithmetic of the networks, "float32" or "bfloat16" (nn.precision); "" where none ran, and not in the JSON."""
+    dropped: dict[str, Any] | None = None
+    """Where hidden Gaussians were left out for good: of the original, asset (its SHA-256), rows (how many it had), and
+    left_out (how many are gone), and appended_left_out. `asset_rows` are then those that remain, renumbered."""
     source: dict[str, Any] | None = None
     """Of an edit by a picture source (source_edits/edit.py): its name, prompt and strictness, and per view its model,
     seed, cost, SHA-256 of the pictures sent and received, and what was corrected. None: pictures were given."""
@@ -117,6 +120,8 @@ class Receipt:
             record["limited_px"] = list(self.limited_px)
         if self.precision:
             record["precision"] = self.precision
+        if self.dropped is not None:
+            record["dropped"] = self.dropped
         if self.source is not None:
             record["source"] = self.source
         text = json.dumps(record, indent=2).removesuffix("\n}")
@@ -154,6 +159,7 @@ class Receipt:
                 tuple((_number(s["psnr"], none=True), _number(s["covered"])) for s in data.get("aside", ())),
                 tuple(float(_number(value)) for value in data.get("limited_px", ())),
                 _text(data.get("precision", "")),
+                None if data.get("dropped") is None else dict(_plain(data["dropped"])),
                 None if data.get("source") is None else dict(_plain(data["source"])),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:

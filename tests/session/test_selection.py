@@ -238,6 +238,33 @@ def test_hiding_is_a_layer_and_brings_everything_back(tmp_path: Path) -> None:
         assert np.array_equal(session.splats.opacities, before.opacities)
 
 
+def test_hidden_gaussians_are_removed_for_good_only_at_export_and_the_receipt_says_so(tmp_path: Path) -> None:
+    with Session(ball(1000), tmp_path / "a.splatproj") as session:
+        weights = np.zeros(1000, np.float32)
+        weights[200:300] = 1
+        session.hide(weights)
+        image = render(session.splats, view()).colors[0].copy()
+        mask = np.zeros((96, 96), bool)
+        mask[40:56, 40:56] = True
+        image[mask] = (0.9, 0.1, 0.1)
+        session.add("paint", [Edit(image, view(), mask)])
+        now = session.splats
+        full, _ = session.export(tmp_path / "all.ply")
+        assert full.asset_rows == 1000 and len(read(tmp_path / "all.ply")) == len(now) and full.dropped is None
+        receipt, proof = session.export(tmp_path / "visible.ply", remove_hidden=True)
+        visible = now.opacities > 0
+        assert proof.ok and receipt.dropped is not None
+        assert receipt.dropped["rows"] == 1000 and receipt.dropped["left_out"] == int((~visible[:1000]).sum()) >= 100
+        assert "removed for good" in receipt.note and len(session.splats) == len(now)
+        written = read(tmp_path / "visible.ply")
+        assert len(written) == visible.sum() and np.allclose(written.means, now.means[visible])
+        again = type(receipt).from_json((tmp_path / "visible.ply.receipt.json").read_text())
+        assert again.dropped == receipt.dropped
+        session.hide(np.ones(len(now)))
+        with pytest.raises(ValueError, match="everything is hidden"):
+            session.export(tmp_path / "none.ply", remove_hidden=True)
+
+
 def test_a_look_keeps_to_a_selection_and_selections_have_names(tmp_path: Path) -> None:
     from splatpainter.io.files import sha256
 

@@ -297,6 +297,22 @@ def export_asset(
     return proved, verification
 
 
+def export_visible(
+    original: Splats, edited: Splats, receipt: Receipt, path: Path, overwrite: bool
+) -> tuple[Receipt, Verification]:
+    """`export_asset` without the Gaussians of opacity 0. receipt: of the asset with them. What remains is compared with
+    what remains of the original, in the same order. Raises ValueError where nothing is visible."""
+    visible = np.flatnonzero(edited.opacities > 0)
+    if not len(visible):
+        raise ValueError(f"{path}: expected something visible to export, everything is hidden")
+    base, rest = bare(original).take(visible[visible < len(original)]), bare(edited).take(visible)
+    gone, appended = len(original) - len(base), len(edited) - len(original) - (len(rest) - len(base))
+    dropped = {"asset": original.sha256, "rows": len(original), "left_out": gone, "appended_left_out": appended}
+    note = f"{receipt.note}; {gone + appended} hidden Gaussians were removed for good"
+    remaining = receipt_between(base, rest, receipt.preset, note, receipt.precision)
+    return export_asset(base, rest, replace(remaining, dropped=dropped), path, overwrite)
+
+
 @contextlib.contextmanager
 def _partial_folder(path: Path) -> Iterator[str]:
     """A folder beside `path` for what is not complete yet (scratch.sweep_folder knows its name). What goes wrong in the

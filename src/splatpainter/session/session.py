@@ -304,11 +304,17 @@ class Session(StrokeCommands, Annotations):
         preset = self.painter.preset
         return asset_files.receipt_between(self.original, snapshot.splats, preset, f"layers: {note}", precision)
 
-    def export(self, path: str | Path, *, overwrite: bool = False) -> tuple[Receipt, Verification]:
+    def export(
+        self, path: str | Path, *, overwrite: bool = False, remove_hidden: bool = False
+    ) -> tuple[Receipt, Verification]:
         """Write the asset as it is now and its receipt (NAME.receipt.json), proved by reading it again; the name says
-        the format. Raises ValueError: the name, an existing file; RuntimeError: the file does not prove the receipt."""
+        the format. remove_hidden: without the Gaussians of opacity 0, for good; the receipt says how many, and compares
+        those that remain. Raises ValueError: the name, an existing file, nothing visible; RuntimeError: the file does
+        not prove the receipt."""
         snapshot = self._snapshot
         receipt = self._receipt(snapshot)
+        if remove_hidden:
+            return asset_files.export_visible(self.original, snapshot.splats, receipt, Path(path), overwrite)
         return asset_files.export_asset(self.original, snapshot.splats, receipt, Path(path), overwrite)
 
     def export_view(

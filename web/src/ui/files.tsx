@@ -6,7 +6,7 @@ import type { RecentInfo, RecentProjects } from "../messages";
 import { blobUrl, download, sendBlob } from "../net/blobs";
 import { readOnly, selectedLayer, state, swapped, toast } from "../state/store";
 import { report, run } from "../state/studio";
-import { Button, Choice, Dialog, FileButton } from "./parts";
+import { Button, Check, Choice, Dialog, FileButton } from "./parts";
 
 /** Open a file that the user chose or dropped. */
 export async function openFile(file: File): Promise<void> {
@@ -184,6 +184,7 @@ function Saving({ onClose }: { onClose: () => void }) {
     formats.find((one) => one === `.${now?.asset.format}`) ?? (formats.includes(".ply") ? ".ply" : (formats[0] ?? "")),
   );
   const [name, setName] = useState(`${stem}.splatproj`);
+  const [removing, setRemoving] = useState(false);
   if (!now) return null;
   const save = async () => {
     const answer = await run(
@@ -199,7 +200,7 @@ function Saving({ onClose }: { onClose: () => void }) {
   };
   const give = async () => {
     const file = `${stem}-edited${ending.startsWith(".") ? "" : "."}${ending}`;
-    const answer = await run("export", { file }, `Writing ${file}`);
+    const answer = await run("export", { file, remove_hidden: removing }, `Writing ${file}`);
     if (!answer) return;
     download(answer.url, answer.file);
     toast("info", `${answer.file}, ${(answer.bytes / 1e6).toFixed(1)} MB`, "Its receipt is under Receipt.");
@@ -216,6 +217,15 @@ function Saving({ onClose }: { onClose: () => void }) {
         />
         <Button label="Export" icon="share" text="Export" primary onClick={() => void give()} />
       </p>
+      {now.layers.some((layer) => layer.kind === "hide") && (
+        <p class="row">
+          <Check
+            label="Remove hidden Gaussians for good (the receipt says so)"
+            value={removing}
+            onChange={setRemoving}
+          />
+        </p>
+      )}
       <p class="quiet">
         Gaussians that no layer touched are written as they were read, bit for bit, where the format is the same (.sog
         has one palette for all, which moves with new colours).

@@ -231,6 +231,8 @@ class AssetExport(Command):
     NAME = "export"
     ANSWER = Exported
     file: FileName
+    remove_hidden: bool = False
+    """Without hidden Gaussians (of opacity 0), for good; the receipt says how many."""
 
 
 @command(AssetExport, background=True)
@@ -238,14 +240,14 @@ def export_asset(context: CommandContext, request: AssetExport) -> Exported:
     studio = context.studio
     context.ticket.report(0, "writing and verifying")
     path = studio.downloads.folder() / Path(request.file).name
-    studio.session.export(path)
+    studio.session.export(path, remove_hidden=request.remove_hidden)
     receipt = path.with_name(path.name + ".receipt.json")
     return Exported(
         url=studio.downloads.add(path),
         file=path.name,
         bytes=path.stat().st_size,
         receipt_url=studio.downloads.add(receipt),
-        python=python_line("session.export", path.name),
+        python=python_line("session.export", path.name, remove_hidden=request.remove_hidden or None),
     )
 
 

@@ -83,9 +83,9 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
     layer = session.layer(request.layer)
     if "parameters" in values and layer.parameters.get("look") == GRADE:
         space = session.original.color_space
-        kept = {SELECTION: layer.parameters[SELECTION]} if SELECTION in layer.parameters else {}
+        carried = {SELECTION: layer.parameters[SELECTION]} if SELECTION in layer.parameters else {}
         sliders = {name: value for name, value in values["parameters"].items() if name != SELECTION}
-        values["parameters"] = GradeSettings.from_dict({**sliders, "space": space}).to_dict() | kept
+        values["parameters"] = GradeSettings.from_dict({**sliders, "space": space}).to_dict() | carried
     with progress(context, "layers"):
         session.set(request.layer, gesture=request.gesture, **values)
     return layer_made(context, request.layer, python_line("session.set", request.layer, **values))
