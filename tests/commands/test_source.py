@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from splatpainter.sources.registry import source_names
+from splatpainter.sources.source_options import is_installed
 from tests.support.cli_scenes import Capture, run
 from tests.support.fake_services import pixels, png
 from tests.support.picture_requests import script
@@ -37,7 +38,8 @@ def test_list(capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     records = {record["name"]: record for record in run(capfd, "source", "list", "--json").json["sources"]}
     assert records["gemini"]["keys"] == {"variables": ["GEMINI_API_KEY", "GOOGLE_API_KEY"], "set": True}
     assert records["gemini"]["ready"] and records["gemini"]["paid"] and not records["openai"]["ready"]
-    assert records["upscale"]["ready"] and not records["diffusers"]["ready"] and KEY not in str(records)
+    assert records["upscale"]["ready"] and KEY not in str(records)
+    assert records["diffusers"]["ready"] == (is_installed("diffusers") and is_installed("transformers"))
     one = run(capfd, "source", "list", "openai").out
     assert "base_url=" in one and "OPENAI_BASE_URL" in one and "gemini" not in one
     assert "no source 'x'; there are command, gemini" in run(capfd, "source", "list", "x").error
