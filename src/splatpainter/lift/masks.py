@@ -57,8 +57,8 @@ def changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray
     """Whether a picture differs from the render nearly everywhere on the asset, and by more than a camera's or JPEG's
     noise: it was sharpened, upscaled, relit or made anew, not painted on. edited, render: [H, W, 3]; alpha: [H, W].
 
-    Of 28 meshes: 86 % of the close-ups made from a finer asset, no painted view as PNG, 2 of 28 as JPEG of quality 75 or
-    90, no render as JPEG of quality 50 to 90."""
+    Of 28 meshes: 86 % of the close-ups made from a finer asset, no painted view as PNG, 2 of 28 as JPEG of quality 75
+    or 90, no render as JPEG of quality 50 to 90."""
     solid = alpha > 0.9
     if not solid.any():
         return False
