@@ -205,7 +205,7 @@ def test_fingers_turn_pinch_and_paint_and_the_pens_other_end_erases(opened: tupl
           send("pointerdown", 0.45); send("pointermove", 0.5); send("pointerup", 0.5);
         }"""
     )
-    page.wait("the eraser", lambda: len(page.names()) == 2 and page.state()["layers"][1]["kind"] == "erase")
+    page.wait("the eraser", lambda: "rase" in page.state()["history"][-1]["label"])
     page.settled()
 
 
@@ -219,7 +219,7 @@ def test_photoshops_keys(opened: tuple[studio_scenes.Live, Page]) -> None:
         assert pressed.get_attribute("aria-label").startswith(name)
     for key, kind in {"m": "rectangle", "l": "lasso", "w": "color", "q": "brush"}.items():
         keys.press(key)
-        assert page.tab.get_by_label("Select", exact=True).input_value() == kind
+        assert page.tab.locator(".options").get_by_label("Select", exact=True).input_value() == kind
     keys.press("b")
     swatch = page.tab.get_by_label("Colour", exact=True)
     keys.press("d")

@@ -4,12 +4,16 @@ import { ExtSplats, SplatMesh, utils } from "@sparkjsdev/spark";
 import * as THREE from "three";
 
 import type { Frame } from "../net/frames";
+import { fromHalf } from "./half";
 import { hitDistance } from "./ray";
 import { allocate, encodeGaussian, type Texels } from "./texels";
 
 const WIDTH_BITS = 11;
 /** Texture rows hold 2048 splats, layers 2048 x 2048. */
 const LAYER = 1 << 22;
+
+/** Gaussians that are looked at to know how deep the asset reaches. */
+const MAX_SAMPLES = 20000;
 
 type Upload = { texture: THREE.Texture; data: Uint32Array };
 
@@ -65,6 +69,20 @@ export class SplatTable {
   /** Distance to the surface along a ray (unit direction), null where there is none. */
   hit(origin: readonly number[], direction: readonly number[]): number | null {
     return hitDistance(this.texels, this.count, origin, direction);
+  }
+
+  /** See Viewer.depthBelow. */
+  depthBelow(center: readonly number[], up: readonly number[]): number | null {
+    const { geometry } = this.texels;
+    const position = new Float32Array(geometry.buffer, geometry.byteOffset, geometry.length);
+    const stride = Math.max(1, Math.floor(this.count / MAX_SAMPLES)) * 4;
+    const depths: number[] = [];
+    for (let k = 0; k < this.count * 4; k += stride) {
+      if (fromHalf(geometry[k + 3] & 0xffff) < 0.1) continue;
+      depths.push([0, 1, 2].reduce((sum, axis) => sum + (center[axis] - position[k + axis]) * up[axis], 0));
+    }
+    depths.sort((a, b) => a - b);
+    return depths.length ? depths[Math.floor(0.99 * (depths.length - 1))] : null;
   }
 
   dispose(): void {

@@ -58,6 +58,11 @@ export function start(canvas: HTMLCanvasElement): void {
   });
   effect(() => {
     viewer.grid.visible = view.value.grid;
+    const asset = state.peek()?.asset;
+    if (view.value.grid && asset) {
+      const [center, up] = [asset.center as Vec3, asset.up as Vec3];
+      viewer.grid.setGround(center, asset.radius, up, viewer.depthBelow(center, up) ?? undefined);
+    }
     viewer.invalidate();
   });
   link.connect();

@@ -93,6 +93,11 @@ export function Overlays() {
         />
       )}
       {seen && <img class="still" src={seen} alt="" data-still="coverage" />}
+      {seen && (
+        <p class="legend">
+          <i class="seen" /> seen by an edited view <i class="predicted" /> predicted <i /> as in the original
+        </p>
+      )}
       {leftOut && (
         <div class="left-out" data-still="limits" style={{ maskImage: `url(${leftOut})`, maskSize: "100% 100%" }} />
       )}

@@ -9,10 +9,12 @@ const fragmentShader = `
   precision highp float;
   uniform sampler2D picture;
   uniform vec3 background;
+  uniform bool over;
   out vec4 color;
   void main() {
     vec4 p = texelFetch(picture, ivec2(gl_FragCoord.xy), 0);
-    color = vec4(clamp(p.rgb + (1.0 - clamp(p.a, 0.0, 1.0)) * background, 0.0, 1.0), 1.0);
+    float a = clamp(p.a, 0.0, 1.0);
+    color = over ? vec4(clamp(p.rgb, 0.0, 1.0), a) : vec4(clamp(p.rgb + (1.0 - a) * background, 0.0, 1.0), 1.0);
   }`;
 
 export class Blit {
@@ -28,7 +30,14 @@ export class Blit {
     glslVersion: THREE.GLSL3,
     vertexShader,
     fragmentShader,
-    uniforms: { picture: { value: this.target.texture }, background: { value: new THREE.Vector3() } },
+    uniforms: {
+      picture: { value: this.target.texture },
+      background: { value: new THREE.Vector3() },
+      over: { value: false },
+    },
+    blending: THREE.CustomBlending,
+    blendSrc: THREE.OneFactor,
+    blendDst: THREE.OneMinusSrcAlphaFactor,
     depthTest: false,
     depthWrite: false,
     toneMapped: false,
@@ -42,11 +51,15 @@ export class Blit {
     this.scene.add(quad);
   }
 
-  /** Draw the target onto the canvas. */
-  show(renderer: THREE.WebGLRenderer, background: number[]): void {
+  /** Draw the target onto the canvas, on the background, or over what is drawn there already. */
+  show(renderer: THREE.WebGLRenderer, background: number[], over = false): void {
+    const auto = renderer.autoClear;
+    renderer.autoClear = !over;
+    this.material.uniforms.over.value = over;
     this.material.uniforms.background.value.fromArray(background);
     renderer.setRenderTarget(null);
     renderer.render(this.scene, this.camera);
+    renderer.autoClear = auto;
   }
 }
 

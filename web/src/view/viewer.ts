@@ -64,6 +64,11 @@ export class Viewer {
     return distance === null ? null : add(eye, scale(direction, distance));
   }
 
+  /** How far below `center` against `up` the asset reaches, all but one Gaussian in a hundred; null: there is none. */
+  depthBelow(center: Vec3, up: Vec3): number | null {
+    return this.table?.depthBelow(center, up) ?? null;
+  }
+
   setAntialiased(antialiased: boolean): void {
     this.spark.preBlurAmount = antialiased ? 0 : 0.3;
     this.spark.blurAmount = antialiased ? 0.3 : 0;
@@ -159,7 +164,7 @@ export class Viewer {
     renderer.clear();
     renderer.render(this.scene, this.threeCamera);
     this.blit.show(renderer, view.background);
-    this.grid.draw(renderer, this.threeCamera);
+    if (this.grid.draw(renderer, this.threeCamera)) this.blit.show(renderer, view.background, true); // behind the asset
     this.onDrawn();
   }
 }
