@@ -13,7 +13,7 @@ from splatpainter.cameras import look_at
 from splatpainter.session import Session
 from splatpainter.session.document import MAX_STROKES, Layer
 from splatpainter.splats import rows_sha256
-from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, FlatPainter, dab, flat, load, print_of
+from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, FlatPainter, asset, dab, flat, load, print_of
 
 SIDE = look_at((1.5, 0, -3), (0, 0, 0), (0, -1, 0), width=32, height=32, fov=40)
 
@@ -223,6 +223,10 @@ def test_a_layer_of_strokes_goes_through_a_file(tmp_path: Path) -> None:
     with flat() as other:
         added = other.import_layer(tmp_path / "paint.splatlayer")
         assert print_of(other) == full and len(added.strokes) == 3
+    with flat(replace(asset(), means=asset().means + 50)) as elsewhere:
+        with pytest.raises(ValueError, match="3 of 3 strokes cannot be painted here"):
+            elsewhere.import_layer(tmp_path / "paint.splatlayer")
+        assert elsewhere.layers == ()
 
 
 def test_a_project_whose_strokes_are_gone_is_damaged_in_one_line(path: Path) -> None:
@@ -263,5 +267,48 @@ def test_the_eraser_takes_away_what_its_layer_painted(path: Path) -> None:
         session.set(lower.id, visible=False)
         session.set(lower.id, visible=True)
         assert print_of(session) == again and session.verify(repaint=True) == []
+    with load(path) as session:
+        assert print_of(session) == again and calls(session) == 0
+
+
+def test_results_of_old_strokes_become_one_where_they_take_much_room(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with flat(project=path) as session:
+        layer = painted(session, 12)
+        expected = [print_of(session)]
+        for _ in range(11):
+            session.undo()
+            expected.append(print_of(session))
+    expected.reverse()
+    path.unlink()
+    with flat(project=path) as session:
+        sizes = session._project.result_bytes
+        one = 2500  # bytes of one result or less
+        monkeypatch.setattr("splatpainter.session.strokes.MAX_RESULT_BYTES", 6 * one)
+        monkeypatch.setattr("splatpainter.session.strokes.LATEST_BYTES", 3 * one)
+        monkeypatch.setattr(session._project, "result_bytes", lambda key: one if sizes(key) else 0)
+        layer = session.new_layer("Paint").id
+        for k in range(12):
+            edit = dab((RED, GREEN, BLUE)[k % 3], 10 + 2 * (k % 6), camera=SIDE if k % 2 else CAMERA)
+            session.paint(layer, [edit], name=f"stroke {k}")
+            assert print_of(session) == expected[k]
+        assert calls(session) == 12
+        stored = session._project.rows("SELECT count(*) FROM results")[0][0]
+        assert 5 <= stored <= 8
+    with load(path) as session:
+        assert print_of(session) == expected[11] and calls(session) == 0
+        for k in range(10, 6, -1):
+            session.undo()
+            assert print_of(session) == expected[k]
+        assert calls(session) == 0
+        for k in range(6, -1, -1):
+            session.undo()
+            assert print_of(session) == expected[k]
+        assert calls(session) > 0  # from the pictures
+        session.jump(13)
+        assert print_of(session) == expected[11] and session.verify() == [] and session.verify(repaint=True) == []
+        session.paint(layer, [dab(BLUE, 8)])
+        again = print_of(session)
     with load(path) as session:
         assert print_of(session) == again and calls(session) == 0

@@ -21,7 +21,7 @@ import json
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -47,7 +47,16 @@ from splatpainter.session.layer_state import LayerResult, LayerState, Progress, 
 from splatpainter.session.mask_weights import MaskWeights
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
 from splatpainter.session.selection import Selection
-from splatpainter.session.strokes import Chain, Painted, StrokeChains
+from splatpainter.session.strokes import (
+    MIN_LATEST,
+    Chain,
+    Folding,
+    Painted,
+    StrokeChains,
+    folded,
+    folded_key,
+    strokes_to_fold,
+)
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
@@ -282,12 +291,15 @@ class Replay:
             delta = blend_delta(below.splats, delta, layer.opacity, layer.blend, strength, mask)
             splats, parent_ids = delta.apply(below.splats), np.concatenate([below.parent_ids, delta.parent_ids])
         span = (len(below.splats), len(splats))
+        facts = painted.layer_facts(layer, below)
+        if "problem" in facts and layer.id == strict:
+            raise ValueError(facts["problem"])
         state = LayerState(
             key,
             splats,
             parent_ids,
             (*below.edited, EditedIds(layer, result_key, changed, span)),
-            (*below.facts, (layer.id, painted.layer_facts(layer, below))),
+            (*below.facts, (layer.id, facts)),
             (*below.results, result_key),
             painted.state.painter_state,
         )
@@ -310,6 +322,24 @@ class Replay:
         result = self._renumbered(state, stroke) or self._try(state, stroke)
         self._note_placement(state, stroke, Chain.of(state.key, (stroke,)).results[0])
         return result
+
+    def fold(self, document: Document, layer: str, sizes: Callable[[str], int]) -> Folding | None:
+        """What is to be stored in place of the results of a layer's first strokes; None: nothing. sizes: bytes that a
+        result takes, by its key."""
+        at = document.index(layer)
+        target = document.layers[at]
+        if len(target.strokes) <= MIN_LATEST:
+            return None
+        below = self.compose(replace(document, layers=document.layers[:at]))
+        chain = Chain.of(below.key, target.strokes)
+        count = strokes_to_fold([sizes(key) for key in chain.results])
+        if not count:
+            return None
+        first = replace(target, strokes=target.strokes[:count])
+        painted = self._strokes.compose(below, first, Chain.of(below.key, first.strokes), None, lambda _: None)
+        return Folding(
+            chain.results[:count], folded_key(chain, count), folded(painted, below), next_key=chain.results[count]
+        )
 
     def painted_on(self, document: Document, layer: str) -> Splats:
         """The Gaussians that the next stroke of a layer is painted on."""

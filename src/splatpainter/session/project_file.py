@@ -12,7 +12,7 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -208,6 +208,14 @@ class Project:
             raise ValueError(f"{self.path}: damaged project file (picture {sha256[:12]}... is missing or wrong)")
         return rows[0][0]
 
+    def has_result(self, key: str) -> bool:
+        """Whether a result is stored, damaged or not."""
+        return bool(self.rows("SELECT 1 FROM results WHERE key = ?", key))
+
+    def result_bytes(self, key: str) -> int:
+        """Bytes that a result's delta takes; 0: there is none."""
+        return self.rows("SELECT coalesce(sum(length(bytes)), 0) FROM deltas WHERE result = ?", key)[0][0]
+
     def result(self, key: str) -> LayerResult | None:
         """A stored result; its parts are decoded one at a time. Raises ValueError where it is damaged."""
         optional = (bytes, type(None))
@@ -331,6 +339,17 @@ class Project:
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
             _set_cursor(db, step)
 
+    def fold(self, keys: Sequence[str], key: str, result: LayerResult, next_key: str) -> set[str]:
+        """One result in place of several in a row: it is what `next_key`, which follows them, needs now. Returns the
+        keys of results that are no longer stored."""
+        with self._writing() as db:
+            _store_result(db, key, result, None)
+            db.execute("UPDATE results SET previous = ? WHERE key = ?", (key, next_key))
+            rows = [(old,) for old in keys]
+            db.executemany("DELETE FROM step_results WHERE result = ?", rows)
+            db.executemany("DELETE FROM results WHERE key = ?", rows)
+            return _sweep(db).union(keys)
+
     def add_bookmark(self, name: str, camera: Camera) -> str:
         query = "INSERT INTO bookmarks (name, camera) VALUES (?, ?)"
         with self._mutex:
@@ -390,6 +409,10 @@ class Transaction:
     def blob(self, sha256: str) -> bytes:
         """Bytes of a picture. Raises ValueError: unknown or damaged."""
         return self.blobs.get(sha256) or self.project.blob(sha256)
+
+    def has(self, key: str) -> bool:
+        """Whether there is a result, damaged or not."""
+        return key in self.results or self.project.has_result(key)
 
     def get(self, key: str) -> LayerResult | None:
         """A result, None where there is none that can be read: it is computed again, and `verify` reports damage."""

@@ -495,8 +495,11 @@ class Session(StrokeCommands, Annotations):
             document = self._project.document(steps[cursor].id)
             state = self._replay.compose(document, self.progress)
             self._project.move(steps[cursor].id, state.results, self._transaction)
+            computed = bool(self._transaction.results)
             self._transaction.clear()
             self._publish(state, document)
+            for layer in document.layers if computed else ():
+                self._fold(layer.id)
             return True
 
     # ---- files

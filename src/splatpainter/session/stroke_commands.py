@@ -111,7 +111,17 @@ class StrokeCommands(ABC):
         self._transaction.blobs = blobs
         document = change_layer(document, layer, thumbnail=thumbnail)
         self._commit(f"{name} in {target.name}", document, strict=stroke.id)
+        self._fold(layer)
         return self.layer(layer)
+
+    def _fold(self, layer: str) -> None:
+        """Let the results of a layer's strokes take no more room than they may."""
+        folding = self._replay.fold(self._document, layer, self._transaction.project.result_bytes)
+        self._transaction.clear()
+        if folding is not None:
+            project = self._transaction.project
+            removed = project.fold(folding.keys, folding.key, folding.result, folding.next_key)
+            self._replay.forget(removed)
 
     def first_stroke(self, layer_name: str | None, edits: Sequence[Edit], *, name: str = "Stroke", **how: Any) -> Layer:
         """`new_layer` and `paint` in one step of the history; nothing where the stroke cannot be painted."""

@@ -2,15 +2,16 @@
 
 What a stroke makes of the Gaussians below is a result of its own, stored under the hash of all that it depends on, so a
 further stroke computes itself alone, and undo takes the last one away. Stored results in a row are written into one
-copy of the Gaussians, not one copy each: a layer of hundreds of strokes is there again in less than a second after its
-project was opened. The layer's opacity, blend and conflicts are those of all its strokes together, as of one layer
-(compose.py). Knows no painter and no file.
+copy of the Gaussians, not one copy each: a layer of hundreds of strokes is soon there again after its project was
+opened. Where results take much room, those of all but the latest strokes become one (`strokes_to_fold`); going back
+before these computes strokes anew, from their pictures. The layer's opacity, blend and conflicts are those of all its
+strokes together, as of one layer (compose.py). Knows no painter and no file.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,6 +31,15 @@ CHECKPOINT = 8
 start from there."""
 SPARE_ROOM = 0.25
 """Share of the Gaussians by which arrays grow when appended ones do not fit."""
+
+MAX_RESULT_BYTES = 16 << 20
+"""Bytes that the results of a layer's strokes may take, each by itself; ..."""
+LATEST_BYTES = 8 << 20
+"""... beyond that those of the latest strokes go on to take so many, and all before become one result."""
+MIN_LATEST = 4
+"""Strokes that keep results of their own in any case."""
+PROBLEMS = "problems"
+"""Name of the fact of a folded result: why some of its strokes change nothing."""
 
 Paint = Callable[[LayerState, Layer, LayerState], LayerResult]
 """(the Gaussians below a stroke, the stroke, those below its layer) -> what it makes of them."""
@@ -87,6 +97,18 @@ class Painted:
         return facts
 
 
+@dataclass(frozen=True)
+class Folding:
+    """One result in place of those of the first strokes."""
+
+    keys: tuple[str, ...]
+    """Of the latter."""
+    key: str
+    result: LayerResult
+    next_key: str
+    """Of the result of the stroke after them."""
+
+
 class StrokeChains:
     """Composes layers that hold strokes."""
 
@@ -118,7 +140,7 @@ class StrokeChains:
             state = replace(painted.state, edited=below.edited, facts=below.facts, results=below.results)
             painted = replace(painted, state=state)
         else:
-            painted = Painted(below, np.zeros(0, np.int64))
+            start, painted = self._from_folded(below, chain)
         writer: _Writer | None = None
         for k in range(start, count):
             stroke = layer.strokes[k]
@@ -147,6 +169,25 @@ class StrokeChains:
         self._keep(painted)
         return painted
 
+    def _from_folded(self, below: LayerState, chain: Chain) -> tuple[int, Painted]:
+        """(strokes that one stored result stands for, the Gaussians after them), where the results of all others are
+        stored; else none."""
+        count = len(chain.results)
+        while count and self._store.has(chain.results[count - 1]):
+            count -= 1
+        result = self._store.get(folded_key(chain, count)) if count else None
+        if result is None or result.delta.count != len(below.splats):
+            return 0, Painted(below, np.zeros(0, np.int64))
+        delta = result.delta
+        parent_ids = np.concatenate([below.parent_ids, delta.parent_ids])
+        splats = delta.apply(below.splats)
+        state = replace(below, key=chain.keys[count], splats=splats, parent_ids=parent_ids)
+        if result.painter_state is not None:
+            state = replace(state, painter_state=result.painter_state)
+        facts = {name: value for name, value in result.facts.items() if name != PROBLEMS}
+        problems = tuple(str(problem) for problem in result.facts.get(PROBLEMS, ()))
+        return count, Painted(state, delta.gaussian_ids, facts, problems, (folded_key(chain, count),))
+
     def forget(self, results: set[str]) -> None:
         """Drop states that were made of results which are no longer stored."""
         for key in [key for key, painted in self._cache.items() if results.intersection(painted.results)]:
@@ -158,6 +199,30 @@ class StrokeChains:
         size = max(sum(getattr(painted.state.splats, name).nbytes for name in ATTRIBUTES), 1)
         while len(self._cache) > max(min(CACHED_BYTES // size, MAX_CACHED), 3):
             self._cache.popitem(last=False)
+
+
+def folded_key(chain: Chain, count: int) -> str:
+    """Name of the one result of the first `count` strokes."""
+    return digest(f"{chain.keys[count]} folded")
+
+
+def folded(painted: Painted, below: LayerState) -> LayerResult:
+    """One result of all strokes so far."""
+    facts = {**painted.facts, PROBLEMS: list(painted.problems)}
+    return LayerResult(painted.delta(below), facts, painter_state=painted.state.painter_state)
+
+
+def strokes_to_fold(sizes: Sequence[int]) -> int:
+    """How many of the first strokes are to become one result. sizes: bytes that the result of each takes, 0 where it is
+    part of one already."""
+    if sum(sizes) <= MAX_RESULT_BYTES:
+        return 0
+    total = 0
+    for latest, size in enumerate(reversed(sizes)):
+        total += size
+        if total > LATEST_BYTES and latest >= MIN_LATEST:
+            return len(sizes) - latest
+    return 0
 
 
 def _after(painted: Painted, below: LayerState, result: LayerResult, chain: Chain, count: int) -> Painted:

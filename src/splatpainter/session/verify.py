@@ -21,6 +21,9 @@ class _StoredResults:
     def blob(self, sha256: str) -> bytes:
         return self._project.blob(sha256)
 
+    def has(self, key: str) -> bool:
+        return not self._repaint and self._project.has_result(key)
+
     def get(self, key: str) -> LayerResult | None:
         with contextlib.suppress(ValueError):
             return None if self._repaint else self._project.result(key)
