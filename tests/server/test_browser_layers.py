@@ -329,7 +329,10 @@ def test_masks_hide_and_show_a_layer(opened: tuple[studio_scenes.Live, Page]) ->
     page.settled()
     masked = page.pixels()
     assert red(masked, 0.42) > 0.8 and red(masked, 0.58) < 0.3
-    assert page.state()["layers"][0]["strokes"] == 1 and page.state()["history"][-1]["label"] == "Hide of Paint"
+    assert (
+        page.state()["layers"][0]["strokes"] == 1
+        and page.state()["history"][-1]["label"] == "Hide in the mask of Paint"
+    )
     panel.get_by_label("Brush").select_option("show")
     page.drag((0.56, 0.5), (0.6, 0.5))
     page.wait("it shown again", lambda: red(page.pixels(), 0.58) > 0.8)

@@ -190,7 +190,7 @@ class StrokeCommands(ABC):
             return self.layer(layer)
 
     def paint_mask(
-        self, layer: str, camera: Camera, shows: np.ndarray, share: np.ndarray, *, name: str = "paint the mask"
+        self, layer: str, camera: Camera, shows: np.ndarray, share: np.ndarray, *, name: str = "paint"
     ) -> Layer:
         """Change a layer's mask on one view. shows: [H, W] 0 (nothing of the layer) to 1 (all); share: [H, W] 0..1, how
         far to go there. Raises ValueError: other shapes, nothing to change, too many parts."""
@@ -212,7 +212,7 @@ class StrokeCommands(ABC):
             self._transaction.blobs = {files.sha256(data): data}
             part = MaskPart(camera, files.sha256(data))
             document = change_layer(self._document, layer, mask=replace(mask, parts=(*parts, part), enabled=True))
-            self._commit(f"{name} of {self.layer(layer).name}", document)
+            self._commit(f"{name} in the mask of {self.layer(layer).name}", document)
             return self.layer(layer)
 
 
