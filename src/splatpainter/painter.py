@@ -252,7 +252,7 @@ class Painter:
             _one_size(edits)
             asset = self._encoded(asset)
             clock.lap("encode")
-        views = [_prepare(asset, edit, mode) for edit in edits]
+        views = _whole_pictures([_prepare(asset, edit, mode) for edit in edits], edits)
         clock.lap("prepare")
         lifted = self._lifted(asset, views, mode, chosen)
         clock.lap("lift")
@@ -493,6 +493,21 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
             what = unchanged if edit.mask is None else "the mask is empty"
             raise ValueError(f"edit: nothing to do, {what}")
     return EditView(edit.camera, edit.image, mask, before, depth, alpha, edit.name)
+
+
+def _whole_pictures(views: list[EditView], edits: Sequence[Edit]) -> list[EditView]:
+    """Where one picture without a mask changed throughout, others of the edit that changed at most pixels did too."""
+    from splatpainter.lift.masks import MIN_MEDIAN_CHANGE, median_change
+
+    free = [edit.mask is None and view.alpha is not None for view, edit in zip(views, edits, strict=True)]
+    if not any(view.mask.all() for view, unmasked in zip(views, free, strict=True) if unmasked):
+        return views
+    return [
+        replace(view, mask=np.ones(view.mask.shape, bool))
+        if unmasked and median_change(view.edited, view.before, np.asarray(view.alpha)) > MIN_MEDIAN_CHANGE
+        else view
+        for view, unmasked in zip(views, free, strict=True)
+    ]
 
 
 def _scored(view: EditView) -> np.ndarray:
