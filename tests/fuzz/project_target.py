@@ -42,7 +42,7 @@ SCHEMA = (
     "CREATE TABLE extra (a, b GENERATED ALWAYS AS (a || a))",
     "PRAGMA user_version=0",
     "PRAGMA user_version=1",
-    "PRAGMA user_version=3",
+    "PRAGMA user_version=4",
     "PRAGMA user_version=-1",
     "PRAGMA application_id=1",
     "DELETE FROM facts",

@@ -177,11 +177,22 @@ describe("link", () => {
     const waiting = link.do("redo", {});
     vi.advanceTimersByTime(250);
     last().accept();
-    last().greet("t", false);
+    last().greet("s", false);
     await expect(under).rejects.toMatchObject({ kind: "lost" });
     expect(asked()).toEqual(["hello", "redo"]);
     last().say({ re: waiting.id, ok: true, python: "" });
     await expect(waiting).resolves.toBeTruthy();
+  });
+
+  it("sends nothing that was meant for another project", async () => {
+    const link = connected();
+    last().drop();
+    const waiting = link.do("redo", {});
+    vi.advanceTimersByTime(250);
+    last().accept();
+    last().greet("t", false);
+    await expect(waiting).rejects.toMatchObject({ kind: "lost" });
+    expect(asked()).toEqual(["hello"]);
   });
 
   it("forgets its Gaussians when another asset is opened", () => {
