@@ -6,6 +6,7 @@ import contextlib
 import gc
 import os
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -24,8 +25,12 @@ def pytest_configure() -> None:
     """Bytecode is kept, whatever the environment prefers: without it 16 s go by before the first test, and each of a
     hundred Python processes that tests start compiles its modules anew.
 
+    A shell's background jobs ignore interrupts; tests that interrupt themselves would wait for ever.
+
     Temporary files lie in memory where the system has a disk of it: half of the time of tests that commit to project
     files hundreds of times was the disk's. TMPDIR decides otherwise."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     if "TMPDIR" not in os.environ and MEMORY_DISK.is_dir() and os.access(MEMORY_DISK, os.W_OK):

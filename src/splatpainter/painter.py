@@ -252,7 +252,7 @@ class Painter:
             _one_size(edits)
             asset = self._encoded(asset)
             clock.lap("encode")
-        views = _whole_pictures([_prepare(asset, edit, mode) for edit in edits], edits)
+        views = _changed_together([_prepare(asset, edit, mode) for edit in edits], edits)
         clock.lap("prepare")
         lifted = self._lifted(asset, views, mode, chosen)
         clock.lap("lift")
@@ -495,7 +495,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
     return EditView(edit.camera, edit.image, mask, before, depth, alpha, edit.name)
 
 
-def _whole_pictures(views: list[EditView], edits: Sequence[Edit]) -> list[EditView]:
+def _changed_together(views: list[EditView], edits: Sequence[Edit]) -> list[EditView]:
     """Where one picture without a mask changed throughout, others of the edit that changed at most pixels did too."""
     from splatpainter.lift.masks import MIN_MEDIAN_CHANGE, median_change
 

@@ -10,6 +10,7 @@ import torch
 
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lift.global_edit import lift_global, regressed, seen_change
+from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lighting import prt_transfer
 from splatpainter.models import predictor as module
 from splatpainter.models.config import PRESETS, ModelConfig, PredictConfig
@@ -163,7 +164,7 @@ def test_the_painter_asks_the_models_predictor_for_global_edits_alone() -> None:
     for mode in ("global", "local"):
         made = {}
         for name, painter in {
-            "lift": Painter(),
+            "lift": Painter(local_options=replace(LOCAL_DEFAULTS, resurface=False)),  # as networks know it
             "silent": Painter(model=silent),
             "speaking": Painter(model=speaking),
         }.items():

@@ -96,8 +96,9 @@ def under(splats: Splats, camera: Camera, mask: np.ndarray | None) -> tuple[np.n
     """(rows whose centres are under the mask, their pixels' columns, lines)."""
     turn, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     x, y, z = (splats.means @ turn.T + shift).T
-    u = np.floor(camera.fx * x / z + camera.cx).astype(int)
-    v = np.floor(camera.fy * y / z + camera.cy).astype(int)
+    with np.errstate(all="ignore"):
+        pixels = (np.floor(focal * t / z + c) for focal, t, c in ((camera.fx, x, camera.cx), (camera.fy, y, camera.cy)))
+        u, v = (np.clip(np.nan_to_num(values, nan=-1), -1, 1e6).astype(int) for values in pixels)
     ok = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     ok[ok] = True if mask is None else mask[v[ok], u[ok]]
     rows = np.flatnonzero(ok)

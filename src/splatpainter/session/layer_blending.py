@@ -79,7 +79,8 @@ def blend_delta(
     moved = np.zeros(len(gaussian_ids), bool)
     for name in ("means", "quats", "scales"):
         moved |= (getattr(old, name) != getattr(new, name)).any(1)
-    faded = old.opacities + share[some] * (new.opacities - old.opacities)
+    with np.errstate(over="ignore", invalid="ignore"):  # of Gaussians that cannot be drawn
+        faded = old.opacities + share[some] * (new.opacities - old.opacities)
     if delta.base is not None:
         moved |= new.opacities == 0
     exact = moved | (share[some] == 1)
