@@ -182,6 +182,23 @@ def test_views_cover_the_surface_once_and_novel_views_agree() -> None:
     assert gain > 8
 
 
+def test_where_a_source_fails_on_the_way_what_was_painted_stays() -> None:
+    class Limited(FunctionSource):
+        def edit(self, request, progress, cancel) -> PictureAnswer:
+            answer = super().edit(request, progress, cancel)
+            if len(self.requests) > allowed:
+                raise SourceError("source limited: no calls left today (429)")
+            return answer
+
+    splats, allowed = patterned(800), 1
+    result = edit(splats, Limited(exchanged), views="auto", max_views=3)
+    assert result.receipt is not None and len(result.receipt.views) == 1 and len(result.receipt.touched)
+    assert "stopped before view 2 of" in result.receipt.note and "no calls left" in result.receipt.note
+    allowed = 0
+    with pytest.raises(SourceError, match="no calls left"):
+        edit(splats, Limited(exchanged), views="auto", max_views=3)
+
+
 def test_a_refused_view_is_noted_and_the_others_are_painted() -> None:
     splats = patterned(800)
 

@@ -20,7 +20,7 @@ from splatpainter.receipts import Receipt, changed_rows, untouched_hashes
 from splatpainter.source_edits.coverage import SurfaceView, ViewPlan, plan_views, unreached, worth_asking
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.sources.gatekeeper import RefusedPicture, Strictness
-from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
+from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled, SourceError
 from splatpainter.splats import Splats
 
 BACKGROUND = (0.25, 0.25, 0.25)
@@ -180,8 +180,9 @@ def cover(
     way of the next. Nine views of the still life, of 300 px, its colours exchanged: 23.5 to 28.2 dB from eight other
     views against the asset whose own colours were exchanged; with sheets 19.5 to 25.8.
 
-    A picture that is refused leaves its part as it was, and is noted; if all are, the last one's error is raised. Other
-    errors as of `edit_with_source`."""
+    A picture that is refused leaves its part as it was, and is noted; if all are, the last one's error is raised. Where
+    the source fails later than in the first view (a limit, a lost network), what was paid for is kept: the views before
+    it are painted, and the receipt notes where it stopped. Other errors as of `edit_with_source`."""
     from splatpainter.lift.options import LOCAL_DEFAULTS
     from splatpainter.view_files import normals_of
 
@@ -214,6 +215,11 @@ def cover(
             error = refusal
             journey.refused.append(str(refusal))
             continue
+        except SourceError as failure:
+            if not journey.edits:
+                raise
+            journey.refused.append(f"stopped before view {k + 1} of {count}, the earlier ones are painted: {failure}")
+            break
         painted = painter.apply(journey.asset, [made.edit], "local", method)
         assert painted.receipt is not None
         journey.asset = painted
