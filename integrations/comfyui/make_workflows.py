@@ -37,12 +37,12 @@ class Graph:
             takes, gives, values = CORE[kind]
         else:
             node = next(node for node in NODES if node.id == kind)
-            shown = {
+            widget_slots = {
                 slot.id: slot for slot in node.inputs if slot.type in WIDGETS and not slot.options.get("force_input")
             }
-            takes = {slot.id: slot.type for slot in node.inputs if slot.id not in shown}
+            takes = {slot.id: slot.type for slot in node.inputs if slot.id not in widget_slots}
             gives = {slot.id: slot.type for slot in node.outputs}
-            values = [widgets.get(name, slot.options.get("default")) for name, slot in shown.items()]
+            values = [widgets.get(name, slot.options.get("default")) for name, slot in widget_slots.items()]
         entry: dict[str, Any] = {
             "id": number,
             "type": kind,

@@ -68,8 +68,8 @@ def global_look(splat: Any, image: torch.Tensor, camera_info: dict, **more: Any)
         picture = picture_of(tensor, name)
         camera = camera_of(info, picture.shape[1], picture.shape[0])
         if before is not None:  # of another renderer: what was changed is carried over
-            shown, _ = displayed(splats, camera)
-            picture = np.clip(shown + picture - _of_size(before, picture, "before"), 0, 1)
+            displayed_image, _ = displayed(splats, camera)
+            picture = np.clip(displayed_image + picture - _of_size(before, picture, "before"), 0, 1)
         edits.append(Edit(from_display(picture, splats.color_space), camera, name=name))
     return _painted(Painter.load(modes=["global"]), splat, splats, edits, "global")
 
@@ -167,8 +167,8 @@ def _edit(
 ) -> Edit:
     """The picture as an edit: registered, corrected and cut to what changed, unless the gatekeeper is off; changes
     against `before` (a picture of another renderer) are carried over to the renderer of edits."""
-    shown, alpha = displayed(splats, camera)
-    base = shown if before is None else _of_size(before, picture, "before")
+    displayed_image, alpha = displayed(splats, camera)
+    base = displayed_image if before is None else _of_size(before, picture, "before")
     soft = None if mask is None else mask_of(mask, camera.width, camera.height)
     if gatekeeper == "off":
         changed = None if soft is None else soft > 0.5
@@ -188,7 +188,7 @@ def _edit(
             weight = admitted.weight
         else:
             weight = np.ones_like(weight)
-    mixed = shown + weight[..., None] * (edited - shown)
+    mixed = displayed_image + weight[..., None] * (edited - displayed_image)
     return Edit(from_display(np.clip(mixed, 0, 1), splats.color_space), camera, changed, "image")
 
 

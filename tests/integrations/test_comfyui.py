@@ -301,10 +301,10 @@ def test_a_workflow_opens(pack: types.ModuleType, path: Path) -> None:
             continue
         inputs = classes[node["type"]].INPUT_TYPES()
         linked = {slot["name"] for slot in node["inputs"] if slot["link"] is not None}
-        shown = {slot["name"] for slot in node["inputs"]}
+        visible = {slot["name"] for slot in node["inputs"]}
         merged = {**inputs["required"], **inputs["optional"]}
-        assert set(inputs["required"]) & shown <= linked
-        widgets = [name for name in merged if name not in shown]
+        assert set(inputs["required"]) & visible <= linked
+        widgets = [name for name in merged if name not in visible]
         assert len(node["widgets_values"]) == len(widgets)
         for name, value in zip(widgets, node["widgets_values"], strict=True):
             kind, options = merged[name]

@@ -18,7 +18,7 @@ from splatpainter.cameras import Camera
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from tests.support import studio_scenes
-from tests.support.studio_pages import FLAGS, STATIC, WEB, Page, browsing, chromium
+from tests.support.studio_pages import FLAGS, STATIC, WEB, Page, chromium, opened_page
 
 SOURCES = (
     "index.html",
@@ -51,12 +51,6 @@ def test_the_bundle_is_small_and_alone() -> None:
     assert sum(len(gzip.compress(path.read_bytes(), mtime=0)) for path in STATIC.iterdir()) <= 2_500_000
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with browsing() as one:
-        yield one
-
-
 @pytest.fixture
 def gpu_browser(browser: Any) -> Iterator[Any]:
     """One that puts the page together as for users, beside the other: Playwright's loop runs once per process."""
@@ -68,14 +62,9 @@ def gpu_browser(browser: Any) -> Iterator[Any]:
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
     """A studio with the ball, and its page."""
-    with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
-        page = Page(browser, live.url)
-        try:
-            yield live, page
-            assert page.problems == []
-            assert all(url.startswith((live.url, "blob:", "data:")) for url in page.requests)
-        finally:
-            page.tab.close()
+    with opened_page(browser, tmp_path) as (live, page):
+        yield live, page
+        assert all(url.startswith((live.url, "blob:", "data:")) for url in page.requests)
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
@@ -144,18 +133,18 @@ def test_limits_are_shown_while_painting_and_go_with_the_layer(opened: tuple[stu
         field = page.tab.get_by_role("textbox", name=f"{name}, number")
         field.fill(value)
         field.press("Enter")
-    shown = page.tab.locator(".left-out")
-    assert shown.count() == 0
+    hatch = page.tab.locator(".left-out")
+    assert hatch.count() == 0
     page.tab.get_by_label("Show what will not be painted").check()
-    page.wait("the hatch", shown.count)
-    assert "/api/blobs/" in shown.evaluate("element => getComputedStyle(element).maskImage")
+    page.wait("the hatch", hatch.count)
+    assert "/api/blobs/" in hatch.evaluate("element => getComputedStyle(element).maskImage")
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", page.names)
     page.settled()
     (stroke,) = live.studio.session.layers[-1].strokes
     assert stroke.parameters == {"angle_limit": 40.0, "depth_edge_limit": 3.0}
     page.tab.keyboard.press("e")  # the eraser has no limits
-    page.wait("no hatch", lambda: shown.count() == 0)
+    page.wait("no hatch", lambda: hatch.count() == 0)
 
 
 def test_a_selection_limits_the_stroke(opened: tuple[studio_scenes.Live, Page]) -> None:

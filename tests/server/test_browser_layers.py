@@ -14,25 +14,14 @@ import pytest
 from PIL import Image
 
 from tests.support import studio_scenes
-from tests.support.studio_pages import Page, browsing
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with browsing() as one:
-        yield one
+from tests.support.studio_pages import Page, opened_page
 
 
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
     """A studio with the ball, and its page."""
-    with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
-        page = Page(browser, live.url)
-        try:
-            yield live, page
-            assert page.problems == []
-        finally:
-            page.tab.close()
+    with opened_page(browser, tmp_path) as both:
+        yield both
 
 
 def test_every_painting_tool_paints(opened: tuple[studio_scenes.Live, Page]) -> None:

@@ -10,26 +10,14 @@ import numpy as np
 import pytest
 
 from tests.support import studio_scenes
-from tests.support.studio_pages import WEB, Page, browsing
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with browsing() as one:
-        yield one
+from tests.support.studio_pages import WEB, Page, opened_page
 
 
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
     """A studio with the ball, and its page, on which nothing glides."""
-    with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
-        page = Page(browser, live.url)
-        page.tab.emulate_media(reduced_motion="reduce")
-        try:
-            yield live, page
-            assert page.problems == []
-        finally:
-            page.tab.close()
+    with opened_page(browser, tmp_path, still=True) as both:
+        yield both
 
 
 def count(page: Page) -> int:
@@ -53,10 +41,10 @@ def outline(page: Page) -> np.ndarray:
     """[H, W] bool: where the overlay is tinted."""
     width, height, data = page.ask(
         """() => {
-          const shown = document.querySelector(".cursor-overlay");
-          const canvas = new OffscreenCanvas(shown.width, shown.height);
+          const overlay = document.querySelector(".cursor-overlay");
+          const canvas = new OffscreenCanvas(overlay.width, overlay.height);
           const context = canvas.getContext("2d", { willReadFrequently: true });
-          context.drawImage(shown, 0, 0);
+          context.drawImage(overlay, 0, 0);
           const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
           const blue = [];
           for (let k = 0; k < data.length; k += 4) blue.push(data[k + 3] > 30 && data[k + 2] > data[k] + 60 ? 1 : 0);

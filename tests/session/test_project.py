@@ -323,8 +323,8 @@ def test_verify_finds_changed_bytes(path):
             assert session.verify() == []
         with load(copy) as session:
             session._project._db.execute(statement)
-            found = session.verify()
-            assert len(found) >= 1 and any(said.split(" ")[0] in line for line in found)
+            problems = session.verify()
+            assert len(problems) >= 1 and any(said.split(" ")[0] in line for line in problems)
 
 
 def test_version_1_is_brought_up(path):
@@ -400,8 +400,8 @@ def test_export_proves_what_it_wrote(tmp_path, path):
     with flat(ply, path) as session:
         session.add("paint", [dab()])
         for name in ("out.ply", "out.spz"):
-            receipt, found = session.export(tmp_path / name)
-            assert found.ok and receipt.asset_sha256 == sp.read(ply).sha256
+            receipt, verification = session.export(tmp_path / name)
+            assert verification.ok and receipt.asset_sha256 == sp.read(ply).sha256
             stored = sp.Receipt.from_json((tmp_path / f"{name}.receipt.json").read_text())
             assert stored.output_sha256 == sp.read(tmp_path / name).sha256 and stored.mode == "session"
         assert sp.verify(
@@ -485,8 +485,8 @@ def test_an_export_of_rows_that_cannot_be_drawn_proves_itself_in_another_format(
     sp.write(tmp_path / "vase.ply", splats)
     with Session(tmp_path / "vase.ply", painter=Painter()) as session:
         session.add("paint", [dab(RED)], method="lift")
-        receipt, found = session.export(tmp_path / f"painted{ending}")
-    assert found.ok and receipt.appended_rows == found.appended > 0
+        receipt, verification = session.export(tmp_path / f"painted{ending}")
+    assert verification.ok and receipt.appended_rows == verification.appended > 0
     back = sp.read(tmp_path / f"painted{ending}")
     assert back.drawable.all() and not back.opacities[3:8].any()
     if ending == ".glb":  # a row that stays hidden stays where it was, and widens no bounds

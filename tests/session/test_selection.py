@@ -51,11 +51,11 @@ def test_the_nearest_point_is_that_of_all_pairs() -> None:
     points, queries = rng.normal(size=(400, 3)), rng.normal(size=(300, 3))
     queries[0] = 1e12  # far outside of every cube
     distance = np.linalg.norm(points[None] - queries[:, None], axis=2)
-    near, found = nearest_within(points, queries, 0.4)
+    near, nearest_distance = nearest_within(points, queries, 0.4)
     within = distance.min(1) <= 0.4
     assert 50 < within.sum() < 300
     assert np.array_equal(near[within], distance.argmin(1)[within]) and (near[~within] == -1).all()
-    assert np.allclose(found[within], distance.min(1)[within]) and np.isinf(found[~within]).all()
+    assert np.allclose(nearest_distance[within], distance.min(1)[within]) and np.isinf(nearest_distance[~within]).all()
 
 
 def test_components_hang_together_over_neighbouring_cubes() -> None:
@@ -183,8 +183,8 @@ def test_a_selection_outlives_layers_and_travels_as_a_picture(tmp_path: Path) ->
     with Session(ball(2000), tmp_path / "a.splatproj") as session:
         before = session.splats
         weights = in_mask(before, view(), left_half())
-        kept = Selection.of(weights, before, session.original)
-        assert np.abs(kept.on(before, session.original) - weights).max() <= 0.5 / 255
+        selection = Selection.of(weights, before, session.original)
+        assert np.abs(selection.on(before, session.original) - weights).max() <= 0.5 / 255
         image = render(before, view()).colors[0].copy()
         mask = np.zeros((96, 96), bool)
         mask[40:56, 24:72] = True
@@ -192,16 +192,16 @@ def test_a_selection_outlives_layers_and_travels_as_a_picture(tmp_path: Path) ->
         session.add("paint", [Edit(image, view(), mask)])
         after = session.splats
         assert len(after) > len(before)
-        now = kept.on(after, session.original)
+        now = selection.on(after, session.original)
         seen = view_of(after, now, view())
         assert seen[44:52, 28:40].mean() > 0.9 and seen[44:52, 58:68].mean() < 0.1  # the paint takes part
         session.undo()
-        assert np.array_equal(kept.on(session.splats, session.original), kept.on(before, session.original))
+        assert np.array_equal(selection.on(session.splats, session.original), selection.on(before, session.original))
         painted = Selection.of(now, after, session.original)
         again = Selection.from_png(painted.to_png(), 2000)
         assert all(np.array_equal(getattr(painted, k), getattr(again, k)) for k in vars(painted))
         assert np.abs(again.on(after, session.original) - now).max() <= 1 / 255
-        for data in (b"", painted.to_png()[:-40], kept.to_png().replace(b"IDAT", b"IDAX")):
+        for data in (b"", painted.to_png()[:-40], selection.to_png().replace(b"IDAT", b"IDAX")):
             with pytest.raises(ValueError, match="expected the selection of 2000"):
                 Selection.from_png(data, 2000)
         with pytest.raises(ValueError, match="expected the selection of 1999"):

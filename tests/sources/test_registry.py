@@ -57,9 +57,9 @@ class Painted:
         return PictureAnswer(np.full((4, 4, 3), 0.5, np.float32)) if self.answer is None else self.answer
 
 
-def edit(source: CheckedSource, asked: PictureRequest) -> PictureAnswer:
+def edit(source: CheckedSource, query: PictureRequest) -> PictureAnswer:
     progress = Progressed()
-    return source.edit(asked, progress, progress.cancel)
+    return source.edit(query, progress, progress.cancel)
 
 
 def test_options_from_words_the_environment_and_defaults(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support import studio_scenes
+
 FLAGS = (
     "--no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update "
     "--disable-sync --use-angle=swiftshader --enable-unsafe-swiftshader"
@@ -171,3 +173,17 @@ class Page:
     def drop(self, name: str, data: bytes, kind: str) -> None:
         """Drop a file on the window."""
         self.ask(DROP, [name, base64.b64encode(data).decode(), kind])
+
+
+@contextlib.contextmanager
+def opened_page(browser: Any, folder: Path, *, still: bool = False) -> Iterator[tuple[studio_scenes.Live, Page]]:
+    """A studio with the ball, and its page, which must not complain. still: nothing in it glides."""
+    with studio_scenes.live(studio_scenes.make_studio(folder)) as live:
+        page = Page(browser, live.url)
+        if still:
+            page.tab.emulate_media(reduced_motion="reduce")
+        try:
+            yield live, page
+            assert page.problems == []
+        finally:
+            page.tab.close()

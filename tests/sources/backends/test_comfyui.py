@@ -124,13 +124,13 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[FakeService, FakeC
 def edit(
     service: FakeService,
     workflow: Path,
-    wanted: PictureRequest | None = None,
+    query: PictureRequest | None = None,
     progress: Progressed | None = None,
     **options: str,
 ) -> PictureAnswer:
     progress = progress or Progressed()
     source = open_source("comfyui", {"url": service.url, "workflow": str(workflow), **options})
-    return source.edit(wanted or request("rust", True, 7, maps=True), progress, progress.cancel)
+    return source.edit(query or request("rust", True, 7, maps=True), progress, progress.cancel)
 
 
 def test_there_and_back(server: tuple[FakeService, FakeComfyUI], workflow: Path) -> None:
@@ -214,9 +214,9 @@ def test_it_takes_what_its_workflow_has(server: tuple[FakeService, FakeComfyUI],
     service, comfy = server
     little = {number: graph()[number] for number in ("1", "7")}
     workflow.write_text(json.dumps({"prompt": little}), encoding="utf-8")
-    for wanted in (request("rust"), request(mask=True), request(seed=1)):
+    for query in (request("rust"), request(mask=True), request(seed=1)):
         with pytest.raises(SourceError, match="does not take a"):
-            edit(service, workflow, wanted)
+            edit(service, workflow, query)
     assert edit(service, workflow, request()).image.shape == (48, 64, 3)
     assert list(comfy.uploads) and pixels(next(iter(comfy.uploads.values()))).shape == (HEIGHT, WIDTH, 3)
 

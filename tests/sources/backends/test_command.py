@@ -28,10 +28,10 @@ Image.new("RGBA", (64, 48), (255, 0, 0, 128)).save(out)
 """
 
 
-def run(template: str, asked: PictureRequest | None = None, progress: Progressed | None = None, **options: str):
+def run(template: str, query: PictureRequest | None = None, progress: Progressed | None = None, **options: str):
     progress = progress or Progressed()
     source = open_source("command", {"run": f'"{sys.executable}" {template}', **options})
-    return source.edit(asked or request(), progress, progress.cancel)
+    return source.edit(query or request(), progress, progress.cancel)
 
 
 def test_a_picture_there_and_back(tmp_path: Path) -> None:

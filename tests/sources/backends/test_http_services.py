@@ -53,16 +53,16 @@ def drawn(data: bytes, **more: object) -> Reply:
     return Reply({"candidates": [{"content": {"parts": parts}, "finishReason": "STOP"}], **more})
 
 
-def gemini(service: FakeService, wanted: PictureRequest | None = None, **options: str) -> PictureAnswer:
+def gemini(service: FakeService, query: PictureRequest | None = None, **options: str) -> PictureAnswer:
     progress = options.pop("progress", None) or Progressed()
     source = open_source("gemini", {"base_url": f"{service.url}/v1beta", **options})
-    return source.edit(wanted or request("rust"), progress, progress.cancel)  # type: ignore[union-attr]
+    return source.edit(query or request("rust"), progress, progress.cancel)  # type: ignore[union-attr]
 
 
-def openai(service: FakeService, wanted: PictureRequest | None = None, **options: str) -> PictureAnswer:
+def openai(service: FakeService, query: PictureRequest | None = None, **options: str) -> PictureAnswer:
     progress = Progressed()
     source = open_source("openai", {"base_url": f"{service.url}/v1", **options})
-    return source.edit(wanted or request("rust"), progress, progress.cancel)
+    return source.edit(query or request("rust"), progress, progress.cancel)
 
 
 def test_gemini_there_and_back(service: FakeService) -> None:

@@ -23,10 +23,10 @@ from splatpainter.sources.registry import open_source
 from tests.support.picture_requests import HEIGHT, WIDTH, Progressed, request
 
 
-def edit(name: str, wanted: PictureRequest, progress: Progressed | None = None, **options: object) -> PictureAnswer:
+def edit(name: str, query: PictureRequest, progress: Progressed | None = None, **options: object) -> PictureAnswer:
     progress = progress or Progressed()
     source = open_source(name, {key: str(value) for key, value in options.items()})
-    return source.edit(wanted, progress, progress.cancel)
+    return source.edit(query, progress, progress.cancel)
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **contents: Any) -> None:
@@ -120,9 +120,9 @@ def test_a_model_by_tiles(model_file: Path, monkeypatch: pytest.MonkeyPatch, sca
     descriptor = Descriptor(model_scale)
     loaded = spandrel(monkeypatch, descriptor)
     random = np.random.default_rng(0).random((70, 100, 3)).astype(np.float32)
-    wanted = replace(request(scale=scale), image=random, alpha=np.ones((70, 100), np.float32))
+    query = replace(request(scale=scale), image=random, alpha=np.ones((70, 100), np.float32))
     progress = Progressed()
-    answer = edit("upscale", wanted, progress, model=model_file, tile=32, overlap=4)
+    answer = edit("upscale", query, progress, model=model_file, tile=32, overlap=4)
     assert answer.image.shape == (70 * scale, 100 * scale, 3) and answer.model == "model.safetensors (ESRGAN)"
     if scale >= model_scale and model_scale > 1:
         np.testing.assert_allclose(answer.image, random.repeat(scale, 0).repeat(scale, 1), atol=1e-5)

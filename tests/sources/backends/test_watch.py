@@ -81,9 +81,9 @@ class Person(Progressed):
             self.actions.pop(0)()
 
 
-def edit(folder: Path, person: Progressed, wanted: PictureRequest | None = None, **options: str) -> PictureAnswer:
+def edit(folder: Path, person: Progressed, query: PictureRequest | None = None, **options: str) -> PictureAnswer:
     source = open_source("watch", {"folder": str(folder), "timeout": "20", **options})
-    return source.edit(wanted or request(), person, person.cancel)
+    return source.edit(query or request(), person, person.cancel)
 
 
 def test_a_view_there_and_a_picture_back(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ const REST_MS = 120;
 /** What was sent and has no answer yet: strokes wait for it. */
 let sending: Promise<unknown> = Promise.resolve();
 let waiting = 0;
-let asked = 0;
+let newestRequest = 0;
 
 /** Resolves when the server knows the selection that is seen here. */
 export const selectionSent = (): Promise<void> => sending.then(() => {});
@@ -44,7 +44,7 @@ export function selectArea(mask: Mask, how: Combine, through: boolean): void {
   if (isEmpty(mask) && how !== "replace") return;
   if (isEmpty(next)) return void changeSelection("none");
   selection.value = next;
-  asked++; // what was fetched before is out of date
+  newestRequest++; // what was fetched before is out of date
   void sent(async () => {
     const blob = await sendBlob(await maskPng(mask), "selection.png");
     await run("selection.area", { camera: now, mask: blob, how, through }, "Selecting");
@@ -77,13 +77,13 @@ export function sent<T>(work: () => Promise<T>): Promise<T> {
 
 /** Fetch what is selected of the present view. */
 async function refresh(): Promise<void> {
-  const [now, number] = [camera.value, ++asked];
+  const [now, number] = [camera.value, ++newestRequest];
   if (!now || !state.value) return;
   if (selectedCount.value === 0) return void (selection.value = null);
   try {
     const answer = await link.do("selection.view", { camera: now });
     const mask = answer.mask && (await pixelsOf(blobUrl(answer.mask), now.width, now.height));
-    if (number !== asked || camera.value !== now) return;
+    if (number !== newestRequest || camera.value !== now) return;
     if (!mask) return void (selection.value = null);
     const data = new Float32Array(now.width * now.height);
     for (let k = 0; k < data.length; k++) data[k] = mask.data[k * 4] / 255;
@@ -106,7 +106,7 @@ function look(): void {
   seen = { camera: now, revision, session: present.session };
   if (!moved && !changed) return;
   if (present.selection.gaussians === 0) {
-    asked++;
+    newestRequest++;
     selection.value = null;
     return;
   }

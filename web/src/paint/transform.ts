@@ -38,8 +38,8 @@ export async function transformLayer(): Promise<void> {
       pixels.data[to + 3] = cover[from];
     }
   image.getContext("2d")!.putImageData(pixels, 0, 0);
-  const shown = camera.value!;
-  const scale = shown.height / height;
+  const view = camera.value!;
+  const scale = view.height / height;
   const gesture = `transform ${layer.id} ${Date.now()}`;
   tool.value = "stamp";
   if (layer.visible) await run("layer.set", { layer: layer.id, visible: false, gesture }, layer.name);
@@ -48,8 +48,8 @@ export async function transformLayer(): Promise<void> {
     kind: "stamp",
     image,
     name: layer.name,
-    x: shown.width / 2 + (box.x + box.width / 2 - width / 2) * scale,
-    y: shown.height / 2 + (box.y + box.height / 2 - height / 2) * scale,
+    x: view.width / 2 + (box.x + box.width / 2 - width / 2) * scale,
+    y: view.height / 2 + (box.y + box.height / 2 - height / 2) * scale,
     scale,
     angle: 0,
   };

@@ -180,9 +180,9 @@ function adopt(next: State): void {
   if (before && before.session !== next.session) {
     const same = before.project.id !== "" && before.project.id === next.project.id;
     const { id, name, file } = before.project;
-    const asked = opening > 0 || (swapped.value !== null && swapped.value.id === next.project.id);
+    const expected = opening > 0 || (swapped.value !== null && swapped.value.id === next.project.id);
     const nothingDone = before.history.length < 2;
-    if (same || asked || nothingDone) swapped.value = null;
+    if (same || expected || nothingDone) swapped.value = null;
     else swapped.value = { id, name: file ?? before.asset.name ?? name, file, layers: before.layers.length };
   }
   const chosen = selectedLayer.value;

@@ -59,14 +59,14 @@ function Section({ group }: { group: Group }) {
 
 function Row({ id, label }: { id: CommandId; label: string }) {
   const keys = keysIn(changed.value, id);
-  const asked = asking.value?.id === id ? asking.value : null;
-  const clash = asked?.chord ? conflict(changed.value, id, asked.chord) : null;
+  const capture = asking.value?.id === id ? asking.value : null;
+  const clash = capture?.chord ? conflict(changed.value, id, capture.chord) : null;
   const accept = (chord: string) => {
     change(withKey(changed.value, id, chord));
     asking.value = null;
   };
   const onKeyDown = (event: KeyboardEvent) => {
-    if (!asked) return;
+    if (!capture) return;
     event.preventDefault();
     event.stopPropagation();
     const chord = chordOf(event);
@@ -81,13 +81,13 @@ function Row({ id, label }: { id: CommandId; label: string }) {
         <button
           type="button"
           class="keys"
-          aria-label={`${asked ? "Press a key" : keys.map(spoken).join(" ") || "none"}: ${label}. Change the key`}
-          aria-pressed={asked !== null}
-          onClick={() => (asking.value = asked ? null : { id, chord: "" })}
+          aria-label={`${capture ? "Press a key" : keys.map(spoken).join(" ") || "none"}: ${label}. Change the key`}
+          aria-pressed={capture !== null}
+          onClick={() => (asking.value = capture ? null : { id, chord: "" })}
           onKeyDown={onKeyDown}
-          onBlur={() => !clash && asked && (asking.value = null)}
+          onBlur={() => !clash && capture && (asking.value = null)}
         >
-          {asked ? (
+          {capture ? (
             <em>Press a key</em>
           ) : keys.length ? (
             keys.flatMap((key) => [<kbd key={key}>{spoken(key)}</kbd>, " "])
@@ -102,12 +102,12 @@ function Row({ id, label }: { id: CommandId; label: string }) {
           <span class="clash" role="alert">
             {clash.text}
             {clash.takes && (
-              <Button label={`Use it for ${label}`} text="Use it here" onClick={() => accept(asked!.chord)} />
+              <Button label={`Use it for ${label}`} text="Use it here" onClick={() => accept(capture!.chord)} />
             )}
             <Button label="Leave it" icon="close" onClick={() => (asking.value = null)} />
           </span>
         )}
-        {asked && !clash && (
+        {capture && !clash && (
           <span class="clash">
             {keys.length > 0 && (
               <Button
