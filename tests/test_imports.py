@@ -37,6 +37,7 @@ ORDER = (
     ("painter", "comparison", "receipts"),
     ("sources",),
     ("view_files",),
+    ("video",),
     ("source_edits",),
     ("session",),
     ("grading",),

@@ -2,7 +2,13 @@ import { defineConfig } from "vitest/config";
 
 import { record } from "./scripts/record.ts";
 
-/** One script, one style sheet, no maps, names without hashes: the bundle is committed and must not move by itself. */
+/** What draws Gaussians: the studio and the page of its own (src/page) share it, so that it is in the bundle once. */
+const ENGINE = /node_modules[\\/](three|@sparkjsdev|fflate)[\\/]|src[\\/](view|splats)[\\/]/;
+
+/**
+ * The studio's script and style sheet, the script of the page of its own, and what both share; no maps, names without hashes:
+ * the bundle is committed and must not move by itself.
+ */
 export default defineConfig({
   base: "/",
   plugins: [record()],
@@ -15,11 +21,13 @@ export default defineConfig({
     reportCompressedSize: false,
     chunkSizeWarningLimit: 5000,
     rollupOptions: {
+      input: { studio: "index.html", viewer: "src/page/main.ts" },
+      preserveEntrySignatures: "strict",
       output: {
-        entryFileNames: "studio.js",
+        entryFileNames: "[name].js",
         chunkFileNames: "[name].js",
         assetFileNames: "studio[extname]",
-        codeSplitting: false,
+        codeSplitting: { groups: [{ name: "engine", test: ENGINE }] },
       },
     },
   },

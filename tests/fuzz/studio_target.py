@@ -403,6 +403,8 @@ def tamed(fields: dict[str, Any]) -> dict[str, Any]:
     for key in ("frames", "size", "width"):
         if type(fields.get(key)) is int and fields[key] > SMALL and key != "width":
             fields[key] = 4
+    if type(fields.get("seconds")) in (int, float) and fields["seconds"] > 1:
+        fields["seconds"] = 0.2
     return fields
 
 

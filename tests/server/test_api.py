@@ -19,6 +19,7 @@ from splatpainter.server.commands import COMMANDS
 from splatpainter.server.image_registration import png_bytes
 from splatpainter.session import Session
 from splatpainter.splats import rows_sha256
+from splatpainter.video.mp4 import avif_samples
 from tests.support.studio_scenes import Live, ball, dab, live, live_with_folder, make_studio, view, wire
 
 
@@ -192,9 +193,16 @@ def test_views_and_picking(studio: Live) -> None:
     huge = {**wire(camera), "width": 10_000, "height": 10_000}
     assert "megapixels" in studio.http.post("/api/do/view.render", json={"camera": huge}).json()["error"]["message"]
     turn = studio.post("turntable", camera=wire(view(48)), frames=5)
-    assert studio.post("turntable", camera=wire(view(48)), frames=2, fps=1e-38)["picture"]
-    animation = Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{turn['picture']}").content))
+    data = studio.http.get(turn["url"]).content
+    assert (turn["file"], turn["bytes"]) == ("turntable.webp", len(data))
+    animation = Image.open(io.BytesIO(data))
     assert animation.n_frames == 5 and animation.size == (48, 48)  # type: ignore[attr-defined]
+    film = studio.post("turntable", camera=wire(view(48)), format="mp4", seconds=0.2, fps=20, size=71, name="film")
+    data = studio.http.get(film["url"]).content
+    samples = avif_samples(data)
+    assert (film["file"], len(samples.frames), samples.width) == ("film.mp4", 4, 70)
+    slow = studio.http.post("/api/do/turntable", json={"camera": wire(view(48)), "frames": 2, "fps": 1e-38})
+    assert slow.status_code == 400 and "from 0.05 to 600" in slow.json()["error"]["message"]
     first = np.asarray(animation.convert("RGB")) / 255
     assert np.abs(first - np.clip(render(studio.studio.session.splats, view(48)).colors[0], 0, 1)).mean() < 0.02
 

@@ -15,6 +15,7 @@ SUMMARIES = {
     "info": "what a splat file holds, and what is odd about it",
     "convert": "from one splat format to another",
     "render": "pictures of an asset that carry their camera",
+    "turntable": "a film of a turn around an asset: MP4 or animated WebP",
     "compare": "pictures of two assets side by side, their difference, dB per view",
     "edit": "write edited pictures of an asset onto the asset",
     "refine": "sharper where views are looked at closely: enlarged by a model, lifted together",

@@ -8,23 +8,29 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from splatpainter.cameras import AUTO_UP, UPS, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
 from splatpainter.commands.option_parsing import AssetFile, FrameOption
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
-from splatpainter.io import FORMATS, frame_is_news, frame_line, frame_of_target, read, write
+from splatpainter.io import FORMATS, files, frame_is_news, frame_line, frame_of_target, read, write
 from splatpainter.splats import Splats
+
+HTML = ".html"
+PAGE_BACKGROUND = (0.16, 0.17, 0.18)
 
 
 @dataclass(frozen=True)
 class Config:
     """Convert a splat file; the name of OUT says the format, rows keep their order.
 
-    Formats: .ply, .compressed.ply, .splat, .spz, .sog, FOLDER/meta.json (SOG), .glb; .ksplat can only be read.
+    Formats: .ply, .compressed.ply, .splat, .spz, .sog, FOLDER/meta.json (SOG), .glb; .ksplat can only be read. OUT.html
+    is a page that shows the asset by itself, from disk and without any request.
 
     example:
       splatpainter convert vase.ply vase.sog
+      splatpainter convert vase.ply vase.html
       splatpainter convert vase.ply vase.spz --out-frame rdf    # for viewers that do not turn SPZ files
     """
 
@@ -46,6 +52,8 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Read, write, and read again to see what arrived."""
+    if config.out.suffix.lower() == HTML:
+        return _page(config)
     entry = splat_format(config.out)
     check_target(config.out, config.overwrite, [config.asset])
     with stages(3) as bar:
@@ -84,6 +92,28 @@ def run(config: Config) -> Outcome:
         *(f"lost: {line}" for line in record["lost"] or ["nothing"]),
     ]
     return Outcome(record, lines)
+
+
+def _page(config: Config) -> Outcome:
+    """A page that shows the asset; nothing can be read back from it."""
+    from splatpainter.server.html_viewer import html_viewer
+
+    if config.out_frame != "auto":
+        raise ValueError(f"{config.out}: a page has no axes of its own; leave out --out-frame")
+    check_target(config.out, config.overwrite, [config.asset])
+    with stages(2) as bar:
+        bar.enter("reading")
+        splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+        bar.enter("writing")
+        (camera,) = orbit_cameras(splats, 1, size=800, background=PAGE_BACKGROUND)
+        data = html_viewer(splats, camera, UPS[AUTO_UP], config.asset.name)
+        with files.writing(config.out) as file:
+            file.write(data)
+    record = {
+        "input": {"file": config.asset, "bytes": file_size(config.asset), "rows": len(splats)},
+        "output": {"file": config.out, "format": "html", "bytes": len(data), "rows": len(splats)},
+    }
+    return Outcome(record, [f"{config.asset} -> {config.out}", f"{count(len(splats), 'row')}; {size(len(data))}"])
 
 
 def losses(before: Splats, after: Splats) -> list[str]:

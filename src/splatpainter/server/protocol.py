@@ -70,11 +70,11 @@ class CameraInfo(Message):
     def of(camera: Camera) -> CameraInfo:
         return CameraInfo.model_validate_json(camera.to_json())
 
-    def to_camera(self) -> Camera:
-        """Raises ValueError: not rigid, not finite, or more than MAX_VIEW_PIXELS."""
-        if self.width * self.height > MAX_VIEW_PIXELS:
-            limit, size = MAX_VIEW_PIXELS / 1e6, f"{self.width}x{self.height}"
-            raise ValueError(f"camera: expected at most {limit:g} megapixels, got {size}; zoom out")
+    def to_camera(self, most_pixels: int = MAX_VIEW_PIXELS) -> Camera:
+        """Raises ValueError: not rigid, not finite, or more than `most_pixels`."""
+        if self.width * self.height > most_pixels:
+            limit, size = most_pixels / 1e6, f"{self.width}x{self.height}"
+            raise ValueError(f"camera: expected at most {limit:.3g} megapixels, got {size}; zoom out")
         return Camera.from_json(self.model_dump_json(), "camera")
 
 

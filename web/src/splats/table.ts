@@ -62,7 +62,8 @@ export class SplatTable {
     }
     this.count = total;
     this.splats.numSplats = total;
-    if (last >= 0) this.upload(first, last, gaussians.packedColors ? this.uploads().slice(1) : this.uploads());
+    if (last >= 0)
+      this.upload(first, last, gaussians.packedColors && !gaussians.shape ? this.uploads().slice(1) : this.uploads());
     this.mesh.updateVersion();
   }
 

@@ -17,7 +17,7 @@ export interface Gaussians {
   sh: Float32Array;
   /** (degree + 1)^2. */
   coefficients: number;
-  /** Colours as texels hold them, in place of all the others. */
+  /** Colours as texels hold them, in place of `sh`; without a shape also in place of the opacities. */
   packedColors?: PackedColors;
 }
 
@@ -63,11 +63,14 @@ export function allocate(capacity: number, coefficients: number): Texels {
 /** Write Gaussian `source` of `gaussians` as number `target` of `texels`. One that cannot be drawn gets opacity 0. */
 export function encodeGaussian(texels: Texels, target: number, gaussians: Gaussians, source: number): void {
   const at = target * 4;
-  if (gaussians.packedColors) return copyColors(texels, at, gaussians.packedColors, source, gaussians.coefficients - 1);
   const { geometry, appearance } = texels;
-  const drawable = gaussians.shape ? encodeShape(texels, at, gaussians.shape, source) : true;
-  const opacity = gaussians.opacities[source];
-  geometry[at + 3] = drawable ? toHalf(opacity > 1 ? 1 : opacity) : 0; // above 1 means something else to Spark
+  const { packedColors, shape } = gaussians;
+  if (shape || !packedColors) {
+    const drawable = shape ? encodeShape(texels, at, shape, source) : true;
+    const opacity = gaussians.opacities[source];
+    geometry[at + 3] = drawable ? toHalf(opacity > 1 ? 1 : opacity) : 0; // above 1 means something else to Spark
+  }
+  if (packedColors) return copyColors(texels, at, packedColors, source, gaussians.coefficients - 1);
 
   const c = source * gaussians.coefficients * 3;
   const { sh } = gaussians;

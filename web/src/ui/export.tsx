@@ -6,28 +6,23 @@ import type { ViewExport } from "../messages";
 import { download } from "../net/blobs";
 import { camera, state, toast } from "../state/store";
 import { run } from "../state/studio";
+import type { CameraJson } from "../view/camera";
+import { chosenCamera, FrameSize, frameChoice } from "./frame-size";
 import { Button, Check, Choice, Dialog } from "./parts";
 
 type Aov = NonNullable<ViewExport["aovs"]>[number];
-type Options = Omit<ViewExport, "camera" | "to" | "name">;
+type Options = Omit<ViewExport, "camera" | "to" | "name" | "size">;
 type Profile = NonNullable<ViewExport["profile"]>;
 
-const SIZES = [
-  ["view", "as on the screen"],
-  ["2048", "2K (2048)"],
-  ["4096", "4K (4096)"],
-  ["custom", "other"],
-] as const;
 const KINDS = [
   ["png 8", "PNG, 8 bits"],
   ["png 16", "PNG, 16 bits"],
   ["exr 16", "EXR, 16 bits (half)"],
   ["exr 32", "EXR, 32 bits (float)"],
 ] as const;
-const BACKGROUNDS = [
-  ["view", "as in the view"],
-  ["straight", "transparent"],
-  ["premultiplied", "transparent, premultiplied"],
+const CLEAR = [
+  ["straight", "Transparent"],
+  ["premultiplied", "Transparent, premultiplied"],
 ] as const;
 const AOVS: readonly (readonly [Aov, string])[] = [
   ["alpha", "Alpha"],
@@ -41,18 +36,20 @@ const PROFILES: readonly (readonly [Profile, string])[] = [
   ["playcanvas", "PlayCanvas"],
 ];
 
-const size = signal<(typeof SIZES)[number][0]>("view");
-const custom = signal("3000");
+const choice = frameChoice();
 const kind = signal<(typeof KINDS)[number][0]>("png 8");
-const background = signal<(typeof BACKGROUNDS)[number][0]>("view");
 const aovs = signal<readonly Aov[]>([]);
 const profile = signal<Profile>("inria");
 
 /** Render the present view and give it out. */
-export async function exportView(to: "download" | "folder", options: Options = {}): Promise<boolean> {
-  if (!camera.value) return false;
+export async function exportView(
+  to: "download" | "folder",
+  options: Options = {},
+  from: CameraJson | null = camera.value,
+): Promise<boolean> {
+  if (!from) return false;
   const name = `view-${new Date().toISOString().slice(0, 19).replace(/[-:T]/g, "")}`;
-  const answer = await run("view.export", { camera: camera.value, to, name, ...options }, "Rendering the view");
+  const answer = await run("view.export", { camera: from, to, name, ...options }, "Rendering the view");
   if (!answer) return false;
   if (answer.url) download(answer.url, answer.name);
   else
@@ -67,49 +64,28 @@ export async function exportView(to: "download" | "folder", options: Options = {
 /** What is chosen in the dialog. */
 function chosen(): Options {
   const [format, bits] = kind.value.split(" ") as ["png" | "exr", string];
-  const clear = background.value === "view" ? null : format === "exr" ? "premultiplied" : background.value;
-  const pixels = size.value === "custom" ? Math.round(Number(custom.value)) : Number(size.value);
+  const background = choice.background.value;
+  const clear = background === "straight" || background === "premultiplied" ? background : null;
   return {
     format,
     bits: Number(bits) as 8 | 16 | 32,
-    transparent: clear,
+    transparent: clear && format === "exr" ? "premultiplied" : clear,
     aovs: [...aovs.value],
     profile: profile.value,
-    size: size.value === "view" ? null : pixels,
   };
 }
 
 export function ViewExportDialog({ onClose }: { onClose: () => void }) {
   const folder = state.value?.folder;
-  const pixels = Number(custom.value);
-  const wrong = size.value === "custom" && !(pixels >= 16 && pixels <= 8192);
+  const framed = chosenCamera(choice, camera.value);
   const give = async (to: "download" | "folder") => {
-    if (await exportView(to, chosen())) onClose();
+    if (await exportView(to, chosen(), framed)) onClose();
   };
   return (
     <Dialog title="Export the view" onClose={onClose}>
-      <p class="row">
-        <Choice label="Longer side" value={size.value} options={SIZES} onChange={(value) => (size.value = value)} />
-        {size.value === "custom" && (
-          <input
-            type="text"
-            inputMode="numeric"
-            class="pixels"
-            aria-label="Pixels of the longer side, 16 to 8192"
-            aria-invalid={wrong}
-            value={custom.value}
-            onInput={(event) => (custom.value = event.currentTarget.value)}
-          />
-        )}
-      </p>
+      <FrameSize choice={choice} view={camera.value} clear={CLEAR} />
       <p class="row">
         <Choice label="File" value={kind.value} options={KINDS} onChange={(value) => (kind.value = value)} />
-        <Choice
-          label="Background"
-          value={background.value}
-          options={BACKGROUNDS}
-          onChange={(value) => (background.value = value)}
-        />
       </p>
       <h3>Passes beside it</h3>
       <p class="row">
@@ -140,14 +116,14 @@ export function ViewExportDialog({ onClose }: { onClose: () => void }) {
           icon="share"
           text="Download"
           primary
-          disabled={wrong}
+          disabled={!framed}
           onClick={() => void give("download")}
         />
         {folder && (
           <Button
             label={`Write it into the folder ${folder}`}
             text="Into the folder"
-            disabled={wrong}
+            disabled={!framed}
             onClick={() => void give("folder")}
           />
         )}

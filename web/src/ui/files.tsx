@@ -4,9 +4,10 @@ import { useEffect, useState } from "preact/hooks";
 
 import type { RecentInfo, RecentProjects } from "../messages";
 import { blobUrl, download, sendBlob } from "../net/blobs";
-import { readOnly, selectedLayer, state, swapped, toast } from "../state/store";
+import { readOnly, selectedLayer, state, swapped } from "../state/store";
 import { report, run } from "../state/studio";
-import { Button, Check, Choice, Dialog, FileButton } from "./parts";
+import { ExportAsset } from "./export-asset";
+import { Button, Dialog, FileButton } from "./parts";
 
 /** Open a file that the user chose or dropped. */
 export async function openFile(file: File): Promise<void> {
@@ -178,13 +179,8 @@ export function Swapped() {
 
 function Saving({ onClose }: { onClose: () => void }) {
   const now = state.value;
-  const formats = now?.formats ?? [];
   const stem = (now?.asset.name ?? "asset").replace(/\.[^.]*$/, "");
-  const [ending, setEnding] = useState(
-    formats.find((one) => one === `.${now?.asset.format}`) ?? (formats.includes(".ply") ? ".ply" : (formats[0] ?? "")),
-  );
   const [name, setName] = useState(`${stem}.splatproj`);
-  const [removing, setRemoving] = useState(false);
   if (!now) return null;
   const save = async () => {
     const answer = await run(
@@ -198,38 +194,9 @@ function Saving({ onClose }: { onClose: () => void }) {
     const answer = await run("project.download", {}, "Copying the project");
     if (answer) download(answer.url, answer.file);
   };
-  const give = async () => {
-    const file = `${stem}-edited${ending.startsWith(".") ? "" : "."}${ending}`;
-    const answer = await run("export", { file, remove_hidden: removing }, `Writing ${file}`);
-    if (!answer) return;
-    download(answer.url, answer.file);
-    toast("info", `${answer.file}, ${(answer.bytes / 1e6).toFixed(1)} MB`, "Its receipt is under Receipt.");
-  };
   return (
     <>
-      <h3>Export the asset</h3>
-      <p class="row">
-        <Choice
-          label="Format"
-          value={ending}
-          options={formats.map((key) => [key, key] as const)}
-          onChange={setEnding}
-        />
-        <Button label="Export" icon="share" text="Export" primary onClick={() => void give()} />
-      </p>
-      {now.layers.some((layer) => layer.kind === "hide") && (
-        <p class="row">
-          <Check
-            label="Remove hidden Gaussians for good (the receipt says so)"
-            value={removing}
-            onChange={setRemoving}
-          />
-        </p>
-      )}
-      <p class="quiet">
-        Gaussians that no layer touched are written as they were read, bit for bit, where the format is the same (.sog
-        has one palette for all, which moves with new colours).
-      </p>
+      <ExportAsset />
       <h3>Project</h3>
       <p class="quiet">
         {now.project.file

@@ -3,7 +3,6 @@
 import { signal } from "@preact/signals";
 
 import type { BookmarkInfo, ConflictInfo } from "../messages";
-import { blobUrl, download } from "../net/blobs";
 import { camera, readOnly, state, toast, view } from "../state/store";
 import { go, run } from "../state/studio";
 import { AXES, axisName } from "../state/up-axis";
@@ -12,6 +11,7 @@ import { exportView, ViewExportDialog } from "./export";
 import { turnOver } from "./header";
 import { covered } from "./server-renders";
 import { Button, Choice } from "./parts";
+import { TurntableDialog } from "./turntable";
 
 const POLICIES = [
   ["latest", "the upper one"],
@@ -20,17 +20,12 @@ const POLICIES = [
 ] as const;
 const naming = signal("");
 const exporting = signal(false);
+const filming = signal(false);
 
 export const goTo = (to: unknown): void => {
   const center = (state.value?.asset.center ?? [0, 0, 0]) as Vec3;
   go(fromCamera(to as CameraJson, center));
 };
-
-async function turntable(): Promise<void> {
-  if (!camera.value) return;
-  const answer = await run("turntable", { camera: camera.value }, "Turntable");
-  if (answer) download(blobUrl(answer.picture), "turntable.webp");
-}
 
 async function nextView(): Promise<void> {
   if (!camera.value) return;
@@ -124,13 +119,14 @@ export function Views() {
           {seen.seen.toLocaleString()} Gaussians seen in edited views, {seen.predicted.toLocaleString()} predicted
         </p>
       )}
+      {filming.value && <TurntableDialog onClose={() => (filming.value = false)} />}
       <h3>Turntable</h3>
       <p class="row">
         <Button
-          label="One turn as an animated WebP"
+          label="One turn as an MP4 or an animated WebP"
           icon="film"
-          text="Download WebP"
-          onClick={() => void turntable()}
+          text="Film ..."
+          onClick={() => (filming.value = true)}
         />
       </p>
     </div>

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from splatpainter.server.commands import color_grading as _color_grading  # noqa: F401 - each registers its commands
+from splatpainter.server.commands import exports as _exports  # noqa: F401
 from splatpainter.server.commands import files as _files  # noqa: F401
 from splatpainter.server.commands import layers as _layers  # noqa: F401
 from splatpainter.server.commands import painting as _painting  # noqa: F401
 from splatpainter.server.commands import picture_check as _picture_check  # noqa: F401
 from splatpainter.server.commands import selection as _selection  # noqa: F401
 from splatpainter.server.commands import source_edit as _source_edit  # noqa: F401
+from splatpainter.server.commands import turntables as _turntables  # noqa: F401
 from splatpainter.server.commands import viewing as _viewing  # noqa: F401
 from splatpainter.server.commands.context import HANDLERS as HANDLERS
 from splatpainter.server.protocol import Cancel, Command, Hello, Sync

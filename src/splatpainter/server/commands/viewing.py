@@ -1,26 +1,33 @@
-"""Renders, turntables, picking, coverage. Nothing here changes the asset."""
+"""Renders, picking, coverage. Nothing here changes the asset."""
 
 from __future__ import annotations
 
-import io
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from splatpainter.cameras import Camera, orbit
+from splatpainter.cameras import Camera
 from splatpainter.color import to_display
-from splatpainter.image_files import to_uint8
 from splatpainter.io.files import sha256, writing
 from splatpainter.rendering.profiles import Profile
 from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line, render_display
 from splatpainter.server.describe import up_axis
 from splatpainter.server.image_registration import png_bytes, thumbnail
-from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, FileName, PaintLimits, Point, Rgb
+from splatpainter.server.protocol import (
+    MAX_VIEW_PIXELS,
+    Answer,
+    Blob,
+    CameraInfo,
+    Command,
+    FileName,
+    PaintLimits,
+    Point,
+    Rgb,
+)
 from splatpainter.server.studio import ExportedView
 from splatpainter.session.asset_files import view_files_of
 from splatpainter.session.conflicts import PREDICTED, SEEN
@@ -29,17 +36,15 @@ from splatpainter.view_files import Aov, PictureOptions
 
 MAX_EXPORT_PIXELS = 1 << 24
 """Of an exported view: 4096 x 4096."""
+PREVIEW_SHARE = 0.4
+"""Of the size of a view that is larger than those on the screen: at most MAX_VIEW_PIXELS again."""
 PNG_LEVEL = 1
 """Fast: nobody waits for the last few per cent."""
-MAX_TURNTABLE_PIXELS = 40_000_000
-"""Of all its frames together: they are held in memory."""
-MAX_FRAME_MS = 60_000
-"""Of a turntable."""
 
 
 class PictureMade(Answer):
     picture: Blob
-    """A PNG (a WebP for `turntable`)."""
+    """A PNG."""
     file: str | None = None
     """Its name in the watched folder, where it was written there."""
 
@@ -100,12 +105,15 @@ class ViewExport(Command):
 
 @command(ViewExport, background=True)
 def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
-    studio, camera = context.studio, request.camera.to_camera()
+    studio, camera = context.studio, request.camera.to_camera(MAX_EXPORT_PIXELS)
     now = studio.session.snapshot
     bits, aovs = request.bits, tuple(request.aovs)
     options = PictureOptions(request.format, bits, request.transparent, aovs, request.profile, PNG_LEVEL)
-    sized = camera if request.size is None else _resized(camera, request.size)
-    image = render_display(now.splats, camera, request.profile)
+    sized = camera if request.size is None else resized(camera, request.size)
+    preview_camera = camera
+    if camera.width * camera.height > MAX_VIEW_PIXELS:
+        preview_camera = resized(camera, round(max(camera.width, camera.height) * PREVIEW_SHARE))
+    image = render_display(now.splats, preview_camera, request.profile)
     context.ticket.report(0, "rendering the view")
     outputs = view_files_of(now.splats, now.state.edited, sized, request.name, options)
     first, file, url, download = next(iter(outputs)), None, None, ""
@@ -121,8 +129,8 @@ def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
                     for name, data in outputs.items():
                         bundle.writestr(name, data)
         url, download = studio.downloads.add(path), path.name
-    plain = (options.format, options.depth, options.transparent, sized) == ("png", 8, None, camera)
-    preview = outputs[first] if plain else png_bytes(image, camera)
+    plain = (options.format, options.depth, options.transparent, sized) == ("png", 8, None, preview_camera)
+    preview = outputs[first] if plain else png_bytes(image, preview_camera)
     blob = studio.blobs.put(preview, f"{request.name}.png")
     studio.exports.append(ExportedView(first, sized, thumbnail(image)))
     keywords = {"bits": bits, "transparent": request.transparent, "aovs": list(aovs) or None}
@@ -131,7 +139,7 @@ def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     return ViewExported(picture=blob.sha256, file=file, url=url, name=download, python=line)
 
 
-def _resized(camera: Camera, size: int) -> Camera:
+def resized(camera: Camera, size: int) -> Camera:
     """The same view with `size` pixels on its longer side. Raises ValueError: too many in all."""
     scale = size / max(camera.width, camera.height)
     width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
@@ -151,53 +159,6 @@ def _write_to_folder(context: CommandContext, outputs: Mapping[str, bytes]) -> s
         with writing(path) as file:
             file.write(data)
     return paths[0].name
-
-
-class Turntable(Command):
-    """An animated WebP of a turn around the asset, seen as by `camera`."""
-
-    NAME = "turntable"
-    ANSWER = PictureMade
-    camera: CameraInfo
-    frames: int = Field(default=36, ge=2, le=240)
-    fps: float = Field(default=18, gt=0, le=60)
-
-
-@command(Turntable, background=True)
-def turntable(context: CommandContext, request: Turntable) -> PictureMade:
-    from PIL import Image
-
-    studio, camera = context.studio, request.camera.to_camera()
-    if request.frames * camera.width * camera.height > MAX_TURNTABLE_PIXELS:
-        side = int((MAX_TURNTABLE_PIXELS / request.frames) ** 0.5)
-        raise ValueError(
-            f"turntable: {request.frames} frames of this size are too many; make them {side}x{side} or less"
-        )
-    splats, center = studio.session.splats, np.array(studio.state.asset.center)
-    pictures = []
-    for k, view in enumerate(_turn(camera, center, request.frames, up_axis(studio.session))):
-        context.ticket.report(k / request.frames, "turntable")
-        pictures.append(Image.fromarray(to_uint8(render_display(splats, view))))
-    file = io.BytesIO()
-    rest, ms = pictures[1:], round(min(1000 / request.fps, MAX_FRAME_MS))
-    pictures[0].save(file, "WEBP", save_all=True, append_images=rest, duration=ms, loop=0, quality=88, method=2)
-    blob = studio.blobs.put(file.getvalue(), "turntable.webp")
-    return PictureMade(picture=blob.sha256, python="sp.render(session.splats, sp.orbit(center, distance, frames))")
-
-
-def _turn(camera: Camera, center: np.ndarray, count: int, up: tuple[int, int, int]) -> list[Camera]:
-    """Views around the centre, from `camera` on, at its height and distance and with its lens."""
-    axis = np.asarray(up, float)
-    away = camera.position - center
-    height = float(away @ axis)
-    flat = away - height * axis
-    distance = float(np.linalg.norm(away))
-    tilt = float(np.degrees(np.arctan2(height, max(np.linalg.norm(flat), 1e-9))))
-    first = orbit(center, max(distance, 1e-6), 1, elevation=tilt, up=axis)[0].position - center
-    first = first - (first @ axis) * axis
-    turned = np.degrees(np.arctan2(float(np.cross(first, flat) @ axis), float(first @ flat)))
-    ring = orbit(center, max(distance, 1e-6), count, elevation=tilt, start=float(turned), up=axis)
-    return [replace(camera, world_to_camera=view.world_to_camera) for view in ring]
 
 
 class Picked(Answer):

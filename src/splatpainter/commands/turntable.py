@@ -1,0 +1,172 @@
+"""`splatpainter turntable`: a film of a turn around an asset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import arg
+
+from splatpainter.cameras import AUTO_UP, UPS, Camera, bounding_sphere, orbit_cameras
+from splatpainter.commands import Outcome
+from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
+from splatpainter.commands.render import color, given_cameras, rgb
+from splatpainter.commands.targets import check_target
+from splatpainter.commands.terminal import progress, size
+from splatpainter.io import files, read
+from splatpainter.rendering import MAX_SIDE_PX
+from splatpainter.rendering.profiles import Profile
+from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.video.turntable import TurntableOptions
+
+MAX_DEGREES = 3600.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Write a turntable: an MP4 (AV1) or an animated WebP of a turn around an asset.
+
+    The name of OUT says which: .mp4 or .webp. Programs that do not play AV1 want H.264, which ffmpeg makes of it:
+    ffmpeg -i turn.mp4 -c:v libx264 -pix_fmt yuv420p turn-h264.mp4.
+
+    example:
+      splatpainter turntable vase.ply --out turn.mp4
+      splatpainter turntable vase.ply --out turn.mp4 --width 1920 --height 1080 --seconds 10 --background "#ffffff"
+      splatpainter turntable vase.ply --out turn.webp --size 400 --fps 20 --transparent
+      splatpainter turntable vase.ply --out swing.mp4 --camera views/view_003.json --degrees 90
+    """
+
+    asset: AssetFile
+    """The splat file."""
+    out: OutFile
+    """The film: NAME.mp4 or NAME.webp."""
+    seconds: float = 6.0
+    """Of the whole film."""
+    fps: float = 30.0
+    """Frames per second."""
+    degrees: float = 360.0
+    """How far it turns, counter-clockwise seen from above; negative: the other way."""
+    camera: Annotated[Path | None, arg(metavar="CAM.json", help_behavior_hint="")] = None
+    """The first view (CAM.json, or a PNG that carries one); --elevation, --fov and --distance do not count then."""
+    size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Pixels of the longer side; default: 800, or what the camera says. MP4 has an even number of rows and columns."""
+    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """With --height, in place of --size."""
+    height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """See --width."""
+    background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
+    """Colour behind the asset, 0..1 or #rrggbb; default: 0.25,0.25,0.25, or what the camera says."""
+    transparent: bool = False
+    """No background (WebP only)."""
+    quality: int = 80
+    """Of the coded pictures, 1 to 100."""
+    profile: Profile = "inria"
+    """Whose picture: inria as most assets were trained, playcanvas as PlayCanvas's tools render (about 1 % darker)."""
+    frame: FrameOption = "auto"
+    """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
+    lenient: bool = False
+    """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
+    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
+    """Axis of the turn, up in the pictures; auto: -y, the habit of captures (GLB and SPZ are turned when read)."""
+    elevation: float = 15.0
+    """Degrees above the horizon."""
+    fov: float = 40.0
+    """Field of view of the shorter side, degrees."""
+    distance: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
+    """From the asset's centre, world units; default: so that it fills the picture."""
+    overwrite: bool = False
+    """Replace OUT if it exists."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Render, encode, save."""
+    from splatpainter.video.turntable import turn, turntable_bytes
+
+    options = _options(config)
+    _check(config)
+    given = [] if config.camera is None else given_cameras([config.camera], config.size)
+    check_target(config.out, config.overwrite, [config.asset])
+    splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+    first = given[0] if given else _first(config, splats)
+    if given and config.background is not None:
+        first = replace(first, background=color(config.background, splats))
+    center, up = bounding_sphere(splats)[0], UPS[AUTO_UP if config.up == "auto" else config.up]
+    cameras = turn(first, center, up, options.frames, config.degrees)
+    with _bar(options.frames) as on_frame:
+        data = turntable_bytes(splats, cameras, options, on_frame)
+    with files.writing(config.out) as file:
+        file.write(data)
+    width, height = first.width, first.height
+    record = {
+        "asset": {"file": config.asset, "sha256": splats.sha256, "rows": len(splats)},
+        "output": {"file": config.out, "format": options.format, "bytes": len(data)},
+        "frames": options.frames,
+        "seconds": options.frames / options.fps,
+        "width": width - width % 2 * (options.format == "mp4"),
+        "height": height - height % 2 * (options.format == "mp4"),
+    }
+    line = f"{config.out}: {options.frames} frames of {record['width']}x{record['height']}, {size(len(data))}"
+    return Outcome(record, [line])
+
+
+@contextmanager
+def _bar(total: int) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar, moved by a function of (frames done, frames in all)."""
+    steps = progress(range(total), total, "turntable")
+    yield lambda done, total: (next(steps, None), None)[1]
+    for _ in steps:  # it closes where it ends
+        pass
+
+
+def _first(config: Config, splats: Splats) -> Camera:
+    """The first view: the asset fills the shorter side."""
+    longer = config.size or 800
+    width, height = config.width or longer, config.height or longer
+    short = min(width, height)
+    (camera,) = orbit_cameras(
+        splats,
+        1,
+        size=short,
+        up=config.up,
+        elevation=config.elevation,
+        fov=config.fov,
+        distance=config.distance,
+        background=color(config.background or "0.25,0.25,0.25", splats),
+    )
+    return camera.cropped((short - width) // 2, (short - height) // 2, width, height)
+
+
+def _options(config: Config) -> TurntableOptions:
+    from splatpainter.video.turntable import TurntableOptions, format_of
+
+    options = TurntableOptions(
+        format_of(config.out), config.seconds, config.fps, config.transparent, config.quality, config.profile
+    )
+    options.check_installed()
+    return options
+
+
+def _check(config: Config) -> None:
+    for name, value, low, high in (
+        ("--size", 16 if config.size is None else config.size, 16, MAX_SIDE_PX),
+        ("--width", 16 if config.width is None else config.width, 16, MAX_SIDE_PX),
+        ("--height", 16 if config.height is None else config.height, 16, MAX_SIDE_PX),
+        ("--elevation", config.elevation, -90, 90),
+        ("--fov", config.fov, 1, 170),
+        ("--degrees", config.degrees, -MAX_DEGREES, MAX_DEGREES),
+    ):
+        if not low <= value <= high:
+            raise ValueError(f"splatpainter turntable: expected {name} from {low} to {high}, got {value}")
+    if (config.width is None) != (config.height is None) or (config.width and (config.size or config.camera)):
+        raise ValueError("splatpainter turntable: expected --width and --height together, without --size and --camera")
+    if config.distance is not None and not 0 < config.distance < float("inf"):
+        raise ValueError(f"splatpainter turntable: expected --distance above 0, got {config.distance}")
+    if config.background is not None:
+        rgb(config.background)

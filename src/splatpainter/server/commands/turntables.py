@@ -1,0 +1,64 @@
+"""Turntables: a turn around the asset as it is, as a film."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from splatpainter.io.files import writing
+from splatpainter.rendering.profiles import Profile
+from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line
+from splatpainter.server.commands.viewing import MAX_EXPORT_PIXELS, resized
+from splatpainter.server.describe import up_axis
+from splatpainter.server.protocol import CameraInfo, Command, Exported, FileName
+from splatpainter.video.turntable import (
+    MAX_FPS,
+    MAX_FRAMES,
+    MAX_SECONDS,
+    MIN_FRAMES,
+    TurntableFormat,
+    TurntableOptions,
+    turn,
+    turntable_bytes,
+)
+
+
+class Turntable(Command):
+    """A film of a turn around the asset, from `camera` on."""
+
+    NAME = "turntable"
+    ANSWER = Exported
+    camera: CameraInfo
+    size: int | None = Field(default=None, ge=16, le=8192)
+    """Pixels of the longer side; None: as the camera says. MP4 has an even number of rows and columns."""
+    format: TurntableFormat = "webp"
+    """Animated WebP, or MP4 (AV1)."""
+    seconds: float = Field(default=2, gt=0, le=MAX_SECONDS)
+    fps: float = Field(default=18, gt=0, le=MAX_FPS)
+    frames: int | None = Field(default=None, ge=MIN_FRAMES, le=MAX_FRAMES)
+    """In place of `seconds`."""
+    degrees: float = Field(default=360, ge=-3600, le=3600)
+    """Counter-clockwise seen from above."""
+    transparent: bool = False
+    """An alpha channel in place of the camera's background; WebP only."""
+    quality: int = Field(default=88, ge=1, le=100)
+    profile: Profile = "inria"
+    name: FileName = "turntable"
+
+
+@command(Turntable, background=True)
+def turntable(context: CommandContext, request: Turntable) -> Exported:
+    studio, camera = context.studio, request.camera.to_camera(MAX_EXPORT_PIXELS)
+    seconds = request.seconds if request.frames is None else request.frames / request.fps
+    options = TurntableOptions(
+        request.format, seconds, request.fps, request.transparent, request.quality, request.profile
+    )
+    sized = camera if request.size is None else resized(camera, request.size)
+    center, splats = np.array(studio.state.asset.center), studio.session.splats
+    cameras = turn(sized, center, up_axis(studio.session), options.frames, request.degrees)
+    data = turntable_bytes(splats, cameras, options, lambda k, n: context.ticket.report(k / n, f"frame {k + 1} of {n}"))
+    path = studio.downloads.folder() / f"{request.name}.{request.format}"
+    with writing(path) as file:
+        file.write(data)
+    line = python_line("turntable_bytes", RawExpr("session.splats"), RawExpr("turn(camera, center, up, frames)"))
+    return Exported(url=studio.downloads.add(path), file=path.name, bytes=len(data), python=line)
