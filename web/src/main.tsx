@@ -7,6 +7,9 @@ import "./style/controls.css";
 import "./style/panels.css";
 import { parseFrame } from "./net/frames";
 import { camera, pose, state } from "./state/store";
+import { cursorFrame } from "./paint/brush";
+import { meanRadius } from "./paint/dabs";
+import { followSurface, surfaceOf } from "./paint/view-surface";
 import { go, link, start, viewer } from "./state/studio";
 import { App } from "./ui/app";
 import { listen } from "./ui/keys";
@@ -17,7 +20,12 @@ try {
   start(canvas);
   render(<App canvas={canvas} />, root);
   listen();
-  Object.assign(window, { studio: { viewer, link, go, pose, camera, state, parseFrame } }); // for the console and for tests
+  followSurface();
+  const brushRadius = (x: number, y: number) =>
+    meanRadius(cursorFrame(x * camera.value!.width, y * camera.value!.height));
+  const surface = () => surfaceOf(camera.value) !== null;
+  const studio = { viewer, link, go, pose, camera, state, parseFrame, brushRadius, surface };
+  Object.assign(window, { studio }); // for the console and for tests
 } catch (error) {
   console.error(error);
   root.textContent = `The studio needs WebGL 2 with float textures, which this browser does not offer (${error instanceof Error ? error.message : error}).`;

@@ -19,6 +19,7 @@ from splatpainter.color import to_display
 from splatpainter.io import FORMATS, frame_line
 from splatpainter.receipts import changed_rows
 from splatpainter.server import protocol
+from splatpainter.server.fine_detail import has_fine_detail
 from splatpainter.session import Layer, Session
 from splatpainter.session.document import PLACED
 from splatpainter.session.layer_mask import LayerMask
@@ -91,6 +92,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
         frame="" if source is None else frame_line(source),
         frame_stated=source is None or source.frame_from != "format" or source.format != "spz",
         problems=[] if source is None else list(source.problems),
+        fine_detail=has_fine_detail(original, view),
     )
 
 

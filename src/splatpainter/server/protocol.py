@@ -121,6 +121,8 @@ class AssetInfo(Message):
     """False: files of this format differ in it and this one does not say, so it may be upside down (`asset.up`)."""
     problems: list[str]
     """What the reader found odd, one line each."""
+    fine_detail: bool
+    """Whether it has fine detail, measured in its first view: paint then keeps it unless that is changed."""
 
 
 class LayerViewInfo(Message):

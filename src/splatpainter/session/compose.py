@@ -201,7 +201,7 @@ class Replay:
         self._strokes = StrokeChains(store, self._painted_stroke)
         self._masks = MaskWeights(store)
         self._seen: tuple[str, VisibleSurface] | None = None
-        """Of the latest state and view that `left_out` was asked for."""
+        """Of the latest state and view that `coarse_surface` was asked for."""
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)
 
     def compose(self, document: Document, progress: Progress | None = None, strict: str | None = None) -> LayerState:
@@ -547,14 +547,21 @@ class Replay:
     def left_out(self, state: LayerState, camera: Camera, limits: Mapping[str, Any]) -> np.ndarray:
         """[H, W] bool: pixels of a view whose paint the limits would leave out (lift.limits.left_out), by parameters as
         of a layer; what the view sees is cached for the latest one."""
-        from splatpainter.lift.limits import coarse_surface, left_out
+        from splatpainter.lift.limits import left_out
         from splatpainter.lift.options import LOCAL_DEFAULTS
 
         options = replace(self.painter.local_options or LOCAL_DEFAULTS, **limits_of(limits, "limits"))
+        coarse = self.coarse_surface(state, camera)
+        return left_out(coarse, camera, options.angle_limit, options.depth_edge_limit)
+
+    def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
+        """What a view sees of a state's surface, on blocks of pixels (lift.limits.coarse_surface)."""
+        from splatpainter.lift.limits import coarse_surface
+
         key, seen = f"{state.key} {camera.to_json()}", self._seen
         if seen is None or seen[0] != key:
             seen = self._seen = (key, coarse_surface(self._adapter.surface, state.splats, camera))
-        return left_out(seen[1], camera, options.angle_limit, options.depth_edge_limit)
+        return seen[1]
 
     def prepare(self, state: LayerState) -> None:
         """Make what a local edit of a state needs before anything else."""

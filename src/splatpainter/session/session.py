@@ -293,6 +293,18 @@ class Session(StrokeCommands, Annotations):
         1/128 of its longer side. limits: angle_limit, depth_edge_limit, as a layer's parameters."""
         return self._replay.left_out(self._snapshot.state, camera, limits)
 
+    def surface_blocks(self, camera: Camera) -> tuple[np.ndarray, int]:
+        """([rows, columns, 4] float32 z-depth and unit normal towards the camera (camera space) of the surface in the
+        middle of each block of a view, depth 0 where it is not trusted or there is none; pixels along a block)."""
+        from splatpainter.lift.limits import blocks_px
+
+        coarse = self._replay.coarse_surface(self._snapshot.state, camera)
+        rows, columns = coarse.index.shape
+        middles = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2) + 0.5
+        at = coarse.at(middles.astype(np.float64))
+        table = np.concatenate([at.depth[:, None], at.normals], 1).astype(np.float32)
+        return table.reshape(rows, columns, 4), blocks_px(camera)
+
     def receipt(self) -> Receipt:
         """Of the session: the original against the asset as it is now."""
         return self._receipt(self._snapshot)

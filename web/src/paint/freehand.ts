@@ -2,7 +2,9 @@
 
 import { signal } from "@preact/signals";
 
-import { brush, color, maskShows, paintMode, rgb, toast } from "../state/store";
+import { brush, color, maskShows, paintMode, toast } from "../state/store";
+import { brushFor, colorSource, grainOf, stringLength } from "./brush";
+import { DabPath, Stabiliser, type Brush } from "./dabs";
 import {
   beginStroke,
   cancelStroke,
@@ -13,50 +15,56 @@ import {
   originalPixels,
 } from "./strokes";
 import type { Pixels } from "./flood";
+import { setColor } from "./point-tools";
 import { heal } from "./heal";
 import { limit, picture, shifted, solid } from "./patch";
-import { dab, segment, type Point, type Tip } from "./raster";
+import { union, type Point } from "./raster";
 import type { Stroke } from "./stroke";
 import type { Pen, ToolHandler } from "./tool";
 
-/** A pen that is not pressed at all still marks: its share of the size. */
-const MIN_PRESSURE = 0.1;
+/** The brush on its string, to be shown; null: no stroke is drawn, or there is no string. */
+export const pulled = signal<Point | null>(null);
 
-function tip(pressure: number): Tip {
-  const { size, hardness, flow, pressureSize, pressureFlow } = brush.value;
-  const press = (on: boolean) => (on ? MIN_PRESSURE + (1 - MIN_PRESSURE) * pressure : 1);
-  return { radius: Math.max(0.5, (size / 2) * press(pressureSize)), hardness, flow: flow * press(pressureFlow) };
-}
+const point = (pen: Pen): Point => ({ x: pen.x, y: pen.y, pressure: pen.pressure });
 
-const brushColor = (): [number, number, number] => rgb(color.value).map((c) => c * 255) as [number, number, number];
-
-/** Something drawn along the pen's path; `begin` makes the stroke and says what its colours are. */
-function along(begin: (pen: Pen) => Stroke | null, finish: (stroke: Stroke) => void = () => {}): ToolHandler {
+/**
+ * Something drawn along the pen's path; `begin` makes the stroke and says what its colours are. plain: with a round tip,
+ * whatever the brush has.
+ */
+function along(
+  begin: (pen: Pen) => Stroke | null,
+  finish: (stroke: Stroke) => void = () => {},
+  plain = false,
+): ToolHandler {
   let stroke: Stroke | null = null;
-  let last: Point;
-  let left = 0;
-  const point = (pen: Pen): Point => ({ x: pen.x, y: pen.y, pressure: pen.pressure });
+  let path: DabPath;
+  let hand: Stabiliser;
   return {
     down(pen) {
       stroke = begin(pen);
       if (!stroke) return;
-      last = point(pen);
-      left = 0;
-      stroke.touch(dab(stroke.mask, last.x, last.y, tip(last.pressure)));
+      path = new DabPath(stroke.mask, brushFor(pen.x, pen.y, plain));
+      hand = new Stabiliser(stringLength());
+      if (!plain) stroke.setGrain(grainOf());
+      stroke.touch(path.down(hand.down(point(pen))));
     },
     move(pen) {
       if (!stroke) return;
-      const step = segment(stroke.mask, last, point(pen), tip, left);
-      left = step.left;
-      last = point(pen);
-      stroke.touch(step.rect);
+      const at = hand.move(point(pen));
+      if (at) stroke.touch(path.move(at));
+      if (stringLength() > 0) pulled.value = hand.brush;
     },
-    up() {
+    up(pen) {
+      pulled.value = null;
       if (!stroke) return;
+      // a mouse has full pressure to the end, a pen that is lifted has none: that of the last point stays
+      const end = { ...point(pen), pressure: hand.brush?.pressure ?? pen.pressure };
+      stroke.touch(union(path.move(end), path.up()));
       void endStroke(stroke, finish);
       stroke = null;
     },
     cancel() {
+      pulled.value = null;
       if (stroke) void cancelStroke(stroke);
       stroke = null;
     },
@@ -77,7 +85,9 @@ function maskStroke(shows: boolean): Stroke | null {
 export const paintBrush = along(() => {
   if (chosenMask()) return maskStroke(maskShows.value);
   const stroke = beginStroke("paint", NAMES[paintMode.value]);
-  stroke?.setSource(solid(brushColor(), paintMode.value, () => stroke.base));
+  if (!stroke) return null;
+  stroke.setSource(colorSource(stroke));
+  setColor(color.value); // one of the latest now
   return stroke;
 });
 
@@ -114,7 +124,7 @@ function fromSource(pen: Pen, name: string): Stroke | null {
   return stroke;
 }
 
-export const clone = sampling(along((pen) => fromSource(pen, "Clone")));
+export const clone = sampling(along((pen) => fromSource(pen, "Clone"), undefined, true));
 
 /** Shows the copy while drawing and mends its colours at the end, when the border of the region is known. */
 export const healer = sampling(
@@ -137,6 +147,7 @@ export const healer = sampling(
       });
       stroke.touch(extent);
     },
+    true,
   ),
 );
 
@@ -157,6 +168,7 @@ function sampling(handler: ToolHandler): ToolHandler {
 
 let lineStart: Pen | null = null;
 let lineStroke: Stroke | null = null;
+let lineBrush: Brush;
 
 /** Drag from end to end; Shift keeps to multiples of 45 degrees. */
 export const line: ToolHandler = {
@@ -164,7 +176,10 @@ export const line: ToolHandler = {
     lineStart = pen;
     lineStroke = beginStroke("paint", "Line");
     const stroke = lineStroke;
-    stroke?.setSource(solid(brushColor(), paintMode.value, () => stroke.base));
+    if (!stroke) return;
+    lineBrush = { ...brushFor(pen.x, pen.y), pressureSize: false, pressureFlow: false };
+    stroke.setSource(colorSource(stroke));
+    stroke.setGrain(grainOf());
   },
   move(pen) {
     if (!lineStroke || !lineStart) return;
@@ -176,8 +191,10 @@ export const line: ToolHandler = {
     }
     lineStroke.reset();
     const from = { x: lineStart.x, y: lineStart.y, pressure: 1 };
-    lineStroke.touch(dab(lineStroke.mask, from.x, from.y, tip(1)));
-    lineStroke.touch(segment(lineStroke.mask, from, { x: from.x + dx, y: from.y + dy, pressure: 1 }, tip, 0).rect);
+    const path = new DabPath(lineStroke.mask, lineBrush); // anew, with the same seed: jitter does not flicker
+    const begun = path.down(from);
+    const drawn = path.move({ x: from.x + dx, y: from.y + dy, pressure: 1 });
+    lineStroke.touch(union(union(begun, drawn), path.up()));
   },
   up() {
     if (lineStroke) void endStroke(lineStroke);

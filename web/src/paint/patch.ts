@@ -38,6 +38,9 @@ export function picture(pixels: () => Pixels | null): Source {
 
 export const limit = (value: number, size: number): number => Math.max(0, Math.min(size - 1, Math.round(value)));
 
+/** How much of a stroke's paint a texture lets through at a pixel, 0..1. */
+export type Grain = (x: number, y: number) => number;
+
 /** Alpha of a pixel: cover times opacity, inside the selection. */
 const alphaAt = (mask: Mask, selection: Mask | null, opacity: number, at: number): number =>
   mask.data[at] * opacity * (selection ? selection.data[at] : 1);
@@ -49,13 +52,15 @@ export function compose(
   selection: Mask | null,
   opacity: number,
   source: Source,
+  grain: Grain | null = null,
 ): Uint8ClampedArray<ArrayBuffer> {
   const out = new Uint8ClampedArray(rect.width * rect.height * 4);
   const rgb: Rgb = [0, 0, 0];
   let to = 0;
   for (let y = rect.y; y < rect.y + rect.height; y++) {
     for (let x = rect.x; x < rect.x + rect.width; x++, to += 4) {
-      const alpha = alphaAt(mask, selection, opacity, y * mask.width + x);
+      let alpha = alphaAt(mask, selection, opacity, y * mask.width + x);
+      if (alpha > 0 && grain) alpha *= grain(x, y);
       if (alpha <= 0) continue;
       source(x, y, rgb);
       [out[to], out[to + 1], out[to + 2]] = rgb;

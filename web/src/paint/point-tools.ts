@@ -2,11 +2,12 @@
 
 import { signal } from "@preact/signals";
 
-import { brush, camera, color, fill, hex, paintMode, recentColors, rgb, selecting } from "../state/store";
+import { brush, camera, color, fill, hex, recentColors, selecting } from "../state/store";
 import { report, run } from "../state/studio";
 import { beginStroke, endStroke, viewPixels } from "./strokes";
+import { colorSource, grainOf } from "./brush";
+import { viewScale } from "./brush-settings";
 import { likeColor, soften } from "./flood";
-import { solid } from "./patch";
 import { combine, isEmpty, polygon, rectangle, type Combine } from "./select";
 import { dab, emptyMask, segment, type Mask } from "./raster";
 import { deselect, selectArea, selection, sent } from "./selection";
@@ -32,8 +33,8 @@ async function fillAt(pen: Pen): Promise<void> {
   const mask = soften(likeColor(pixels, Math.floor(pen.x), Math.floor(pen.y), tolerance, contiguous), 1);
   const stroke = beginStroke("paint", "Fill", brush.value.opacity);
   if (!stroke) return;
-  const shade = rgb(color.value).map((c) => c * 255) as [number, number, number];
-  stroke.setSource(solid(shade, paintMode.value, () => stroke.base));
+  stroke.setSource(colorSource(stroke));
+  stroke.setGrain(grainOf());
   stroke.mask.data.set(mask.data);
   stroke.touch({ x: 0, y: 0, width: mask.width, height: mask.height });
   await endStroke(stroke);
@@ -50,7 +51,7 @@ export async function pickColor(pen: Pen): Promise<void> {
 
 export function setColor(next: string): void {
   color.value = next;
-  recentColors.value = [next, ...recentColors.value.filter((c) => c !== next)].slice(0, 10);
+  recentColors.value = [next, ...recentColors.value.filter((c) => c !== next)].slice(0, 24);
 }
 
 export const eyedropper: ToolHandler = {
@@ -64,7 +65,11 @@ let start: Pen | null = null;
 /** A selection that is being painted, and what was selected before. */
 let painting: { before: Mask | null; mask: Mask; last: Pen; left: number; how: Combine } | null = null;
 
-const tip = () => ({ radius: Math.max(1, brush.value.size / 2), hardness: brush.value.hardness, flow: 1 });
+const tip = () => ({
+  radius: Math.max(1, (brush.value.size / 2) * viewScale.value),
+  hardness: brush.value.hardness,
+  flow: 1,
+});
 
 function startPainting(pen: Pen): void {
   const now = camera.value;

@@ -7,7 +7,7 @@ import type { LayerInfo, PaintEnd, PaintLimits } from "../messages";
 import { CommandError, type Link } from "../net/connection";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
-import { base64, compose, over, type Source } from "./patch";
+import { base64, compose, over, type Grain, type Source } from "./patch";
 import { clip, emptyMask, NOTHING, union, type Mask, type Rect } from "./raster";
 
 export interface StrokeOptions {
@@ -54,6 +54,7 @@ export class Stroke {
   private frame = 0;
   private pumping: Promise<void> | null = null;
   private source: Source = () => {};
+  private grain: Grain | null = null;
   private done = false;
   private failure: unknown = null;
 
@@ -78,6 +79,11 @@ export class Stroke {
 
   setSource(source: Source): void {
     this.source = source;
+  }
+
+  /** A texture of the paint; null: none. */
+  setGrain(grain: Grain | null): void {
+    this.grain = grain;
   }
 
   /** The mask (or the source's colours) changed there: show it and preview it. */
@@ -141,7 +147,7 @@ export class Stroke {
   }
 
   private patch(rect: Rect, selection: Mask | null): Uint8ClampedArray<ArrayBuffer> {
-    return compose(rect, this.mask, selection, this.options.opacity, this.source);
+    return compose(rect, this.mask, selection, this.options.opacity, this.source, this.grain);
   }
 
   /** Send what is dirty until nothing is. Never rejects: `end` throws what went wrong. */

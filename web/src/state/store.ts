@@ -9,7 +9,7 @@ import type { CameraJson, Pose } from "../view/camera";
 export type Tool =
   "orbit" | "brush" | "erase" | "fill" | "line" | "text" | "stamp" | "clone" | "heal" | "pick" | "select";
 export type PaintMode = "normal" | "color" | "darken" | "lighten";
-export type Tab = "adjust" | "select" | "history" | "views" | "pictures" | "receipt";
+export type Tab = "brush" | "colors" | "adjust" | "select" | "history" | "views" | "pictures" | "receipt";
 export type SelectKind = "rectangle" | "lasso" | "color" | "brush";
 
 export const status = signal<Status>("connecting");

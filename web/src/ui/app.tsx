@@ -7,6 +7,8 @@ import { startStamp } from "../paint/placement";
 import { addPicture } from "../state/dropped-images";
 import { camera, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
+import { BrushPanel } from "./brush-panel";
+import { ColorsPanel } from "./colors-panel";
 import { Away, Jobs, StatusLine, Toasts } from "./feedback";
 import { Continue, Files, openFile, Swapped } from "./files";
 import { Gizmo } from "./gizmo";
@@ -24,6 +26,8 @@ import { Toolbar } from "./toolbar";
 import { Views } from "./views";
 
 const TABS: readonly (readonly [Tab, string, () => preact.JSX.Element | null])[] = [
+  ["brush", "Brush", BrushPanel],
+  ["colors", "Colours", ColorsPanel],
   ["history", "History", History],
   ["adjust", "Adjust", Adjustments],
   ["select", "Select", SelectionPanel],

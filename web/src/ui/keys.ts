@@ -3,6 +3,7 @@
 import { chordOf } from "../keys/chord";
 import { commandFor } from "../keys/bindings";
 import type { CommandId } from "../keys/table";
+import { resizeBrush } from "../paint/brush-settings";
 import { commitPlacement, placement } from "../paint/placement";
 import { setColor } from "../paint/point-tools";
 import { changeSelection, deselect, hideSelected, selectedCount, tinted } from "../paint/selection";
@@ -47,8 +48,7 @@ const select = (kind: SelectKind) => () => {
 };
 const toggle = (key: "grid" | "trueColor" | "compare" | "coverage") => () =>
   (view.value = { ...view.value, [key]: !view.value[key] });
-const resize = (factor: number) => () =>
-  (brush.value = { ...brush.value, size: Math.max(1, Math.min(600, brush.value.size * factor)) });
+const resize = (factor: number) => () => resizeBrush(factor);
 const harden = (by: number) => () =>
   (brush.value = { ...brush.value, hardness: Math.max(0, Math.min(1, brush.value.hardness + by)) });
 

@@ -2,6 +2,7 @@
 
 import { signal } from "@preact/signals";
 
+import { shadingApplies } from "../paint/brush";
 import { chosenMask, cloneFrom } from "../paint/strokes";
 import { choosingSource } from "../paint/freehand";
 import { commitPlacement, discardPlacement, editedLayer, placement, startStamp } from "../paint/placement";
@@ -20,12 +21,14 @@ import {
   recentColors,
   selecting,
   state,
+  tab,
   text,
   tool,
   type PaintMode,
   type SelectKind,
 } from "../state/store";
 import { report } from "../state/studio";
+import { BrushSize, KeepShading } from "./brush-size";
 import { fonts, loadFont, systemFonts } from "./fonts";
 import { Button, Check, Choice, FileButton, Percent, Slider } from "./parts";
 
@@ -37,7 +40,6 @@ const MODES: readonly (readonly [PaintMode, string])[] = [
 ];
 const METHODS = { auto: "Auto", ttt: "Network", lift: "Lift", fit: "Fit" } as const;
 const PAINTS = ["brush", "erase", "line", "clone", "heal", "fill", "text", "stamp"];
-const more = signal(false);
 const limiting = signal(false);
 
 export function Options() {
@@ -92,26 +94,18 @@ function Round() {
   const set = (part: Partial<typeof b>) => (brush.value = { ...brush.value, ...part });
   return (
     <>
-      <Slider
-        label="Size"
-        value={b.size}
-        min={1}
-        max={600}
-        log
-        digits={0}
-        unit=" px"
-        onInput={(size) => set({ size })}
-      />
+      <BrushSize />
       <Percent label="Hardness" value={b.hardness} onInput={(v) => set({ hardness: v })} />
       <Percent label="Opacity" value={b.opacity} min={0.01} onInput={(v) => set({ opacity: v })} />
       <Percent label="Flow" value={b.flow} min={0.01} onInput={(v) => set({ flow: v })} />
-      <Button label="Pen pressure" text="Pen" pressed={more.value} onClick={() => (more.value = !more.value)} />
-      {more.value && (
-        <span class="group">
-          <Check label="Pressure: size" value={b.pressureSize} onChange={(pressureSize) => set({ pressureSize })} />
-          <Check label="flow" value={b.pressureFlow} onChange={(pressureFlow) => set({ pressureFlow })} />
-        </span>
-      )}
+      {shadingApplies() && <KeepShading />}
+      <Button
+        label="Tip, dabs, texture and hand of the brush"
+        icon="brush"
+        text="Brush"
+        pressed={tab.value === "brush"}
+        onClick={() => (tab.value = "brush")}
+      />
     </>
   );
 }
@@ -155,6 +149,7 @@ function Fill() {
         value={f.contiguous}
         onChange={(contiguous) => (fill.value = { ...f, contiguous })}
       />
+      {shadingApplies() && <KeepShading />}
     </>
   );
 }

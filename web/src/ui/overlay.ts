@@ -2,6 +2,10 @@
 
 import { effect, signal } from "@preact/signals";
 
+import { BRUSH_TOOLS, cursorFrame } from "../paint/brush";
+import { viewScale } from "../paint/brush-settings";
+import { meanRadius, type Frame } from "../paint/dabs";
+import { pulled } from "../paint/freehand";
 import { cloneFrom } from "../paint/strokes";
 import { drawPlacement, handles, placement } from "../paint/placement";
 import { draft } from "../paint/point-tools";
@@ -16,7 +20,6 @@ export const hover = signal<{ x: number; y: number } | null>(null);
 
 /** Alpha of the tint, 0..255. */
 const TINT = 70;
-const ROUND = ["brush", "erase", "clone", "heal", "line"];
 
 /** Keep the canvas up to date. `ratio`: canvas pixels per view pixel. */
 export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () => void {
@@ -76,10 +79,13 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
       const [x, y] = from.offset && at ? [at.x - from.offset[0], at.y - from.offset[1]] : [from.x, from.y];
       two(cross(x, y, 7 / k));
     }
-    const round = ROUND.includes(current) || (current === "select" && selecting.value.kind === "brush");
-    if (at && round && !placed) {
+    const string = pulled.value;
+    if (string && at) two(segments([string.x, string.y, at.x, at.y]));
+    if (at && now && BRUSH_TOOLS.includes(current) && !placed) {
+      two(ellipse(string?.x ?? at.x, string?.y ?? at.y, cursorFrame(string?.x ?? at.x, string?.y ?? at.y)));
+    } else if (at && current === "select" && selecting.value.kind === "brush") {
       const ring = new Path2D();
-      ring.arc(at.x, at.y, Math.max(brush.value.size / 2, 1), 0, 7);
+      ring.arc(at.x, at.y, Math.max((brush.value.size / 2) * viewScale.value, 1), 0, 7);
       two(ring);
     } else if (at && (current === "pick" || current === "fill" || current === "select")) two(cross(at.x, at.y, 7 / k));
     canvas.style.visibility = empty ? "hidden" : "visible"; // Chromium goes on showing what was on a canvas that is only cleared
@@ -119,6 +125,17 @@ function segments(lines: number[]): Path2D {
     path.lineTo(lines[i + 2], lines[i + 3]);
   }
   return path;
+}
+
+/** The circle of a brush as the view sees it, at least one pixel in radius. */
+function ellipse(x: number, y: number, [a, b, c, d]: Frame): Path2D {
+  const least = Math.max(1, 1 / meanRadius([a, b, c, d]));
+  const points: number[] = [];
+  for (let k = 0; k < 48; k++) {
+    const [u, v] = [least * Math.cos((k * Math.PI) / 24), least * Math.sin((k * Math.PI) / 24)];
+    points.push(x + a * u + b * v, y + c * u + d * v);
+  }
+  return polyline(points);
 }
 
 function polyline(points: number[]): Path2D {

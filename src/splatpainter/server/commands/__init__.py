@@ -10,6 +10,7 @@ from splatpainter.server.commands import painting as _painting  # noqa: F401
 from splatpainter.server.commands import picture_check as _picture_check  # noqa: F401
 from splatpainter.server.commands import selection as _selection  # noqa: F401
 from splatpainter.server.commands import source_edit as _source_edit  # noqa: F401
+from splatpainter.server.commands import surface as _surface  # noqa: F401
 from splatpainter.server.commands import turntables as _turntables  # noqa: F401
 from splatpainter.server.commands import viewing as _viewing  # noqa: F401
 from splatpainter.server.commands.context import HANDLERS as HANDLERS

@@ -1,0 +1,56 @@
+"""What painting tools ask of the asset: the surface of a view, its main colours."""
+
+from __future__ import annotations
+
+import base64
+
+from pydantic import Field
+
+from splatpainter.server.commands.context import CommandContext, command
+from splatpainter.server.palette import MAX_COLORS, main_colors
+from splatpainter.server.protocol import Answer, CameraInfo, Command, Rgb
+
+
+class SurfaceSeen(Answer):
+    block: int
+    """Pixels along a side of the blocks."""
+    columns: int
+    rows: int
+    data: str
+    """Base64 of [rows, columns, 4] float32, little-endian: z-depth of the surface in the block's middle (0: none that
+    is trusted) and its unit normal towards the camera, camera space."""
+
+
+class ViewSurface(Command):
+    """Where the surface lies that a view sees, on blocks of about 1/128 of its longer side."""
+
+    NAME = "view.surface"
+    ANSWER = SurfaceSeen
+    camera: CameraInfo
+
+
+@command(ViewSurface)
+def view_surface(context: CommandContext, request: ViewSurface) -> SurfaceSeen:
+    table, block = context.studio.session.surface_blocks(request.camera.to_camera())
+    rows, columns = table.shape[:2]
+    data = base64.b64encode(table.astype("<f4").tobytes()).decode()
+    return SurfaceSeen(block=block, columns=columns, rows=rows, data=data)
+
+
+class Palette(Answer):
+    colors: list[Rgb]
+    """Display sRGB 0..1, dark to light; fewer than asked for where the asset has not so many."""
+
+
+class AssetPalette(Command):
+    """The main colours of the asset as it is now, by the area that they cover."""
+
+    NAME = "asset.palette"
+    ANSWER = Palette
+    count: int = Field(default=12, ge=1, le=MAX_COLORS)
+
+
+@command(AssetPalette)
+def asset_palette(context: CommandContext, request: AssetPalette) -> Palette:
+    colors = main_colors(context.studio.session.splats, request.count)
+    return Palette(colors=[[round(float(value), 4) for value in color] for color in colors])

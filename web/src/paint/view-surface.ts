@@ -1,0 +1,50 @@
+/** The surface of the present view, asked of the server when a tool needs it. */
+
+import { effect, signal } from "@preact/signals";
+
+import { camera, state, tool } from "../state/store";
+import { link } from "../state/studio";
+import type { CameraJson } from "../view/camera";
+import { engine } from "./brush-settings";
+import { SurfaceView } from "./surface-view";
+
+/** Of the present view, or of the one before until its answer is there; null: not needed so far. */
+export const viewSurface = signal<SurfaceView | null>(null);
+/** Tools that lay something on the surface ask for it by this. */
+export const surfaceUsers = signal(0);
+const BRUSHES = ["brush", "erase", "line", "clone", "heal"];
+const REST_MS = 120;
+
+/** What is known of the surface of exactly this view. */
+export const surfaceOf = (view: CameraJson | null): SurfaceView | null =>
+  viewSurface.value && viewSurface.value.camera === view ? viewSurface.value : null;
+
+let asked = "";
+
+async function ask(view: CameraJson, key: string): Promise<void> {
+  asked = key;
+  try {
+    const { block, columns, rows, data } = await link.do("view.surface", { camera: view });
+    if (camera.value !== view) return;
+    const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+    viewSurface.value = new SurfaceView(view, block, columns, rows, new Float32Array(bytes.buffer));
+  } catch {
+    asked = ""; // the tools go on without it; a lost connection is said elsewhere
+  }
+}
+
+/** Start following the view. */
+export function followSurface(): void {
+  let timer: ReturnType<typeof setTimeout>;
+  effect(() => {
+    const [view, now] = [camera.value, state.value];
+    const { unit, follow } = engine.value;
+    const needed = surfaceUsers.value > 0 || (BRUSHES.includes(tool.value) && (unit === "world" || follow));
+    clearTimeout(timer);
+    if (!view || !now || !needed) return;
+    // paint changes what is seen, but hardly where the surface is: layers that hide something do
+    const hidden = now.layers.filter((layer) => layer.kind === "hide").map((layer) => `${layer.id}${layer.visible}`);
+    const key = JSON.stringify([now.session, view, hidden]);
+    if (key !== asked) timer = setTimeout(() => void ask(view, key), REST_MS);
+  });
+}
