@@ -11,6 +11,7 @@ import contextlib
 import importlib.util
 import io
 import json
+import logging
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
@@ -25,6 +26,9 @@ from splatpainter.cameras import Camera
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+# Pillow logs what is wrong with a picture; without a handler that goes to stderr, beside the one line that is ours.
+logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 EXTRA = "pictures"
 """The extra of the package that brings OpenImageIO."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 import zlib
 from pathlib import Path
@@ -49,6 +50,27 @@ def test_a_tiff_whose_tags_lie_outside_of_it_has_no_camera_and_warns_of_nothing(
     with pytest.raises(ValueError) as caught:
         find_camera(path)
     assert type(caught.value) is ValueError and str(path) in str(caught.value)
+
+
+def test_a_tiff_of_too_many_samples_is_one_line_and_nothing_on_stderr(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.tif"
+    tags = [
+        (256, 4, 1, 2),
+        (257, 4, 1, 2),
+        (258, 3, 1, 8),
+        (259, 3, 1, 1),
+        (262, 3, 1, 2),
+        (273, 4, 1, 8),
+        (277, 3, 1, 262),
+    ]
+    body = b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    path.write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + body + bytes(8))
+    monkeypatch.setattr(logging.getLogger("PIL"), "propagate", False)  # pytest listens, a user's process does not
+    with pytest.raises(ValueError, match="expected a PNG, JPEG, WebP or TIFF|cannot be read"):
+        read_picture(path)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_camera_of_an_endless_version_is_refused_in_a_short_line() -> None:
