@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from splatpainter.cameras import Camera as Camera
     from splatpainter.cameras import look_at as look_at
     from splatpainter.cameras import orbit as orbit
-    from splatpainter.grading.color_match import ColorMatch as ColorMatch
-    from splatpainter.grading.color_match import Recolor as Recolor
-    from splatpainter.grading.cube_lut import read_cube as read_cube
     from splatpainter.grading.grade import grade as grade
     from splatpainter.grading.region import Region as Region
     from splatpainter.io import read as read
@@ -31,7 +28,11 @@ if TYPE_CHECKING:
     from splatpainter.server.launch import studio as studio
     from splatpainter.session import Session as Session
     from splatpainter.source_edits.edit import edit_with_source as edit_with_source
+    from splatpainter.source_edits.edit import refine as refine
     from splatpainter.sources.color_grading import GradeSettings as GradeSettings
+    from splatpainter.sources.color_match import ColorMatch as ColorMatch
+    from splatpainter.sources.color_match import Recolor as Recolor
+    from splatpainter.sources.cube_lut import read_cube as read_cube
     from splatpainter.sources.decals import Decal as Decal
     from splatpainter.splats import Splats as Splats
 
@@ -49,12 +50,13 @@ _HOME = {
     "Edit": "painter",
     "Decal": "sources.decals",
     "edit_with_source": "source_edits.edit",
+    "refine": "source_edits.edit",
     "grade": "grading.grade",
     "GradeSettings": "sources.color_grading",
     "Region": "grading.region",
-    "ColorMatch": "grading.color_match",
-    "Recolor": "grading.color_match",
-    "read_cube": "grading.cube_lut",
+    "ColorMatch": "sources.color_match",
+    "Recolor": "sources.color_match",
+    "read_cube": "sources.cube_lut",
     "Session": "session",
     "Receipt": "receipts",
     "verify": "receipts",
@@ -80,6 +82,7 @@ __all__ = [
     "orbit",
     "read",
     "read_cube",
+    "refine",
     "render",
     "studio",
     "verify",

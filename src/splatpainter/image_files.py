@@ -47,6 +47,8 @@ MAX_PICTURE_PIXELS = 1 << 26
 """Of a picture that is opened: a few hundred bytes can claim any number. 8192 x 8192."""
 Alpha = Literal["straight", "premultiplied"]
 """How a picture that was rendered without a background keeps its colours: as they are, or multiplied by alpha."""
+PACKED_WIDTH = 4096
+"""Pixels of a row of `bytes_to_png`."""
 ALPHA_KEY = "alpha"
 """Key beside the camera's own that says it."""
 
@@ -86,6 +88,25 @@ def encode_png(pixels: np.ndarray, text: Mapping[str, str] | None = None, level:
     file = io.BytesIO()
     Image.fromarray(pixels).save(file, "PNG", pnginfo=chunks, compress_level=level)
     return file.getvalue()
+
+
+def bytes_to_png(data: bytes) -> bytes:
+    """A grey PNG whose pixels are these bytes, row by row, and zeros after them."""
+    rows = -(-len(data) // PACKED_WIDTH)
+    return encode_png(np.frombuffer(data.ljust(rows * PACKED_WIDTH, b"\0"), np.uint8).reshape(rows, PACKED_WIDTH))
+
+
+def bytes_of_png(png: bytes, max_bytes: int) -> bytes:
+    """The inverse; zeros may follow. Raises ValueError: no such picture, or of more than `max_bytes` and a row."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
+            if image.mode != "L" or image.width != PACKED_WIDTH or image.height > max_bytes // PACKED_WIDTH + 1:
+                raise ValueError("it has another shape")
+            return np.asarray(image).tobytes()
+    except Exception as error:  # decoders of damaged files raise anything
+        raise ValueError(f"expected a PNG that holds data ({error})") from None
 
 
 def encode_exr(

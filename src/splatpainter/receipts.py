@@ -35,7 +35,7 @@ from splatpainter.splats import Frame, Splats, rows_sha256
 MAX_RECEIPT_ROWS = 1 << 27
 """Rows of an asset that a receipt may speak of."""
 
-MAX_CARRIED, MAX_CARRIED_CHARACTERS = 100, 4000
+MAX_CARRIED, MAX_CARRIED_CHARACTERS, MAX_CARRIED_DEPTH = 100, 4000, 10
 """Entries of a list or an object, and characters of a text, that say where an edit's pictures came from."""
 
 
@@ -185,7 +185,7 @@ def _text(value: Any, max_length: int = 200) -> str:
     return text
 
 
-def _plain(value: Any, depth: int = 8) -> Any:
+def _plain(value: Any, depth: int = MAX_CARRIED_DEPTH) -> Any:
     """A value of JSON that is only carried along: finite, and no longer or deeper than receipts need. Raises
     ValueError."""
     if depth and isinstance(value, dict) and len(value) <= MAX_CARRIED:
@@ -195,6 +195,15 @@ def _plain(value: Any, depth: int = 8) -> Any:
     if value is None or isinstance(value, bool) or (isinstance(value, str) and len(value) <= MAX_CARRIED_CHARACTERS):
         return value
     return _number(value)
+
+
+def can_carry(source: dict[str, Any]) -> bool:
+    """Whether a receipt with this `source` can be read again: no deeper or longer than receipts need."""
+    try:
+        _plain(source)
+    except ValueError:
+        return False
+    return True
 
 
 def _number(value: Any, none: bool = False) -> Any:

@@ -82,7 +82,7 @@ class StudioTarget(Target):
                 script.append({"bytes": base64.b64encode(rng.randbytes(rng.choice((0, 1, 32, 5000)))).decode()})
             elif kind < 17:
                 target = rng.choice(self.files)
-                (name, data), *_ = target.make(rng).items()
+                (name, data), *_ = target.make(rng).items() if maybe(rng, 0.9) else [("a.cube", bent_cube(rng))]
                 if len(data) > 1 << 20:
                     continue
                 uploads[f"{number}-{name}"] = data
@@ -95,6 +95,9 @@ class StudioTarget(Target):
     def _use_of_upload(self, rng: random.Random, number: int, name: str) -> dict[str, Any]:
         do = "project.open" if name.endswith(".splatproj") else "asset.open" if "png" not in name else "picture.check"
         do = do if do in COMMANDS else rng.choice([*COMMANDS])
+        if name.endswith(".cube"):
+            transfer = {"kind": "lut", "file": "$blob", "strength": rng.choice((1, 0.5, *FLOATS))}
+            return {"id": number, "do": rng.choice(("look.preview", "look.commit")), "transfer": transfer}
         command = self._command(rng, number, do)
         for key in ("blob", "picture"):
             if key in self.schemas[do].get("properties", {}):
@@ -129,6 +132,10 @@ class StudioTarget(Target):
             return ["$layer", "$layer"]
         if key == "schema_hash":
             return "$hash"
+        if key == "file":
+            return rng.choice(("$blob", "a", "b.ply", *TEXTS))
+        if key == "source":
+            return rng.choice(("upscale", "upscale", "command", *TEXTS))
         if "$ref" in part:
             return self._value(rng, "", schema["$defs"][part["$ref"].rsplit("/", 1)[1]], schema)
         if "const" in part:
@@ -393,13 +400,25 @@ def problem(answer: dict[str, Any], of: str) -> None:
             raise Fault(f"a message that is not one short line: {part[:200]!r} for {of[:200]}")
 
 
+def bent_cube(rng: random.Random) -> bytes:
+    """A LUT of two entries along each axis, mostly with something wrong in it."""
+    size = rng.choice((2, 2, 2, 3, 0, -1, 10**12))
+    words = rng.choice(("LUT_3D_SIZE", "LUT_3D_SIZE", "LUT_1D_SIZE", "DOMAIN_MIN", *TEXTS))
+    rows = [
+        " ".join(str(rng.choice((0, 1, 0.5, *FLOATS))) for _ in range(3)) for _ in range(rng.choice((8, 8, 8, 2, 9)))
+    ]
+    return f"{words} {size}\n{chr(10).join(rows)}\n".encode("utf-8", "replace")
+
+
 def tamed(fields: dict[str, Any]) -> dict[str, Any]:
     """Views that would be drawn are small, and turntables short: those are correct commands that only take long."""
-    view = fields.get("camera")
-    if isinstance(view, dict):
-        width, height = view.get("width"), view.get("height")
-        if type(width) is int and type(height) is int and SMALL**2 < width * height <= MAX_VIEW_PIXELS:
-            view["width"] = view["height"] = SMALL
+    several = fields.get("views")
+    for view in (fields.get("camera"), *(several if isinstance(several, list) else ())):
+        view = view.get("camera", view) if isinstance(view, dict) else None
+        if isinstance(view, dict):
+            width, height = view.get("width"), view.get("height")
+            if type(width) is int and type(height) is int and SMALL**2 < width * height <= MAX_VIEW_PIXELS:
+                view["width"] = view["height"] = SMALL
     for key in ("frames", "size", "width"):
         if type(fields.get(key)) is int and fields[key] > SMALL and key != "width":
             fields[key] = 4

@@ -11,12 +11,12 @@ from PIL import Image
 
 from splatpainter.cameras import look_at
 from splatpainter.color import base_color, luminance, srgb_to_linear
-from splatpainter.grading.color_match import ColorMatch, Recolor, monge_kantorovitch, seen_weights, statistics
-from splatpainter.grading.cube_lut import parse_cube
 from splatpainter.grading.grade import describe, grade
 from splatpainter.grading.region import Region, hues, oklab
 from splatpainter.image_files import write_png
 from splatpainter.sources.color_grading import GradeSettings, grade_sh
+from splatpainter.sources.color_match import ColorMatch, Recolor, monge_kantorovitch, seen_weights, statistics
+from splatpainter.sources.cube_lut import parse_cube
 from splatpainter.sources.picture_reader import Picture
 from splatpainter.splats import SH_C0, Splats
 from tests.support.cli_scenes import ball, with_bad_gaussians

@@ -13,8 +13,9 @@ from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, changed_rows
 from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
-from splatpainter.source_edits.edit import cover, edit_with_source
-from splatpainter.source_edits.view_edit import SourceBrief, ask_for_edit, displayed, picture_sha256
+from splatpainter.source_edits.edit import cover, edit_with_source, refine
+from splatpainter.source_edits.turns import ask_in_turn
+from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
 from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
 from splatpainter.splats import SH_C0, Splats
@@ -219,3 +220,42 @@ def test_a_refused_view_is_noted_and_the_others_are_painted() -> None:
         edit(splats, FunctionSource(exchanged), views="auto", cancel=stop)
     with pytest.raises(RefusedPicture, match="view 2"):
         edit(splats, FunctionSource(lambda image: image), views="auto", max_views=2)
+
+
+def test_views_are_refined_from_python() -> None:
+    splats = patterned(600)
+    (camera,) = orbit_cameras(splats, 1, size=64, background=GREY)
+
+    def striped(image: np.ndarray) -> np.ndarray:
+        large = image.repeat(2, 0).repeat(2, 1)
+        return large + 0.15 * (-1.0) ** (np.arange(large.shape[1]) // 2)[None, :, None]
+
+    source = FunctionSource(striped, without_masks())
+    refined = refine(splats, [camera], source=source, prompt="finer", painter=LIFT, strictness="loose")
+    assert refined.receipt is not None and refined.receipt.source is not None
+    (score,) = refined.receipt.views
+    assert score.psnr_after is not None and score.psnr_before is not None
+    assert score.psnr_after > score.psnr_before + 1 and refined.receipt.appended_rows > 50
+    assert (source.requests[0].scale, source.requests[0].prompt) == (2, "finer")
+    plain = refine(splats, [camera], painter=LIFT)
+    assert plain.receipt is not None and plain.receipt.source is not None and plain.receipt.source["name"] == "upscale"
+    with pytest.raises(ValueError, match="1 to 16 cameras"):
+        refine(splats, [])
+    with pytest.raises(ValueError, match="got both"):
+        refine(splats, [camera], source=source, upscale="model.safetensors")
+
+
+def test_a_view_that_cannot_be_painted_is_noted() -> None:
+    splats = patterned(400)
+    plan = plan_views(splats, size=64, max_views=3, background=GREY)
+    painted: list[SourcedEdit] = []
+
+    def paint(made: SourcedEdit) -> None:
+        if not painted and made.edit.name == "function view 1":
+            raise ValueError("edit: reaches no Gaussian")
+        painted.append(made)
+
+    quiet = {"present": lambda: splats, "progress": lambda *_: None, "cancel": threading.Event()}
+    turns = ask_in_turn(splats, FunctionSource(exchanged), SourceBrief("x"), plan, paint=paint, **quiet)
+    assert turns.edits == tuple(painted) and len(painted) == 2
+    assert turns.notes == ("function view 1: not painted (edit: reaches no Gaussian)",)

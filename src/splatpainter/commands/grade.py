@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from tyro.conf import arg
 
 from splatpainter.commands import Outcome
@@ -14,14 +15,16 @@ from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
 from splatpainter.commands.proved import check_outputs, proved_record, write_proved
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verify import receipt_of, same_words
-from splatpainter.grading.color_match import ColorMatch, Recolor
-from splatpainter.grading.cube_lut import read_cube
 from splatpainter.grading.grade import Look, grade
 from splatpainter.grading.region import Region
 from splatpainter.io import files, read
 from splatpainter.jsonio import load_object
 from splatpainter.session.asset_files import LAYER_SUFFIX, read_layer
+from splatpainter.session.document import SELECTION, Layer
 from splatpainter.sources.color_grading import GRADE, GradeSettings
+from splatpainter.sources.color_match import ColorMap, ColorMatch, Recolor
+from splatpainter.sources.color_transfer import TRANSFERS, transfer_function, with_table
+from splatpainter.sources.cube_lut import read_cube
 from splatpainter.sources.picture_reader import read_picture
 
 COMMAND = "splatpainter grade"
@@ -32,6 +35,21 @@ MAX_LOOK_BYTES = 1 << 20
 """Of a LOOK.json."""
 ALL_HUES = 1e6
 """Degrees to either side: a band of hues that fades out nowhere."""
+
+
+@dataclass(frozen=True)
+class LayerLook:
+    """The look of a layer at its strength."""
+
+    function: ColorMap
+    strength: float
+    name: str
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        return colors + np.float32(self.strength) * (self.function(colors) - colors)
+
+    def describe(self) -> str:
+        return f"layer {self.name}, strength {self.strength:g}"
 
 
 @dataclass(frozen=True)
@@ -159,15 +177,29 @@ def read_look(path: Path) -> Look:
 
 
 def _look_of_layer(path: Path) -> Look:
-    layer, _ = read_layer(path)
-    if layer.kind != "look" or layer.parameters.get("look") != GRADE:
-        raise ValueError(f"{path}: expected an adjustment layer with sliders, got a layer of kind {layer.kind}")
-    if layer.views:
+    layer, blobs = read_layer(path)
+    look = layer.parameters.get("look")
+    if layer.kind != "look" or look not in (GRADE, *TRANSFERS):
+        raise ValueError(f"{path}: expected an adjustment layer, got a layer of kind {layer.kind}")
+    if layer.views or SELECTION in layer.parameters:
         raise ValueError(f"{path}: is limited to a selection, which grade takes as --where mask=M.png@CAM.json instead")
     if layer.blend != "normal":
         raise ValueError(f"{path}: expected a layer of blend normal, got {layer.blend}")
+    if look in TRANSFERS:
+        return _transfer_of_layer(path, layer, blobs)
     sliders = GradeSettings.from_dict(layer.parameters)
     return replace(sliders, strength=sliders.strength * layer.opacity)
+
+
+def _transfer_of_layer(path: Path, layer: Layer, blobs: dict[str, bytes]) -> Look:
+    """A layer's LUT, colours of a picture or new colour, as they were fitted when it was made."""
+    parameters = with_table(layer.parameters, lambda name: blobs.get(name, b""))
+    try:
+        function = transfer_function(parameters)
+        strength = float(parameters.get("strength", 1.0)) * layer.opacity
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {str(error).removeprefix('look: ')}") from None
+    return LayerLook(function, strength, ascii(layer.name))
 
 
 def _color(text: str) -> tuple[float, float, float]:

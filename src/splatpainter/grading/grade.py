@@ -15,11 +15,11 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from splatpainter.grading.color_match import ColorMap, display_colors, seen_weights
 from splatpainter.grading.region import Region
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, changed_rows, untouched_hashes
 from splatpainter.sources.color_grading import GradeSettings, apply_to_sh
+from splatpainter.sources.color_match import ColorMap, display_colors, seen_weights
 from splatpainter.splats import Splats
 
 MAX_NOTE = 2000

@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.color import luminance, srgb_to_linear
-from splatpainter.grading.color_match import display_colors
+from splatpainter.sources.color_match import display_colors
 from splatpainter.splats import Splats
 
 MAX_TERMS = 64

@@ -57,6 +57,7 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
             yield
         finally:
             watching.cancel()
+            hub.stop()
             await asyncio.wait([watching, *hub.closing])  # whatever they end with
             if not watching.cancelled() and watching.exception() is not None:
                 log.error("the watched folder", exc_info=watching.exception())

@@ -279,10 +279,15 @@ class CommandReader:
                 self.client.version = -1 if command.since is None else command.since
                 self.client.send(Answer(re=number, version=self.hub.studio.session.version))
                 self._done(number, ticket)
-            elif self.hub.handlers[type(command)].background:
+            elif (handler := self.hub.handlers[type(command)]).background:
                 task = asyncio.create_task(self._work(number, command, ticket))
-                self._background[task] = ticket
-                task.add_done_callback(self._background.pop)
+                if handler.once:
+                    ticket.ends_with_page = True
+                    self.hub.closing.add(task)
+                    task.add_done_callback(self.hub.closing.discard)
+                else:
+                    self._background[task] = ticket
+                    task.add_done_callback(self._background.pop)
             else:
                 await self._work(number, command, ticket)
 
@@ -292,10 +297,11 @@ class CommandReader:
         async def work() -> Answer:
             return await self.hub.execute(command, page, ticket, client)
 
-        # What runs in the background ends with its connection, and may be done again.
-        background = self.hub.handlers[type(command)].background
+        # Mostly what runs in the background ends with its connection, and may be done again.
+        handler = self.hub.handlers[type(command)]
+        again = handler.background and not handler.once
         try:
-            answer = await (work() if background else page.once(number, work))
+            answer = await (work() if again else page.once(number, work))
             client.send(answer.model_copy(update={"re": number}))
         except CommandError as error:
             client.send(Failure(re=number, error=error.problem))

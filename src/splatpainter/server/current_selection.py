@@ -7,6 +7,7 @@ pixel, and not where the Gaussians under it happen to end.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import numpy as np
 
@@ -91,10 +92,22 @@ class CurrentSelection:
         with self._lock:
             cached = self._view
             if cached is None or cached[:3] != (key, self.revision, version):
-                low, high = SHARPEN
-                shares = np.clip((view_of(self.session.splats, weights, camera) - low) / (high - low), 0, 1)
-                cached = self._view = (key, self.revision, version, shares.astype(np.float32))
+                shares = _sharpened(view_of(self.session.splats, weights, camera))
+                cached = self._view = (key, self.revision, version, shares)
             return cached[3]
+
+    def share(self) -> Callable[[Camera], np.ndarray] | None:
+        """What is selected now, as a function that goes on giving it ([H, W] 0..1 of a camera's view) when something
+        else is selected later; None: nothing is, all of it may change."""
+        selection, session = self._selection, self.session
+        if selection is None:
+            return None
+
+        def of_view(camera: Camera) -> np.ndarray:
+            splats = session.splats
+            return _sharpened(view_of(splats, selection.on(splats, session.original), camera))
+
+        return of_view
 
     def stored(self) -> tuple[str, bytes] | None:
         """(hash, PNG) for a layer that keeps to it; None: nothing is selected."""
@@ -117,6 +130,11 @@ def limited(splats: Splats, weights: np.ndarray | None, sh: np.ndarray) -> np.nd
     part = weights[:, None, None]
     mixed = np.where(part == 1, sh, splats.sh + part * (sh - splats.sh))
     return np.where(part == 0, splats.sh, mixed).astype(np.float32)
+
+
+def _sharpened(shares: np.ndarray) -> np.ndarray:
+    low, high = SHARPEN
+    return np.clip((shares - low) / (high - low), 0, 1).astype(np.float32)
 
 
 def _key(camera: Camera) -> bytes:

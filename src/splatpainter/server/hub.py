@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import sqlite3
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -40,6 +43,8 @@ class Hub:
         self.handlers: dict[type[Command], Handler] = HANDLERS
         self.closing: set[asyncio.Task[None]] = set()
         """Work of clients whose connection was closed, to its end."""
+        self._background: set[Ticket] = set()
+        """Of long commands in work."""
         self._diffs: tuple[State, dict[tuple[int, int], tuple[State, str]]] | None = None
         self._delta: tuple[Session, int, int, asyncio.Future[tuple[int, list[bytes]]]] | None = None
 
@@ -84,6 +89,9 @@ class Hub:
         """Run a command and return its answer. Raises CommandError where it failed; nothing has changed then."""
         handler = self.handlers[type(command)]
         context = CommandContext(self.studio, page, ticket)
+        if handler.background:
+            context.writer = self._writer(asyncio.get_running_loop())
+            self._background.add(ticket)
         seconds, opened, before = 0.0, False, ""
 
         def job() -> Answer:
@@ -102,6 +110,8 @@ class Hub:
             answer = await self.queue.run(handler.lane, job, ticket)
         except Exception as error:
             raise CommandError(self.studio.public_problem(problem_of(error))) from error
+        finally:
+            self._background.discard(ticket)
         if client is not None:  # the page may have another connection by now
             client.page.clear_preview |= context.clear_preview
             (client.page.client or client).show_preview(context.preview, context.previewed_ids, before)
@@ -113,6 +123,28 @@ class Hub:
                 if other.greeted:
                     other.send(note)
         return answer.model_copy(update={"seconds": round(seconds, 4)})
+
+    def _writer(self, loop: asyncio.AbstractEventLoop) -> Callable[[Callable[[], Any]], Any]:
+        """As CommandContext has it."""
+
+        def write(work: Callable[[], Any]) -> Any:
+            def job() -> Any:
+                try:
+                    return work()
+                finally:
+                    self.studio.refresh()
+
+            result = self.queue.write(job)
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(self.mark_dirty)
+            return result
+
+        return write
+
+    def stop(self) -> None:
+        """Cancel long commands: the studio is being closed."""
+        for ticket in self._background:
+            ticket.cancel()
 
     def close(self) -> None:
         """After the last client was closed."""

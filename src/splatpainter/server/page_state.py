@@ -116,3 +116,6 @@ class PageStates:
         """Unless it has been back meanwhile."""
         if page.client is None and page.attachments == attachments and self._pages.get(page.name) is page:
             del self._pages[page.name]
+            for ticket in page.tickets.values():
+                if ticket.ends_with_page:
+                    ticket.cancel()

@@ -10,10 +10,11 @@ import contextlib
 import re
 import secrets
 import threading
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -32,6 +33,8 @@ from splatpainter.user_folders import projects_folder
 
 MAX_EARLIER = 3
 """Projects over the same original that are offered."""
+MAX_SOURCED_PICTURES = 64
+"""The latest ones of sources, whose makers are remembered until they are painted with."""
 MAX_EXPORTED_VIEWS = 64
 """The latest ones, which a returning picture is compared with."""
 
@@ -77,6 +80,8 @@ class Studio:
         self._drawn = 0
         """Version of the session of which its project has a picture."""
         self.exports: deque[ExportedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
+        self._sourced: OrderedDict[str, dict[str, Any]] = OrderedDict()
+        """Pictures that a source made: sha256 -> what receipts say of it."""
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
         try:
@@ -216,6 +221,20 @@ class Studio:
     def public_problem(self, problem: Problem) -> Problem:
         """The same with `public` texts."""
         return problem.model_copy(update={"message": self.public(problem.message), "hint": self.public(problem.hint)})
+
+    def note_source(self, picture: str, record: dict[str, Any] | None) -> None:
+        """A picture of a source, by its hash; record: what receipts say of it, None: nothing."""
+        if record is not None:
+            self._sourced[picture] = record
+            while len(self._sourced) > MAX_SOURCED_PICTURES:
+                self._sourced.popitem(last=False)
+
+    def source_of(self, pictures: Sequence[str]) -> dict[str, Any] | None:
+        """What receipts say of the sources of some pictures, all in one; None: no source made them."""
+        records = [self._sourced[picture] for picture in pictures if picture in self._sourced]
+        if not records:
+            return None
+        return {**records[0], "views": [view for record in records for view in record["views"]]}
 
     def picture_bytes(self, sha256: str) -> tuple[bytes, str]:
         """(bytes, content type) of a picture that was sent or made, or that a layer holds. Raises ValueError."""

@@ -11,9 +11,11 @@ from typing import Literal
 from splatpainter.io import detect
 from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
+from splatpainter.sources.cube_lut import MAX_CUBE_BYTES
 from splatpainter.sources.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT
 
-Kind = Literal["picture", "asset", "project", "layer"]
+Kind = Literal["picture", "asset", "project", "layer", "lut"]
+CUBE_ENDING = ".cube"
 SQLITE, ZIP = b"SQLite format 3\0", b"PK\x03\x04"
 MEDIA = {"PNG": "image/png", "JPEG": "image/jpeg", "WEBP": "image/webp", "TIFF": "image/tiff"}
 ENDINGS = {"PNG": ".png", "JPEG": ".jpg", "WEBP": ".webp", "TIFF": ".tif"}
@@ -45,6 +47,10 @@ def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
     if head[:4] == ZIP and _is_layer(path):
         return UploadInfo("layer", ".splatlayer", "application/octet-stream")
     title = name or "the upload"
+    if name.lower().endswith(CUBE_ENDING) and b"\0" not in head:
+        if path.stat().st_size > MAX_CUBE_BYTES:
+            raise ValueError(f"{title}: expected a .cube table of at most {MAX_CUBE_BYTES >> 20} MiB, got more")
+        return UploadInfo("lut", CUBE_ENDING, "application/octet-stream")
     key = _detected(path, name)
     if key is None:
         raise ValueError(f"{title}: expected a picture (PNG, JPEG, WebP, TIFF), a splat file or a project")

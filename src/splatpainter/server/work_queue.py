@@ -8,12 +8,12 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import Literal, TypeVar
 
 Result = TypeVar("Result")
 Lane = Literal["write", "read", "background"]
-THREADS: dict[Lane, int] = {"write": 1, "read": 2, "background": 1}
+THREADS: dict[Lane, int] = {"write": 1, "read": 2, "background": 2}
 MAX_JOBS = 512
 """Jobs that may wait; beyond that a client is told to come back later."""
 
@@ -32,6 +32,8 @@ class Ticket:
     def __init__(self, on_progress: Callable[[float, str], None] | None = None) -> None:
         self._cancelled = threading.Event()
         self._on_progress = on_progress
+        self.ends_with_page = False
+        """Whether it is to be cancelled where its page stays away."""
 
     def cancel(self) -> None:
         """Ask the job to stop; it does at its next `check` or `report`."""
@@ -71,6 +73,18 @@ class WorkQueue:
             return await asyncio.get_running_loop().run_in_executor(self._lanes[lane], checked)
         finally:
             self._waiting -= 1
+
+    def write(self, job: Callable[[], Result]) -> Result:
+        """The result of a job on the lane `write`, for a job of the lane `background`, which waits for it here. Raises
+        what it raises, and Cancelled where the queue is being closed."""
+        try:
+            future = self._lanes["write"].submit(job)
+        except RuntimeError:  # closed
+            raise Cancelled from None
+        try:
+            return future.result()
+        except CancelledError:
+            raise Cancelled from None
 
     def close(self) -> None:
         """Wait for the jobs in work; those that have not begun are dropped."""

@@ -42,7 +42,7 @@ from splatpainter.session.layer_blending import (
     blend_delta,
     reached_gaussians,
 )
-from splatpainter.session.layer_factory import decode_mask, decode_picture, is_cut_out, limits_of
+from splatpainter.session.layer_factory import SPLIT_ONLY, decode_mask, decode_picture, is_cut_out, limits_of
 from splatpainter.session.layer_state import LayerResult, LayerState, Progress, ResultStore, ancestors, lineage
 from splatpainter.session.mask_weights import MaskWeights
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
@@ -57,6 +57,8 @@ from splatpainter.session.strokes import (
     folded_key,
     strokes_to_fold,
 )
+from splatpainter.source_edits import turns
+from splatpainter.sources.color_transfer import with_table
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
@@ -73,8 +75,8 @@ MAX_CACHED_STATES = 64
 WITHIN = "within"
 """Name of the parameter {"within": true} of layers of mode global: only Gaussians that
 their views' masks reach change."""
-NO_LIMITS: Mapping[str, float] = {}
-"""Of a layer without parameters of its own for what one view may paint: those of the painter hold."""
+NO_OPTIONS: Mapping[str, Any] = {}
+"""Of a layer without local options of its own: those of the painter hold."""
 MAX_PLACEMENTS = 4
 """Arrangements that are cached of each layer, ..."""
 MAX_PLACED_LAYERS = 1024
@@ -118,11 +120,11 @@ class PainterAdapter:
         mode: Mode,
         method: Method,
         sheets: bool = True,
-        limits: Mapping[str, float] = NO_LIMITS,
+        options: Mapping[str, Any] = NO_OPTIONS,
     ) -> tuple[Splats, Asset]:
         """(the Gaussians below as the painter got them, what it made of them). below: [N] with `origin`; in both
         results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
-        edits below; sheets: False for layers of painters that knew none; limits: those of the painter's local options
+        edits below; sheets: False for layers of painters that knew none; options: those of the painter's local options
         that are others for this layer. Raises ValueError as Painter.apply does."""
         numbered = replace(bare(below), origin=np.arange(len(below)))
         asset = Asset(numbered, original=self._original)
@@ -137,21 +139,20 @@ class PainterAdapter:
             asset = replace(asset, encoding=replace(base.encoding, parent_ids=parent_ids, state=state))
         if mode == "local":
             vars(asset)["grid"] = self.grid(below)  # as its cached property would
-        return numbered, self._limited(limits).apply(asset, edits, mode, method)
+        return numbered, self._painter_with(options).apply(asset, edits, mode, method)
 
     @property
     def surface(self) -> Surface:
         """That of the original."""
         return self._bare.surface
 
-    def _limited(self, limits: Mapping[str, float]) -> Painter:
-        """The painter with other limits on what one view may paint."""
-        if not limits:
+    def _painter_with(self, options: Mapping[str, Any]) -> Painter:
+        """The painter with other local options."""
+        if not options:
             return self._painter
         from splatpainter.lift.options import LOCAL_DEFAULTS
 
-        options = self._painter.local_options or LOCAL_DEFAULTS
-        return replace(self._painter, local_options=replace(options, **limits))
+        return replace(self._painter, local_options=replace(self._painter.local_options or LOCAL_DEFAULTS, **options))
 
     def grid(self, splats: Splats) -> VoxelGrid:
         """The voxels of an asset, cached for the latest MAX_GRIDS geometries (colours do not matter: no layer makes a
@@ -460,6 +461,7 @@ class Replay:
             return LayerResult(between(splats, replace(splats, opacities=faded)))
         if layer.kind == "look" and not any(view.picture for view in layer.views):
             parameters = {name: value for name, value in layer.parameters.items() if name != SELECTION}
+            parameters = with_table(parameters, self._store.blob)
             adjusted = replace(splats, sh=adjust_sh(splats.sh, parameters, self.adjustments))
             if layer.views:
                 adjusted = _within(self._reached(splats, layer.views), splats, adjusted)
@@ -476,11 +478,11 @@ class Replay:
 
     def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
         local = layer.mode == "local" and layer.method != "ttt"  # networks paint without limits
-        limits = limits_of(layer.parameters, f"layer {layer.name!r}") if local else NO_LIMITS
+        options = _local_options(layer) if local else NO_OPTIONS
         edits = [self._edit(view, layer, below.splats) for view in layer.views]
         sheets = lays_sheets(layer.painter)
         numbered, asset = self._adapter.apply(
-            below.splats, below.painter_state, edits, layer.mode, layer.method, sheets, limits
+            below.splats, below.painter_state, edits, layer.mode, layer.method, sheets, options
         )
         parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
         facts: dict[str, Any] = {}
@@ -563,6 +565,11 @@ class Replay:
             seen = self._seen = (key, coarse_surface(self._adapter.surface, state.splats, camera))
         return seen[1]
 
+    @property
+    def surface(self) -> Surface:
+        """That of the original."""
+        return self._adapter.surface
+
     def prepare(self, state: LayerState) -> None:
         """Make what a local edit of a state needs before anything else."""
         self._adapter.grid(state.splats)
@@ -581,6 +588,14 @@ class Replay:
         self._states.move_to_end(key)
         edited = (*below.edited, replace(state.edited[-1], layer=layer))
         return replace(state, edited=edited, facts=(*below.facts, (layer.id, state.facts[-1][1])))
+
+
+def _local_options(layer: Layer) -> dict[str, Any]:
+    """What a layer's parameters say of the painter's LocalOptions. Raises ValueError naming the layer."""
+    options: dict[str, Any] = dict(limits_of(layer.parameters, f"layer {layer.name!r}"))
+    if layer.parameters.get(SPLIT_ONLY) is True:
+        options |= turns.WITHOUT_SHEETS
+    return options
 
 
 def fingerprint(painter: Painter, method: Method) -> str:

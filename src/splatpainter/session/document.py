@@ -18,6 +18,7 @@ from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS, Method, Mode
 from splatpainter.session.layer_mask import LayerMask
+from splatpainter.sources.color_transfer import TABLE
 
 Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "merged"]
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
@@ -33,6 +34,8 @@ PLACED = "placed"
 its "image" names a blob."""
 SELECTION = "selection"
 """Name of the parameter of layers that only change what is selected: the hash of a blob (selection.py)."""
+SOURCE = "source"
+"""Name of the parameter of layers whose pictures a source made: what receipts say of it."""
 MAX_VIEW_PIXELS = 64_000_000
 """Pixels of one view."""
 MAX_REASON = 300
@@ -200,7 +203,8 @@ class Layer:
         names = [self.thumbnail, *(name for view in self.views for name in (view.picture, view.mask))]
         placed = self.parameters.get(PLACED)
         image = placed.get("image") if isinstance(placed, dict) else None
-        names += [name for name in (image, self.parameters.get(SELECTION)) if _is_hash(name)]
+        data = (image, self.parameters.get(SELECTION), self.parameters.get(TABLE))
+        names += [name for name in data if _is_hash(name)]
         pictures = self.mask.pictures() if self.mask is not None else set()
         return {name for name in names if name} | pictures
 

@@ -45,6 +45,7 @@ from splatpainter.jsonio import brief
 from splatpainter.session.delta import Delta, no_delta
 from splatpainter.session.document import Blend
 from splatpainter.sources.color_grading import GRADE, grade_sh
+from splatpainter.sources.color_transfer import TRANSFERS, transfer_sh
 from splatpainter.splats import MAX_MAGNITUDE, SH_C0, Splats
 
 AdjustmentFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
@@ -148,7 +149,7 @@ def gain(sh: np.ndarray, parameters: Mapping[str, Any]) -> np.ndarray:
     return out.astype(np.float32)
 
 
-ADJUSTMENTS: dict[str, AdjustmentFunction] = {"gain": gain, GRADE: grade_sh}
+ADJUSTMENTS: dict[str, AdjustmentFunction] = {"gain": gain, GRADE: grade_sh, **dict.fromkeys(TRANSFERS, transfer_sh)}
 """Those of every session."""
 
 

@@ -30,6 +30,9 @@ THUMBNAIL_COLORS = 64
 """Of the thumbnails of strokes, of which a project may hold hundreds."""
 LIMITS = ("angle_limit", "depth_edge_limit")
 """Names of the parameters of layers of mode local that stand in for the painter's LocalOptions of the same names."""
+SPLIT_ONLY = "split_only"
+"""Name of the parameter {"split_only": true} of layers of mode local: their Gaussians are split and recoloured, not
+replaced by sheets (source_edits.turns.WITHOUT_SHEETS), for views that are painted one after the other."""
 
 
 def new_layer(

@@ -10,7 +10,6 @@ Spatial tools (grow, connected, floaters) are in selection_space.py.
 
 from __future__ import annotations
 
-import io
 import struct
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
@@ -19,6 +18,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, to_display
+from splatpainter.image_files import bytes_of_png, bytes_to_png
 from splatpainter.jsonio import brief
 from splatpainter.splats import Splats
 from splatpainter.voxels.neighbours import nearest_within
@@ -38,7 +38,6 @@ EDGE = 0.02
 QUANTILE = 0.01
 """Of depths and heights, below and above which strays lie."""
 MAGIC = b"SELE"
-PNG_WIDTH = 4096
 MAX_POINTS = 1 << 22
 """Of a stored selection."""
 SEARCH_STEPS, SEARCH_FACTOR = 6, 4.0
@@ -83,36 +82,22 @@ class Selection:
 
     def to_png(self) -> bytes:
         """A grey PNG whose pixels are the arrays, one after the other."""
-        from PIL import Image
-
         head = MAGIC + struct.pack("<QQ", len(self.weights), len(self.points))
-        data = head + self.weights.tobytes() + self.points.astype("<f4").tobytes() + self.point_weights.tobytes()
-        rows = -(-len(data) // PNG_WIDTH)
-        pixels = np.frombuffer(data.ljust(rows * PNG_WIDTH, b"\0"), np.uint8).reshape(rows, PNG_WIDTH)
-        file = io.BytesIO()
-        Image.fromarray(pixels).save(file, "PNG", compress_level=6)
-        return file.getvalue()
+        return bytes_to_png(
+            head + self.weights.tobytes() + self.points.astype("<f4").tobytes() + self.point_weights.tobytes()
+        )
 
     @staticmethod
     def from_png(data: bytes, count: int, where: str = "selection") -> Selection:
         """The inverse. count: Gaussians of the original. Raises ValueError naming `where`."""
-        from PIL import Image
-
         try:
-            with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-                if (
-                    image.mode != "L"
-                    or image.width != PNG_WIDTH
-                    or image.height > (20 + count + 13 * MAX_POINTS) // PNG_WIDTH + 1
-                ):
-                    raise ValueError("its picture has another shape")
-                flat = np.asarray(image).ravel()
+            flat = np.frombuffer(bytes_of_png(data, 20 + count + 13 * MAX_POINTS), np.uint8)
             if flat[:4].tobytes() != MAGIC:
                 raise ValueError("it is another picture")
             first, rest = struct.unpack("<QQ", flat[4:20].tobytes())
             if first != count or not 0 <= rest <= MAX_POINTS or 20 + first + 13 * rest > len(flat):
                 raise ValueError(f"it is of {first} Gaussians and {rest} points")
-        except Exception as error:  # decoders of damaged files raise anything
+        except (ValueError, struct.error) as error:
             raise ValueError(f"{where}: expected the selection of {count} Gaussians ({error})") from None
         ends = np.cumsum([20, first, 12 * rest, rest])
         points = np.frombuffer(flat[ends[1] : ends[2]].tobytes(), "<f4").reshape(-1, 3).astype(np.float32)

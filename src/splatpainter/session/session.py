@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from splatpainter.io import files, read
 from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import Edit, Method, Mode, Painter
-from splatpainter.receipts import Receipt, Verification
+from splatpainter.receipts import MAX_CARRIED, Receipt, Verification, can_carry
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import asset_files, conflicts
 from splatpainter.session.annotations import Annotations
@@ -42,6 +42,7 @@ from splatpainter.session.database import SUFFIX
 from splatpainter.session.delta import AssetDelta, VersionLog, bare
 from splatpainter.session.document import (
     SELECTION,
+    SOURCE,
     Blend,
     Document,
     Kind,
@@ -64,6 +65,9 @@ from splatpainter.session.stroke_commands import StrokeCommands
 from splatpainter.session.verify import find_problems
 from splatpainter.splats import Frame, Splats
 from splatpainter.view_files import Aov
+
+if TYPE_CHECKING:
+    from splatpainter.surface.estimate import Surface
 
 DAMAGE_ERRORS = (
     ValueError,
@@ -275,6 +279,11 @@ class Session(StrokeCommands, Annotations):
         snapshot = self._snapshot
         return conflicts.coverage(snapshot.state.edited, len(snapshot.splats))
 
+    @property
+    def surface(self) -> Surface:
+        """That of the original, on which edits are laid."""
+        return self._replay.surface
+
     def delta(self, since: int | None = None) -> AssetDelta:
         """What changed since a version that was seen before (None: everything)."""
         while True:
@@ -314,7 +323,8 @@ class Session(StrokeCommands, Annotations):
         used = {facts.get("precision", "") for _, facts in snapshot.state.facts}
         precision = next((word for word in ("bfloat16", "float32") if word in used), "")  # the roughest of the layers'
         preset = self.painter.preset
-        return asset_files.receipt_between(self.original, snapshot.splats, preset, f"layers: {note}", precision)
+        receipt = asset_files.receipt_between(self.original, snapshot.splats, preset, f"layers: {note}", precision)
+        return replace(receipt, source=_sources_of(snapshot.document))
 
     def export(
         self, path: str | Path, *, overwrite: bool = False, remove_hidden: bool = False
@@ -578,6 +588,18 @@ class Session(StrokeCommands, Annotations):
                 if self._transaction.results:  # computed, and not stored: the command failed
                     self._replay.forget(set(self._transaction.results))
                 self._transaction.clear()
+
+
+def _sources_of(document: Document) -> dict[str, Any] | None:
+    """What a receipt says of the picture sources of the visible layers, by the layers' names; None: there are none."""
+    leaves = [leaf for layer in document.layers if layer.visible for leaf in layer.leaves() if leaf.visible]
+    records = []
+    for leaf in leaves:
+        source = leaf.parameters.get(SOURCE)
+        record = {"layer": leaf.name[:200], **source} if isinstance(source, dict) else {}
+        if record and can_carry({"layers": [record]}):
+            records.append(record)
+    return {"layers": records[:MAX_CARRIED]} if records else None
 
 
 def _project_path(path: str | Path) -> Path:

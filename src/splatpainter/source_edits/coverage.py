@@ -8,7 +8,7 @@ source. Cosines of `facing` are between the line of sight and the surface's norm
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -49,6 +49,8 @@ MIN_MASK_SHARE = 0.002
 """Share of the asset's pixels below which a mask is not worth a call."""
 FOV = 40.0
 """Degrees, vertical, of the views of a plan."""
+ViewShare = Callable[[Camera], np.ndarray]
+"""Camera -> [H, W] 0..1: how much of each pixel may be painted (a selection)."""
 
 
 @dataclass(frozen=True)
@@ -168,10 +170,11 @@ def plan_views(
     first: Camera | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     up: str = "auto",
+    allowed: ViewShare | None = None,
 ) -> ViewPlan:
     """Greedy: each view shows most of what none before it does, counted by how frontally it shows it, until another one
     would add less than MIN_GAIN. splats: numpy; size: pixels of the square views; first: a view to begin with; up: as
-    in `orbit_cameras`."""
+    in `orbit_cameras`; allowed: the surface that counts, None: all of it."""
     from splatpainter.view_files import normals_of
 
     center, radius = bounding_sphere(splats)
@@ -188,7 +191,7 @@ def plan_views(
         cameras, preferred = [first.resized(*small), *cameras], np.append(1, preferred)
     normals = normals_of(splats)
     views = [SurfaceView.of(splats, camera, normals) for camera in cameras]
-    points, sides = _samples(views, radius)
+    points, sides = _samples(views, radius, allowed)
     facing = np.stack([view.facing(points, sides) for view in views])
     reach, value = _ramp(facing), np.minimum(facing / FRONTAL, 1)
     visible = (facing > 0.05).any(0)
@@ -211,10 +214,11 @@ def plan_views(
     return ViewPlan(tuple(full), tuple(gains))
 
 
-def _samples(views: Sequence[SurfaceView], radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _samples(views: Sequence[SurfaceView], radius: float, allowed: ViewShare | None) -> tuple[np.ndarray, np.ndarray]:
     """([P, 3] points, [P, 3] normals) of the surface: one for each small cell and side that a view sees."""
-    points = np.concatenate([view.points[view.depth > 0] for view in views])
-    normals = np.concatenate([view.normal[view.depth > 0] for view in views])
+    there = [view.depth > 0 if allowed is None else (view.depth > 0) & (allowed(view.camera) > 0.5) for view in views]
+    points = np.concatenate([view.points[part] for view, part in zip(views, there, strict=True)])
+    normals = np.concatenate([view.normal[part] for view, part in zip(views, there, strict=True)])
     if not len(points):
         return np.zeros((0, 3)), np.zeros((0, 3))
     cells = np.floor(points * (CELLS / radius)).astype(np.int64)

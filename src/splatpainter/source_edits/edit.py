@@ -9,18 +9,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
-from splatpainter.painter import Asset, Method, Mode, Painter
+from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, changed_rows, untouched_hashes
-from splatpainter.source_edits.coverage import SurfaceView, ViewPlan, plan_views, unreached, worth_asking
+from splatpainter.source_edits.coverage import ViewPlan, plan_views
+from splatpainter.source_edits.turns import WITHOUT_SHEETS, ask_in_turn, part_of
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, SourcedEdit, ask_for_edit
-from splatpainter.sources.gatekeeper import RefusedPicture, Strictness
-from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled, SourceError
+from splatpainter.sources.gatekeeper import Strictness
+from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
 from splatpainter.splats import Splats
 
 BACKGROUND = (0.25, 0.25, 0.25)
@@ -115,6 +117,47 @@ def edit_view(
     return SourcedAsset(replace(edited, receipt=replace(edited.receipt, source=record)), (made,))
 
 
+def refine(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    *,
+    upscale: str | Path | None = None,
+    source: PictureSource | None = None,
+    prompt: str = "",
+    scale: int = 2,
+    strictness: Strictness = "normal",
+    method: Method = "lift",
+    painter: Painter | None = None,
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+) -> Asset:
+    """The asset, sharper where views of it are looked at closely, as by `splatpainter refine`: each view is rendered,
+    enlarged, and all are lifted together at the enlarged size.
+
+    cameras: 1 to 16. upscale: a super-resolution model that spandrel opens (.safetensors); None: Lanczos and gentle
+    sharpening, which invent nothing. source: another picture source instead; prompt: for one that takes it. scale: how
+    many times larger than its view each picture is made. method: "lift", or "fit" for seconds of optimisation after it.
+    The receipt's `source` says who made the pictures. Raises as `edit_with_source`."""
+    from splatpainter.sources.registry import open_source
+
+    if source is not None and upscale is not None:
+        raise ValueError("refine: expected a model for upscale, or a source, got both")
+    if not 1 <= len(cameras) <= MAX_VIEWS:
+        raise ValueError(f"refine: expected 1 to {MAX_VIEWS} cameras, got {len(cameras)}")
+    options = {} if upscale is None else {"model": str(upscale)}
+    painter = painter or Painter.load("lift")
+    return refine_views(
+        painter,
+        painter.encode(splats, method, ["local"]),
+        source or open_source("upscale", options),
+        SourceBrief(prompt, scale=scale, strictness=strictness),
+        cameras,
+        method=method,
+        progress=progress or (lambda share, words: None),
+        cancel=cancel or threading.Event(),
+    ).asset
+
+
 def refine_views(
     painter: Painter,
     asset: Asset,
@@ -137,7 +180,7 @@ def refine_views(
             camera,
             source,
             brief,
-            progress=_part_of(progress, k, len(cameras)),
+            progress=part_of(progress, k, len(cameras)),
             cancel=cancel,
             surface=lambda: asset.surface,
             name=f"view {k + 1}",
@@ -148,17 +191,6 @@ def refine_views(
     assert refined.receipt is not None
     record = source_record(source, brief, edits)
     return SourcedAsset(replace(refined, receipt=replace(refined.receipt, source=record)), tuple(edits))
-
-
-@dataclass
-class _Journey:
-    """What has been painted so far."""
-
-    asset: Asset
-    edits: list[SourcedEdit] = field(default_factory=list)
-    receipts: list[Receipt] = field(default_factory=list)
-    reached: list[tuple[SurfaceView, np.ndarray]] = field(default_factory=list)
-    refused: list[str] = field(default_factory=list)
 
 
 def cover(
@@ -173,65 +205,39 @@ def cover(
     cancel: CancelFlag,
     entered: Callable[[int, int], None] | None = None,
 ) -> SourcedAsset:
-    """The views of a plan one after the other: each shows what is painted already, and is asked for what no earlier one
-    reached. entered: called with (view, views) before each.
-
-    Gaussians are split and recoloured, not replaced by sheets, and get no detail layer: those of one view stand in the
-    way of the next. Nine views of the still life, of 300 px, its colours exchanged: 23.5 to 28.2 dB from eight other
-    views against the asset whose own colours were exchanged; with sheets 19.5 to 25.8.
+    """The views of a plan one after the other (`ask_in_turn`), lifted with WITHOUT_SHEETS.
 
     A picture that is refused leaves its part as it was, and is noted; if all are, the last one's error is raised. Where
     the source fails later than in the first view (a limit, a lost network), what was paid for is kept: the views before
     it are painted, and the receipt notes where it stopped. Other errors as of `edit_with_source`."""
     from splatpainter.lift.options import LOCAL_DEFAULTS
-    from splatpainter.view_files import normals_of
 
-    settings = replace(painter.local_options or LOCAL_DEFAULTS, resurface=False, max_error=1.0)
+    settings = replace(painter.local_options or LOCAL_DEFAULTS, **WITHOUT_SHEETS)
     painter = replace(painter, local_options=settings)
-    original, normals = asset.splats, normals_of(asset.splats)
-    journey, count, error = _Journey(asset), len(plan.cameras), None
-    for k, camera in enumerate(plan.cameras):
-        if cancel.is_set():
-            raise SourceCancelled
-        if entered is not None:
-            entered(k, count)
-        view = SurfaceView.of(original, camera, normals)
-        mask = unreached(view, journey.reached)
-        if not worth_asking(mask, view):
-            continue
-        try:
-            made = ask_for_edit(
-                journey.asset.splats,
-                camera,
-                source,
-                brief,
-                progress=_part_of(progress, k, count),
-                cancel=cancel,
-                mask=mask,
-                surface=lambda: asset.surface,
-                name=f"{source.name} view {k + 1}",
-            )
-        except RefusedPicture as refusal:
-            error = refusal
-            journey.refused.append(str(refusal))
-            continue
-        except SourceError as failure:
-            if not journey.edits:
-                raise
-            journey.refused.append(f"stopped before view {k + 1} of {count}, the earlier ones are painted: {failure}")
-            break
-        painted = painter.apply(journey.asset, [made.edit], "local", method)
-        assert painted.receipt is not None
-        journey.asset = painted
-        journey.edits.append(made)
-        journey.receipts.append(painted.receipt)
-        journey.reached.append((view, mask))
-    if not journey.edits:
-        raise error or ValueError("views auto: no view shows a surface that could be painted")
-    receipt = joined_receipt(original, journey.asset.splats, journey.receipts)
-    note = "; ".join(filter(None, [receipt.note, *journey.refused]))
-    receipt = replace(receipt, source=source_record(source, brief, journey.edits), note=note)
-    return SourcedAsset(replace(journey.asset, receipt=receipt), tuple(journey.edits), tuple(journey.refused))
+    before, receipts = asset, []
+
+    def paint(made: SourcedEdit) -> None:
+        nonlocal asset
+        asset = painter.apply(asset, [made.edit], "local", method)
+        assert asset.receipt is not None
+        receipts.append(asset.receipt)
+
+    turns = ask_in_turn(
+        before.splats,
+        source,
+        brief,
+        plan,
+        present=lambda: asset.splats,
+        paint=paint,
+        surface=lambda: before.surface,
+        progress=progress,
+        cancel=cancel,
+        entered=entered,
+    )
+    receipt = joined_receipt(before.splats, asset.splats, receipts)
+    note = "; ".join(filter(None, [receipt.note, *turns.notes]))
+    receipt = replace(receipt, source=source_record(source, brief, turns.edits), note=note)
+    return SourcedAsset(replace(asset, receipt=receipt), turns.edits, turns.notes)
 
 
 def source_record(source: PictureSource, brief: SourceBrief, edits: Sequence[SourcedEdit]) -> dict:
@@ -275,7 +281,3 @@ def joined_receipt(before: Splats, after: Splats, receipts: Sequence[Receipt]) -
         aside=tuple(score for receipt in receipts for score in receipt.aside),
         limited_px=tuple(value for receipt in receipts for value in receipt.limited_px),
     )
-
-
-def _part_of(progress: Progress, index: int, count: int) -> Progress:
-    return lambda share, words: progress((index + share) / count, f"view {index + 1} of {count}: {words}")

@@ -1,14 +1,18 @@
-/** Adjustment layers: sliders, tone curve and hues on all Gaussians or on those that are selected, previewed live. */
+/**
+ * Adjustment layers on all Gaussians or on those that are selected, previewed live: sliders, tone curve and hues; or
+ * colours from elsewhere, of a LUT, of a picture, or one new colour.
+ */
 
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
-import type { GradeSliders } from "../messages";
+import type { ColorTransfer, GradeSliders } from "../messages";
+import { sendBlob } from "../net/blobs";
 import { selectedCount } from "../paint/selection";
 import { readOnly, selectedLayer, state } from "../state/store";
 import { link, report, run } from "../state/studio";
 import { Curve } from "./curve";
-import { Button, Percent, Slider } from "./parts";
+import { Button, FileButton, Percent, Slider } from "./parts";
 
 type Full = Required<GradeSliders>;
 const NEUTRAL: Full = {
@@ -30,22 +34,29 @@ const HUES = [
   ["Magentas", 300],
 ] as const;
 
+/** Width of the band that is all hues alike. */
+const ALL_HUES = 1e6;
+
 const sliders = signal<Full>(NEUTRAL);
+/** Colours from elsewhere, in place of the sliders, and what they are called. */
+const transfer = signal<{ colors: ColorTransfer; name: string } | null>(null);
 const hue = signal(0);
-let pending: Full | null = null;
+let pending: { values: Full; colors: ColorTransfer | null } | null = null;
 let busy = false;
 const plain = (values: Full) => JSON.stringify(values) === JSON.stringify(NEUTRAL);
 
 /** Show the newest values; while the server works on one, those in between are skipped. */
-async function preview(values: Full): Promise<void> {
-  pending = values;
+async function preview(): Promise<void> {
+  const { strength } = sliders.value;
+  pending = { values: sliders.value, colors: transfer.value && { ...transfer.value.colors, strength } };
   if (busy) return;
   busy = true;
   try {
     while (pending) {
-      const next: Full = pending;
+      const next: NonNullable<typeof pending> = pending;
       pending = null;
-      await link.do("look.preview", { look: plain(next) ? null : next });
+      if (next.colors) await link.do("look.preview", { transfer: next.colors });
+      else await link.do("look.preview", { look: plain(next.values) ? null : next.values });
     }
   } catch (error) {
     report(error);
@@ -56,20 +67,37 @@ async function preview(values: Full): Promise<void> {
 
 function change(part: Partial<Full>): void {
   sliders.value = { ...sliders.value, ...part };
-  void preview(sliders.value);
+  void preview();
 }
 
 export function resetSliders(): void {
-  if (plain(sliders.value)) return;
+  if (plain(sliders.value) && !transfer.value) return;
   sliders.value = NEUTRAL;
-  void preview(NEUTRAL);
+  transfer.value = null;
+  void preview();
+}
+
+/** Colours from elsewhere take the place of the sliders. */
+function take(colors: ColorTransfer, name: string): void {
+  sliders.value = { ...NEUTRAL, strength: sliders.value.strength };
+  transfer.value = { colors, name };
+  void preview();
+}
+
+async function takeFile(kind: "lut" | "match", file: File | undefined): Promise<void> {
+  if (file) take({ kind, file: await sendBlob(file, file.name) }, file.name);
 }
 
 async function commit(): Promise<void> {
   pending = null;
-  const answer = await run("look.commit", { look: sliders.value, name: "Adjustment" }, "Adjustment");
+  const { strength } = sliders.value;
+  const given = transfer.value;
+  const look = given ? { transfer: { ...given.colors, strength } } : { look: sliders.value };
+  const name = given?.name.slice(0, 100) ?? "Adjustment";
+  const answer = await run("look.commit", { ...look, name }, name);
   if (!answer) return;
   sliders.value = NEUTRAL;
+  transfer.value = null;
   selectedLayer.value = answer.layer.id;
 }
 
@@ -88,10 +116,15 @@ const BANDS = [
 ] as const;
 
 export function Adjustments() {
-  const chosen = state.value?.layers.find((layer) => layer.id === selectedLayer.value && layer.kind === "look");
+  const chosen = state.value?.layers.find(
+    (layer) => layer.id === selectedLayer.value && layer.kind === "look" && layer.parameters.look === "grade",
+  );
   useEffect(() => resetSliders, []);
   const values = sliders.value;
-  const band = values.hues.find((one) => one.hue === hue.value) ?? {
+  const given = transfer.value;
+  const single = values.hues.filter((one) => one.width !== ALL_HUES);
+  const all = values.hues.filter((one) => one.width === ALL_HUES);
+  const band = single.find((one) => one.hue === hue.value) ?? {
     hue: hue.value,
     width: 60,
     shift: 0,
@@ -99,8 +132,10 @@ export function Adjustments() {
     lightness: 0,
   };
   const setBand = (part: Partial<typeof band>) =>
-    change({ hues: [...values.hues.filter((one) => one.hue !== hue.value), { ...band, ...part }] });
-  const neutral = plain(values);
+    change({ hues: [...all, ...single.filter((one) => one.hue !== hue.value), { ...band, ...part }] });
+  const turn = (shift: number) => change({ hues: [...(shift ? [{ hue: 0, width: ALL_HUES, shift }] : []), ...single] });
+  const neutral = plain(values) && !given;
+  const off = readOnly.value || given !== null;
   return (
     <div class="adjustments">
       {AMOUNTS.map(([label, key, min, max]) => (
@@ -112,10 +147,21 @@ export function Adjustments() {
           max={max}
           digits={2}
           reset={0}
-          disabled={readOnly.value}
+          disabled={off}
           onInput={(v) => change({ [key]: v })}
         />
       ))}
+      <Slider
+        label="Hue"
+        value={all[0]?.shift ?? 0}
+        min={-180}
+        max={180}
+        step={1}
+        unit="°"
+        reset={0}
+        disabled={off}
+        onInput={turn}
+      />
       <h3>Tone curve</h3>
       <Curve points={values.curve} onChange={(curve) => change({ curve })} />
       <h3>Hues</h3>
@@ -143,10 +189,46 @@ export function Adjustments() {
           digits={step < 1 ? 2 : 0}
           unit={unit}
           reset={0}
-          disabled={readOnly.value}
+          disabled={off}
           onInput={(v) => setBand({ [key]: v })}
         />
       ))}
+      <h3>From elsewhere</h3>
+      {given ? (
+        <p class="row">
+          <span role="status">{given.name} in place of the sliders</span>
+          <Button icon="close" label={`Without ${given.name}`} onClick={resetSliders} />
+        </p>
+      ) : (
+        <>
+          <p class="row">
+            <FileButton
+              label="LUT (.cube)"
+              accept=".cube"
+              disabled={readOnly.value}
+              onFiles={(files) => void takeFile("lut", files[0]).catch(report)}
+            />
+            <FileButton
+              label="Match a picture"
+              accept="image/png,image/jpeg,image/webp"
+              disabled={readOnly.value}
+              onFiles={(files) => void takeFile("match", files[0]).catch(report)}
+            />
+          </p>
+          <p class="row">
+            <label class="choice">
+              <span>One new colour</span>
+              <input
+                type="color"
+                aria-label="One new colour"
+                value="#2040a0"
+                disabled={readOnly.value}
+                onChange={({ currentTarget: { value } }) => take({ kind: "recolor", color: value }, `Colour ${value}`)}
+              />
+            </label>
+          </p>
+        </>
+      )}
       <h3>Where</h3>
       <Percent
         label="Strength"
@@ -172,7 +254,7 @@ export function Adjustments() {
           <Button
             label="Put these sliders into the chosen adjustment layer"
             text="Into layer"
-            disabled={neutral || readOnly.value}
+            disabled={neutral || off}
             onClick={() =>
               void run("layer.set", { layer: chosen.id, parameters: { ...values } }, `Changing ${chosen.name}`).then(
                 resetSliders,

@@ -1,16 +1,21 @@
-/** "Edit with a source…": the present view goes to a program or an image service, and comes back as a picture. */
+/**
+ * "Edit with a source…": views go to a program or an image service. The present view comes back as a picture; views all
+ * around become layers, after their plan was shown with its number of calls.
+ */
 
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
-import type { SourceInfo } from "../messages";
+import type { CameraInfo, SourceInfo, SourcePlanned } from "../messages";
 import { sendBlob } from "../net/blobs";
 import { maskPng } from "../paint/picture";
-import { selection } from "../paint/selection";
+import { selectedCount, selection } from "../paint/selection";
 import { addChecked } from "../state/dropped-images";
-import { camera } from "../state/store";
+import { camera, method, readOnly, selectedLayer, toast } from "../state/store";
 import { report, run } from "../state/studio";
-import { Button, Check, Choice, Dialog } from "./parts";
+import { Button, Check, Choice, Dialog, Slider } from "./parts";
+
+type What = "view" | "around" | "refine";
 
 export const sourcesOpen = signal(false);
 /** null: not answered yet. */
@@ -19,6 +24,13 @@ const chosenName = signal("");
 const prompt = signal("");
 const seed = signal("");
 const onlySelected = signal(true);
+const what = signal<What>("view");
+const enlarge = signal<"2" | "4">("2");
+const maxViews = signal(8);
+const fromHere = signal(true);
+const oneLayer = signal(false);
+/** null: not planned (yet). */
+const plan = signal<SourcePlanned | null>(null);
 
 export function SourceDialog({ onClose }: { onClose: () => void }) {
   useEffect(() => {
@@ -31,13 +43,23 @@ export function SourceDialog({ onClose }: { onClose: () => void }) {
   const list = sources.value ?? [];
   const usable = list.filter((one) => !one.missing);
   const source = usable.find((one) => one.name === chosenName.value) ?? null;
+  const enlarges = source?.scales.some((scale) => scale > 1) ?? false;
+  const chosen: What = what.value === "refine" && !enlarges ? "view" : what.value;
   const number = /^\d{0,9}$/.test(seed.value.trim());
-  const ready = source && number && !(source.needs_prompt && !prompt.value.trim());
+  const planned = chosen !== "around" || (plan.value?.views.length ?? 0) > 0;
+  const ready = source && number && planned && !(source.needs_prompt && !prompt.value.trim());
   const send = () => {
     if (!source) return;
     onClose();
-    void ask(source).catch(report);
+    void (chosen === "around" ? cover(source) : ask(source, chosen === "refine")).catch(report);
   };
+  const kinds: (readonly [What, string])[] = [
+    ["view", "This view"],
+    ["around", "Views all around"],
+  ];
+  if (enlarges) kinds.push(["refine", "This view, sharpened"]);
+  const count = plan.value?.views.length ?? 0;
+  const verb = { view: "Send this view", around: `Send ${count} view${count === 1 ? "" : "s"}`, refine: "Sharpen" };
   return (
     <Dialog title="Edit with a source" onClose={onClose}>
       {sources.value === null && <p class="quiet">Looking for sources</p>}
@@ -49,6 +71,7 @@ export function SourceDialog({ onClose }: { onClose: () => void }) {
             options={usable.map((one) => [one.name, one.paid ? `${one.name} (paid)` : one.name] as const)}
             onChange={(name) => (chosenName.value = name)}
           />
+          <Choice label="What" value={chosen} options={kinds} onChange={(kind) => (what.value = kind)} />
         </p>
       )}
       {source && (
@@ -82,17 +105,37 @@ export function SourceDialog({ onClose }: { onClose: () => void }) {
               />
             </p>
           )}
-          {selection.value && (
+          {chosen === "view" && selection.value && (
             <Check
               label={source.mask ? "Only what is selected" : "Only what is selected (cut afterwards)"}
               value={onlySelected.value}
               onChange={(on) => (onlySelected.value = on)}
             />
           )}
+          {chosen === "refine" && (
+            <p class="row">
+              <Choice
+                label="Enlarged"
+                value={enlarge.value}
+                options={[
+                  ["2", "2 times"],
+                  ["4", "4 times"],
+                ]}
+                onChange={(times) => (enlarge.value = times)}
+              />
+            </p>
+          )}
+          {chosen === "around" && <Around source={source} />}
         </>
       )}
       <p class="row">
-        <Button label="Send the present view" text="Send this view" primary disabled={!ready} onClick={send} />
+        <Button
+          label={verb[chosen]}
+          text={verb[chosen]}
+          primary
+          disabled={!ready || (chosen === "around" && readOnly.value)}
+          onClick={send}
+        />
       </p>
       {list.length > usable.length && (
         <details>
@@ -110,22 +153,93 @@ export function SourceDialog({ onClose }: { onClose: () => void }) {
   );
 }
 
+/** The plan of views, made anew when what it depends on changes. Nothing is sent. */
+function Around({ source }: { source: SourceInfo }) {
+  const limit = maxViews.value;
+  const begin = fromHere.value;
+  useEffect(() => {
+    let latest = true;
+    plan.value = null;
+    const wait = setTimeout(() => {
+      void run("source.plan", {
+        source: source.name,
+        camera: begin ? camera.value : null,
+        max_views: limit,
+      }).then((answer) => {
+        if (latest) plan.value = answer;
+      });
+    }, 200);
+    return () => {
+      latest = false;
+      clearTimeout(wait);
+    };
+  }, [source.name, limit, begin]);
+  const now = plan.value;
+  const calls = now?.views.length ?? 0;
+  return (
+    <>
+      <Slider
+        label="At most"
+        value={limit}
+        min={1}
+        max={16}
+        step={1}
+        onInput={(value) => (maxViews.value = Math.round(value))}
+      />
+      <p class="row">
+        <Check label="Begin with the present view" value={begin} onChange={(on) => (fromHere.value = on)} />
+      </p>
+      <p class="row">
+        <Check label="One layer of all views" value={oneLayer.value} onChange={(on) => (oneLayer.value = on)} />
+      </p>
+      <p role="status">
+        {now === null
+          ? "Planning the views"
+          : `${calls} ${now.paid ? "paid " : ""}call${calls === 1 ? "" : "s"}${now.paid ? "" : ", not paid"}; together ` +
+            `${(100 * now.covered).toFixed(0)} % of ${selectedCount.value > 0 ? "what is selected" : "the surface"}. ` +
+            "Nothing was sent yet."}
+      </p>
+      <p class="quiet">
+        Each view shows what those before it painted, and is asked for the rest. Cancel keeps what is painted.
+      </p>
+    </>
+  );
+}
+
+const given = (source: SourceInfo) => ({
+  source: source.name,
+  prompt: source.prompt ? prompt.value.trim() : "",
+  seed: source.seed && seed.value.trim() ? Number(seed.value) : null,
+});
+
 /** Progress and cancel are those of every job. */
-async function ask(source: SourceInfo): Promise<void> {
+async function ask(source: SourceInfo, refine: boolean): Promise<void> {
   if (!camera.value) return;
-  const limiting = onlySelected.value && selection.value;
+  const limiting = !refine && onlySelected.value && selection.value;
   const view = camera.value;
   const mask = limiting ? await sendBlob(await maskPng(limiting), "mask.png") : null;
+  const larger = refine ? (Number(enlarge.value) as 2 | 4) : 1;
   const answer = await run(
     "source.edit",
-    {
-      source: source.name,
-      camera: view,
-      prompt: source.prompt ? prompt.value.trim() : "",
-      mask,
-      seed: source.seed && seed.value.trim() ? Number(seed.value) : null,
-    },
+    { ...given(source), camera: view, mask, enlarge: larger },
     `Asking ${source.name}`,
   );
   if (answer) addChecked(answer.name, answer);
+}
+
+async function cover(source: SourceInfo): Promise<void> {
+  const views: CameraInfo[] = plan.value?.views.map((one) => one.camera) ?? [];
+  const answer = await run(
+    "source.cover",
+    { ...given(source), views, one_layer: oneLayer.value, method: method.value },
+    `Asking ${source.name}`,
+  );
+  if (!answer) return;
+  selectedLayer.value = answer.layers.at(-1)?.id ?? selectedLayer.value;
+  if (answer.notes.length || answer.painted < views.length)
+    toast(
+      answer.painted < views.length ? "warning" : "info",
+      `${answer.painted} of ${views.length} views painted${answer.cancelled ? ", then cancelled" : ""}.`,
+      answer.notes.join("; "),
+    );
 }

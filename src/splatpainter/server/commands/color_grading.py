@@ -1,13 +1,20 @@
-"""Global sliders: shown at once, kept as an adjustment layer."""
+"""Colours of the whole asset or of what is selected: sliders, a LUT, the colours of a picture, one new colour; shown at
+once, kept as an adjustment layer."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import Field
 
 from splatpainter.cameras import Camera
+from splatpainter.grading.grade import fitted
+from splatpainter.io import files
 from splatpainter.painter import Edit
 from splatpainter.receipts import changed_rows
 from splatpainter.server import frames
@@ -17,14 +24,21 @@ from splatpainter.server.commands.context import (
     command,
     layer_made,
     mask_from_upload,
+    naming_errors,
     progress,
     python_line,
 )
 from splatpainter.server.current_selection import limited
 from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
+from splatpainter.session import Session
 from splatpainter.session.document import SELECTION
-from splatpainter.session.layer_blending import reached_gaussians
-from splatpainter.sources.color_grading import GradeSettings, grade_sh
+from splatpainter.session.layer_blending import ADJUSTMENTS, adjust_sh, reached_gaussians
+from splatpainter.sources.color_grading import GradeSettings
+from splatpainter.sources.color_match import AffineMap, ColorMap, ColorMatch, NewColor, Recolor
+from splatpainter.sources.color_transfer import LUT, RECOLOR, transfer_parameters, with_table
+from splatpainter.sources.cube_lut import CubeLut, read_cube
+from splatpainter.sources.picture_reader import read_picture
+from splatpainter.splats import Splats
 
 
 class HueSliders(Message):
@@ -32,8 +46,8 @@ class HueSliders(Message):
 
     hue: float = Field(ge=0, lt=360)
     """Middle of the range, degrees (0 red, 120 green, 240 blue)."""
-    width: float = Field(default=60, gt=0, le=360)
-    """Degrees to either side over which the change fades out."""
+    width: float = Field(default=60, gt=0, le=1e6)
+    """Degrees to either side over which the change fades out; 1,000,000: all hues alike."""
     shift: float = Field(default=0, ge=-180, le=180)
     """Degrees."""
     saturation: float = Field(default=0, ge=-1, le=1)
@@ -58,13 +72,25 @@ class GradeSliders(Message):
     strength: Unit = 1.0
 
 
+class ColorTransfer(Message):
+    """Colours that come from elsewhere."""
+
+    kind: Literal["lut", "match", "recolor"]
+    file: Blob | None = None
+    """Of lut: a .cube table; of match: a reference picture."""
+    color: str | None = Field(default=None, pattern="^#[0-9a-fA-F]{6}$")
+    """Of recolor."""
+    strength: Unit = 1.0
+
+
 class GradePreview(Command):
-    """Show the sliders on all Gaussians, or on those that a mask reaches, without a layer: the colours come as a frame
-    with the PREVIEW flag. look None: end the preview."""
+    """Show the sliders, or colours from elsewhere, on all Gaussians, or on those that a mask reaches, without a layer:
+    the colours come as a frame with the PREVIEW flag. Neither: end the preview."""
 
     NAME = "look.preview"
     ANSWER = Previewed
-    look: GradeSliders | None
+    look: GradeSliders | None = None
+    transfer: ColorTransfer | None = None
     mask: Blob | None = None
     camera: CameraInfo | None = None
     """The view of the mask."""
@@ -74,15 +100,19 @@ class GradePreview(Command):
 def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
     context.page.strokes.clear()
     context.clear_preview = True
-    if request.look is None:
+    if request.look is None and request.transfer is None:
         return Previewed(gaussians=0)
     now = context.studio.session.snapshot
     splats = now.splats
-    sh = grade_sh(splats.sh, _settings(context, request.look))
+    reached = None
     if request.mask is not None:
         camera = _mask_camera(request)
-        masks = [(camera, mask_from_upload(context, request.mask, camera))]
-        sh = np.where(reached_gaussians(splats, masks)[:, None, None], sh, splats.sh)
+        reached = reached_gaussians(splats, [(camera, mask_from_upload(context, request.mask, camera))])
+    settings, attached = _parameters(context, request, splats, reached)
+    tables = {files.sha256(data): data for data in attached}
+    sh = adjust_sh(splats.sh, with_table(settings, tables.__getitem__), ADJUSTMENTS)
+    if reached is not None:
+        sh = np.where(reached[:, None, None], sh, splats.sh)
     sh = limited(splats, context.studio.selection.weights(), sh)
     ids = changed_rows(splats, replace(splats, sh=sh))
     if len(ids):
@@ -95,11 +125,12 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
 
 
 class GradeCommit(Command):
-    """The sliders as an adjustment layer."""
+    """The sliders, or colours from elsewhere, as an adjustment layer."""
 
     NAME = "look.commit"
     ANSWER = LayerMade
-    look: GradeSliders
+    look: GradeSliders | None = None
+    transfer: ColorTransfer | None = None
     name: Name = "Adjustment"
     mask: Blob | None = None
     camera: CameraInfo | None = None
@@ -108,20 +139,70 @@ class GradeCommit(Command):
 @command(GradeCommit, writes=True)
 def commit_grade(context: CommandContext, request: GradeCommit) -> LayerMade:
     context.clear_preview = True
-    settings = _settings(context, request.look)
-    edits = []
+    session, edits, reached = context.studio.session, [], None
     if request.mask is not None:
         camera = _mask_camera(request)
+        mask = mask_from_upload(context, request.mask, camera)
         black = np.zeros((camera.height, camera.width, 3), np.float32)  # only the mask counts
-        edits = [Edit(black, camera, mask_from_upload(context, request.mask, camera), request.name)]
-    stored, attached = context.studio.selection.stored(), []
+        edits, reached = [Edit(black, camera, mask, request.name)], reached_gaussians(session.splats, [(camera, mask)])
+    settings, attached = _parameters(context, request, session.splats, reached)
+    stored = context.studio.selection.stored()
     if stored is not None:
-        settings, attached = {**settings, SELECTION: stored[0]}, [stored[1]]
+        settings, attached = {**settings, SELECTION: stored[0]}, [*attached, stored[1]]
     with progress(context, "look"):
-        layer = context.studio.session.add("look", edits, name=request.name, parameters=settings, attached=attached)
+        layer = session.add("look", edits, name=request.name, parameters=settings, attached=attached)
     words = [RawExpr("sp.Edit(picture, camera, mask)")] * len(edits)
     line = python_line("session.add", "look", words, name=request.name, parameters=settings)
     return layer_made(context, layer.id, line)
+
+
+def _parameters(
+    context: CommandContext, request: GradePreview | GradeCommit, splats: Splats, reached: np.ndarray | None
+) -> tuple[dict[str, Any], list[bytes]]:
+    """(parameters of the layer, the pictures that it keeps). reached: [N] bool the Gaussians that a mask reaches."""
+    if request.transfer is None and request.look is not None:
+        return _settings(context, request.look), []
+    if request.transfer is None or request.look is not None:
+        raise ValueError("look: expected sliders or colours from elsewhere, one of both")
+    transfer, studio = request.transfer, context.studio
+    weights = studio.selection.weights()
+    if reached is not None:
+        weights = reached.astype(np.float32) if weights is None else weights * reached
+    look, name = _look(context, transfer)
+    key = (studio.session.version, studio.selection.revision, transfer.kind, transfer.file, transfer.color)
+    cached = _latest_fits.get(studio.session)
+    if cached is None or cached[0] != key or reached is not None:
+        cached = _latest_fits[studio.session] = (key, fitted(splats, look, weights))
+    function = cached[1]
+    assert isinstance(function, CubeLut | AffineMap | NewColor)
+    return transfer_parameters(function, name, transfer.strength, studio.session.original.color_space)
+
+
+_latest_fits: WeakKeyDictionary[Session, tuple[tuple, ColorMap]] = WeakKeyDictionary()
+"""The latest colours from elsewhere, fitted: a slider of their strength need not have them fitted again."""
+
+
+def _look(context: CommandContext, transfer: ColorTransfer) -> tuple[CubeLut | ColorMatch | Recolor, str]:
+    """(what is fitted, its name for people)."""
+    if transfer.kind == RECOLOR:
+        if transfer.color is None or transfer.file is not None:
+            raise ValueError("look: expected a colour, and no file, to recolour with")
+        red, green, blue = (int(transfer.color[k : k + 2], 16) / 255 for k in (1, 3, 5))
+        return Recolor((red, green, blue)), transfer.color
+    if transfer.file is None or transfer.color is not None:
+        raise ValueError("look: expected a file, and no colour: a .cube table, or a reference picture")
+    blob = context.studio.blobs.get(transfer.file, "lut" if transfer.kind == LUT else "picture")
+    name = blob.name or transfer.kind
+    with naming_errors(blob.path, name):
+        if transfer.kind == LUT:
+            return cube_of(blob.path), name
+        return ColorMatch(read_picture(blob.path), name), name
+
+
+@lru_cache(maxsize=2)
+def cube_of(path: Path) -> CubeLut:
+    """The table of an upload, whose path is its hash."""
+    return read_cube(path)
 
 
 def _settings(context: CommandContext, sliders: GradeSliders) -> dict:

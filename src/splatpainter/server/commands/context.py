@@ -29,6 +29,7 @@ from splatpainter.splats import Splats
 
 Run = Callable[["CommandContext", Any], Answer]
 Function = TypeVar("Function", bound=Callable[..., Answer])
+Result = TypeVar("Result")
 
 
 @dataclass
@@ -44,6 +45,13 @@ class CommandContext:
     """[C] the Gaussians in it."""
     clear_preview: bool = False
     """Whether Gaussians that this page previews shall show their true colours again."""
+    writer: Callable[[Callable[[], Any]], Any] | None = None
+    """Runs a function where commands that write run, and sends every client what it changed; for long commands of the
+    background. Raises Cancelled where the studio is being closed."""
+
+    def write(self, work: Callable[[], Result]) -> Result:
+        """What `work` returns, or raises; run by `writer`, or here where there is none."""
+        return work() if self.writer is None else self.writer(work)
 
 
 @dataclass(frozen=True)
@@ -54,7 +62,10 @@ class Handler:
     writes: bool = False
     """Whether it may change the session."""
     background: bool = False
-    """Whether the client's next commands need not wait for it (long work that changes nothing)."""
+    """Whether the client's next commands need not wait for it (long work that changes nothing by itself)."""
+    once: bool = False
+    """Of the background: whether it outlives a lost connection, and is not done again for a page that comes back (it
+    may cost money)."""
 
     @property
     def lane(self) -> Lane:
@@ -64,11 +75,13 @@ class Handler:
 HANDLERS: dict[type[Command], Handler] = {}
 
 
-def command(kind: type[Command], *, writes: bool = False, background: bool = False) -> Callable[[Function], Function]:
+def command(
+    kind: type[Command], *, writes: bool = False, background: bool = False, once: bool = False
+) -> Callable[[Function], Function]:
     """Register the function for a command; the words are those of Handler."""
 
     def register(run: Function) -> Function:
-        HANDLERS[kind] = Handler(run, writes, background)
+        HANDLERS[kind] = Handler(run, writes, background, once)
         return run
 
     return register

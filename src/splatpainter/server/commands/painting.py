@@ -50,7 +50,7 @@ from splatpainter.server.protocol import (
 from splatpainter.server.stroke import Stroke
 from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
-from splatpainter.session.document import PLACED, SELECTION, Kind
+from splatpainter.session.document import PLACED, SELECTION, SOURCE, Kind
 from splatpainter.sources.edit_files import FileEdit, unmultiplied
 from splatpainter.sources.picture_reader import read_picture
 
@@ -300,6 +300,9 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         options["attached"] = [stored[1]]
     if request.mode == "local" and request.kind != "erase":
         options |= _limits(request.limits)
+    source = context.studio.source_of([view.picture for view in request.views])
+    if source is not None and request.kind != "erase":
+        options["parameters"] = {**options.get("parameters", {}), SOURCE: source}
     if request.replaces is not None:
         name = session.layer(request.replaces).name
         with progress(context, name):

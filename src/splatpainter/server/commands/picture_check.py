@@ -114,10 +114,12 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
             warnings.append(PictureWarning(message=text, picture=overlay))
     if not mask.any():
         warnings.append(PictureWarning(message="The picture does not differ from the asset as it is now."))
+    straight = studio.blobs.put(registration.png_bytes(colors), name).sha256
+    studio.note_source(straight, studio.source_of([request.picture]))
     return PictureChecked(
         camera=CameraInfo.of(camera),
         camera_source=source,
-        picture=studio.blobs.put(registration.png_bytes(colors), name).sha256,
+        picture=straight,
         mask=studio.blobs.put(registration.png_bytes(mask), "mask.png").sha256,
         share=share,
         shift=shift,

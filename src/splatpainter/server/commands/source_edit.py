@@ -1,5 +1,5 @@
-"""The present view edited by a picture source: which sources there are, and a picture that comes back as one that was
-dropped would, registered, corrected and cut. Changes nothing.
+"""Views edited by a picture source: which sources there are, the present view, whose picture comes back as one that was
+dropped would (registered, corrected and cut; that changes nothing), and a plan of views that become layers.
 
 What a source runs or where it sends pictures is said where the studio is started, by environment variables: a page
 gives prompts, and no options.
@@ -7,22 +7,43 @@ gives prompts, and no options.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
+import numpy as np
 from pydantic import Field
 
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
+from splatpainter.painter import MAX_VIEWS
 from splatpainter.server import image_registration as registration
 from splatpainter.server.commands.context import CommandContext, command, mask_from_upload
 from splatpainter.server.commands.picture_check import PictureChecked
-from splatpainter.server.protocol import Answer, Blob, CameraInfo, Command, Message
+from splatpainter.server.describe import layer_info
+from splatpainter.server.protocol import (
+    MAX_VIEW_PIXELS,
+    Answer,
+    Blob,
+    CameraInfo,
+    Command,
+    LayerInfo,
+    Message,
+    Method,
+    Unit,
+)
 from splatpainter.server.work_queue import Cancelled
+from splatpainter.session.document import Layer
+from splatpainter.session.source_layers import add_source_views
+from splatpainter.source_edits.coverage import ViewPlan, plan_views
+from splatpainter.source_edits.edit import BACKGROUND, source_record
 from splatpainter.source_edits.view_edit import SourceBrief, ask_for_edit
-from splatpainter.sources.picture_source import Capabilities, SourceCancelled, SourceError, describe
+from splatpainter.sources.picture_source import Capabilities, PictureSource, SourceCancelled, SourceError, describe
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
 
 MAX_PROMPT_CHARACTERS = 4000
+PLAN_PX = 800
+"""Side of the views of a plan, as on the command line."""
 
 
 class SourceInfo(Message):
@@ -42,6 +63,8 @@ class SourceInfo(Message):
     mask: bool
     """Whether it takes a mask; without, its picture is cut to it afterwards."""
     seed: bool
+    scales: list[int]
+    """Enlargements that it can be asked for."""
     paid: bool
     """Whether asking it costs money."""
 
@@ -75,6 +98,9 @@ class SourceEdit(Command):
     mask: Blob | None = None
     """Picture of the view, not black where it may change."""
     seed: int | None = Field(default=None, ge=0, le=2**32 - 1)
+    enlarge: Literal[1, 2, 4] = 1
+    """How many times larger the answer is to be. Above 1 without a mask: all of it counts as changed, so that the
+    layer is as sharp as the picture, as by `splatpainter refine`."""
 
 
 @command(SourceList, background=True)
@@ -101,16 +127,18 @@ def _info(status: SourceStatus) -> SourceInfo:
         needs_prompt=able.needs_prompt,
         mask=able.mask,
         seed=able.seed,
+        scales=list(able.scales),
         paid=able.paid,
     )
 
 
-@command(SourceEdit, background=True)
+@command(SourceEdit, background=True, once=True)
 def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited:
     studio, source = context.studio, open_source(request.source)
-    camera = _within(request.camera.to_camera(), source.capabilities.max_side_px)
+    camera = _within(request.camera.to_camera(), source.capabilities.max_side_px, MAX_VIEW_PIXELS // request.enlarge**2)
     mask = None if request.mask is None else mask_from_upload(context, request.mask, camera)
-    brief, flag = SourceBrief(request.prompt, seed=request.seed), _TicketFlag(context)
+    brief = SourceBrief(request.prompt, seed=request.seed, scale=request.enlarge)
+    flag = _TicketFlag(context)
     splats = studio.session.splats.numpy()
     try:
         made = ask_for_edit(
@@ -121,26 +149,151 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
     context.ticket.check()
     image = to_display(made.edit.image, splats.color_space)
     camera = replace(made.edit.camera, asset_sha256=studio.original.sha256)
-    name = f"{source.name}: {' '.join(request.prompt.split())[:60]}".rstrip(": ")
+    picture = studio.blobs.put(registration.png_bytes(image, camera), f"{name_of(source, request.prompt)}.png").sha256
+    studio.note_source(picture, source_record(source, brief, [made]))
     changed = made.admitted.changed
+    if request.enlarge > 1 and mask is None:
+        changed = np.ones_like(changed)
     cost = (made.answer.cost,) if made.answer.cost else ()
     return SourceEdited(
         camera=CameraInfo.of(camera),
         camera_source="given",
-        picture=studio.blobs.put(registration.png_bytes(image, camera), f"{name}.png").sha256,
+        picture=picture,
         mask=studio.blobs.put(registration.png_bytes(changed), "mask.png").sha256,
         share=float(changed.mean()),
         shift=(made.admitted.registration.right, made.admitted.registration.down),
         notes=[*made.notes, *cost],
         warnings=[],
-        name=name,
+        name=name_of(source, request.prompt),
         python=f"sp.edit_with_source(splats, open_source({source.name!r}), {request.prompt!r}, camera=camera)",
     )
 
 
-def _within(camera: Camera, max_side_px: int) -> Camera:
+class PlannedView(Message):
+    camera: CameraInfo
+    adds: Unit
+    """Share of the surface that it is the first to show."""
+
+
+class SourcePlanned(Answer):
+    views: list[PlannedView]
+    """One call each, at most."""
+    covered: Unit
+    """Share of the surface (of what is selected) that they show together."""
+    paid: bool
+
+
+class SourcePlan(Command):
+    """Which views would be sent to a source, one after the other, until the asset (or what is selected of it) is
+    covered. Nothing is asked."""
+
+    NAME = "source.plan"
+    ANSWER = SourcePlanned
+    source: str = Field(min_length=1, max_length=100)
+    camera: CameraInfo | None = None
+    """A view to begin with; None: the one that shows most."""
+    max_views: int = Field(default=8, ge=1, le=MAX_VIEWS)
+
+
+class SourceCovered(Answer):
+    layers: list[LayerInfo]
+    """New ones, lowest first."""
+    painted: int
+    """Views."""
+    cancelled: bool
+    """Whether it was cancelled after some of them; those stay."""
+    notes: list[str]
+    """Why views were not painted, and what they cost, one line each."""
+
+
+class SourceCover(Command):
+    """Send the views of a plan to a source, one after the other, and paint each as a layer: each shows those before it,
+    and is asked for what they did not reach. Limited to what is selected when it begins."""
+
+    NAME = "source.cover"
+    ANSWER = SourceCovered
+    source: str = Field(min_length=1, max_length=100)
+    views: list[CameraInfo] = Field(min_length=1, max_length=MAX_VIEWS)
+    """Of `source.plan`."""
+    prompt: str = Field(default="", max_length=MAX_PROMPT_CHARACTERS)
+    seed: int | None = Field(default=None, ge=0, le=2**32 - 1)
+    one_layer: bool = False
+    """All views as one (merged) layer."""
+    method: Method = "auto"
+
+
+@command(SourcePlan, background=True)
+def plan_source_views(context: CommandContext, request: SourcePlan) -> SourcePlanned:
+    studio, source = context.studio, open_source(request.source)
+    first = None if request.camera is None else _within(request.camera.to_camera(), source.capabilities.max_side_px)
+    context.ticket.report(0, "planning")
+    plan = plan_views(
+        studio.session.splats.numpy(),
+        size=min(PLAN_PX, source.capabilities.max_side_px),
+        max_views=request.max_views,
+        first=first,
+        background=BACKGROUND,
+        allowed=studio.selection.share(),
+    )
+    views = [
+        PlannedView(camera=CameraInfo.of(camera), adds=min(gain, 1))
+        for camera, gain in zip(plan.cameras, plan.gains, strict=True)
+    ]
+    return SourcePlanned(views=views, covered=min(plan.covered, 1), paid=source.capabilities.paid)
+
+
+@command(SourceCover, background=True, once=True)
+def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCovered:
+    studio, source, flag = context.studio, open_source(request.source), _TicketFlag(context)
+    session, brief = studio.session, SourceBrief(request.prompt, seed=request.seed)
+    cameras = tuple(_within(view.to_camera(), source.capabilities.max_side_px) for view in request.views)
+    if session.read_only:
+        raise ValueError(f"{studio.name}: {session.read_only}")
+
+    def write(work: Callable[[], Layer]) -> Layer:
+        def checked() -> Layer:
+            if studio.session is not session:
+                raise SourceCancelled  # another project was opened
+            return work()
+
+        return context.write(checked)
+
+    try:
+        made = add_source_views(
+            session,
+            source,
+            brief,
+            ViewPlan(cameras, (0.0,) * len(cameras)),
+            one_layer=request.one_layer,
+            method=request.method,
+            progress=flag.report,
+            cancel=flag,
+            allowed=studio.selection.share(),
+            write=write,
+        )
+    except SourceCancelled:
+        raise Cancelled from None
+    notes, costs = list(made.notes), [edit.answer.cost for edit in made.turns.edits if edit.answer.cost]
+    if studio.session is not session:
+        notes.append("another project was opened; what was painted is in the one before")
+    brief_line = f"SourceBrief({request.prompt!r})" if request.prompt else "SourceBrief()"
+    return SourceCovered(
+        layers=[layer_info(session, session.layer(layer.id)) for layer in made.layers],
+        painted=len(made.turns.edits),
+        cancelled=made.turns.cancelled,
+        notes=[*notes, *([f"cost: {', '.join(costs)}"] if costs else [])],
+        python=f"add_source_views(session, open_source({source.name!r}), {brief_line}, plan_views(session.splats))",
+    )
+
+
+def name_of(source: PictureSource, prompt: str) -> str:
+    """What pictures and layers of a source are called."""
+    return f"{source.name}: {' '.join(prompt.split())[:60]}".rstrip(": ")
+
+
+def _within(camera: Camera, max_side_px: int, max_pixels: int = MAX_VIEW_PIXELS) -> Camera:
     """The same view, no larger than a source takes."""
-    scale = max_side_px / max(camera.width, camera.height)
+    scale = min(max_side_px / max(camera.width, camera.height), (max_pixels / (camera.width * camera.height)) ** 0.5)
     if scale >= 1:
         return camera
     return camera.resized(max(1, int(scale * camera.width)), max(1, int(scale * camera.height)))

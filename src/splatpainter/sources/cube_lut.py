@@ -14,11 +14,13 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from splatpainter.image_files import bytes_of_png, bytes_to_png
 from splatpainter.io import files
 
 MAX_1D_SIZE, MAX_3D_SIZE = 65536, 129
@@ -33,6 +35,10 @@ SIZES = {"LUT_1D_SIZE": MAX_1D_SIZE, "LUT_3D_SIZE": MAX_3D_SIZE}
 RANGES = {"DOMAIN_MIN": 3, "DOMAIN_MAX": 3, "LUT_1D_INPUT_RANGE": 2, "LUT_3D_INPUT_RANGE": 2}
 """Keyword -> how many numbers follow it."""
 Domain = tuple[tuple[float, float, float], tuple[float, float, float]]
+MIN_DOMAIN = 1e-6
+"""Between the lowest and the highest input of a table."""
+MAGIC, HEAD_BYTES = b"CLUT", 60
+"""Of the tables in a project: sizes and domains, then entries of three float32."""
 UNIT: Domain = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
@@ -61,6 +67,37 @@ class CubeLut:
 
     def describe(self) -> str:
         return f"LUT {self.name}"
+
+    def to_png(self) -> bytes:
+        """Its tables, for a project to keep."""
+        sizes = [0 if table is None else len(table) for table in (self.shaper, self.cube)]
+        domains = np.array([*self.shaper_domain, *self.cube_domain], "<f4").tobytes()
+        tables = [table.astype("<f4").tobytes() for table in (self.shaper, self.cube) if table is not None]
+        return bytes_to_png(b"".join([MAGIC, struct.pack("<II", *sizes), domains, *tables]))
+
+    @staticmethod
+    def from_png(png: bytes, name: str) -> CubeLut:
+        """The inverse. Raises ValueError naming `name`."""
+        try:
+            data = bytes_of_png(png, HEAD_BYTES + 12 * (MAX_1D_SIZE + MAX_3D_SIZE**3))
+            if data[:4] != MAGIC:
+                raise ValueError("it is another picture")
+            size_1d, size_3d = struct.unpack_from("<II", data, 4)
+            count = size_1d + size_3d**3
+            if 1 in (size_1d, size_3d) or size_1d > MAX_1D_SIZE or size_3d > MAX_3D_SIZE or not count:
+                raise ValueError(f"it says sizes of {size_1d} and {size_3d}")
+            domains = np.frombuffer(data, "<f4", 12, 12).astype(np.float64)
+            table = np.frombuffer(data, "<f4", 3 * count, HEAD_BYTES).reshape(count, 3).astype(np.float32)
+            low, high = domains.reshape(2, 2, 3).swapaxes(0, 1)
+            if not (np.abs(table) <= MAX_VALUE).all() or not (np.abs(domains) <= MAX_VALUE).all():
+                raise ValueError("it holds numbers that are none")
+            if (high - low < MIN_DOMAIN).any():
+                raise ValueError("a domain is empty")
+        except (ValueError, struct.error) as error:
+            raise ValueError(f"{name}: expected the table of a LUT ({error})") from None
+        ends = [(_triple(domains[at : at + 3]), _triple(domains[at + 3 : at + 6])) for at in (0, 6)]
+        cube = table[size_1d:].reshape(size_3d, size_3d, size_3d, 3) if size_3d else None
+        return CubeLut(name, table[:size_1d] if size_1d else None, cube, ends[0], ends[1])
 
 
 def read_cube(path: Path) -> CubeLut:
@@ -114,7 +151,7 @@ def parse_cube(text: str, where: Path | str) -> CubeLut:
     domains: list[Domain] = []
     for name in ("LUT_1D_INPUT_RANGE", "LUT_3D_INPUT_RANGE"):
         low, high = (_three(header[name][:1]), _three(header[name][1:])) if name in header else shared
-        if any(b - a < 1e-6 for a, b in zip(low, high, strict=True)):
+        if any(b - a < MIN_DOMAIN for a, b in zip(low, high, strict=True)):
             raise ValueError(f"{where}: expected a domain whose highest input is above its lowest, got {low} to {high}")
         domains.append((low, high))
     return CubeLut(
@@ -154,6 +191,11 @@ def _numbers(words: list[str], count: int, at: str) -> tuple[float, ...]:
     if len(values) != count or not all(math.isfinite(value) and abs(value) <= MAX_VALUE for value in values):
         raise ValueError(f"{at}: expected {count} numbers, got {_quoted(' '.join(words))}")
     return values
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    red, green, blue = values.tolist()
+    return red, green, blue
 
 
 def _three(values: tuple[float, ...]) -> tuple[float, float, float]:

@@ -37,13 +37,43 @@ MIN_LUMINANCE = 1e-3
 
 
 @dataclass(frozen=True)
+class AffineMap:
+    """Display colours, moved by a matrix from one mean to another."""
+
+    matrix: np.ndarray
+    """[3, 3] from the right."""
+    start: np.ndarray
+    """[3] mean of the colours before ..."""
+    end: np.ndarray
+    """... and after."""
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        matrix, start, end = (values.astype(np.float32) for values in (self.matrix, self.start, self.end))
+        return ((colors - start) @ matrix + end).clip(0, 1)
+
+
+@dataclass(frozen=True)
+class NewColor:
+    """One display colour under the light and shade of what is there."""
+
+    target: tuple[float, float, float]
+    mean: float
+    """Linear luminance of what is there, which becomes that of the target."""
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        paint = srgb_to_linear(np.asarray(self.target, np.float32))
+        shade = luminance(srgb_to_linear(colors.clip(0, 1)))[..., None] / np.float32(self.mean)
+        return linear_to_srgb((shade * paint).clip(0, 1)).astype(np.float32)
+
+
+@dataclass(frozen=True)
 class ColorMatch:
     """The colour statistics of a reference picture."""
 
     picture: Picture = field(repr=False)
     name: str = "picture"
 
-    def fit(self, colors: np.ndarray, weights: np.ndarray) -> ColorMap:
+    def fit(self, colors: np.ndarray, weights: np.ndarray) -> AffineMap:
         """colors: [N, 3] display colours of what is to change, weights: [N] how much each of them counts.
         Raises ValueError: nothing of the picture is opaque."""
         step = max(1, int(np.ceil((self.picture.colors.shape[0] * self.picture.colors.shape[1] / MAX_PIXELS) ** 0.5)))
@@ -55,13 +85,7 @@ class ColorMatch:
             raise ValueError(f"{self.name}: expected a reference picture of which something is opaque")
         mean, covariance = statistics(colors, weights)
         target_mean, target_covariance = statistics(pixels, share)
-        matrix = monge_kantorovitch(covariance, target_covariance).astype(np.float32)
-        start, end = mean.astype(np.float32), target_mean.astype(np.float32)
-
-        def mapped(values: np.ndarray) -> np.ndarray:
-            return ((values - start) @ matrix + end).clip(0, 1)
-
-        return mapped
+        return AffineMap(monge_kantorovitch(covariance, target_covariance), mean, target_mean)
 
     def describe(self) -> str:
         return f"colours of {self.name}"
@@ -74,19 +98,13 @@ class Recolor:
     target: tuple[float, float, float]
     """Display colour 0..1."""
 
-    def fit(self, colors: np.ndarray, weights: np.ndarray) -> ColorMap:
+    def fit(self, colors: np.ndarray, weights: np.ndarray) -> NewColor:
         """As ColorMatch.fit. Raises ValueError: what is to change is black."""
         light = luminance(srgb_to_linear(colors.clip(0, 1).astype(np.float64)))
         mean = float((light * weights).sum() / max(weights.sum(), 1e-12))
         if mean < MIN_LUMINANCE:
             raise ValueError("recolor: expected something brighter than black; raise its exposure first")
-        paint = srgb_to_linear(np.asarray(self.target, np.float32))
-
-        def recolored(values: np.ndarray) -> np.ndarray:
-            shade = luminance(srgb_to_linear(values.clip(0, 1)))[..., None] / np.float32(mean)
-            return linear_to_srgb((shade * paint).clip(0, 1)).astype(np.float32)
-
-        return recolored
+        return NewColor(self.target, mean)
 
     def describe(self) -> str:
         return "colour #" + "".join(f"{round(255 * value):02x}" for value in self.target)

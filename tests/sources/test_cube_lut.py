@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from splatpainter.grading.cube_lut import MAX_3D_SIZE, parse_cube, read_cube
+from splatpainter.sources.cube_lut import MAX_3D_SIZE, parse_cube, read_cube
 
 
 def cube_text(table: np.ndarray, *head: str) -> str:
