@@ -61,6 +61,26 @@ def hash_without(splats: Splats, skipped: np.ndarray, rows: int) -> str:
 # What an edit does
 
 
+def test_receipts_score_whole_views_though_only_parts_are_drawn() -> None:
+    splats = object_()
+    free = dab(splats, RED, 40, 44)
+    full, rest = draw(splats), replace(Painter.load("lift"), proof=False)
+    for edit in (free, replace(free, mask=disk(CAMERA, 40, 44, 10))):
+        made, unproved = apply(splats, [edit]), rest.apply(rest.encode(splats), [edit])
+        assert same_bits(made.splats, unproved.splats)
+        (score,), after = receipt_of(made).views, draw(made.splats)
+        mask = disk(CAMERA, 40, 44, 10)
+        for value, one, two, where in (
+            (score.psnr_before, full, edit.image, mask),
+            (score.psnr_after, after, edit.image, mask),
+            (score.psnr_outside, after, full, ~mask),
+        ):
+            error = (np.clip(one, 0, 1).astype(np.float64) - np.clip(two, 0, 1))[where]
+            assert value == pytest.approx(-10 * math.log10((error**2).mean()), abs=1e-6)
+        without = replace(receipt_of(made), asset_sha256="", untouched_sha256_before="", untouched_sha256_after="")
+        assert replace(receipt_of(unproved), seconds={}).to_json() == replace(without, seconds={}).to_json()
+
+
 @pytest.mark.parametrize("mode, method", [("local", "auto"), ("local", "lift"), ("local", "fit"), ("global", "lift")])
 def test_an_edit_does_not_touch_its_asset(mode, method):
     splats = object_()

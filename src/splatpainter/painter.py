@@ -9,7 +9,7 @@ edited.splats, edited.receipt
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -93,13 +93,15 @@ class Asset:
     original: Splats | None = field(default=None, repr=False)
     """The first Gaussians of `splats` as they were before all edits, on whose surface sheets are laid; None: `splats`,
     which has not been edited yet."""
+    make_grid: Callable[[Splats], VoxelGrid] | None = field(default=None, repr=False, compare=False)
+    """Where voxels of Gaussians come from; None: they are made (`voxelize`)."""
 
     @cached_property
     def grid(self) -> VoxelGrid:
         """The 128^3 voxels of the Gaussians, made on first use."""
         from splatpainter.voxels.grid import voxelize
 
-        return voxelize(self.splats)
+        return voxelize(self.splats) if self.make_grid is None else self.make_grid(self.splats)
 
     @cached_property
     def surface(self) -> Surface:
@@ -170,6 +172,8 @@ class Painter:
     """Keep encoded assets on disk (models/cache.py); for models whose weights stay as they are."""
     aside: bool = False
     """Score local edits from the side too (lift/aside.py), for the receipt: 0.3 s of one core a view."""
+    proof: bool = True
+    """Hash the asset and what an edit left alone for the receipt; False: it has empty hashes."""
     why: str = ""
     """If not empty, method "auto" is the lift, and receipts say this line."""
     precision: Precision = "auto"
@@ -252,7 +256,8 @@ class Painter:
             _one_size(edits)
             asset = self._encoded(asset)
             clock.lap("encode")
-        views = _changed_together([_prepare(asset, edit, mode) for edit in edits], edits)
+        partly = mode == "local" and chosen == "lift"
+        views = _changed_together([_prepare(asset, edit, mode, partly) for edit in edits], edits)
         clock.lap("prepare")
         lifted = self._lifted(asset, views, mode, chosen)
         clock.lap("lift")
@@ -290,12 +295,12 @@ class Painter:
             if self.model.config.representation == "copy":
                 notes.append(f"the asset is a copy of {len(asset.splats)} rows that the model made")
         touched = changed_rows(asset.splats, result.splats)
-        hashes = untouched_hashes(asset.splats, result.splats, touched)
+        hashes = untouched_hashes(asset.splats, result.splats, touched) if self.proof else ("", "")
         aside = self._aside(asset, result, views) if self.aside and mode == "local" else ()
         notes.append(_seen_aside(aside))
-        judged = scores([(v.before, _draw(result.splats, v.camera)[0], v.edited, v.mask, _scored(v)) for v in views])
+        judged = scores([(*_before_and_after(asset, result, v, touched), v.edited, v.mask, _scored(v)) for v in views])
         return Receipt(
-            asset_sha256=asset.splats.sha256,
+            asset_sha256=asset.splats.sha256 if self.proof else "",
             asset_rows=len(asset.splats),
             output_sha256="",
             output_rows=len(result.splats),
@@ -392,7 +397,7 @@ class Painter:
             originals = len(asset.splats if asset.original is None else asset.original)
             return lift_local_views(
                 asset.splats,
-                asset.grid,
+                None if surface is not None and options.resurface and len(views) == 1 else asset.grid,
                 views,
                 base,
                 options,
@@ -473,26 +478,42 @@ def _one_size(edits: Sequence[Edit]) -> None:
     one_size([edit.camera for edit in edits])
 
 
-def _prepare(asset: Asset, edit: Edit, mode: Mode) -> EditView:
-    """The edit beside what the asset shows. Raises ValueError, naming the edit, where there is nothing to do."""
+def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
+    """The edit beside what the asset shows; partly: under the edit's mask, where it has one, that is enough. Raises
+    ValueError, naming the edit, where there is nothing to do."""
     from splatpainter.lift.edit_views import EditView, errors_name
     from splatpainter.lift.masks import edited_mask
-    from splatpainter.voxels.raycast import inside
+    from splatpainter.rendering.cpu.projected_view import tiles_of_mask
+    from splatpainter.rendering.partial import PartialRender
+    from splatpainter.voxels.raycast import is_inside
 
     with errors_name(edit.name):
-        if inside(asset.grid, asset.grid.occupancy, edit.camera.position):
+        if is_inside(asset.splats, lambda: asset.grid, edit.camera.position):
             raise ValueError("edit: the camera is inside the object; step back until the surface is in view")
-        before, depth, alpha = _draw(asset.splats, edit.camera)
         mask = edit.mask
+        tiles = tiles_of_mask(mask) if partly and mask is not None and mask.any() else None
+        drawn = PartialRender.of(asset.splats, edit.camera, tiles)
         if mask is None:
-            mask = alpha > 0.5 if mode == "global" else edited_mask(edit.image, before, alpha)
+            mask = drawn.alphas > 0.5 if mode == "global" else edited_mask(edit.image, drawn.colors, drawn.alphas)
         if not mask.any():
             unchanged = (
                 "the asset is not in view" if mode == "global" else "the picture does not differ from the render"
             )
             what = unchanged if edit.mask is None else "the mask is empty"
             raise ValueError(f"edit: nothing to do, {what}")
-    return EditView(edit.camera, edit.image, mask, before, depth, alpha, edit.name)
+    return EditView(edit.camera, edit.image, mask, drawn.colors, drawn.depths, drawn.alphas, edit.name, drawn.tiles)
+
+
+def _before_and_after(
+    asset: Asset, result: Asset, view: EditView, touched: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Two [H, W, 3] renders of a view, equal where the edit changed nothing. touched: [T] Gaussians that it changed."""
+    from splatpainter.rendering.partial import PartialRender
+
+    assert view.alpha is not None and view.depth is not None and view.tiles is not None
+    drawn = PartialRender(asset.splats, view.camera, view.tiles, view.before, view.alpha, view.depth)
+    before, after = drawn.after(result.splats, touched)
+    return before.colors, after.colors
 
 
 def _changed_together(views: list[EditView], edits: Sequence[Edit]) -> list[EditView]:
@@ -546,14 +567,6 @@ def _beyond_limits(views: Sequence[EditView], limited: Sequence[float]) -> str:
         f"{left_out:.0f} edited pixels' worth of paint lies beyond the angle or depth-edge limit of its view and was "
         "left out: paint it from the front"
     )
-
-
-def _draw(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(colours [H, W, 3], expected depth [H, W], alpha [H, W])."""
-    from splatpainter.rendering import render
-
-    picture = render(splats, camera)
-    return picture.colors[0], picture.depths[0, ..., 0], picture.alphas[0, ..., 0]
 
 
 class _Clock:

@@ -68,6 +68,13 @@ class Splats:
         origin = None if self.origin is None else self.origin[np.asarray(ids)]
         return replace(self, **{k: getattr(self, k)[ids] for k in ATTRIBUTES}, origin=origin)
 
+    def geometry(self, ids: Array) -> Splats:
+        """As `take`, for what asks only where Gaussians are and how large: without colours (sh is [M, 0, 3]) and
+        source. Numpy."""
+        shapes = {k: getattr(self, k)[ids] for k in ATTRIBUTES if k != "sh"}
+        none = np.zeros((len(shapes["means"]), 0, 3), self.sh.dtype)
+        return replace(self, **shapes, sh=none, source=None, origin=None)
+
     def append(self, more: Splats) -> Splats:
         """These followed by `more` (of the same SH degree); indices of self stay what they are."""
         assert more.sh.shape[1] == self.sh.shape[1], "append: SH degrees differ"

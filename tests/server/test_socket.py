@@ -14,6 +14,7 @@ import pytest
 from splatbench import studio_client
 from splatbench.studio_client import Browser, after
 
+from splatpainter.cameras import Camera
 from splatpainter.io import write
 from splatpainter.server import page_state
 from splatpainter.server.client import BACKPRESSURE_MESSAGES, MAX_QUEUED_COMMANDS, Client
@@ -417,14 +418,14 @@ def test_a_closed_studio_leaves_no_thread(tmp_path: Path, monkeypatch: pytest.Mo
     """Threads that go on compiling exchange the process's warning filters while others rely on theirs."""
     begun, may_end = threading.Event(), threading.Event()
 
-    def slow(self: Session) -> None:
+    def slow(self: Session, camera: Camera) -> None:
         begun.set()
         may_end.wait(60)
 
     monkeypatch.setattr(Session, "prepare", slow)
     made = make_studio(tmp_path)
-    made.prepare_edit()
-    made.prepare_edit()  # one is at it
+    made.prepare_edit(view())
+    made.prepare_edit(view())  # one is at it
     assert begun.wait(60)
     closing = threading.Thread(target=made.close)
     closing.start()

@@ -132,7 +132,7 @@ def test_what_a_lift_reads_holds_all_that_it_writes() -> None:
     splats = ground()
     edit = dab(RED, 30, 40)
     assert edit.mask is not None
-    read = read_set_of(splats, voxelize(splats), CAMERA, edit.mask, len(splats))
+    read = read_set_of(splats, lambda: voxelize(splats), CAMERA, edit.mask, len(splats))
     assert read is not None and 0 < len(read.gaussian_ids) < len(splats) / 2
     painter = Painter.load("lift")
     done = painter.apply(painter.encode(splats), [edit])
@@ -144,14 +144,15 @@ def test_what_a_lift_reads_holds_all_that_it_writes() -> None:
     assert same_bits(done.splats.take(changed), again.splats.take(changed))
     here = replace(splats, sh=splats.sh.copy())
     here.sh[read.gaussian_ids[0]] += 1e-3
-    other = read_set_of(here, voxelize(here), CAMERA, edit.mask, len(here))
+    other = read_set_of(here, lambda: voxelize(here), CAMERA, edit.mask, len(here))
     assert other is not None and other.digest != read.digest
-    fewer = read_set_of(splats, voxelize(splats), CAMERA, edit.mask, int(read.gaussian_ids[-1]))
+    fewer = read_set_of(splats, lambda: voxelize(splats), CAMERA, edit.mask, int(read.gaussian_ids[-1]))
     assert fewer is not None and fewer.digest != read.digest  # the last one's index is free for any sheet Gaussian
     nowhere = np.zeros((SIZE, SIZE), bool)
     nowhere[0, 0] = True
     aside = look_at((0, 0, 2.6), (1.6, 0, 0), width=SIZE, height=SIZE, fov=42)
-    assert read_set_of(splats, voxelize(splats), aside, nowhere[:, ::-1], len(splats)) is None  # beside the sheet
+    beside = read_set_of(splats, lambda: voxelize(splats), aside, nowhere[:, ::-1], len(splats))
+    assert beside is None  # the sheet
 
 
 def test_a_lift_whose_paint_is_half_sheet_and_half_split_reads_no_more() -> None:
@@ -169,7 +170,7 @@ def test_a_lift_whose_paint_is_half_sheet_and_half_split_reads_no_more() -> None
     done = painter.apply(painter.encode(splats), [edit])
     assert done.receipt is not None
     assert 0 < len(done.receipt.replaced) < len(done.receipt.touched)
-    read = read_set_of(splats, voxelize(splats), CAMERA, edit.mask, len(splats))
+    read = read_set_of(splats, lambda: voxelize(splats), CAMERA, edit.mask, len(splats))
     assert read is not None and np.isin(done.receipt.touched, read.gaussian_ids).all()
     elsewhere = replace(splats, sh=splats.sh.copy())
     elsewhere.sh[np.setdiff1d(np.arange(len(splats)), read.gaussian_ids)] += 0.3

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 
 from splatpainter.cameras import look_at, orbit
 from splatpainter.voxels.grid import VoxelGrid, voxelize
-from splatpainter.voxels.raycast import MAX_RAY_THICKNESS, editable_gaussians, first_hits, inside, seen_voxels
+from splatpainter.voxels.raycast import (
+    MAX_RAY_THICKNESS,
+    editable_gaussians,
+    first_hits,
+    inside,
+    is_inside,
+    seen_voxels,
+)
 from tests.support.voxel_scenes import make
 
 
@@ -100,6 +107,19 @@ def test_a_ray_that_starts_in_an_occupied_voxel_hits_it_at_once() -> None:
     assert inside(grid, grid.occupancy, np.array([0.5, 0.5, 0.9]))
     assert not inside(grid, grid.occupancy, np.array([0.5, 0.5, 1.1]))
     assert not inside(grid, np.zeros((3, 3, 3), np.uint8), np.array([0.5, 0.5, 0.9]))
+
+
+def test_whether_a_point_is_inside_needs_no_voxels_far_away() -> None:
+    rng = np.random.default_rng(4)
+    splats = make(rng.normal(0, [0.5, 0.2, 0.3], (800, 3)), 0.05, opacities=0.9)
+    outliers = np.array([[9, 0, 0], [0, -7, 1], [0.3, 0.2, 0.1]], np.float32)
+    for means in (splats.means, np.vstack([splats.means[:-3], outliers])):
+        asset = replace(splats, means=means)
+        grid, made = voxelize(asset), []
+        points = np.vstack([rng.normal(0, away, (60, 3)) for away in (0.2, 0.8, 5.0, 40.0)])
+        answers = [is_inside(asset, lambda: made.append(1) or grid, point) for point in points]  # noqa: B023
+        assert answers == [inside(grid, grid.occupancy, point) for point in points]
+        assert any(answers) and len(made) < len(points) / 2
 
 
 def test_threads_share_the_rays_without_a_difference(monkeypatch: pytest.MonkeyPatch) -> None:

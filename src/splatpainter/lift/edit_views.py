@@ -25,13 +25,16 @@ class EditView:
     mask: np.ndarray = field(repr=False)
     """[H, W] bool pixels that were edited."""
     before: np.ndarray = field(repr=False)
-    """[H, W, 3] float32 render of the asset."""
+    """[H, W, 3] float32 render of the asset, in `tiles`."""
     depth: np.ndarray | None = field(default=None, repr=False)
     """[H, W] float32 its expected z-depth, 0 where there is nothing; for models whose pictures hold "geometry"."""
     alpha: np.ndarray | None = field(default=None, repr=False)
     """[H, W] float32 its alpha; likewise."""
     name: str = "edit"
     """What errors call it."""
+    tiles: np.ndarray | None = field(default=None, repr=False)
+    """[TH, TW] bool: tiles of the view that were rendered, at least all under the mask; None: all of them. Analytic
+    lifts ask for no others."""
 
     @property
     def target(self) -> np.ndarray:

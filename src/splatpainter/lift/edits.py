@@ -65,7 +65,7 @@ class LiftedEdit:
 
 def lift_local_views(
     splats: Splats,
-    grid: VoxelGrid,
+    grid: VoxelGrid | None,
     views: Sequence[EditView],
     base: ResidualBase,
     options: LocalOptions = LOCAL_DEFAULTS,
@@ -75,9 +75,9 @@ def lift_local_views(
     originals: int | None = None,
 ) -> LiftedEdit:
     """A local edit: Gaussians that visibly make the edited pixels; later views win. splats: numpy, N Gaussians; grid:
-    its voxels; features: whether a network reads them; surface: of the original, on which sheets are laid (None:
-    Gaussians are split, as networks know it); originals: how many of the N are the original's (default: all). Raises
-    ValueError, naming the view, where an edit reaches no Gaussian."""
+    its voxels (None will do for one view with sheets); features: whether a network reads them; surface: of the
+    original, on which sheets are laid (None: Gaussians are split, as networks know it); originals: how many of the N
+    are the original's (default: all). Raises ValueError, naming the view, where an edit reaches no Gaussian."""
     if base == "lift":
         if surface is not None and options.resurface and all(is_wide(view.mask) for view in views):
             lifted = _together(splats, views, options)
@@ -87,6 +87,7 @@ def lift_local_views(
         if not features:
             return lifted
         return replace(lifted, features=local_features(splats, lifted.splats, lifted.ids, lifted.parents, views))
+    assert grid is not None
     reached = gaussians_in_views(splats, grid, views)
     ids = np.flatnonzero(reached)
     values = no_features(ids)
@@ -129,7 +130,7 @@ def _together(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
 
 def _one_after_the_other(
     splats: Splats,
-    grid: VoxelGrid,
+    grid: VoxelGrid | None,
     views: Sequence[EditView],
     options: LocalOptions,
     surface: Surface | None,
@@ -148,6 +149,7 @@ def _one_after_the_other(
         with errors_name(view.name):
             allowed = None
             if surface is None:
+                assert grid is not None
                 grid = grid if k == 0 else voxelize(splats, grid.resolution)
                 allowed = editable_gaussians(grid, splats, view.camera, view.mask)
             settings = replace(options, max_error=1.0) if again[k] else options
@@ -167,10 +169,11 @@ def _one_after_the_other(
     )
 
 
-def _shown_again(splats: Splats, grid: VoxelGrid, views: Sequence[EditView]) -> list[bool]:
+def _shown_again(splats: Splats, grid: VoxelGrid | None, views: Sequence[EditView]) -> list[bool]:
     """For each view, whether a later one edits SAME_PART of the Gaussians that it edits."""
     if len(views) == 1:
         return [False]
+    assert grid is not None
     parts = [gaussians_in_views(splats, grid, [view]) for view in views]
     return [
         any((part & later).sum() > SAME_PART * part.sum() for later in parts[k + 1 :]) for k, part in enumerate(parts)

@@ -138,7 +138,7 @@ def _hopeless(
         & (inside.peak <= options.min_share)
         & (inside.weight < MIN_INSIDE_LARGE * everywhere)
     )
-    sizes = projected_sizes(splats.take(ids[faint]), view.camera)
+    sizes = projected_sizes(splats.geometry(ids[faint]), view.camera)
     faint[faint] = sizes.max(1) > LARGE_WIDTH_GOALS * options.goal_px
     out = np.zeros(len(splats), bool)
     out[ids[faint]] = True

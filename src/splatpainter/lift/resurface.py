@@ -100,10 +100,11 @@ def resurface(
     clear = covered & _is_clear(splats, view, near, covered)
     if clear.sum() < MIN_CLEAR * covered.sum():
         return None
-    covered = without_islands(clear)
-    if not covered.any():
+    remaining = without_islands(clear)
+    if not remaining.any():
         return None
-    near = NearSurface.of(visible, covered)
+    if not np.array_equal(remaining, covered):
+        covered, near = remaining, NearSurface.of(visible, remaining)
     candidates = np.zeros(len(splats), bool)
     sums = view.backproject(np.zeros_like(before), covered.astype(np.float32))
     candidates[view.gaussian_ids[sums.alpha > 0]] = True
@@ -139,13 +140,17 @@ def _is_clear(splats: Splats, view: ProjectedView, near: NearSurface, covered: n
     zeros, inside = np.zeros((*covered.shape, 3), np.float32), covered.astype(np.float32)
     sums = view.backproject(zeros, inside)
     share = sums.alpha / np.maximum(view.backproject(zeros, np.ones_like(inside)).alpha, 1e-9)
-    patch = splats.take(ids)
-    small = projected_sizes(patch, view.camera).max(1) < MAX_CUT_PX
-    handled = (sums.weight > 0) & (small | (share > INSIDE))
-    handled[handled] = near.touches(patch.take(handled))
-    weight = view.rasterize(np.repeat(handled[:, None], 3, 1).astype(np.float32))[0][..., 0]
-    image, alpha, _ = view.rasterize(np.zeros((len(ids), 3), np.float32))
-    weight = weight - image[..., 0]  # over black
+    handled = sums.weight > 0
+    unsure = np.flatnonzero(handled & (share <= INSIDE))
+    handled[unsure] = projected_sizes(splats.geometry(ids[unsure]), view.camera).max(1) < MAX_CUT_PX
+    handled[handled] = near.touches(splats.geometry(ids[handled]))
+    # One channel for their light, one for what nothing stops.
+    red = view.camera.background[0]
+    view = replace(view, camera=replace(view.camera, background=(red, red, red)))
+    colors = np.zeros((len(ids), 3), np.float32)
+    colors[:, 0] = handled
+    image, alpha, _ = view.rasterize(colors)
+    weight = image[..., 0] - image[..., 1]  # over black
     return box_mean((weight > MIN_HANDLED * alpha).astype(np.float32), CLEAR_RADIUS_PX) > 0.5
 
 
@@ -206,7 +211,7 @@ def _cut(
         share[view.gaussian_ids] = view.backproject(zeros, inside).alpha / np.maximum(total, 1e-9)
         touching = np.zeros(len(splats), bool)
         chosen = np.flatnonzero(active & (share > OUTSIDE))
-        touching[chosen] = near.touches(splats.take(chosen))
+        touching[chosen] = near.touches(splats.geometry(chosen))
         across = touching & (share < INSIDE)
         wide = across & seen[lattice.parent] & (lattice.widths.max(1) > RIM_GOAL_PX)
         if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -143,7 +144,7 @@ def sheet_geometry(surface: VisibleSurface, cells: Cells, target: np.ndarray) ->
     at = surface.at(cells.centers)
     xs, ys = cells.centers.astype(np.int64).T
     single = cells.sizes == 1
-    sharp = single & (_contrast(target)[ys, xs] > EDGE_CONTRAST)
+    sharp = single & (_contrast(target, ys, xs) > EDGE_CONTRAST)
     width = cells.sizes * np.where(single, PIXEL_WIDTH, CELL_WIDTH) * np.where(sharp, EDGE_WIDTH, 1)
     chosen = np.flatnonzero(at.depth > 0)
     stretch = _stretch(surface, cells, at, chosen)
@@ -186,15 +187,21 @@ def _stretch(surface: VisibleSurface, cells: Cells, at: PixelSurface, chosen: np
     return np.clip(np.minimum(length, np.minimum(*limits)), 1, None)
 
 
-def _contrast(target: np.ndarray) -> np.ndarray:
-    """[H, W] range of the colours over the 3 x 3 pixels around each, largest channel."""
-    padded = np.pad(target, ((1, 1), (1, 1), (0, 0)), mode="edge")
+def _contrast(target: np.ndarray, ys: np.ndarray, xs: np.ndarray) -> np.ndarray:
+    """[C] range of the colours over the 3 x 3 pixels around each of some pixels, largest channel."""
+    if not len(ys):
+        return np.zeros(0, target.dtype)
     height, width = target.shape[:2]
-    parts = [padded[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)]
-    low, high = parts[0], parts[0]
-    for part in parts[1:]:
-        low, high = np.minimum(low, part), np.maximum(high, part)
-    return (high - low).max(-1)
+    top, left = max(int(ys.min()) - 1, 0), max(int(xs.min()) - 1, 0)
+    window = target[top : min(int(ys.max()) + 2, height), left : min(int(xs.max()) + 2, width)]
+    padded = np.pad(window, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    low, high = padded, padded
+    for axis in (0, 1):  # the range over a square is that over columns of the ranges over rows
+        parts = [[slice(None)] * axis + [slice(k, -2 + k or None)] for k in range(3)]
+        low = functools.reduce(np.minimum, [low[tuple(part)] for part in parts])
+        high = functools.reduce(np.maximum, [high[tuple(part)] for part in parts])
+    span = (high - low)[ys - top, xs - left]
+    return np.maximum(np.maximum(span[:, 0], span[:, 1]), span[:, 2])
 
 
 def pixel_gaussians(

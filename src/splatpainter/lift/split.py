@@ -148,7 +148,9 @@ class Lattice:
         if not len(ids):
             return self, np.arange(len(self))
         count = 2 * REACH + 1
-        rest = np.setdiff1d(np.arange(len(self)), ids)
+        unchanged = np.ones(len(self), bool)
+        unchanged[ids] = False
+        rest = np.flatnonzero(unchanged)
         source = np.concatenate([rest, np.repeat(ids, count)])
         level, site = self.level[source], self.site[source]
         step = np.tile(np.arange(-REACH, REACH + 1), len(ids))

@@ -65,7 +65,7 @@ def render(
     Raises ValueError for shapes, kinds or sizes that do not fit, and for a backend or profile that is not there.
     """
     views = [cameras] if isinstance(cameras, Camera) else list(cameras)
-    _check_views(views)
+    check_views(views)
     _check_splats(splats)
     if backend not in BACKENDS:
         raise ValueError(f"render: expected a backend of {', '.join(BACKENDS)}, got {backend!r}")
@@ -130,7 +130,8 @@ def _background_shape(background: Array, count: int) -> Array:
     return background[None][[0] * count] if shape == (3,) else background
 
 
-def _check_views(views: list[Camera]) -> None:
+def check_views(views: list[Camera]) -> None:
+    """Raises ValueError for views that `render` does not draw in one call."""
     if not views:
         raise ValueError("render: expected at least one camera, got none")
     sizes = sorted({(view.width, view.height) for view in views})

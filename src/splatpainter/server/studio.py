@@ -109,10 +109,13 @@ class Studio:
         self.exports.clear()
         _close(old, self.projects)
 
-    def prepare_edit(self) -> None:
-        """Make what the next local edit needs in a thread of its own, unless one is at it; `close` waits for it."""
+    def prepare_edit(self, camera: Camera) -> None:
+        """Make what the next local edit, in this view, needs in a thread of its own, unless one is at it; `close` waits
+        for it."""
         if self._preparing is None or not self._preparing.is_alive():
-            self._preparing = threading.Thread(target=self.session.prepare, name="studio-prepare", daemon=True)
+            self._preparing = threading.Thread(
+                target=self.session.prepare, args=(camera,), name="studio-prepare", daemon=True
+            )
             self._preparing.start()
 
     def _adopt(self, session: Session, name: str) -> None:

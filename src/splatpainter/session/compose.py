@@ -106,7 +106,9 @@ class PainterAdapter:
     """A painter for one original."""
 
     def __init__(self, original: Splats, painter: Painter) -> None:
-        self._original, self._painter = bare(original), painter
+        # What a layer did is proved when the asset is exported, from the original: no receipt of a layer is.
+        unproved = replace(painter, proof=False) if type(painter) is Painter else painter
+        self._original, self._painter = bare(original), unproved
         self._bare = Asset(self._original)
         self._encoded: Asset | None = None
         self._grids: OrderedDict[tuple[int, ...], tuple[tuple[np.ndarray, ...], VoxelGrid]] = OrderedDict()
@@ -127,7 +129,7 @@ class PainterAdapter:
         edits below; sheets: False for layers of painters that knew none; options: those of the painter's local options
         that are others for this layer. Raises ValueError as Painter.apply does."""
         numbered = replace(bare(below), origin=np.arange(len(below)))
-        asset = Asset(numbered, original=self._original)
+        asset = Asset(numbered, original=self._original, make_grid=self.grid)
         if mode == "local":
             vars(asset)["surface"] = self._bare.surface if sheets else None
         if self._painter.encodes(method, mode):
@@ -137,8 +139,6 @@ class PainterAdapter:
                 state = _on_device(state, next(base.encoding.model.parameters()).device)
             parent_ids = np.maximum(below.origin, 0)
             asset = replace(asset, encoding=replace(base.encoding, parent_ids=parent_ids, state=state))
-        if mode == "local":
-            vars(asset)["grid"] = self.grid(below)  # as its cached property would
         return numbered, self._painter_with(options).apply(asset, edits, mode, method)
 
     @property
@@ -419,8 +419,10 @@ class Replay:
             if state is None:
                 return None
             (view,) = layer.views
-            grid = self._adapter.grid(state.splats)
-            self._read_sets[pair] = read_set_of(state.splats, grid, view.camera, self.mask(view), len(self.original))
+            grid, splats = self._adapter.grid, state.splats
+            self._read_sets[pair] = read_set_of(
+                splats, lambda: grid(splats), view.camera, self.mask(view), len(self.original)
+            )
         self._read_sets.move_to_end(pair)
         read = self._read_sets[pair]
         while (
@@ -570,9 +572,15 @@ class Replay:
         """That of the original."""
         return self._adapter.surface
 
-    def prepare(self, state: LayerState) -> None:
-        """Make what a local edit of a state needs before anything else."""
-        self._adapter.grid(state.splats)
+    def prepare(self, state: LayerState, camera: Camera | None) -> None:
+        """Make what a local edit of a state in a view (None: any) needs before anything else."""
+        from splatpainter.voxels.raycast import is_inside
+
+        if camera is None:
+            self._adapter.grid(state.splats)
+        else:
+            is_inside(state.splats, lambda: self._adapter.grid(state.splats), camera.position)
+        _ = self._adapter.surface.typical_width  # of the samples, which are cached with it
 
     def forget(self, results: set[str]) -> None:
         """Drop states that were made of results which are no longer stored."""

@@ -14,6 +14,7 @@ splitting may let them through. Knows no layers and no cache.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,24 +36,24 @@ class ReadSet:
 
 
 def read_set_of(
-    splats: Splats, grid: VoxelGrid, camera: Camera, mask: np.ndarray, originals: int | None = None
+    splats: Splats, grid: Callable[[], VoxelGrid], camera: Camera, mask: np.ndarray, originals: int | None = None
 ) -> ReadSet | None:
-    """What a local lift of the masked pixels ([H, W] bool) reads of `splats`, whose voxels are `grid`; None where it
-    could not be applied. originals: how many of the first are the original's, on whose surface sheets are laid; None:
-    the edit knows no surface, and splits only Gaussians that the voxels let it."""
+    """What a local lift of the masked pixels ([H, W] bool) reads of `splats`, whose voxels `grid` makes or has; None
+    where it could not be applied. originals: how many of the first are the original's, on whose surface sheets are
+    laid; None: the edit knows no surface, and splits only Gaussians that the voxels let it."""
     from splatpainter.lift.local_edit import is_wide
     from splatpainter.lift.paint import read_by_edit
     from splatpainter.rendering.cpu.projected_view import project
-    from splatpainter.voxels.raycast import editable_gaussians, inside
+    from splatpainter.voxels.raycast import editable_gaussians, is_inside
 
-    if inside(grid, grid.occupancy, camera.position):
+    if is_inside(splats, grid, camera.position):
         return None
     try:
         tiles, may_split = read_by_edit(splats, camera, mask)
     except ValueError:
         return None
     if originals is None:
-        may_split &= editable_gaussians(grid, splats, camera, mask)
+        may_split &= editable_gaussians(grid(), splats, camera, mask)
         if not may_split.any():
             return None
     gaussian_ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)

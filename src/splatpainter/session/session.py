@@ -292,10 +292,11 @@ class Session(StrokeCommands, Annotations):
             if self._snapshot is snapshot:
                 return delta
 
-    def prepare(self) -> None:
-        """Make now what the next local edit would make first (the voxels of the asset), in another thread than
-        commands, while the edit is still being drawn. Changes nothing."""
-        self._replay.prepare(self._snapshot.state)
+    def prepare(self, camera: Camera | None = None) -> None:
+        """Make now what the next local edit would make first (samples of the surface; where this camera, or any, needs
+        them the voxels of the asset), in another thread than commands, while the edit is still being drawn. Changes
+        nothing."""
+        self._replay.prepare(self._snapshot.state, camera)
 
     def left_out(self, camera: Camera, **limits: float) -> np.ndarray:
         """[H, W] bool: pixels of a view that a local edit would not paint (by more than half), to about a block of

@@ -107,7 +107,7 @@ def visible_surface(
     ids = view.gaussian_ids[entry[ys, xs]]
     pixel = np.stack([xs, ys], 1) + 0.5
     rays = np.stack([(pixel[:, 0] - camera.cx) / camera.fx, (pixel[:, 1] - camera.cy) / camera.fy, np.ones(len(xs))], 1)
-    depth, width = _front_depths(splats.take(ids), camera, rays)
+    depth, width = _front_depths(splats.geometry(ids), camera, rays)
     rotation = camera.world_to_camera[:3, :3]
     starts = (rays * depth[:, None] - camera.world_to_camera[:3, 3]) @ rotation
     lengths = np.linalg.norm(rays, axis=1)

@@ -27,6 +27,8 @@ import numpy as np
 
 from splatpainter.splats import Splats
 
+RESOLUTION = 128
+"""Voxels along an edge, unless said."""
 MIN_OCCUPIED_DENSITY = 0.25
 """From which a voxel stops a ray."""
 
@@ -67,7 +69,7 @@ class VoxelGrid:
         return self.min_corner + (cell + 0.5) * self.voxel
 
 
-def voxelize(splats: Splats, resolution: int = 128) -> VoxelGrid:
+def voxelize(splats: Splats, resolution: int = RESOLUTION) -> VoxelGrid:
     """Group an asset's Gaussians in resolution^3 voxels over `bounding_cube`. Every drawable one gets a voxel.
     Permuting them permutes `index` and the members of each group; equal opacities in a group are in the asset's order.
     Raises ValueError when none can be drawn."""

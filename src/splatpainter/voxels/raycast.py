@@ -7,6 +7,7 @@ renderer and no network: what a pixel really owes to a Gaussian is the lift's bu
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -15,7 +16,7 @@ from splatpainter.cameras import Camera
 from splatpainter.kernels import parallel
 from splatpainter.splats import Splats
 from splatpainter.voxels import footprints
-from splatpainter.voxels.grid import VoxelGrid
+from splatpainter.voxels.grid import RESOLUTION, VoxelGrid, bounding_cube
 
 MAX_RAY_THICKNESS = 3.0
 """Optical thickness after which a ray is spent and sees nothing more (exp(-3) = 5 % would get through)."""
@@ -104,6 +105,30 @@ def inside(grid: VoxelGrid, occupancy: np.ndarray, point: np.ndarray) -> bool:
     if not ((cell >= 0) & (cell < grid.resolution)).all():
         return False
     return bool(occupancy[tuple(cell.astype(int))])
+
+
+def is_inside(splats: Splats, grid: Callable[[], VoxelGrid], point: np.ndarray) -> bool:
+    """Whether a point lies in an occupied voxel of an asset (`inside`). grid: makes or has its voxels; it is not called
+    where the point lies beyond the cube that they divide, as that of most cameras does."""
+    if _is_far(splats, point):
+        return False
+    min_corner, extent = bounding_cube(splats)
+    cell = np.floor((np.asarray(point, np.float64) - min_corner) / (extent / RESOLUTION))
+    if not ((cell >= 0) & (cell < RESOLUTION)).all():
+        return False
+    voxels = grid()
+    return inside(voxels, voxels.occupancy, point)
+
+
+def _is_far(splats: Splats, point: np.ndarray) -> bool:
+    """Whether a point lies beyond any cube that `bounding_cube` may find: quick, and False where in doubt."""
+    arrays = splats.numpy()
+    if not len(arrays):
+        return False
+    low, high = (np.array([f(arrays.means[:, k]) for k in range(3)], np.float64) for f in (np.min, np.max))
+    span, size = float((high - low).max()), float(max(np.abs(low).max(), np.abs(high).max()))
+    margin = span + 2 * max(float(arrays.scales[:, k].max()) for k in range(3)) + 1e-5 * size
+    return bool((point < low - margin).any() or (point > high + margin).any())
 
 
 def warm() -> None:

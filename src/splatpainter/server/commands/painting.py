@@ -83,7 +83,7 @@ def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     stroke.masks = request.kind == "mask"
     now = session.snapshot
     stroke.prepare(now.splats, session.original, now.version)
-    context.studio.prepare_edit()  # ready when the pen goes up
+    context.studio.prepare_edit(camera)  # ready when the pen goes up
     context.clear_preview = True
     name = secrets.token_hex(6)
     context.page.strokes = {name: stroke}

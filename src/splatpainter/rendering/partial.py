@@ -1,0 +1,80 @@
+"""A view drawn in some of its 16 x 16 tiles only: around an edit, and again where the edit changed it. Knows no edit.
+
+Tiles are independent of each other, so a tile has the same bits whichever others are drawn with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class PartialRender:
+    """One view of some Gaussians; tiles that are not drawn show the background, with no alpha."""
+
+    splats: Splats = field(repr=False)
+    """Numpy."""
+    camera: Camera
+    tiles: np.ndarray = field(repr=False)
+    """[TH, TW] bool: tiles that are drawn."""
+    colors: np.ndarray = field(repr=False)
+    """[H, W, 3] float32."""
+    alphas: np.ndarray = field(repr=False)
+    """[H, W] float32."""
+    depths: np.ndarray = field(repr=False)
+    """[H, W] float32 expected z-depth."""
+
+    @staticmethod
+    def of(splats: Splats, camera: Camera, tiles: np.ndarray | None = None) -> PartialRender:
+        """tiles: [TH, TW] bool; None: all of them. Raises ValueError for sizes that `render` does not draw."""
+        from splatpainter.rendering import check_views, render
+        from splatpainter.rendering.cpu.projected_view import project, tile_shape
+
+        check_views([camera])
+        everywhere = np.ones(tile_shape(camera), bool)
+        if tiles is None or tiles.all():
+            picture = render(splats, camera)
+            return PartialRender(
+                splats, camera, everywhere, picture.colors[0], picture.alphas[0, ..., 0], picture.depths[0, ..., 0]
+            )
+        pictures = project(splats, camera, tiles=tiles).rasterize()
+        return PartialRender(splats, camera, tiles, *pictures)
+
+    def with_tiles(self, tiles: np.ndarray) -> PartialRender:
+        """These tiles ([TH, TW] bool) drawn too."""
+        missing = tiles & ~self.tiles
+        return self._redrawn(self.splats, missing) if missing.any() else self
+
+    def after(self, splats: Splats, changed: np.ndarray) -> tuple[PartialRender, PartialRender]:
+        """(this with all tiles that differ, what `splats` show, drawn in the same tiles). splats: the same Gaussians at
+        the same indices, of which `changed` ([T] int) have other values, and any number of further ones."""
+        from splatpainter.rendering.cpu.projected_view import project
+
+        count, tiles = len(self.splats), np.zeros(self.tiles.shape, bool)
+        new = np.concatenate([changed, np.arange(count, len(splats))])
+        for asset, ids in ((self.splats, changed), (splats, new)):
+            if len(ids):
+                some = np.ones(len(ids), bool)
+                tiles |= project(asset.take(ids), self.camera).tiles_of(some)
+        before = self.with_tiles(tiles)
+        return before, before._redrawn(splats, tiles) if tiles.any() else replace(before, splats=splats)
+
+    def _redrawn(self, splats: Splats, tiles: np.ndarray) -> PartialRender:
+        """What it shows is of `splats` in these tiles, and as it was in all others."""
+        from splatpainter.rendering.cpu.projected_view import TILE
+
+        part = PartialRender.of(splats, self.camera, tiles)
+        if part.tiles.all():
+            return part
+        height, width = self.alphas.shape
+        pixels = tiles.repeat(TILE, 0).repeat(TILE, 1)[:height, :width]
+        pictures = {}
+        for name in ("colors", "alphas", "depths"):
+            pictures[name] = getattr(self, name).copy()
+            pictures[name][pixels] = getattr(part, name)[pixels]
+        return replace(self, splats=splats, tiles=self.tiles | tiles, **pictures)
