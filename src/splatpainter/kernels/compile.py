@@ -27,10 +27,10 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
     "splatpainter.rendering.cpu.warm:warm_projection": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
-    "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py",),
+    "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py", "kernels/search.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
     "splatpainter.lighting:warm": ("lighting.py",),
-    "splatpainter.surface.warm:warm": ("surface", "rendering/cpu/geometry.py"),
+    "splatpainter.surface.warm:warm": ("surface", "rendering/cpu/geometry.py", "kernels/search.py"),
 }
 """Registry. "module:function" that calls every kernel of its package once with float32 arrays -> files and folders
 (relative to the package) whose edits make its compiled kernels stale. Entries are shared out between two processes in

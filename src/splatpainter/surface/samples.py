@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
+from splatpainter.kernels.search import first_not_below
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -96,18 +97,6 @@ class SurfaceSamples:
 
     def __len__(self) -> int:
         return len(self.gaussian_ids)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def first_not_below(keys, low, high, key):
-    """Index of the first of keys[low:high] (ascending) that is >= key; `high` where none is."""
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from splatpainter.kernels.parallel import run
+from splatpainter.kernels.search import first_not_below
 
 MIN_DISTANCE = 0.7
 """Between samples, in spacings."""
@@ -166,18 +167,6 @@ def unwrap(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _first(keys, key):
-    low, high = 0, keys.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def _thin(points, normals, keys, order, corner, size, nearest, chosen):
     for i in range(points.shape[0]):
         cx = int((points[i, 0] - corner[0]) / size)
@@ -187,7 +176,7 @@ def _thin(points, normals, keys, order, corner, size, nearest, chosen):
         for x in range(cx - 1, cx + 2):
             for y in range(cy - 1, cy + 2):
                 row = (x << 42) | (y << 21)
-                k = _first(keys, row | max(cz - 1, 0))
+                k = first_not_below(keys, 0, keys.shape[0], row | max(cz - 1, 0))
                 while free and k < keys.shape[0] and keys[k] <= row | (cz + 1):
                     j = order[k]
                     if chosen[j]:
@@ -218,7 +207,7 @@ def _smooth(samples, facing, keys, order, corner, size, radius, points, normals,
                 for x in range(max(cx - 1, 0), cx + 2):
                     for y in range(max(cy - 1, 0), cy + 2):
                         row = (x << 42) | (y << 21)
-                        k = _first(keys, row | max(cz - 1, 0))
+                        k = first_not_below(keys, 0, keys.shape[0], row | max(cz - 1, 0))
                         while k < keys.shape[0] and keys[k] <= row | (cz + 1):
                             j = order[k]
                             k += 1
@@ -256,7 +245,7 @@ def _neighbours(points, normals, i, px, py, pz, nx, ny, nz, reach, keys, order, 
     for x in range(max(cx - 1, 0), cx + 2):
         for y in range(max(cy - 1, 0), cy + 2):
             row = (x << 42) | (y << 21)
-            k = _first(keys, row | max(cz - 1, 0))
+            k = first_not_below(keys, 0, keys.shape[0], row | max(cz - 1, 0))
             while k < keys.shape[0] and keys[k] <= row | (cz + 1):
                 j = order[k]
                 k += 1

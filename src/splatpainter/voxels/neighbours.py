@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from splatpainter.kernels.parallel import run
+from splatpainter.kernels.search import first_not_below
 
 CELL_BITS = 20
 """Bits of a cube's index along each axis."""
@@ -75,18 +76,6 @@ def _sorted(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _first_at(keys, key):
-    low, high = 0, keys.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def _nearest(points, queries, keys, order, cells, radius, nearest, distance, thread, threads):
     for start in range(thread * BLOCK, queries.shape[0], threads * BLOCK):
         for i in range(start, min(start + BLOCK, queries.shape[0])):
@@ -94,7 +83,7 @@ def _nearest(points, queries, keys, order, cells, radius, nearest, distance, thr
             for x in range(cells[i, 0] - 1, cells[i, 0] + 2):
                 for y in range(cells[i, 1] - 1, cells[i, 1] + 2):
                     row = (x << 40) | (y << 20)
-                    k = _first_at(keys, row | (cells[i, 2] - 1))
+                    k = first_not_below(keys, 0, keys.shape[0], row | (cells[i, 2] - 1))
                     while k < keys.shape[0] and keys[k] <= row | (cells[i, 2] + 1):
                         j = order[k]
                         k += 1
