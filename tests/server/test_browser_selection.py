@@ -228,3 +228,62 @@ def test_nothing_serious_about_the_card(opened: tuple[studio_scenes.Live, Page])
     violations = page.ask("axe.run().then((result) => result.violations)")
     serious = [f"{v['id']}: {v['nodes'][0]['html']}" for v in violations if v["impact"] in ("serious", "critical")]
     assert serious == []
+
+
+BOX_HANDLES = """() => {
+  const { camera, state } = window.studio;
+  const [view, { center, radius }] = [camera.value, state.value.asset];
+  const stage = document.getElementById("stage").getBoundingClientRect();
+  return [0, 1, 2].flatMap((axis) => [-1, 1].map((sign) => {
+    const at = center.map((v, k) => v + (k === axis ? sign * radius : 0));
+    const [x, y, z] = view.world_to_camera.map((row) => row[0] * at[0] + row[1] * at[1] + row[2] * at[2] + row[3]);
+    const pixel = [view.fx * x / z + view.cx, view.fy * y / z + view.cy];
+    return [pixel[0] / view.width * stage.width + stage.left, pixel[1] / view.height * stage.height + stage.top];
+  }));
+}"""
+
+
+def test_undo_takes_back_selections_and_the_box_has_handles(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """Ctrl-Z goes back through selections; a face of the box is pulled by its handle with any tool, without painting;
+    Escape takes the pull back."""
+    live, page = opened
+    mouse, keys = page.tab.mouse, page.tab.keyboard
+    keys.press("m")
+    page.drag((0.3, 0.2), (0.5, 0.8))
+    selected(page)
+    first = count(page)
+    keys.press("Control+a")
+    page.wait("all", lambda: count(page) > first)
+    keys.press("Control+z")
+    page.wait("the first again", lambda: count(page) == first)
+    keys.press("Control+z")
+    page.wait("nothing", lambda: count(page) == 0)
+    assert page.tab.get_by_role("button", name="Undo").is_disabled()
+    keys.press("Control+Shift+z")
+    page.wait("it again", lambda: count(page) == first)
+    keys.press("b")
+    page.tab.get_by_role("tab", name="Select").click()
+    page.tab.get_by_text("Box", exact=True).click()
+    click(page, "Set a box")
+    handles = page.ask(BOX_HANDLES)
+    top = page.tab.get_by_role("textbox", name="Y from, number")
+    start = float(top.input_value())
+    x, y = handles[2]  # -y is up
+
+    def pull() -> float:
+        mouse.move(x, y)
+        mouse.down()
+        mouse.move(x, y + 40, steps=4)
+        return float(top.input_value())
+
+    assert pull() > start + 0.05
+    keys.press("Escape")
+    page.wait("as it was", lambda: float(top.input_value()) == start)
+    mouse.up()
+    pulled = pull()
+    mouse.up()
+    assert pulled > start + 0.05 and page.names() == []
+    page.tab.get_by_title("Select what is in the box").click()
+    means = live.studio.session.splats.means
+    expected = int((means[:, 1] > pulled).sum())
+    page.wait("what is in it", lambda: abs(count(page) - expected) < 12)

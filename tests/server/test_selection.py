@@ -187,3 +187,60 @@ def test_hiding_and_cropping(live: Live) -> None:
     splats = live.studio.session.splats
     assert (splats.opacities[~inside] == 0).all() and (splats.opacities[inside] > 0).all()
     assert live.post("verify")["proved"]
+
+
+def undo_counts(live: Live) -> tuple[int, int, int]:
+    state = live.http.get("/api/state").json()
+    return state["cursor"], state["selection"]["undo"], state["selection"]["redo"]
+
+
+def test_undo_goes_through_selections_between_the_steps(live: Live) -> None:
+    """Selections, a layer that hides, more selections: back and forth through all of them, the drawn edge included."""
+    area(live, left())
+    drawn = seen(live)
+    live.post("selection.change", to="invert")
+    inverted = selection(live)["gaussians"]
+    assert undo_counts(live) == (0, 2, 0)
+    live.post("selection.hide", name="Hide")
+    assert undo_counts(live) == (1, 0, 0) and selection(live)["gaussians"] == 0
+    live.post("selection.change", to="all")
+    every = selection(live)["gaussians"]
+    assert undo_counts(live) == (1, 1, 0)
+
+    went = []
+    for name, count in (("undo", 4), ("redo", 4)):
+        for _ in range(count):
+            live.post(name)
+            went.append((*undo_counts(live), selection(live)["gaussians"]))
+    lefts = 600 - inverted
+    assert [one[3] for one in went] == pytest.approx([0, inverted, lefts, 0, lefts, inverted, 0, every], abs=40)
+    assert [one[0] for one in went] == [1, 0, 0, 0, 0, 0, 1, 1]
+    assert [one[1:3] for one in went] == [(0, 1), (2, 0), (1, 1), (0, 2), (1, 1), (2, 0), (0, 1), (1, 0)]
+    live.post("jump", cursor=0)
+    assert selection(live)["gaussians"] == inverted
+    live.post("undo")
+    assert np.abs(seen(live) - drawn).max() < 0.01, "the drawn edge, to the pixel"
+    live.post("selection.change", to="none")
+    assert undo_counts(live) == (0, 2, 0), "a new selection drops those that were undone"
+    live.post("redo")
+    assert undo_counts(live)[0] == 1, "and not the steps of the document"
+    live.post("jump", cursor=0)
+    live.post("selection.change", to="all")
+    live.post("selection.hide", name="All of it")  # takes the place, and the number, of the step that was undone
+    assert undo_counts(live) == (1, 0, 0)
+    live.post("undo")
+    assert undo_counts(live)[0] == 0 and selection(live)["gaussians"] == 600
+    for _ in range(4):
+        live.post("undo")
+    assert undo_counts(live)[:2] == (0, 0) and selection(live)["gaussians"] == 0
+
+
+def test_old_selections_are_forgotten_where_there_are_many(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splatpainter.server.selection_history.MAX_BYTES", 2500)
+    for _ in range(6):
+        live.post("selection.change", to="all")
+    back = undo_counts(live)[1]
+    assert 2 <= back <= 4
+    for _ in range(back + 1):
+        live.post("undo")
+    assert selection(live)["gaussians"] == 600 and undo_counts(live) == (0, 0, back)

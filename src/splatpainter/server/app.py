@@ -167,7 +167,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             made = await hub.queue.run("read", lambda: render_view(context, command), context.ticket)
             data, media = await asyncio.to_thread(studio.picture_bytes, made.picture)
         except Exception as error:
-            return _failed(problem_of(error))
+            return _failed(studio.public_problem(problem_of(error)))
         return Response(data, media_type=media, headers=NO_STORE)
 
     @app.post("/api/blobs", summary="Send a picture, a splat file, a project or a layer: the body is the file")
@@ -194,7 +194,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
         try:
             data, media = await asyncio.to_thread(studio.picture_bytes, blob)
         except ValueError as error:
-            return _failed(problem_of(error), 404)
+            return _failed(studio.public_problem(problem_of(error)), 404)
         extra = {} if media.startswith("image/") else {"content-disposition": "attachment"}
         return Response(data, media_type=media, headers={**FOREVER, **extra})
 
@@ -203,7 +203,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
         try:
             path = studio.downloads.find(key, name)
         except ValueError as error:
-            return _failed(problem_of(error), 404)
+            return _failed(studio.public_problem(problem_of(error)), 404)
         return FileResponse(path, media_type="application/octet-stream", filename=path.name, headers=NO_STORE)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files
+from splatpainter.server.selection_history import SelectionHistory, SelectionState
 from splatpainter.session import Session
 from splatpainter.session.selection import Combine, Selection, combined, view_of
 from splatpainter.splats import Splats
@@ -30,6 +31,10 @@ class CurrentSelection:
         """Goes up with every change."""
         self.gaussians = 0
         """How many are selected by half or more, when it was chosen."""
+        self._history = SelectionHistory()
+        self._state = SelectionState(None, 0, None)
+        self._noted: int | None = None
+        """The step of the history that was in effect after the latest command."""
         self._selection: Selection | None = None
         self._previous: Selection | None = None
         self._drawn: tuple[bytes, np.ndarray] | None = None
@@ -108,6 +113,45 @@ class CurrentSelection:
             return _sharpened(view_of(splats, selection.on(splats, session.original), camera))
 
         return of_view
+
+    def note(self) -> None:
+        """After a command: what is selected belongs to the step of the history that is in effect."""
+        state = self._state
+        if state.selection is not self._selection or state.drawn is not self._drawn:
+            self._state = SelectionState(self._selection, self.gaussians, self._drawn)
+        step, steps = self._step, [step.id for step in self.session.snapshot.history]
+        is_new = step != self._noted  # ids of steps that were dropped are given again: only the way there tells
+        self._history.note(step, steps, self._state, is_new)
+        self._noted = step
+
+    def undo(self) -> bool:
+        """One selection back; False: a step of the document comes first."""
+        return self._restore(self._history.move(self._step, -1))
+
+    def redo(self) -> bool:
+        """One selection forward; False: a step of the document comes first."""
+        return self._restore(self._history.move(self._step, 1))
+
+    def follow(self) -> None:
+        """Undo, redo or a jump put another step into effect: select what was selected then."""
+        self._noted = self._step
+        self._restore(self._history.at(self._step))
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """How many selections can be undone and redone before a step of the document is."""
+        return self._history.counts(self._step)
+
+    @property
+    def _step(self) -> int:
+        snapshot = self.session.snapshot
+        return snapshot.history[snapshot.cursor].id
+
+    def _restore(self, state: SelectionState | None) -> bool:
+        if state is not None and state is not self._state:
+            self._set(state.selection, state.gaussians, state.drawn)
+            self._state = state
+        return state is not None
 
     def stored(self) -> tuple[str, bytes] | None:
         """(hash, PNG) for a layer that keeps to it; None: nothing is selected."""

@@ -281,6 +281,10 @@ class SelectionInfo(Message):
     """0: nothing is selected, everything may change."""
     names: list[str]
     """Selections that the project keeps."""
+    undo: int
+    """How many selections `undo` goes back through before it takes back the step at `cursor`."""
+    redo: int
+    """The same forward."""
 
 
 class Present(Message):

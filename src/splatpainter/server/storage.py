@@ -267,6 +267,12 @@ class Blobs:
             raise ValueError(f"{blob.name or 'blob'}: expected a {kind}, got a {blob.info.kind}")
         return blob
 
+    def name_of(self, sha256: str) -> str:
+        """What its owner called it; "" for none, or one that is not here."""
+        with self._lock:
+            blob = self._blobs.get(sha256)
+        return "" if blob is None else blob.name
+
     @property
     def size(self) -> int:
         """Bytes kept."""

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import secrets
 import threading
 from collections import OrderedDict, deque
@@ -24,6 +23,7 @@ from splatpainter.io import files
 from splatpainter.server import describe
 from splatpainter.server.current_selection import CurrentSelection
 from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, RecentInfo, SelectionInfo, State, first_fault
+from splatpainter.server.public_text import public_text
 from splatpainter.server.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
 from splatpainter.session import Session
 from splatpainter.session.layer_factory import thumbnail
@@ -121,6 +121,7 @@ class Studio:
     def _adopt(self, session: Session, name: str) -> None:
         session_id, lists, snapshot = secrets.token_hex(8), describe.Lists(), session.snapshot
         selection = CurrentSelection(session)
+        selection.note()
         self._earlier = [] if len(snapshot.history) > 1 else self._earlier_of(session)
         with _one_line_errors(name):
             asset = describe.counted(describe.asset_info(session, name), session.original, snapshot.splats)
@@ -134,6 +135,7 @@ class Studio:
     def refresh(self) -> None:
         """Describe the session anew; cheap where the Gaussians are the same."""
         session, snapshot = self.session, self.session.snapshot
+        self.selection.note()
         if self._asset.up != list(describe.up_axis(session)) or self._front != session.front:
             self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
             self._front = session.front
@@ -167,7 +169,11 @@ class Studio:
             earlier=self._earlier,
             project=self._project(session, name),
             selection=SelectionInfo(
-                revision=selection.revision, gaussians=selection.gaussians, names=session.selections()
+                revision=selection.revision,
+                gaussians=selection.gaussians,
+                names=session.selections(),
+                undo=selection.steps[0],
+                redo=selection.steps[1],
             ),
             methods=describe.methods(session),
             folder=None if self.folder is None else self.folder.root.name,
@@ -215,11 +221,14 @@ class Studio:
 
     def public(self, text: str) -> str:
         """A message without the folders that clients have no business with; names of files in them stay."""
-        roots = [self.projects.root, self.blobs.folder, self.scratch.path]
-        roots += [] if self.folder is None else [self.folder.root]
-        for root in sorted(map(str, roots), key=len, reverse=True):
-            text = re.sub(re.escape(root) + r"[/\\]([0-9a-f]{16}[/\\])?", "", text)
-        return text
+        folders = [self.projects.root, self.blobs.folder, self.scratch.path]
+        folders += [] if self.folder is None else [self.folder.root]
+        session = getattr(self, "session", None)
+        if session is not None and session.path is not None:
+            folders.append(session.path.parent)
+        if session is not None and session.original.source is not None:
+            folders.append(Path(session.original.source.path).absolute().parent)
+        return public_text(text, folders, self.blobs.name_of)
 
     def public_problem(self, problem: Problem) -> Problem:
         """The same with `public` texts."""

@@ -99,8 +99,10 @@ export const refusal = signal<{ what: string; message: string; hint: string } | 
 export const swapped = signal<{ id: string; name: string; file: string | null; layers: number } | null>(null);
 
 export const readOnly = computed(() => state.value?.project.read_only ?? false);
-export const canUndo = computed(() => (state.value?.cursor ?? 0) > 0);
-export const canRedo = computed(() => (state.value ? state.value.cursor < state.value.history.length - 1 : false));
+export const canUndo = computed(() => (state.value ? state.value.cursor + state.value.selection.undo > 0 : false));
+export const canRedo = computed(() =>
+  state.value ? state.value.cursor < state.value.history.length - 1 || state.value.selection.redo > 0 : false,
+);
 
 let nextToast = 1;
 

@@ -10,6 +10,7 @@ import { report } from "../state/studio";
 import { BrushPanel } from "./brush-panel";
 import { ColorsPanel } from "./colors-panel";
 import { Away, Jobs, StatusLine, Toasts } from "./feedback";
+import { listenToDrops } from "./drops";
 import { Continue, Files, openFile, Swapped } from "./files";
 import { Gizmo } from "./gizmo";
 import { filesOpen, Header } from "./header";
@@ -23,6 +24,7 @@ import { ReceiptPanel } from "./receipt";
 import { SelectionChip, SelectionPanel } from "./selection";
 import { Stage } from "./stage";
 import { Toolbar } from "./toolbar";
+import { Tour } from "./tour";
 import { Views } from "./views";
 
 const TABS: readonly (readonly [Tab, string, () => preact.JSX.Element | null])[] = [
@@ -53,19 +55,9 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
     window.addEventListener("paste", paste);
     return () => window.removeEventListener("paste", paste);
   }, []);
-  const hasFiles = (event: DragEvent) => event.dataTransfer?.types.includes("Files") ?? false;
+  useEffect(() => listenToDrops((over) => (dropping.value = over), take), []);
   return (
-    <div
-      class="app"
-      onDragOver={(event) => hasFiles(event) && (event.preventDefault(), (dropping.value = true))}
-      onDragLeave={(event) => event.relatedTarget === null && (dropping.value = false)}
-      onDrop={(event) => {
-        dropping.value = false;
-        if (!hasFiles(event)) return;
-        event.preventDefault();
-        take([...event.dataTransfer!.files]);
-      }}
-    >
+    <div class="app">
       <h1 class="unseen">SplatPainter studio</h1>
       <Header />
       <Options />
@@ -113,6 +105,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
       <StatusLine />
       <Help />
       <Continue />
+      <Tour />
       {filesOpen.value && <Files saving={filesOpen.value === "save"} onClose={() => (filesOpen.value = null)} />}
     </div>
   );

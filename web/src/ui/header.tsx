@@ -29,8 +29,9 @@ const PROFILES: readonly (readonly [string, string])[] = [
   ["playcanvas", "PlayCanvas"],
 ];
 
-export const undo = () => void run("undo", {}, `Undo: ${state.value?.history[state.value.cursor]?.label ?? ""}`);
-export const redo = () => void run("redo", {}, `Redo: ${state.value?.history[state.value.cursor + 1]?.label ?? ""}`);
+const stepAt = (at: number): string => state.value?.history[state.value.cursor + at]?.label ?? "";
+export const undo = () => void run("undo", {}, `Undo: ${state.value?.selection.undo ? "selection" : stepAt(0)}`);
+export const redo = () => void run("redo", {}, `Redo: ${state.value?.selection.redo ? "selection" : stepAt(1)}`);
 
 /** The whole asset in the window, seen from the same side. */
 export function frameAll(): void {

@@ -7,6 +7,7 @@ import { chordOf, spoken } from "../keys/chord";
 import { COMMANDS, GESTURES, GROUPS, type CommandId, type Group } from "../keys/table";
 import { help } from "../state/store";
 import { Button, Dialog } from "./parts";
+import { startTour } from "./tour";
 
 /** The command whose new key is awaited, and what was pressed where something is in the way. */
 const asking = signal<{ id: CommandId; chord: string } | null>(null);
@@ -22,6 +23,7 @@ export function Help() {
       <p class="row">
         <span class="quiet">Click on a key to change it. The browser remembers the keys.</span>
         <span class="gap" />
+        <Button label="A tour of five steps" text="Tour" onClick={() => (close(), startTour())} />
         <Button
           label="Give every command its first keys again"
           text="Reset all"

@@ -23,6 +23,11 @@ export function History() {
               onClick={() => jump(k)}
             >
               {k === 0 ? "Original" : capital(step.label)}
+              {k === now.cursor && now.selection.undo + now.selection.redo > 0 && (
+                <span class="quiet">
+                  {now.selection.undo} of {now.selection.undo + now.selection.redo} selections
+                </span>
+              )}
             </button>
           </li>
         ))}

@@ -71,7 +71,12 @@ export function Layers() {
               }}
               onDragLeave={() => setOver(null)}
               onDragEnd={() => (setCarried(null), setOver(null))}
-              onDrop={(event) => (event.preventDefault(), event.stopPropagation(), drop(index))}
+              onDrop={(event) => {
+                if (!carried) return; // a file: the window takes it
+                event.preventDefault();
+                event.stopPropagation();
+                drop(index);
+              }}
             >
               <Button
                 icon={layer.visible ? "eye" : "hidden"}

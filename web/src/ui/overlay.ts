@@ -7,6 +7,7 @@ import { viewScale } from "../paint/brush-settings";
 import { meanRadius, type Frame } from "../paint/dabs";
 import { pulled } from "../paint/freehand";
 import { cloneFrom } from "../paint/strokes";
+import { boxHandles, handleAt } from "../paint/crop-box";
 import { drawPlacement, handles, placement } from "../paint/placement";
 import { draft } from "../paint/point-tools";
 import { outline } from "../paint/select";
@@ -20,6 +21,8 @@ export const hover = signal<{ x: number; y: number } | null>(null);
 
 /** Alpha of the tint, 0..255. */
 const TINT = 70;
+/** Of the axes X, Y, Z, as of the gizmo. */
+const AXIS_COLORS = ["#e05252", "#6cbf4b", "#4a86e8"];
 
 /** Keep the canvas up to date. `ratio`: canvas pixels per view pixel. */
 export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () => void {
@@ -56,7 +59,19 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
     }
     const box = cropBox.value;
     const now = camera.value;
-    if (box && now) two(edges(box, now));
+    if (box && now) {
+      two(edges(box, now));
+      const pen = hover.value;
+      const near = pen && handleAt(box, now, pen.x, pen.y);
+      for (const handle of boxHandles(box, now)) {
+        const dot = new Path2D();
+        const over = near?.axis === handle.axis && near.side === handle.side;
+        dot.arc(handle.x, handle.y, (over ? 8 : 6) / k, 0, 7);
+        context.fillStyle = AXIS_COLORS[handle.axis];
+        context.fill(dot);
+        two(dot);
+      }
+    }
     const points = draft.value;
     if (points && points.length > 2) two(polyline(points), [4, 4]);
     const placed = placement.value;

@@ -158,7 +158,7 @@ function CropBox() {
       <summary>Box</summary>
       {!box && (
         <p class="row">
-          <Button label="Show a box around the asset" text="Set a box" onClick={start} />
+          <Button label="Show a box around the asset; its faces have handles" text="Set a box" onClick={start} />
         </p>
       )}
       {box && (

@@ -5,6 +5,7 @@ import { useEffect, useRef } from "preact/hooks";
 
 import { frozen, overlayCanvas, viewMoved, warmUp } from "../paint/strokes";
 import { clone, eraser, healer, line, paintBrush } from "../paint/freehand";
+import { boxTool } from "../paint/crop-box";
 import { placement, placer } from "../paint/placement";
 import { eyedropper, filler, pickColor, selector } from "../paint/point-tools";
 import type { Pen, ToolHandler } from "../paint/tool";
@@ -142,6 +143,8 @@ export function Stage({ canvas }: { canvas: HTMLCanvasElement }) {
     box.current!.setPointerCapture(event.pointerId);
     const pen = penOf(event);
     if (event.button === ERASER_BUTTON && state.value) return draw(event, eraser, pen);
+    const onBox = event.button === 0 && !spaceHeld.value && !gestures.busy ? boxTool(pen) : null;
+    if (onBox) return draw(event, onBox, pen);
     const finger = event.pointerType === "touch" && (penSeen || gestures.busy || drawing !== null);
     const moves = event.button !== 0 || spaceHeld.value || tool.value === "orbit" || finger || state.value === null;
     if (moves) {

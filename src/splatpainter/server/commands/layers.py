@@ -227,24 +227,34 @@ def import_layer(context: CommandContext, request: LayerImport) -> LayerMade:
 
 
 class Undo(Command):
+    """One selection back or, where none was made since the latest step, that step."""
+
     NAME = "undo"
 
 
 @command(Undo, writes=True)
 def undo(context: CommandContext, request: Undo) -> Answer:
+    if context.studio.selection.undo():
+        return Answer()
     with progress(context, "undo"):
         context.studio.session.undo()
+    context.studio.selection.follow()
     return Answer(python="session.undo()")
 
 
 class Redo(Command):
+    """One selection forward or, where there is none, one step."""
+
     NAME = "redo"
 
 
 @command(Redo, writes=True)
 def redo(context: CommandContext, request: Redo) -> Answer:
+    if context.studio.selection.redo():
+        return Answer()
     with progress(context, "redo"):
         context.studio.session.redo()
+    context.studio.selection.follow()
     return Answer(python="session.redo()")
 
 
@@ -259,6 +269,7 @@ class Jump(Command):
 def jump_in_history(context: CommandContext, request: Jump) -> Answer:
     with progress(context, "history"):
         context.studio.session.jump(request.cursor)
+    context.studio.selection.follow()
     return Answer(python=python_line("session.jump", request.cursor))
 
 
