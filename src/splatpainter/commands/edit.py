@@ -146,10 +146,11 @@ def run(config: Config) -> Outcome:
         _compile()
         return Outcome(*plan_lines(read(config.asset, frame=config.frame, lenient=config.lenient).numpy(), source_edit))
     pictures = _pictures(config)
-    sources: Sequence[FileEdit | DecalView] = pictures
+    sources: Sequence[FileEdit | DecalView]
     clock = time.perf_counter()
     with stages(4) as bar:
         painter = _painter(config)
+        sources = pictures = _of_size(pictures, config.mode, config.method, painter)
         bar.enter("reading")
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
         read_seconds = time.perf_counter() - clock
@@ -177,7 +178,15 @@ def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method, p
     """The asset after the pictures. painter: by default that of preset "auto"."""
     painter = painter or Painter.load(modes=[mode])
     asset = painter.encode(splats, method, [mode])
-    return painter.apply(asset, [source.edit(splats, mode) for source in sources], mode, method)
+    edits = [source.edit(splats, mode) for source in _of_size(sources, mode, method, painter)]
+    return painter.apply(asset, edits, mode, method)
+
+
+def _of_size(sources: list[FileEdit], mode: Mode, method: Method, painter: Painter) -> list[FileEdit]:
+    """The pictures at the size at which they are edited with: networks want one size, and looks need no detail."""
+    if mode == "global" or painter.choose(method, mode)[0] == "ttt":
+        return [source.at_view() for source in sources]
+    return sources
 
 
 def _painter(config: Config) -> Painter:

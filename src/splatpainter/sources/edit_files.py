@@ -11,6 +11,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.painter import Edit, Mode
+from splatpainter.sources.larger_views import edited_in_larger, larger_view
 from splatpainter.sources.picture_reader import (
     MAX_PICTURE_PIXELS,
     SIZE_LIMIT,
@@ -25,6 +26,8 @@ from splatpainter.splats import Splats
 
 MAX_ASPECT_ERROR = 0.01
 """A picture's aspect ratio may differ from its camera's by this part (one pixel of rounding, and some)."""
+MIN_MASK = 0.25
+"""Of a mask that was resampled: a thin stroke survives being shrunk."""
 MAX_CLEAR_ALPHA = 0.02
 """Alpha up to here is transparent (resampling leaves ripples around an edge)."""
 
@@ -42,31 +45,53 @@ class FileEdit:
     mask: np.ndarray | None
     """[H, W] bool at the camera's size, where one was given."""
     notes: tuple[str, ...]
+    """One line each; of its size the last one."""
     cut_out: bool = False
     """Whether the picture was rendered without a background, so that behind it lies the background, not the asset."""
+    view: Camera | None = None
+    """The view that was rendered, where `camera` is a larger one of it, of the picture's size (larger_views.py)."""
+
+    def at_view(self) -> FileEdit:
+        """The picture at the size of the view that was rendered."""
+        view = self.view
+        if view is None:
+            return self
+        mask = self.mask
+        if mask is not None:
+            mask = resample(mask.astype(np.float32), view.width, view.height) > MIN_MASK
+        picture = self.picture.resized(view.width, view.height)
+        notes = (*self.notes[:-1], _resampled(self.original_size, view))
+        return replace(self, picture=picture, camera=view, mask=mask, notes=notes, view=None)
 
     def edit(self, splats: Splats, mode: Mode = "local") -> Edit:
         """The edit of this asset. Transparent pixels show the asset's own render, so they change nothing; a mode
-        "global" edit does not learn from them. Renders the asset where it has to."""
+        "global" edit does not learn from them, and takes the picture at its view's size. Renders the asset where it has
+        to."""
+        if mode == "global" and self.view is not None:
+            return self.at_view().edit(splats, mode)
         alpha, mask = self.picture.alpha, self.mask
-        blurred = self.original_size != (self.camera.width, self.camera.height)
+        resized = self.view is not None or self.original_size != (self.camera.width, self.camera.height)
         colors = from_display(self.picture.colors, splats.color_space)
-        if alpha is not None or (blurred and mask is None and mode == "local"):
+        if alpha is not None or (resized and mask is None and mode == "local"):
             render, cover = _draw(splats, self.camera)
             if alpha is not None:
                 behind = self.camera.background if self.cut_out else None
                 colors = over_render(colors, alpha, np.clip(render, 0, 1), cover, behind)
-            if blurred and mask is None and mode == "local":
-                mask = self._changed(colors, render, splats)
+            if resized and mask is None and mode == "local":
+                mask = self._changed(colors, render, cover, splats)
             if alpha is not None and (mask is not None or mode == "global"):
                 mask = (alpha > MAX_CLEAR_ALPHA) & (True if mask is None else mask)
         return Edit(np.ascontiguousarray(colors, np.float32), self.camera, mask, str(self.path))
 
-    def _changed(self, colors: np.ndarray, render: np.ndarray, splats: Splats) -> np.ndarray:
+    def _changed(self, colors: np.ndarray, render: np.ndarray, cover: np.ndarray, splats: Splats) -> np.ndarray:
         """Pixels that differ from a render that went through the same change of size and back: resampling alone
         moves every edge by more than an edit's tolerance."""
         from splatpainter.lift.masks import change_mask
 
+        if self.view is not None:
+            space, small = splats.color_space, _draw(splats, self.view)[0]
+            large, small = to_display(render, space), to_display(small, space)
+            return edited_in_larger(to_display(colors, space), large, small, cover)
         displayed = np.clip(to_display(render, splats.color_space), 0, 1)
         resized = resample(displayed, *self.original_size)
         back = from_display(resample(resized, self.camera.width, self.camera.height), splats.color_space)
@@ -75,7 +100,8 @@ class FileEdit:
 
 def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None = None) -> FileEdit:
     """Read an edited picture, its camera (given: CAM.json or a PNG that carries one; else in the picture, else in its
-    sidecar NAME.json) and its mask. A picture of another size but the same aspect ratio is resampled.
+    sidecar NAME.json) and its mask. A larger picture of the camera's shape is a larger render of the same view: the
+    edit is made at its size. Another picture of another size but the same aspect ratio is resampled.
 
     Raises ValueError, one line naming the file: unreadable or too large a picture, no camera or a broken one, an aspect
     ratio more than 1 % off, an empty mask."""
@@ -87,8 +113,16 @@ def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None
     decoded = read_picture(picture)
     notes = list(decoded.notes)
     _check_aspect(picture, "the picture", decoded.size, target_size)
-    if decoded.size != target_size:
-        notes.append(f"resampled from {decoded.size[0]}x{decoded.size[1]} to its camera's {view.width}x{view.height}")
+    larger = larger_view(view, *decoded.size)
+    if larger is not None:
+        lifted = "" if decoded.size == (larger.width, larger.height) else f", lifted at {larger.width}x{larger.height}"
+        notes.append(
+            f"{decoded.size[0]}x{decoded.size[1]}: a larger render of its view of {view.width}x{view.height}{lifted}"
+        )
+    elif decoded.size != target_size:
+        notes.append(_resampled(decoded.size, view))
+    camera_used = larger or view
+    size = camera_used.width, camera_used.height
     marked = None
     if mask is not None:
         _check_declared(mask, "the mask", declared_size(mask), target_size)
@@ -96,11 +130,16 @@ def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None
         _check_aspect(mask, "the mask", (marked.shape[1], marked.shape[0]), target_size)
         if not marked.any():
             raise ValueError(f"{mask}: empty mask; expected some pixels that are not black (or not transparent)")
-        if marked.shape[::-1] != target_size:
-            marked = resample(marked.astype(np.float32), *target_size) > 0.25  # a thin stroke survives being shrunk
+        if marked.shape[::-1] != size:
+            marked = resample(marked.astype(np.float32), *size) > MIN_MASK
     cut_out = find_alpha(picture) or (camera and find_alpha(picture, camera))
-    fitted = unmultiplied(decoded, cut_out).resized(*target_size)
-    return FileEdit(picture, fitted, decoded.size, view, marked, tuple(notes), bool(cut_out))
+    fitted = unmultiplied(decoded, cut_out).resized(*size)
+    rendered = None if larger is None else view
+    return FileEdit(picture, fitted, decoded.size, camera_used, marked, tuple(notes), bool(cut_out), rendered)
+
+
+def _resampled(size: tuple[int, int], view: Camera) -> str:
+    return f"resampled from {size[0]}x{size[1]} to its camera's {view.width}x{view.height}"
 
 
 def unmultiplied(picture: Picture, kind: Alpha | None) -> Picture:

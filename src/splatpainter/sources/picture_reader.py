@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 SIZE_LIMIT = f"at most {MAX_PICTURE_PIXELS // 10**6} megapixels"
+Kernel = Literal["nearest", "bilinear", "bicubic", "lanczos"]
 PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WEBP")
 MAX_LOSSY_NOISE = 16
@@ -108,13 +109,13 @@ def read_mask(path: Path) -> np.ndarray:
     return picture.colors.max(-1) > (MAX_LOSSY_NOISE / 255 if lossy else 0)
 
 
-def resample(values: np.ndarray, width: int, height: int) -> np.ndarray:
-    """[H, W] or [H, W, 3] float32 0..1 at another size, by Lanczos (which averages when it shrinks)."""
+def resample(values: np.ndarray, width: int, height: int, kernel: Kernel = "lanczos") -> np.ndarray:
+    """[H, W] or [H, W, 3] float32 0..1 at another size, by Lanczos (which averages when it shrinks) or another."""
     from PIL import Image
 
     planes = values[..., None] if values.ndim == 2 else values
     out = [
-        np.asarray(Image.fromarray(plane, "F").resize((width, height), Image.Resampling.LANCZOS))
+        np.asarray(Image.fromarray(plane, "F").resize((width, height), Image.Resampling[kernel.upper()]))
         for plane in np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
     ]
     stacked = np.clip(np.stack(out, -1), 0, 1)
