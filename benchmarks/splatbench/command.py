@@ -22,6 +22,7 @@ MEASUREMENTS = {
     "speed": "time and peak memory of every stage, on scenes of several sizes",
     "lift": "quality of local edits on given assets, with a contact sheet",
     "painted": "quality of paint on held-out meshes, in novel views, against the painted surface",
+    "adapt": "what carries an edit to Gaussians that no picture shows: test-time training and others, at equal cost",
     "studio": "what an artist waits for in the studio, and its server's memory",
 }
 TABLES = {
@@ -195,13 +196,14 @@ class JsonOption:
 
 
 def measure(name: str, words: Sequence[str]) -> Outcome:
-    """speed, lift, painted or studio. Raises ValueError for words and files that make no sense."""
+    """speed, lift, painted, adapt or studio. Raises ValueError for words and files that make no sense."""
     from splatpainter.text_tables import markdown
 
     module_name, options_name = {
         "speed": ("speed", "SpeedBench"),
         "lift": ("local_edits", "LiftBench"),
         "painted": ("painted", "PaintedBench"),
+        "adapt": ("adapt", "AdaptBench"),
         "studio": ("studio", "StudioBench"),
     }[name]
     try:

@@ -133,7 +133,7 @@ def write_table(
         labels={name: method.label for name, method in methods.items()},
     )
     rows = summarize(current, table.split_by, tuple(methods))
-    names = MethodNames.of(methods, (r.method for r in current))
+    names = MethodNames.of(methods, (r.method for r in current), config.protocol)
     layout = report_tables.grid(config.protocol, table.columns, rows, names, table.split_by)
     lines = notes(state)
     store.folder.mkdir(parents=True, exist_ok=True)

@@ -261,7 +261,7 @@ class Painter:
         clock.lap("prepare")
         lifted = self._lifted(asset, views, mode, chosen)
         clock.lap("lift")
-        if encodes:
+        if encodes and not self._carried(chosen, mode):
             result = self._refined(asset, lifted, views)
             clock.lap("ttt")
         else:
@@ -408,7 +408,7 @@ class Painter:
         return lift_global_views(
             asset.splats,
             views,
-            base if self.encodes(chosen, mode) else "lift",
+            base if self.encodes(chosen, mode) and not self._carried(chosen, mode) else "lift",
             self.global_options or GLOBAL_DEFAULTS,
             features=features,
             normals=asset.normals,
@@ -419,8 +419,39 @@ class Painter:
         """The model's prediction for Gaussians that no view shows; None where it leaves that to the lift."""
         from splatpainter.models.predictor import predicting
 
-        assert self.model is not None
-        return predicting(self.model.predictor, asset.splats, asset.normals, lambda: asset.transfer)
+        model = self.model
+        assert model is not None
+        if model.config.carries:
+            return self._carrying(asset)
+        return predicting(model.predictor, asset.splats, asset.normals, lambda: asset.transfer)
+
+    def _carried(self, chosen: Method, mode: Mode) -> bool:
+        """Whether Stage II makes a global edit by what it says of Gaussians that no view shows, within the lift."""
+        return chosen == "ttt" and mode == "global" and self.model is not None and self.model.config.carries
+
+    def _carrying(self, asset: Asset) -> Predict:
+        """Stage II's prediction; the asset is encoded."""
+        from splatpainter.models.carry import carrying
+
+        model, encoding = self.model, asset.encoding
+        assert model is not None and encoding is not None
+        latents, ids = encoding.encoded.latents, encoding.encoded.latent_ids[encoding.parent_ids]
+        with _inference(model, self.precision):
+            predict = carrying(model, latents, ids, asset.splats, asset.normals, lambda: asset.transfer)
+
+        def answer(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
+            with _inference(model, self.precision):
+                return predict(change, weight)
+
+        return answer
+
+    def _facts(self, asset: Asset, ids: np.ndarray) -> np.ndarray | None:
+        """[J, 21] of `gaussian_facts` of these Gaussians, for a Stage II that reads them."""
+        from splatpainter.models.predictor import gaussian_facts
+
+        if self.model is None or not self.model.config.refine.facts:
+            return None
+        return gaussian_facts(asset.splats, asset.normals, asset.transfer)[ids]
 
     def _refined(self, asset: Asset, lifted: LiftedEdit, views: Sequence[EditView]) -> Asset:
         """The asset after the networks have changed a lifted edit of it."""
@@ -431,7 +462,8 @@ class Painter:
         start = replace(lifted, parents=encoding.parent_ids[lifted.parents])
         with _inference(self.model, self.precision):
             state = encoding.state or self.model.initial_state()
-            state, gaussians, children = refine_edit(self.model, state, encoding.encoded, start, views)
+            facts = self._facts(asset, lifted.parents)
+            state, gaussians, children = refine_edit(self.model, state, encoding.encoded, start, views, facts)
             splats = assemble(lifted, gaussians, children)
         parents = lifted.parent_ids(len(asset.splats))
         parents = parents if children is None else np.append(parents, lifted.parents)

@@ -78,7 +78,7 @@ def test_three_stages_one_after_the_other(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["refind"], "expected one of lrm, compress, predict, refine, densify, judge, got 'refind'"),
+        (["refind"], "expected one of lrm, compress, predict, rows, refine, densify, judge, got 'refind'"),
         (["refine"], "--data is missing"),
         (["refine", "--data", "procedural:x"], "expected procedural:N with a number"),
         (["refine", "--data", "nowhere"], "expected procedural:N, or a folder"),

@@ -174,3 +174,27 @@ def test_filling_with_other_weights_names_them_and_changes_nothing(
     with pytest.raises(ValueError, match=complaint):
         checkpoint.fill(net, tensors, "here")
     assert all(torch.equal(value, before[name]) for name, value in net.state_dict().items())
+
+
+def test_a_checkpoint_on_a_base_holds_what_differs_and_needs_that_very_base(tmp_path: Path) -> None:
+    first = {"lrm.a": torch.arange(6.0).reshape(2, 3), "head.b": torch.ones(3)}
+    second = {**first, "head.b": torch.full((3,), 2.0)}
+    checkpoint.save(tmp_path / "one", CONFIG, first)
+    checkpoint.save(tmp_path / "two", CONFIG, second, base="one", shared=("lrm.",))
+    sizes = [sum(f.stat().st_size for f in (tmp_path / n).glob("*.safetensors")) for n in ("one", "two")]
+    assert sizes[1] < sizes[0]
+    held = checkpoint.load(tmp_path / "two").tensors
+    assert held.keys() == second.keys() and all(torch.equal(held[name], value.half()) for name, value in second.items())
+    with pytest.raises(ValueError, match="tensor 'lrm.a' is not that of its base 'one'"):
+        other = {**first, "lrm.a": torch.zeros(2, 3)}
+        checkpoint.save(tmp_path / "three", CONFIG, other, base="one", shared=("lrm.",))
+    with pytest.raises(ValueError, match="name of a folder beside"):
+        checkpoint.save(tmp_path / "three", CONFIG, second, base="../one", shared=("lrm.",))
+    with pytest.raises(ValueError, match="has a base itself"):
+        checkpoint.save(tmp_path / "three", CONFIG, second, base="two", shared=("lrm.",))
+    checkpoint.save(tmp_path / "one", CONFIG, {**first, "lrm.a": torch.zeros(2, 3)})
+    with pytest.raises(ValueError, match="not the one it was saved with"):
+        checkpoint.load(tmp_path / "two")
+    (tmp_path / "one" / "model.json").unlink()
+    with pytest.raises(ValueError, match="its base 'one' is missing beside it"):
+        checkpoint.load(tmp_path / "two")

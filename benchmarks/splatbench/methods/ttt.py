@@ -32,12 +32,14 @@ def refined(weights: Weights, *, polish: bool = False) -> Callable[[EditTask, Bu
     return edit
 
 
-def _method(name: str, label: str, weights: Weights, **options: bool) -> Method:
-    return Method(name, label, refined(weights, **options), TABLES, missing=weights.missing, version=weights.version)
+def _method(name: str, label: str, weights: Weights, relit: str = "", **options: bool) -> Method:
+    """relit: its label where all edits are global and the weights' predictor makes those, without Stage II."""
+    edit, labels = refined(weights, **options), {"relight": relit} if relit else {}
+    return Method(name, label, edit, TABLES, labels=labels, missing=weights.missing, version=weights.version)
 
 
 METHODS = (
-    _method("ttt", "Ours (TTT)", SHIPPED),
-    _method("ttt-polish", "Ours (TTT + polish)", SHIPPED, polish=True),
+    _method("ttt", "Ours (TTT)", SHIPPED, "Ours (predictor)"),
+    _method("ttt-polish", "Ours (TTT + polish)", SHIPPED, "Ours (predictor + polish)", polish=True),
     _method("cross-attention", "Ours (cross-attention)", CROSS),
 )

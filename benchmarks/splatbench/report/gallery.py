@@ -131,7 +131,7 @@ def write_contact_sheet(
     folder that is no table's.
     """
     table, records = table_layout(folder, tables), read_run(folder).records
-    rows = picture_rows(folder, records, method_names(records, methods), table)
+    rows = picture_rows(folder, records, method_names(records, methods, folder.name), table)
     if not rows:
         return None
     title = f"{table.title}. Errors: largest channel, white at {WHITE_ERROR:g} and more."

@@ -130,7 +130,7 @@ def write_markdown(
     beside.mkdir(parents=True, exist_ok=True)
     parts = [about.strip(), "Measured on:", "\n".join(f"- {machine}" for machine in machines(sections))]
     for section in sections:
-        names = method_names(section.run.records, methods)
+        names = method_names(section.run.records, methods, section.name)
         parts += [f"## {section.table.title}", f"`splatpainter bench {section.name}`: {section.count}."]
         parts.append(markdown(section.grid()))
         stale = set(beside.glob(f"{section.name}-*.svg"))
@@ -188,8 +188,9 @@ def _sections(
     if not runs:
         listed = ", ".join(map(str, folders)) or "no folder"
         raise ValueError(f"report: expected records of `splatpainter bench` in {listed}, found none")
-    names = method_names((r for _, _, run in runs for r in run.records), methods)
-    return [ReportSection(folder.name, folder, table, run, names) for folder, table, run in runs]
+    records = [r for _, _, run in runs for r in run.records]
+    names = [method_names(records, methods, folder.name) for folder, _, _ in runs]
+    return [ReportSection(f.name, f, table, run, part) for (f, table, run), part in zip(runs, names, strict=True)]
 
 
 # ---- what the template shows

@@ -57,12 +57,12 @@ class MethodNames:
     """Upper bounds, and the row in which nothing is done: never marked as a table's best."""
 
     @staticmethod
-    def of(methods: Mapping[str, MethodLabel], names: Iterable[str]) -> MethodNames:
+    def of(methods: Mapping[str, MethodLabel], names: Iterable[str], table: str = "") -> MethodNames:
         """methods: all that are installed, in order. names: those that occur; names that are not among `methods` come
-        last, sorted, and are their own labels."""
+        last, sorted, and are their own labels. table: whose labels these are, where a method's is another there."""
         names = set(names)
         order = (*(name for name in methods if name in names), *sorted(names - set(methods)))
-        labels = {name: methods[name].label if name in methods else name for name in order}
+        labels = {name: _label(methods[name], table) if name in methods else name for name in order}
         bounds = {name for name in order if name in methods and methods[name].is_upper_bound}
         return MethodNames(order, labels, frozenset(bounds | {"nothing"}))
 
@@ -71,13 +71,20 @@ class MethodNames:
         return self.order.index(name)
 
 
-def method_names(records: Iterable[Record], methods: Mapping[str, MethodLabel] | None = None) -> MethodNames:
-    """The methods of these records. methods: by name, in order; None: those of this package."""
+def _label(method: MethodLabel, table: str) -> str:
+    return getattr(method, "labels", {}).get(table, method.label)
+
+
+def method_names(
+    records: Iterable[Record], methods: Mapping[str, MethodLabel] | None = None, table: str = ""
+) -> MethodNames:
+    """The methods of these records. methods: by name, in order; None: those of this package; table: as of
+    MethodNames."""
     if methods is None:
         from splatbench.methods import all_methods
 
         methods = all_methods()
-    return MethodNames.of(methods, (r.method for r in records))
+    return MethodNames.of(methods, (r.method for r in records), table)
 
 
 def table_layout(folder: Path, tables: Mapping[str, TableLayout] | None = None) -> TableLayout:

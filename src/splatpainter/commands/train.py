@@ -1,5 +1,5 @@
-"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, the predictor, Stage II, and stages that other
-distributions add. The training itself is in `train`, judging in train_judge.py."""
+"""`splatpainter train STAGE`: the Gaussian LRM, Stage I, the predictor, Stage II (on rows or on pictures), and stages
+that other distributions add. The training itself is in `train`, judging in train_judge.py."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ SUMMARIES = {
     "lrm": "the Gaussian LRM: views of an asset to tokens and Gaussians",
     "compress": "Stage I: Gaussians and tokens to latents",
     "predict": "what Gaussians become that no picture shows: beside the other stages, in minutes",
+    "rows": "Stage II without pictures: what Gaussians that are shown say about those that are not",
     "refine": "Stage II: edits to changes of the asset",
     "densify": "a baseline (GenDen) of splatpainter-bench: close-ups to finer Gaussians",
 }
@@ -73,6 +74,8 @@ class Config(Recipe):
     """Folder of fonts."""
     textures: Path | None = None
     """Folder of photos."""
+    assets: Path | None = None
+    """rows only: folder in which fitted assets are kept, so that they are fitted once; default: the user's cache."""
     perceptual_weights: Path | None = None
     """Folder of the LPIPS weights; default: that of SPLATPAINTER_PERCEPTUAL."""
     compact_state: bool = False
@@ -112,7 +115,13 @@ def run(config: Config) -> Outcome:
     from splatpainter.train.distributed import join
     from splatpainter.train.loop import Limits, Loop
     from splatpainter.train.state import exists
-    from splatpainter.train.training_data import ResourceFolders, Supply, open_global_edits, open_training_data
+    from splatpainter.train.training_data import (
+        ResourceFolders,
+        Supply,
+        open_global_edits,
+        open_row_edits,
+        open_training_data,
+    )
 
     stage = recipes.additional_stage(config.stage)
     kind = stage.RECIPE_CLASS if stage else Recipe
@@ -134,6 +143,10 @@ def run(config: Config) -> Outcome:
         count = recipe.validation_samples if recipe.validate_every else 0
         if recipe.stage == "predict":
             data = open_global_edits(supply, count)
+        elif recipe.stage == "rows":
+            from splatpainter.models.cache import cache_folder
+
+            data = open_row_edits(supply, count, config.assets or cache_folder() / "rows", recipe.fitted)
         else:
             data = open_training_data(supply, batch=recipe.batch, count=count, workers=recipe.workers)
         task = _task(config, recipe, group, say)
@@ -143,7 +156,7 @@ def run(config: Config) -> Outcome:
         if group.first:
             (config.out / "recipe.json").write_text(recipe.to_json() + "\n", encoding="utf-8", newline="\n")
         result = loop(Limits(config.minutes, config.session_steps))
-        if recipe.workers and recipe.stage != "predict":
+        if recipe.workers and recipe.stage not in ("predict", "rows"):
             data.training.close()
     finally:
         group.close()

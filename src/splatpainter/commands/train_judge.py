@@ -167,7 +167,7 @@ def _recipe(config: JudgeConfig, model: SplatPainterModel) -> Recipe:
     stage = model.notes.get("stage", "refine")
     if stage not in STAGES:
         raise ValueError(f"{config.checkpoint}: expected weights of stage {', '.join(STAGES)}, got {stage!r}")
-    as_edits = "refine" if stage == "predict" else stage
+    as_edits = "refine" if stage in ("predict", "rows") else stage
     if config.recipe is not None:
         return dataclasses.replace(recipes.load(config.recipe, as_edits), model=model.config)
     stored = model.notes.get("recipe")

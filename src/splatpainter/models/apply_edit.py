@@ -26,17 +26,24 @@ if TYPE_CHECKING:
 
 
 def refine_edit(
-    model: SplatPainterModel, state: RefineState, encoded: Encoded, lifted: LiftedEdit, views: Sequence[EditView]
+    model: SplatPainterModel,
+    state: RefineState,
+    encoded: Encoded,
+    lifted: LiftedEdit,
+    views: Sequence[EditView],
+    facts: np.ndarray | None = None,
 ) -> tuple[RefineState, Splats, Splats | None]:
     """Stage II and the decoder: (next state, J torch Gaussians in place of lifted.splats[lifted.ids], J children to
     append, each of the Gaussian at its index, or None).
 
-    state: model.initial_state() for the first edit; lifted.parents count Gaussians of encoded.gaussians. Differentiable
+    state: model.initial_state() for the first edit; lifted.parents count Gaussians of encoded.gaussians; facts: [J, 21]
+    of `gaussian_facts` of these parents, for a model that reads them. Differentiable
     in the model's parameters and in the latents; without gradients in chunks. Raises ValueError for views of several
     sizes or without depth and alpha where the model needs them, and for Gaussians that were not encoded."""
     import torch
 
     from splatpainter.models.gaussian_groups import drift_features
+    from splatpainter.models.predictor import described_facts
 
     config = model.config.refine
     device = encoded.latents.values.device
@@ -56,6 +63,7 @@ def refine_edit(
         latent_ids=latent_ids,
         lift=torch.from_numpy(lifted.features).to(device) if config.lift_features else None,
         drift=drift,
+        facts=None if facts is None else described_facts(torch.from_numpy(facts).to(device)),
         base=base,
         detail=lifted.detail and config.detail,
     )

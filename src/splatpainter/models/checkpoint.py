@@ -1,8 +1,11 @@
 """Checkpoints: a folder of safetensors shards of at most 15 MiB and `model.json`, which names them and the config.
 
     model.json                      {"format", "version", "config", "notes", "tensors": {name: {"shape", "parts"}},
-                                     "shards": [{"file", "sha256"}]}
+                                     "shards": [{"file", "sha256"}], "base": {"folder", "sha256": [...], "tensors"}}
     weights-<sha256[:16]>.safetensors
+
+"base", which most lack, names a folder beside this one whose checkpoint holds the tensors "tensors" (beginnings of
+names) that both have in common, so that a package need not hold them twice; "sha256" are the base's shards.
 
 Shards are named for their content and written first, `model.json` last: at any moment the folder is one complete
 checkpoint. A tensor larger than a shard is stored in parts along its first axis, named "name@0", "name@1", ...
@@ -36,6 +39,7 @@ MAX_SHARD_BYTES = 15 << 20
 """Bytes of a shard, at most."""
 MAX_PART_BYTES = MAX_SHARD_BYTES - 4096
 """Bytes of a part of a tensor, at most: a shard has a header too."""
+BASE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 SHARD_NAME = re.compile(r"weights-[0-9a-f]{16}\.safetensors")
 
 
@@ -73,17 +77,24 @@ def save(
     *,
     dtype: Literal["float16", "bfloat16", "float32"] = "float16",
     notes: Mapping[str, Any] | None = None,
+    base: str = "",
+    shared: tuple[str, ...] = (),
 ) -> None:
     """Write a checkpoint, all or nothing; an older one in the folder is replaced.
 
-    tensors: a module's state_dict(); dtype: how floats are stored. Raises ValueError for a tensor that is not finite in
-    that type (half ends at 65,504) and for a folder that cannot be written.
+    tensors: a module's state_dict(); dtype: how floats are stored; base: name of a folder beside this one whose
+    checkpoint holds the tensors that begin with `shared`, bit for bit, which are then left out. Raises ValueError for a
+    tensor that is not finite in that type (half ends at 65,504), for a folder that cannot be written, and for a base
+    that is not there or holds others.
     """
     import torch
     from safetensors.torch import save as pack
 
     target = Path(folder)
     kind = getattr(torch, dtype)
+    record = _base_record(target, base, shared, tensors, kind) if base else None
+    if record is not None:
+        tensors = {name: tensor for name, tensor in tensors.items() if not name.startswith(shared)}
     parts: list[tuple[str, torch.Tensor]] = []
     table = {}
     for name, tensor in tensors.items():
@@ -114,6 +125,7 @@ def save(
         "notes": dict(notes or {}),
         "tensors": table,
         "shards": shards,
+        **({} if record is None else {"base": record}),
     }
     with writing(target / INDEX) as out:
         out.write(json.dumps(index, indent=1).encode())
@@ -150,7 +162,12 @@ def load(folder: Path | str, preset: str | None = None, *, kind: type[Any] = Mod
             if name in stored:
                 raise ValueError(f"{where}: tensor '{name}' is in two shards")
             stored[name] = tensor
-    return Checkpoint(config, _joined(stored, table, where), notes)
+    tensors = _joined(stored, table, where)
+    for name, tensor in _of_base(target, index, where).items():
+        if name in tensors:
+            raise ValueError(f"{where}: tensor '{name}' is there and in its base")
+        tensors[name] = tensor
+    return Checkpoint(config, tensors, notes)
 
 
 def config(folder: Path | str) -> ModelConfig:
@@ -218,6 +235,55 @@ def _index(folder: Path, expected: str = "") -> dict[str, Any]:
     if version > VERSION:
         raise ValueError(f"{path}: written by a newer SplatPainter (version {version}, this one reads up to {VERSION})")
     return data
+
+
+def _base_record(
+    folder: Path, base: str, shared: tuple[str, ...], tensors: Mapping[str, torch.Tensor], kind: torch.dtype
+) -> dict[str, Any]:
+    """What model.json says about a base. Raises ValueError where the base holds other values."""
+    import torch
+
+    held = _common(folder, {"folder": base, "tensors": list(shared)}, str(folder))
+    index = _index(folder.parent / base)
+    for name, tensor in tensors.items():
+        if not name.startswith(shared):
+            continue
+        cast = tensor.detach().cpu().to(kind) if tensor.is_floating_point() else tensor.detach().cpu()
+        if name not in held or not torch.equal(held[name], cast):
+            raise ValueError(f"{folder}: tensor '{name}' is not that of its base '{base}'")
+    return {"folder": base, "sha256": [shard["sha256"] for shard in index["shards"]], "tensors": list(shared)}
+
+
+def _of_base(folder: Path, index: dict[str, Any], where: str) -> dict[str, torch.Tensor]:
+    """The tensors that a checkpoint has in common with its base; none where it has no base."""
+    record = index.get("base")
+    if record is None:
+        return {}
+    if not isinstance(record, dict):
+        raise ValueError(f"{where}: expected a base with folder, sha256 and tensors; the file is damaged")
+    tensors = _common(folder, record, where)
+    shards = _index(folder.parent / record["folder"]).get("shards")
+    digests = [shard.get("sha256") for shard in shards if isinstance(shard, dict)] if isinstance(shards, list) else []
+    if digests != record.get("sha256"):
+        raise ValueError(f"{where}: its base '{record['folder']}' is not the one it was saved with; copy both folders")
+    return tensors
+
+
+def _common(folder: Path, record: dict[str, Any], where: str) -> dict[str, torch.Tensor]:
+    """The tensors of a base that begin with one of record["tensors"], in the stored type."""
+    name, shared = record.get("folder"), record.get("tensors")
+    # A plain name keeps paths that lead elsewhere away.
+    if not isinstance(name, str) or not BASE_NAME.fullmatch(name) or name == folder.name:
+        raise ValueError(f"{where}: expected the base as the name of a folder beside this one, got {name!r}")
+    if not (isinstance(shared, list) and shared and all(isinstance(item, str) and item for item in shared)):
+        raise ValueError(f"{where}: expected beginnings of the names of tensors of the base, got {shared!r}")
+    base = folder.parent / name
+    if not (base / INDEX).is_file():
+        raise ValueError(f"{where}: its base '{name}' is missing beside it; copy both folders")
+    if _index(base).get("base") is not None:
+        raise ValueError(f"{where}: its base '{name}' has a base itself")
+    held = load(base)
+    return {key: tensor for key, tensor in held.tensors.items() if key.startswith(tuple(shared))}
 
 
 def _shard(folder: Path, shard: Any, where: str) -> dict[str, torch.Tensor]:

@@ -7,6 +7,7 @@ border, so the Gaussians are worked through in runs of whole voxels, and any run
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -34,6 +35,30 @@ class Latents:
     """[K, D] of any float type, packed as `groups` says."""
     groups: GaussianGroups
     """The kept Gaussians: groups.order[i] is the Gaussian of the asset that values[i] belongs to."""
+
+    @cached_property
+    def scale(self) -> LatentScale:
+        """Of all of them, for Stage II; worked out on first use."""
+        return LatentScale.of(self.values)
+
+
+@dataclass(frozen=True)
+class LatentScale:
+    """What Stage II with "normalised" inputs subtracts from the latents of an asset, and divides them by."""
+
+    mean: Tensor = field(repr=False)
+    """[D] float32, over all latents of the asset."""
+    rms: Tensor
+    """[] float32, of what is left of all of them."""
+
+    @staticmethod
+    def of(latents: Tensor) -> LatentScale:
+        """latents: [K, D] of any float type."""
+        count, width = max(len(latents), 1), latents.shape[1]
+        zero = torch.zeros(width, dtype=torch.float64, device=latents.device)
+        mean = sum((part.double().sum(0) for part in latents.split(CHUNK)), zero) / count
+        power = sum(((part.double() - mean).square().sum(0) for part in latents.split(CHUNK)), zero)
+        return LatentScale(mean.float(), (power.sum() / (count * width)).sqrt().clamp_min(1e-12).float())
 
 
 class Compressor(nn.Module):

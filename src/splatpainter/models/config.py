@@ -20,11 +20,19 @@ InnerLoss = Literal["dot", "l2"]
 ImageChannels = Literal["edited", "rays", "render", "geometry", "mask", "normals"]
 Representation = Literal["native", "copy"]
 Decoder = Literal["residual", "bounded", "absolute"]
+Inputs = Literal["raw", "normalised"]
+Answers = Literal["all", "teachers"]
 _Config = TypeVar("_Config")
 
 CHANNELS: dict[str, int] = {"edited": 3, "rays": 6, "render": 3, "geometry": 4, "mask": 1, "normals": 3}
 """Channels per pixel of each group that an image token of an edit can hold."""
-OLDER: dict[str, Any] = {"predict": {"features": 0, "hidden": 128, "alone": False}}
+OLDER: dict[str, Any] = {
+    "predict": {"features": 0, "hidden": 128, "alone": False},
+    "refine.inputs": "raw",
+    "refine.answers": "all",
+    "refine.facts": False,
+    "refine.picture_tokens": True,
+}
 """Keys that older checkpoints lack, and what they mean there."""
 MAX_CONFIG_BYTES = 1 << 20
 """Bytes; no honest config is longer."""
@@ -133,6 +141,21 @@ class RefineConfig:
     """Gaussians that teach the fast weights along with the pictures, those that the edit shows most; 0: none (the
     paper). They know the lift's answer, so what is seen of an edit is learnt in the words in which unseen Gaussians
     will ask."""
+    inputs: Inputs = "raw"
+    """What Stage II makes of what it is given. raw (the paper): the sum of latents and of what is known beyond them.
+    normalised: latents centred and scaled over the asset, every further term at rms 1, and sines of the Gaussian's
+    place; without it, latents that hardly differ between Gaussians (0.15 % of the power in the first weights) leave
+    adaptation nothing to tell them apart by."""
+    answers: Answers = "all"
+    """Whose inputs hold the lift's answer. all: every Gaussian's. teachers: only those of the Gaussians that teach, so
+    that what others learn of the edit comes through the memory alone; global edits are then what that memory predicts
+    for Gaussians that no picture shows (models/carry.py)."""
+    facts: bool = False
+    """Gaussians also come with what the predictor knows of them (predictor.gaussian_facts: normal, size, the light that
+    reaches them)."""
+    picture_tokens: bool = True
+    """Whether tokens of the edited pictures teach; without them only Gaussians do (row_tokens), which no renderer is
+    needed to train (`train rows`)."""
     base: ResidualBase = "own"
     """What the decoder's residual is added to. own: the Gaussian as it is (the paper): untrained weights leave the
     asset as it is, and detail comes from the second set. lift: the analytic lift's answer, with the Gaussians that the
@@ -154,8 +177,12 @@ class RefineConfig:
     def __post_init__(self) -> None:
         _positive(self, "blocks", "fast_hidden", "hidden", "heads", "patch")
         _positive(self, "newton_schulz_steps", "row_tokens", least=0)
-        if self.row_tokens and (self.mixer != "ttt" or not self.lift_features):
-            raise ValueError("config: expected row_tokens only with mixer='ttt' and lift_features")
+        if self.row_tokens and not self.lift_features:
+            raise ValueError("config: expected row_tokens only with lift_features")
+        if self.row_tokens and self.mixer != "ttt" and self.picture_tokens:
+            raise ValueError("config: expected row_tokens only with mixer='ttt', or without picture_tokens")
+        if not self.row_tokens and (not self.picture_tokens or self.answers == "teachers"):
+            raise ValueError("config: expected row_tokens above 0 with answers='teachers' or without picture_tokens")
         if not 1 <= self.inner_steps <= 16:
             raise ValueError(f"config: expected inner_steps 1..16, got {self.inner_steps}")
         if not 0 <= self.edit_strength < float("inf"):
@@ -228,6 +255,14 @@ class ModelConfig:
         untrained, the lift's own regression."""
         return self.predict.alone and self.predict.features > 0 and self.representation == "native"
 
+    @property
+    def carries(self) -> bool:
+        """Whether Stage II alone says what becomes of Gaussians that no picture of a global edit shows, in place of the
+        lift's regression (models/carry.py)."""
+        native = self.representation == "native" and self.decoder != "absolute"
+        teaches = self.refine.answers == "teachers" and not self.refine.picture_tokens
+        return native and teaches and not self.predictor_only
+
     def to_json(self) -> str:
         """Every field, nested as here, two spaces per level."""
         return json.dumps(dataclasses.asdict(self), indent=2)
@@ -264,7 +299,8 @@ def _degree(config: Any) -> None:
 
 
 PAPER = ModelConfig()
-"""Every number as the paper states it."""
+"""Every number as the paper states it. One deviation by default: the decoder is a residual that starts at zero, so that
+untrained weights leave the asset as it is; the paper's own decoder is decoder="absolute"."""
 
 COMPACT = ModelConfig(
     preset="compact",

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from splatpainter.models.config import Decoder
 from splatpainter.nn.precision import exact
-from splatpainter.splats import Splats
+from splatpainter.splats import SH_C0, Splats
 
 CHILD_SCALE = 0.5
 """A child is born this much smaller than its parent: detail is finer than what is there."""
@@ -75,6 +75,14 @@ def bounded(raw: Tensor) -> Tensor:
     counts = {"centre": 3, "scale": 3, "turn": 4, "opacity": 1, "sh": raw.shape[1] - 11}
     limits = torch.cat([raw.new_full((counts[name],), limit) for name, limit in LIMITS.items()])
     return limits * torch.tanh(raw / limits)
+
+
+def color_change(raw: Tensor, kind: Decoder) -> Tensor:
+    """[M, 3] change of base colour, display colours, that raw [M, C] of a residual decoder means. Raises ValueError for
+    an absolute one."""
+    if kind == "absolute":
+        raise ValueError("decode: expected a residual decoder: an absolute one tells no change")
+    return SH_C0 * (bounded(raw) if kind == "bounded" else raw)[:, 11:14]
 
 
 def apply_residual(gaussians: Splats, residual: Tensor, unit: float | Tensor) -> Splats:

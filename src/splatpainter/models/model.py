@@ -74,6 +74,31 @@ class Decoded:
     """[len(children)] int64 the Gaussians of the asset that they belong to."""
 
 
+@dataclass(frozen=True)
+class GaussianInputs:
+    """What is known of J Gaussians beyond their latents, as far as a model asks for it."""
+
+    lift: Tensor | None
+    """[J, 13] of lift/features.py."""
+    drift: Tensor | None
+    """[J, 7] of gaussian_groups.drift_features."""
+    means: Tensor | None
+    """[J, 3] world units."""
+    facts: Tensor | None
+    """[J, 56] of predictor.described_facts."""
+
+    def take(self, run: slice | np.ndarray) -> GaussianInputs:
+        """Of some of them."""
+        return GaussianInputs(*(None if values is None else values[run] for values in vars(self).values()))
+
+    def check(self, count: int) -> None:
+        """Raises ValueError for values of another number of Gaussians."""
+        names = {"lift": "lift features", "drift": "drift", "means": "means", "facts": "facts"}
+        for name, values in vars(self).items():
+            if values is not None and len(values) != count:
+                raise ValueError(f"refine: expected {names[name]} of {count} latents, got {len(values)}")
+
+
 class SplatPainterModel(nn.Module):
     """The networks with their weights: LRM, Stage I, Stage II, decoder, and, where there is one, the predictor."""
 
@@ -109,11 +134,12 @@ class SplatPainterModel(nn.Module):
         *,
         dtype: Literal["float16", "bfloat16", "float32"] = "float16",
         notes: dict[str, Any] | None = None,
+        base: str = "",
+        shared: tuple[str, ...] = (),
     ) -> None:
-        """Write a checkpoint, all or nothing. Raises ValueError as checkpoint.save."""
-        checkpoint.save(
-            folder, self.config, self.state_dict(), dtype=dtype, notes=self.notes if notes is None else notes
-        )
+        """Write a checkpoint, all or nothing. base, shared: as of checkpoint.save. Raises ValueError as that."""
+        stored = self.notes if notes is None else notes
+        checkpoint.save(folder, self.config, self.state_dict(), dtype=dtype, notes=stored, base=base, shared=shared)
 
     def groups(self, grid: VoxelGrid) -> GaussianGroups:
         """The Gaussians of a grid, grouped as Stage I wants them. Raises ValueError for a grid of another
@@ -152,6 +178,8 @@ class SplatPainterModel(nn.Module):
         latent_ids: np.ndarray | None = None,
         lift: Tensor | None = None,
         drift: Tensor | None = None,
+        means: Tensor | None = None,
+        facts: Tensor | None = None,
         detail: bool = False,
         strength: float | None = None,
         chunk: int | None = None,
@@ -160,17 +188,19 @@ class SplatPainterModel(nn.Module):
 
         latent_ids: [J] int64 latents to read, repeated where several Gaussians read one (local), None: all (global);
         lift: [J, 13] what the analytic lift says about their Gaussians, drift: [J, 7] how these differ from the encoded
-        ones (`Refiner.prepare`); detail: also make the second set; strength: overrides config.refine.edit_strength;
-        chunk: latents at once. The same edit in other batches gives the same values up to rounding. Raises ValueError
-        for pictures or features that this model cannot use.
+        ones (`Refiner.prepare`); means: [J, 3] where they are, for "normalised" inputs; facts: [J, 56] of
+        `predictor.described_facts`, for a model that reads them; detail: also make the second set; strength: overrides
+        config.refine.edit_strength; chunk: latents at once. The same edit in other batches gives the same values up to
+        rounding. Raises ValueError for pictures or features that this model cannot use.
         """
         if detail and not self.config.refine.detail:
             raise ValueError("refine: this model has no detail layer; use detail=False")
-        chosen, original = self._chosen(latents, latent_ids)
-        original = self.refiner.prepare(original, lift, drift)
-        ids = self.refiner.teacher_ids(lift)
-        teacher_tokens = None if ids is None or lift is None else (original[ids], lift[ids, SEEN_FEATURE])
-        tokens = tokenize(pictures, latents.groups, self.config.refine)
+        chosen = np.arange(len(latents.values)) if latent_ids is None else np.asarray(latent_ids, np.int64)
+        inputs = GaussianInputs(lift, drift, means, facts)
+        inputs.check(len(chosen))
+        original = self.prepared(latents, chosen, inputs)
+        teacher_tokens = self._teacher_tokens(latents, chosen, inputs)
+        tokens = tokenize(pictures, latents.groups, self.config.refine) if self.config.refine.picture_tokens else None
         state = self.refiner.adapt(state, tokens, teacher_tokens=teacher_tokens, strength=strength)
         values = self.refiner.read(state, original, chunk=chunk)
         detail_latents = None
@@ -189,12 +219,17 @@ class SplatPainterModel(nn.Module):
         latent_ids: np.ndarray | None = None,
         lift: Tensor | None = None,
         drift: Tensor | None = None,
+        facts: Tensor | None = None,
         base: Splats | None = None,
         detail: bool = False,
         strength: float | None = None,
     ) -> tuple[RefineState, Decoded]:
         """`refine` and `decode` in one. Without gradients the latents are read and decoded run by run, so that a
         million Gaussians need little more than themselves."""
+        chosen = np.arange(len(latents.values)) if latent_ids is None else np.asarray(latent_ids, np.int64)
+        means = None
+        if self.config.refine.inputs == "normalised":
+            means = gaussians.take(latents.groups.order[chosen]).means if base is None else base.means
         if torch.is_grad_enabled():
             refined = self.refine(
                 state,
@@ -203,25 +238,22 @@ class SplatPainterModel(nn.Module):
                 latent_ids=latent_ids,
                 lift=lift,
                 drift=drift,
+                means=means,
+                facts=facts,
                 detail=detail,
                 strength=strength,
             )
             return refined.state, self.decode(latents, refined, gaussians, base)
         if detail and not self.config.refine.detail:
             raise ValueError("refine: this model has no detail layer; use detail=False")
-        chosen = np.arange(len(latents.values)) if latent_ids is None else np.asarray(latent_ids, np.int64)
-        for name, values in (("lift features", lift), ("drift", drift)):
-            if values is not None and len(values) != len(chosen):
-                raise ValueError(f"refine: expected {name} of {len(chosen)} latents, got {len(values)}")
+        inputs = GaussianInputs(lift, drift, means, facts)
+        inputs.check(len(chosen))
 
-        def original(run: slice | np.ndarray) -> Tensor:
-            parts = (None if values is None else values[run] for values in (lift, drift))
-            return self.refiner.prepare(self._chosen(latents, chosen[run])[1], *parts)
+        def original(run: slice) -> Tensor:
+            return self.prepared(latents, chosen[run], inputs.take(run))
 
-        ids, teacher_tokens = self.refiner.teacher_ids(lift), None
-        if ids is not None and lift is not None:
-            teacher_tokens = original(ids.cpu().numpy()), lift[ids, SEEN_FEATURE]
-        tokens = tokenize(pictures, latents.groups, self.config.refine)
+        teacher_tokens = self._teacher_tokens(latents, chosen, inputs)
+        tokens = tokenize(pictures, latents.groups, self.config.refine) if self.config.refine.picture_tokens else None
         state = self.refiner.adapt(state, tokens, teacher_tokens=teacher_tokens, strength=strength)
         runs = [slice(first, first + CHUNK) for first in range(0, max(len(chosen), 1), CHUNK)]
 
@@ -265,6 +297,27 @@ class SplatPainterModel(nn.Module):
         """What Stage I alone says: the chosen latents (all by default), decoded as they are. J Gaussians."""
         chosen, values = self._chosen(latents, latent_ids)
         return self._decoded(latents, values, chosen, gaussians.take(latents.groups.order[chosen]))
+
+    def prepared(self, latents: Latents, chosen: np.ndarray, inputs: GaussianInputs, teaching: bool = False) -> Tensor:
+        """[J, D] what Stage II reads of these latents; teaching: what it learns from."""
+        values, positions, scale = self._chosen(latents, chosen)[1], None, None
+        if self.config.refine.inputs == "normalised":
+            if inputs.means is None:
+                raise ValueError("refine: expected the means of the Gaussians, for 'normalised' inputs")
+            center = torch.from_numpy(np.asarray(latents.groups.center, np.float32)).to(values)
+            positions, scale = (inputs.means.to(values) - center) / latents.groups.half_extent, latents.scale
+        more = {"scale": scale, "positions": positions, "facts": inputs.facts, "teaching": teaching}
+        return self.refiner.prepare(values, inputs.lift, inputs.drift, **more)
+
+    def _teacher_tokens(
+        self, latents: Latents, chosen: np.ndarray, inputs: GaussianInputs
+    ) -> tuple[Tensor, Tensor] | None:
+        """([R, D], [R] how much each counts) of the Gaussians that teach, if any do."""
+        ids = self.refiner.teacher_ids(inputs.lift)
+        if ids is None or inputs.lift is None:
+            return None
+        indices = ids.cpu().numpy()
+        return self.prepared(latents, chosen[indices], inputs.take(indices), True), inputs.lift[ids, SEEN_FEATURE]
 
     def _chosen(self, latents: Latents, latent_ids: np.ndarray | None) -> tuple[np.ndarray, Tensor]:
         """([J] indices, [J, D] float32 latents)."""

@@ -96,17 +96,17 @@ class Predictor(nn.Module):
         as the pictures have it; weight: [N] pixels that show each Gaussian. Without a seen Gaussian nothing is
         predicted: zeros."""
         with exact(facts.device):
-            seen = _spread(torch.nonzero(weight > MIN_SEEN_PX)[:, 0], TEACHERS)
+            seen = spread_evenly(torch.nonzero(weight > MIN_SEEN_PX)[:, 0], TEACHERS)
             if len(seen) == 0:
                 return torch.zeros_like(change)
             opponent = facts.new_tensor(OPPONENT)
             counts = weight[seen].clamp(max=MOST)
             share = (counts / counts.sum())[:, None]
-            inputs = _inputs(facts[seen])
+            inputs = described_facts(facts[seen])
             seen_change = change[seen] @ opponent.mT
             evidence = (share * self.evidence(torch.cat([inputs, 4 * seen_change], 1))).sum(0)
-            everyone = _spread(torch.arange(len(facts), device=facts.device), COMPANY)
-            company = self.company(self.own(_inputs(facts[everyone]))).mean(0)
+            everyone = spread_evenly(torch.arange(len(facts), device=facts.device), COMPANY)
+            company = self.company(self.own(described_facts(facts[everyone]))).mean(0)
             around = torch.cat([company, evidence])
             light, hue, mean = self._described(inputs, around)
             counted = share[:, 0] * self.trust.exp()
@@ -115,7 +115,7 @@ class Predictor(nn.Module):
             size = len(facts) if torch.is_grad_enabled() else CHUNK
             parts = []
             for some in facts.split(size):
-                light, hue, mean = self._described(_inputs(some), around)
+                light, hue, mean = self._described(described_facts(some), around)
                 parts.append((mean + torch.cat([light @ solved[0], hue @ solved[1]], 1)) @ opponent)
             return torch.cat(parts)
 
@@ -146,15 +146,15 @@ def predicting(
     return predict
 
 
-def _inputs(facts: Tensor) -> Tensor:
-    """[N, INPUTS] what the network sees of Gaussians."""
+def described_facts(facts: Tensor) -> Tensor:
+    """[N, INPUTS] what networks see of Gaussians. facts: [N, 21] of `gaussian_facts`."""
     x, y, z = facts[:, 3:6].unbind(1)
     turns = torch.stack([x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y, x * x, y * y, z * z], 1)
     lit = facts[:, 11:20, None] * (facts[:, None, :3] + 1) / 2
     return torch.cat([facts, turns, lit.flatten(1)], 1)
 
 
-def _spread(values: Tensor, most: int) -> Tensor:
+def spread_evenly(values: Tensor, most: int) -> Tensor:
     """At most `most` of these Gaussians, evenly over their order."""
     if len(values) <= most:
         return values

@@ -7,26 +7,36 @@ read afterwards, in runs of any size, with the same result. T picture tokens, K 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
 from splatpainter.lift.features import LIFT_FEATURES, SEEN_FEATURE
+from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import RefineConfig
 from splatpainter.models.image_tokens import PictureTokens
+from splatpainter.models.predictor import INPUTS as FACT_FEATURES
 from splatpainter.nn.attention import CrossGroups, Groups
 from splatpainter.nn.fast_weights import FastWeights
 from splatpainter.nn.layers import CrossAttention, SelfAttention, SwiGLU, layer_norm, linear
 from splatpainter.nn.precision import exact
-from splatpainter.nn.ttt import TTTLayer
+from splatpainter.nn.ttt import Stream, TTTLayer, start_alike
 
 CHUNK = 1 << 12
 """Latents that are worked on at once without gradients: few enough for what they pass through to stay in the caches."""
 DRIFT_FEATURES = 7
 """Numbers per latent that say how its Gaussian differs from the one that was encoded
 (gaussian_groups.drift_features)."""
+SLOWEST_WAVE, FASTEST_WAVE = 4.0, 0.0625
+"""Wavelengths of the place's sines, half edges of the asset's cube: twice the cube, and a sixteenth of half of it."""
+FADING_RMS = 0.01
+"""A term whose numbers are smaller than this is not raised to rms 1: what did not drift stays nothing."""
+ANSWER_GAIN = 4.0
+"""Changes of colour are told this many times larger, so that they are of the order of the other numbers."""
 Memory = FastWeights | Tensor
 """What a block knows of the edits so far: fast weights, or (cross_attention) the [T, D] tokens of all of them."""
 
@@ -56,7 +66,7 @@ class FastMixer(nn.Module):
             newton_schulz_steps=config.newton_schulz_steps,
             edit_strength=config.edit_strength,
             streams=("image", "voxel") if pictures else ("voxel",),
-            teachers=("image", "voxel") if gaussians else ("image",),
+            teachers=_teachers(config, gaussians),
         )
 
     def initial(self) -> Memory:
@@ -93,6 +103,8 @@ class AttentionMixer(nn.Module):
         super().__init__()
         self.dim = dim
         self.rows = CrossAttention(dim, config.heads)
+        if gaussians:
+            start_alike(self.rows.q, self.rows.kv)
         self.pictures = CrossAttention(dim, config.heads) if pictures else None
 
     def initial(self) -> Memory:
@@ -108,7 +120,8 @@ class AttentionMixer(nn.Module):
         teacher_tokens: tuple[Tensor, Tensor] | None = None,
     ) -> Memory:
         assert isinstance(memory, Tensor)
-        return torch.cat([memory, tokens.to(memory.dtype)])
+        new = [tokens.to(memory.dtype)] if teacher_tokens is None else [tokens, teacher_tokens[0].to(memory.dtype)]
+        return torch.cat([memory, *new])
 
     def read_image_tokens(self, memory: Memory, tokens: Tensor) -> Tensor:
         assert isinstance(memory, Tensor) and self.pictures is not None
@@ -130,16 +143,18 @@ class RefineBlock(nn.Module):
     def __init__(self, dim: int, config: RefineConfig, *, last: bool) -> None:
         """last: nothing reads this block's picture tokens, so it has no weights to make them."""
         super().__init__()
-        self.last = last
+        self.last, self.pictures = last, config.picture_tokens
         if config.image_attention:
             self.norm_attention = layer_norm(dim)
             self.attention = SelfAttention(dim, config.heads)
-        self.mixer = _mixer(dim, config, pictures=not last, gaussians=config.row_tokens > 0)
-        self.norm_pictures = layer_norm(dim)
+        read = config.picture_tokens and not last
+        self.mixer = _mixer(dim, config, pictures=read, gaussians=config.row_tokens > 0)
+        if config.picture_tokens:
+            self.norm_pictures = layer_norm(dim)
         self.norm_rows = layer_norm(dim)
         self.norm_rows_mlp = layer_norm(dim)
         self.mlp_rows = SwiGLU(dim, config.hidden)
-        if not last:
+        if read:
             self.norm_pictures_mlp = layer_norm(dim)
             self.mlp_pictures = SwiGLU(dim, config.hidden)
 
@@ -157,13 +172,14 @@ class RefineBlock(nn.Module):
         [R, D] or None. groups: pictures; shares: [R] 0..1, how much each of these latents counts."""
         if groups is not None:
             x = x + self.attention(self.norm_attention(x), groups)
-        tokens = self.norm_pictures(x)
+        tokens = self.norm_pictures(x) if self.pictures else x
         normalised = None if teachers is None or shares is None else (self.norm_rows(teachers), shares)
         memory = self.mixer.update(memory, tokens, weights, strength, normalised)
         if self.last:
             return memory, x, teachers
-        x = x + self.mixer.read_image_tokens(memory, tokens)
-        x = x + self.mlp_pictures(self.norm_pictures_mlp(x))
+        if self.pictures:
+            x = x + self.mixer.read_image_tokens(memory, tokens)
+            x = x + self.mlp_pictures(self.norm_pictures_mlp(x))
         return memory, x, None if teachers is None else self.read(memory, teachers)
 
     def read(self, memory: Memory, x: Tensor) -> Tensor:
@@ -178,12 +194,15 @@ class Refiner(nn.Module):
     def __init__(self, config: RefineConfig, dim: int) -> None:
         """dim: width of the latents."""
         super().__init__()
-        self.config = config
-        self.pictures = linear(config.patch**2 * config.channels, dim)
+        self.config, self.dim = config, dim
+        if config.picture_tokens:
+            self.pictures = linear(config.patch**2 * config.channels, dim)
         if config.lift_features:
             self.lift = nn.Linear(LIFT_FEATURES, dim, bias=False)  # torch's own spread: 0.02 would drown 7 numbers
         if config.base == "lift":
             self.drift = nn.Linear(DRIFT_FEATURES, dim, bias=False)
+        if config.facts:
+            self.facts = nn.Linear(FACT_FEATURES, dim, bias=False)
         last = config.blocks - 1
         self.blocks = nn.ModuleList(RefineBlock(dim, config, last=i == last) for i in range(config.blocks))
         if config.detail:
@@ -199,22 +218,29 @@ class Refiner(nn.Module):
     def adapt(
         self,
         state: RefineState,
-        tokens: PictureTokens,
+        tokens: PictureTokens | None,
         *,
         teacher_tokens: tuple[Tensor, Tensor] | None = None,
         strength: float | None = None,
     ) -> RefineState:
-        """The state after an edit. teacher_tokens: ([R, D] latents from `prepare` that teach along, see
-        `teacher_ids`, [R] 0..1 how much each counts), for a model with row_tokens; strength: overrides
-        config.edit_strength. An edit without tokens changes nothing. Permuting the pictures changes the state by
-        rounding only."""
-        if len(tokens.pixels) == 0:
-            return state
+        """The state after an edit. tokens: None where pictures do not teach. teacher_tokens: ([R, D] latents from
+        `prepare` that teach along, see `teacher_ids`, [R] 0..1 how much each counts), for a model with row_tokens;
+        strength: overrides config.edit_strength. An edit without tokens changes nothing. Permuting the pictures changes
+        the state by rounding only."""
         teachers, shares = teacher_tokens or (None, None)
-        with exact(tokens.pixels.device):  # float32, so that so is the sum that the blocks add to
-            x = self.pictures(tokens.pixels)
-        groups = Groups.of(tokens.lengths, x.device) if self.config.image_attention else None
-        weights = tokens.weights if self.config.mask_tokens else None
+        groups = weights = None
+        if self.config.picture_tokens:
+            assert tokens is not None, "a model that pictures teach"
+            if len(tokens.pixels) == 0:
+                return state
+            with exact(tokens.pixels.device):  # float32, so that so is the sum that the blocks add to
+                x = self.pictures(tokens.pixels)
+            groups = Groups.of(tokens.lengths, x.device) if self.config.image_attention else None
+            weights = tokens.weights if self.config.mask_tokens else None
+        elif teachers is None:
+            return state
+        else:
+            x = teachers.new_zeros(0, self.dim)
         memories = []
         for block, memory in zip(self._blocks(), state.blocks, strict=True):
             if self._recompute():
@@ -234,25 +260,54 @@ class Refiner(nn.Module):
         count = min(self.config.row_tokens, int((seen > 0).sum()))
         return torch.topk(seen, count).indices if count else None
 
-    def prepare(self, latents: Tensor, lift: Tensor | None, drift: Tensor | None = None) -> Tensor:
+    def prepare(
+        self,
+        latents: Tensor,
+        lift: Tensor | None,
+        drift: Tensor | None = None,
+        *,
+        scale: LatentScale | None = None,
+        positions: Tensor | None = None,
+        facts: Tensor | None = None,
+        teaching: bool = False,
+    ) -> Tensor:
         """[K, D] latents with what is known of their Gaussians beyond. lift: [K, 13] colour before, colour after, seen,
         colour predicted (0..1), and unit normal, for a model with lift features; drift: [K, 7] of
-        `drift_features`, for one with base "lift" (None: the Gaussians are those that were encoded). Raises ValueError
-        where they are missing or of another shape."""
-        shape = [len(latents), LIFT_FEATURES]
-        if self.config.lift_features:
-            if lift is None or list(lift.shape) != shape:
-                raise ValueError(f"refine: expected lift features {shape}, got {_shape(lift)}")
+        `drift_features`, for one with base "lift" (None: the Gaussians are those that were encoded). Of "normalised"
+        inputs: scale, of all latents of the asset, and positions, [K, 3] in the asset's cube, -1..1. facts: [K, 56] of
+        `predictor.described_facts`, for a model with facts. teaching: these Gaussians teach, so that they are told the
+        lift's answer where config.answers is "teachers". Raises ValueError where they are missing or of another
+        shape."""
+        config, count = self.config, len(latents)
+        normalised = config.inputs == "normalised"
+        terms = []
+        if config.lift_features:
+            _check("lift features", lift, [count, LIFT_FEATURES])
+            assert lift is not None
             before, after, seen, predicted, normal = lift.split([3, 3, 1, 3, 3], dim=1)
-            changes = (2 * (after - before), seen, 2 * (predicted - before))
-            inputs = torch.cat([2 * before - 1, *changes, normal], dim=1)
-            with exact(latents.device):
-                latents = latents + self.lift(inputs.to(self.lift.weight.dtype))
-        if self.config.base == "lift" and drift is not None:
-            if list(drift.shape) != [len(latents), DRIFT_FEATURES]:
-                raise ValueError(f"refine: expected drift [{len(latents)}, {DRIFT_FEATURES}], got {_shape(drift)}")
-            with exact(latents.device):
-                latents = latents + self.drift(drift.to(self.drift.weight.dtype))
+            gain = ANSWER_GAIN if normalised else 2
+            answers = torch.cat([gain * (after - before), seen, gain * (predicted - before)], dim=1)
+            if config.answers == "teachers" and not teaching:
+                answers = torch.zeros_like(answers)
+            inputs = torch.cat([2 * before - 1, answers, normal], dim=1)
+            terms.append((self.lift, inputs))
+        if config.base == "lift" and drift is not None:
+            _check("drift", drift, [count, DRIFT_FEATURES])
+            terms.append((self.drift, drift))
+        if config.facts:
+            _check("facts", facts, [count, FACT_FEATURES])
+            assert facts is not None
+            terms.append((self.facts, facts))
+        with exact(latents.device):
+            if normalised:
+                _check("positions", positions, [count, 3])
+                if scale is None:
+                    raise ValueError("refine: expected the scale of the asset's latents, got None")
+                assert positions is not None
+                latents = (latents - scale.mean) / scale.rms + position_waves(positions, latents.shape[1])
+            for layer, inputs in terms:
+                term = layer(inputs.to(layer.weight.dtype))
+                latents = latents + (unit_rms(term) if normalised else term)
         return latents
 
     def read(self, state: RefineState, latents: Tensor, *, chunk: int | None = None) -> Tensor:
@@ -290,5 +345,29 @@ class Refiner(nn.Module):
         return self.config.checkpoint_activations and torch.is_grad_enabled()
 
 
-def _shape(values: Tensor | None) -> list[int] | None:
-    return None if values is None else list(values.shape)
+def position_waves(positions: Tensor, dim: int) -> Tensor:
+    """[K, D] sines and cosines of positions [K, 3], -1..1 in the asset's cube, at rms 1: per axis D // 6 wavelengths
+    from SLOWEST_WAVE to FASTEST_WAVE half edges, evenly in their logarithm ("Fourier features", arXiv 2006.10739); what
+    is left of D stays zero."""
+    count = max(dim // 6, 1)
+    waves = torch.linspace(math.log(SLOWEST_WAVE), math.log(FASTEST_WAVE), count, device=positions.device).exp()
+    angles = (2 * math.pi * positions.float()[:, :, None] / waves).flatten(1)  # [K, 3 count]
+    values = torch.cat([angles.sin(), angles.cos()], dim=1)[:, :dim]
+    return functional.pad(values * math.sqrt(2 * dim / values.shape[1]), (0, dim - values.shape[1]))
+
+
+def unit_rms(term: Tensor) -> Tensor:
+    """Each line of term [K, D] at rms 1; those far below FADING_RMS stay near zero."""
+    return term * (term.square().mean(-1, keepdim=True) + FADING_RMS**2).rsqrt()
+
+
+def _teachers(config: RefineConfig, gaussians: bool) -> tuple[Stream, ...]:
+    """Who trains a mixer's memory. gaussians: whether Gaussians do."""
+    if not gaussians:
+        return ("image",)
+    return ("image", "voxel") if config.picture_tokens else ("voxel",)
+
+
+def _check(what: str, values: Tensor | None, shape: list[int]) -> None:
+    if values is None or list(values.shape) != shape:
+        raise ValueError(f"refine: expected {what} {shape}, got {None if values is None else list(values.shape)}")

@@ -17,6 +17,7 @@ from splatpainter.train.stages.compress import CopyTask, HiddenColors
 from splatpainter.train.stages.lrm import LrmTask
 from splatpainter.train.stages.predict import PredictTask
 from splatpainter.train.stages.refine import RefineOptions, RefineTask
+from splatpainter.train.stages.rows import RowOptions, RowsTask
 from splatpainter.train.stages.task import Task
 
 Say = Callable[[str], None]
@@ -24,6 +25,7 @@ TRAINED = {
     "lrm": ("lrm.",),
     "compress": ("lrm.", "compressor."),
     "predict": ("lrm.", "compressor.", "predictor.", "refiner.", "head."),
+    "rows": ("lrm.", "compressor.", "predictor.", "refiner.", "head."),
     "refine": ("lrm.", "compressor.", "predictor.", "refiner.", "head."),
 }
 """Stage, in the order of training -> the parts of the model that a checkpoint of it has trained. The predictor stands
@@ -53,6 +55,11 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
     sizes = [(c.predict.features, c.predict.hidden) for c in (saved.config, recipe.model)]
     if sizes[0] != sizes[1] and (recipe.stage == "predict" or not saved.config.predict.features):  # a new predictor
         parts = tuple(part for part in parts if part != "predictor.")
+    if recipe.stage == "rows" and (saved.config.refine, saved.config.decoder) != (
+        recipe.model.refine,
+        recipe.model.decoder,
+    ):  # a new Stage II on the same encoder
+        parts = tuple(part for part in parts if part not in ("refiner.", "head."))
     untrained = _untrained_keys(parts)
 
     def free(key: str) -> bool:
@@ -76,6 +83,8 @@ def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path
     views = recipe.perceptual_views
     if recipe.stage == "predict":
         return PredictTask(model)
+    if recipe.stage == "rows":
+        return RowsTask(model, RowOptions(recipe.carrier, recipe.teachers, recipe.readers))
     if recipe.stage == "compress" and model.config.representation == "native":
         return HiddenColors(model, objects=2 * recipe.batch)
     loss, problem = perceptual_or_not(recipe.perceptual, perceptual_weights, device)

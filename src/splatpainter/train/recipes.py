@@ -18,10 +18,11 @@ from splatpainter.data.samples import KINDS, SampleRecipe
 from splatpainter.io.files import read_all
 from splatpainter.models.config import COMPACT, PRESETS, ModelConfig
 
-Stage = Literal["lrm", "compress", "predict", "refine", "densify"]
+Stage = Literal["lrm", "compress", "predict", "rows", "refine", "densify"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 Encoder = Literal["nothing", "compress", "all"]
 Parallel = Literal["ddp", "fsdp"]
+Carrier = Literal["stage2", "predictor"]
 FOLDER = Path(__file__).with_name("recipes")
 ENTRY_POINTS = "splatpainter.training_stages"
 """Group of entry points by which other distributions add stages: modules with RECIPE_CLASS, a subclass of
@@ -37,8 +38,9 @@ class Recipe:
     MODEL_PRESETS: ClassVar[dict[str, Any]] = {"model": PRESETS}
     """Key of a model's config -> its presets."""
     stage: Stage = "refine"
-    """lrm: the Gaussian LRM; compress: Stage I; predict: the predictor of unseen Gaussians; refine: Stage II; densify:
-    a model of its own, a baseline."""
+    """lrm: the Gaussian LRM; compress: Stage I; predict: the predictor of unseen Gaussians; rows: Stage II or the
+    predictor without pictures, on edits that are known exactly where they are shown; refine: Stage II; densify: a model
+    of its own, a baseline."""
     model: ModelConfig = COMPACT
     """The model; not of stage densify."""
     samples: SampleRecipe = field(default_factory=SampleRecipe)
@@ -79,6 +81,14 @@ class Recipe:
     """Probability that an edit of several views comes as two, the second on the state that the first left."""
     train_encoder: Encoder = "nothing"
     """Stage II only: what is trained along. nothing (the paper), compress (Stage I), all (Stage I and the LRM)."""
+    carrier: Carrier = "stage2"
+    """rows only: what learns, Stage II or the predictor."""
+    teachers: int = 256
+    """rows only: Gaussians per edit that are shown, a random choice."""
+    readers: int = 256
+    """rows only: Gaussians per edit that are not shown and count in the loss, a random choice."""
+    fitted: bool = True
+    """rows only: train on assets fitted by 3DGS, too, not on coarse ones alone."""
     pull_steps: int = 1000
     """LRM without known geometry only: first steps that pull points into place."""
     seed: int = 0
@@ -94,15 +104,15 @@ class Recipe:
     save_minutes: float = 5.0
     """Minutes between checkpoints."""
     workers: int = 0
-    """Processes that prepare samples ahead; 0: the training process does. Not of stage predict, whose samples cost
-    nothing once an object is known."""
+    """Processes that prepare samples ahead; 0: the training process does. Not of stages predict and rows, whose samples
+    cost nothing once an object is known."""
     parallel: Parallel = "ddp"
     """With several processes: ddp (every one holds the model) or fsdp (sharded)."""
 
     def __post_init__(self) -> None:
         zero_up = "warmup validate_every pull_steps workers perceptual_views seed loss_views gradient_rows"
         for names_of_rule, holds, rule in (
-            ("steps batch report_every validation_samples", lambda v: v >= 1, "of at least 1"),
+            ("steps batch report_every validation_samples teachers readers", lambda v: v >= 1, "of at least 1"),
             (f"{zero_up} weight_decay spike perceptual keep", lambda v: v >= 0, "of 0 or more"),
             ("learning_rate clip save_minutes", lambda v: v > 0, "above 0"),
             ("final_rate average sequence validation_share", lambda v: 0 <= v <= 1, "0..1"),

@@ -16,6 +16,7 @@ from splatpainter.data.shards import INDEX, ShardStream, read_index
 from splatpainter.train.prefetch import Ahead
 
 if TYPE_CHECKING:
+    from splatpainter.data.row_edits import RowEditStream
     from splatpainter.data.samples import Sample
 
 VALIDATION_SEED = 0x5EED
@@ -112,6 +113,37 @@ def open_global_edits(supply: Supply, count: int) -> TrainingData:
     validation = few.stream(validation=True) if count else None
     samples = [] if validation is None else list(_first(GlobalEditStream(validation, 0), count))
     return TrainingData(GlobalEditStream(few.stream(), cache_bytes=supply.memory), samples, supply.counts())
+
+
+def open_row_edits(supply: Supply, count: int, folder: Path | None, fitted: bool = True) -> TrainingData:
+    """As `open_training_data`, for stage rows, whose samples have no pictures (data/row_edits.py). Raises ValueError as
+    row_streams."""
+    training, held = row_streams(supply, folder, fitted)
+    return TrainingData(training, list(_first(held, count)) if count and held else [], supply.counts())
+
+
+def row_streams(supply: Supply, folder: Path | None, fitted: bool = True) -> tuple[RowEditStream, RowEditStream | None]:
+    """(edits of training objects, of those held back, None where there are none). folder: where assets are kept;
+    fitted: of 3DGS, too. Raises ValueError as Supply.stream and RowEditStream, and for splat assets."""
+    from splatpainter.data.environments import load_environment
+    from splatpainter.data.row_assets import RowAssets
+    from splatpainter.data.row_edits import EDIT_KINDS, RowEditStream
+
+    if is_shards(supply.data):
+        raise ValueError(f"--data {supply.data}: expected meshes or procedural:N for stage rows, got shards")
+    sources = _sources(supply.data, supply.seed, supply.share, supply.resources)
+    lights = tuple(load_environment(f) for f in _listed(supply.resources.environments, (".hdr", ".exr")))
+    kinds = {kind: supply.recipe.kinds.get(kind, 0.0) for kind in EDIT_KINDS}
+    streams = []
+    for source, seed in zip(sources, (supply.seed, supply.seed + VALIDATION_SEED), strict=True):
+        if source is not None and not hasattr(source, "mesh"):
+            raise ValueError(f"--data {supply.data}: expected meshes, whose materials are known, got splat assets")
+        if source is None:
+            continue
+        assets = RowAssets(source, supply.recipe, 0, lights, folder, supply.memory)
+        stay = 1 if streams else supply.recipe.steps_per_object
+        streams.append(RowEditStream(assets, kinds, ("coarse", "fitted") if fitted else ("coarse",), seed, stay))
+    return streams[0], streams[1] if len(streams) > 1 else None
 
 
 def open_training_data(supply: Supply, *, batch: int, count: int, workers: int = 0) -> TrainingData:

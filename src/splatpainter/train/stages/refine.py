@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -24,10 +25,11 @@ from splatpainter.lift.options import ResidualBase
 from splatpainter.lighting import prt_transfer
 from splatpainter.metrics.lpips import Lpips
 from splatpainter.models.apply_edit import assemble, refine_edit
+from splatpainter.models.carry import carrying
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.gaussian_groups import GaussianGroups, TokenLinks
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.models.predictor import predicting
+from splatpainter.models.predictor import gaussian_facts, predicting
 from splatpainter.rendering import render
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.train.loss import PictureLoss, PictureTarget, global_target, joined, local_target
@@ -74,6 +76,8 @@ class PreparedAsset:
     grid: VoxelGrid
     normals: np.ndarray
     """[N, 3] outward normals of its Gaussians."""
+    facts: np.ndarray | None
+    """[N, 21] of `gaussian_facts`, for a model that reads them."""
     predict: Predict | None
     """What the model says of Gaussians that no view shows, in global edits."""
     encoded: Encoded | None
@@ -117,6 +121,8 @@ class RefineTask(Task[SplatPainterModel]):
     def losses(self, sample: Sample, seed: int) -> dict[str, Tensor]:
         if sample.mode == "global" and self.model.config.predictor_only:
             raise ValueError("this model's global edits use the predictor alone: Stage II cannot be trained on them")
+        if not self.model.config.refine.picture_tokens:
+            raise ValueError("this model's Stage II learns without pictures: use train rows")
         rng = np.random.default_rng(seed)
         prepared = self._remembered(sample)
         views = self._edits(sample, prepared)
@@ -136,7 +142,8 @@ class RefineTask(Task[SplatPainterModel]):
         lifted = self._start(sample, prepared, views, analytic=True)
         same = self.base == "lift" and (sample.mode == "local" or prepared.predict is None)
         start = lifted if same else self._start(sample, prepared, views)
-        alone = sample.mode == "global" and self.model.config.predictor_only
+        config = self.model.config
+        alone = sample.mode == "global" and (config.predictor_only or config.carries)
         with self.arithmetic():
             edited = start.splats if alone else self._refined(prepared, start, views)
         target = self._novel(sample, prepared, range(len(sample.novel_after.cameras)))
@@ -174,14 +181,28 @@ class RefineTask(Task[SplatPainterModel]):
             if self.copies:  # what is edited is what Stage I decodes
                 splats = encoded.gaussians.numpy()
                 grid = voxelize(splats, resolution)
-            return PreparedAsset(splats, grid, *self._aside(splats), encoded, None, None)
+            normals, facts, predict = self._aside(splats)
+            if self.model.config.carries:
+                predict = carrying(
+                    self.model,
+                    encoded.latents,
+                    encoded.latent_ids,
+                    splats,
+                    normals,
+                    lambda: prt_transfer(splats.means, normals),
+                )
+            return PreparedAsset(splats, grid, normals, facts, predict, encoded, None, None)
         if self.options.train_encoder == "all":
             return PreparedAsset(splats, grid, *self._aside(splats), None, None, None)
         return PreparedAsset(splats, grid, *self._aside(splats), None, *asset_tokens(self, splats, grid))
 
-    def _aside(self, splats: Splats) -> tuple[np.ndarray, Predict | None]:
-        normals = outward_normals(splats)
-        return normals, predicting(self.model.predictor, splats, normals, lambda: prt_transfer(splats.means, normals))
+    def _aside(self, splats: Splats) -> tuple[np.ndarray, np.ndarray | None, Predict | None]:
+        """Normals, facts, and what the predictor says."""
+        normals, facts = outward_normals(splats), None
+        transfer = cache(lambda: prt_transfer(splats.means, normals))
+        if self.model.config.refine.facts:
+            facts = gaussian_facts(splats, normals, transfer())
+        return normals, facts, predicting(self.model.predictor, splats, normals, transfer)
 
     def _encoded(self, prepared: PreparedAsset, parents: np.ndarray) -> Encoded:
         """The asset's latents, those of the given Gaussians at least."""
@@ -204,6 +225,7 @@ class RefineTask(Task[SplatPainterModel]):
         base = "lift" if analytic else self.base
         if sample.mode == "global":
             predict = None if analytic else prepared.predict
+            base = "lift" if self.model.config.carries else base
             return lift_global_views(prepared.splats, views, base, normals=prepared.normals, predict=predict)
         return lift_local_views(prepared.splats, prepared.grid, views, base)
 
@@ -227,7 +249,8 @@ class RefineTask(Task[SplatPainterModel]):
             state, _, _ = refine_edit(self.model, state, encoded, part_of(start, np.arange(1)), views[:first])
         count, most = len(start.ids), self.options.gradient_rows
         if rng is None or not most or count <= most or start.detail:
-            _, edited, further = refine_edit(self.model, state, encoded, start, views[first:])
+            facts = None if prepared.facts is None else prepared.facts[start.parents]
+            _, edited, further = refine_edit(self.model, state, encoded, start, views[first:], facts)
             return assemble(start, edited, further)
         order, views = rng.permutation(count), views[first:]
         after, sampled, _ = refine_edit(self.model, state, encoded, part_of(start, order[:most]), views)
