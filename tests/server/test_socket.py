@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from fastapi import WebSocket
 from splatbench import studio_client
 from splatbench.studio_client import Browser, after
 
@@ -69,6 +70,46 @@ def test_a_cancelled_stroke_leaves_no_trace_on_the_screen(studio: Live) -> None:
         browser.do("paint.cancel", stroke=started["stroke"])
         assert browser.mirror.agrees(studio.studio.session.splats)
         assert "no such stroke" in browser.ask("paint.end", stroke=started["stroke"])["error"]["message"]
+
+
+def test_another_opacity_is_seen_before_it_is_exact(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent, unpatched_set, send_bytes = threading.Event(), Session.set, WebSocket.send_bytes
+
+    def after_the_preview(self: Session, *args: Any, **values: Any) -> Any:
+        assert sent.wait(60)
+        return unpatched_set(self, *args, **values)
+
+    async def noted(self: WebSocket, data: bytes) -> None:
+        await send_bytes(self, data)
+        sent.set()
+
+    with studio.greeted() as browser:
+        made = browser.stroke(view(), (30, 30), 20, RED)
+        before = browser.mirror.previews
+        monkeypatch.setattr(WebSocket, "send_bytes", noted)
+        monkeypatch.setattr(Session, "set", after_the_preview)
+        browser.do("layer.set", layer=made["layer"]["id"], opacity=0.5)
+        assert browser.order.count("frame") > 1 and browser.mirror.previews > before
+        assert browser.mirror.agrees(studio.studio.session.splats)
+        before = browser.mirror.previews
+        browser.do("layer.set", layer=made["layer"]["id"], opacity=0.25)
+        assert browser.order.count("frame") == 1 and browser.mirror.previews == before
+        assert browser.mirror.agrees(studio.studio.session.splats)
+
+
+def test_a_preview_ends_with_the_command_that_failed(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    with studio.greeted() as browser:
+        made = browser.stroke(view(), (30, 30), 20, RED)
+        before = browser.mirror.previews
+
+        def fail(*_: Any, **__: Any) -> None:
+            raise ValueError("layer: refused")
+
+        monkeypatch.setattr(Session, "set", fail)
+        assert not browser.ask("layer.set", layer=made["layer"]["id"], opacity=0.5)["ok"]
+        browser.do("receipt")  # an answer comes after all Gaussians
+        assert browser.mirror.previews == before + 2  # the preview, and the true colours
+        assert browser.mirror.agrees(studio.studio.session.splats)
 
 
 def test_two_windows_see_the_same(studio: Live) -> None:

@@ -148,6 +148,34 @@ def test_opacity_eye_and_order_are_the_layers(path: Path) -> None:
         assert print_of(session) == merged
 
 
+def test_another_opacity_is_previewed_while_it_is_computed() -> None:
+    with flat() as session:
+        layer = painted(session, 3)
+        full, last = session.splats, print_of(session)
+        assert session.blend_preview(layer, opacity=1.0) is None  # nothing is mixed
+        preview = session.blend_preview(layer, opacity=0.5)
+        assert preview is not None and print_of(session) == last
+        ids, shown = preview
+        assert (np.diff(ids) > 0).all() and len(shown) == len(ids)
+        session.set(layer, opacity=0.5)
+        exact, others = session.splats.take(ids), np.setdiff1d(np.arange(len(full)), ids)
+        for name in ("means", "quats", "scales", "opacities"):
+            np.testing.assert_array_equal(getattr(shown, name), getattr(exact, name))
+        assert np.abs(shown.sh - exact.sh).mean() < 0.25 * np.abs(full.sh[ids] - exact.sh).mean()
+        assert rows_sha256(session.splats, others) == rows_sha256(full, others)
+        assert session.blend_preview(layer, opacity=0.25) is None  # what it needs is there now
+        session.undo()
+        session.set(layer, visible=False)
+        assert session.blend_preview(layer, opacity=0.5) is None
+        session.set(layer, visible=True)
+        session.paint(layer, [dab(GREEN, 16)])
+        assert session.blend_preview(layer, blend="darken") is not None
+        session.add("paint", [dab(BLUE, 22)], name="above")
+        assert session.blend_preview(layer, opacity=0.5) is None
+        (views,) = (one.id for one in session.layers if one.name == "above")
+        assert session.blend_preview(views, opacity=0.5) is not None
+
+
 def test_strokes_go_into_a_layer_below_others() -> None:
     with flat() as session:
         layer = painted(session, 2)

@@ -93,6 +93,14 @@ class Hub:
             context.writer = self._writer(asyncio.get_running_loop())
             self._background.add(ticket)
         seconds, opened, before = 0.0, False, ""
+        if client is not None:
+            loop, page_client = asyncio.get_running_loop(), client  # the page may have another connection by then
+
+            def show(frame: bytes, gaussian_ids: np.ndarray) -> None:
+                receiver = page_client.page.client or page_client
+                loop.call_soon_threadsafe(receiver.show_preview, frame, gaussian_ids, before)
+
+            context.show = show
 
         def job() -> Answer:
             nonlocal seconds, opened, before
@@ -109,6 +117,9 @@ class Hub:
         try:
             answer = await self.queue.run(handler.lane, job, ticket)
         except Exception as error:
+            if client is not None and context.clear_preview:
+                client.page.clear_preview = True
+                (client.page.client or client).show_preview(None, None, before)
             raise CommandError(self.studio.public_problem(problem_of(error))) from error
         finally:
             self._background.discard(ticket)

@@ -53,6 +53,14 @@ def moved_gaussians(before: Splats, after: Splats) -> np.ndarray:
     return out
 
 
+def base_of_parents(below: Splats, delta: Delta) -> np.ndarray:
+    """[T + A, K, 3] SH of the Gaussians below that the changed and the appended ones were, or were made from (of none:
+    their own)."""
+    parents = delta.parent_ids
+    tail = np.where((parents >= 0)[:, None, None], below.sh[np.maximum(parents, 0)], delta.appended.sh)
+    return np.concatenate([below.sh[delta.gaussian_ids], tail])
+
+
 def with_base(below: Splats, delta: Delta, cameras: Sequence[Camera]) -> Delta:
     """The delta with the SH from which its opacity and blend start: those below, and for Gaussians that moved or came
     the ones with which the cameras see what they saw before; as it is where none moved."""
@@ -60,10 +68,9 @@ def with_base(below: Splats, delta: Delta, cameras: Sequence[Camera]) -> Delta:
     moved = moved_gaussians(below, after)
     if not moved.any():
         return delta
-    n, ids, parents = len(below), delta.gaussian_ids, delta.parent_ids
-    start = after.sh.copy()
-    start[ids] = below.sh[ids]
-    start[n:][parents >= 0] = below.sh[parents[parents >= 0]]
+    n, ids = len(below), delta.gaussian_ids
+    start, base = after.sh.copy(), base_of_parents(below, delta)
+    start[ids], start[n:] = base[: len(ids)], base[len(ids) :]
     pictures = [(camera, picture_of(below, camera)) for camera in cameras]
     sh = fitted_sh(replace(after, sh=start), moved, pictures)
     return replace(delta, base=np.concatenate([sh[ids], sh[n:]]))

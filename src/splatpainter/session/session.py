@@ -434,6 +434,21 @@ class Session(StrokeCommands, Annotations):
             self._commit(label, document, gesture=gesture)
             return self.layer(layer)
 
+    def blend_preview(
+        self, layer: str, *, opacity: float | None = None, blend: Blend | None = None
+    ) -> tuple[np.ndarray, Splats] | None:
+        """([C] int64 ascending ids of `splats`, C Gaussians): what `set` will show of a layer, about, to be seen until
+        it is done; None where that is as quick, or where it cannot be said. Changes nothing."""
+        with self._commands:
+            before, document = self.layer(layer), self._snapshot.document
+            if not before.visible or before.opacity == 0:
+                return None
+            values = {"opacity": opacity, "blend": blend}
+            fields = {name: value for name, value in values.items() if value is not None}
+            preview = self._replay.blend_preview(change_layer(document, layer, **fields), layer)
+            count = len(self.splats)
+            return None if preview is None or (len(preview[0]) and preview[0][-1] >= count) else preview
+
     def move(self, layer: str, index: int) -> None:
         """Reorder: 0 is the lowest."""
         with self._command():

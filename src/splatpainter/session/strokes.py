@@ -121,6 +121,10 @@ class StrokeChains:
         painted = self._cache.get(key)
         return None if painted is None else painted.state
 
+    def painted(self, key: str) -> Painted | None:
+        """What is cached of the strokes up to a state."""
+        return self._cache.get(key)
+
     def compose(
         self,
         below: LayerState,

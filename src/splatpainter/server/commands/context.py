@@ -45,6 +45,8 @@ class CommandContext:
     """[C] the Gaussians in it."""
     clear_preview: bool = False
     """Whether Gaussians that this page previews shall show their true colours again."""
+    show: Callable[[bytes, np.ndarray], None] = lambda frame, gaussian_ids: None
+    """Send a preview (frame, [C] the Gaussians in it) to this page at once, while the command goes on."""
     writer: Callable[[Callable[[], Any]], Any] | None = None
     """Runs a function where commands that write run, and sends every client what it changed; for long commands of the
     background. Raises Cancelled where the studio is being closed."""

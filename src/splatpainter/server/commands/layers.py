@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from splatpainter.server import frames
 from splatpainter.server.commands.context import (
     CommandContext,
     RawExpr,
@@ -87,8 +88,20 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
         sliders = {name: value for name, value in values["parameters"].items() if name != SELECTION}
         values["parameters"] = GradeSettings.from_dict({**sliders, "space": space}).to_dict() | carried
     with progress(context, "layers"):
+        _preview_blend(context, request)
         session.set(request.layer, gesture=request.gesture, **values)
     return layer_made(context, request.layer, python_line("session.set", request.layer, **values))
+
+
+def _preview_blend(context: CommandContext, request: LayerSet) -> None:
+    """Show another opacity or blend of a layer at once, about as it will be, where the exact one takes time."""
+    if request.opacity is None and request.blend is None:
+        return
+    now = context.studio.session.snapshot
+    preview = context.studio.session.blend_preview(request.layer, opacity=request.opacity, blend=request.blend)
+    if preview is not None and len(preview[0]):
+        context.clear_preview = True
+        context.show(frames.preview(preview[1], preview[0], len(now.splats), now.version), preview[0])
 
 
 class MaskSet(Command):
