@@ -40,10 +40,20 @@ from splatpainter.session.layer_blending import (
     AdjustmentFunction,
     adjust_sh,
     blend_delta,
+    mixed,
     reached_gaussians,
+    within,
 )
 from splatpainter.session.layer_factory import SPLIT_ONLY, decode_mask, decode_picture, is_cut_out, limits_of
-from splatpainter.session.layer_state import LayerResult, LayerState, Progress, ResultStore, ancestors, lineage
+from splatpainter.session.layer_state import (
+    LayerResult,
+    LayerState,
+    Progress,
+    ResultStore,
+    ancestors,
+    lineage,
+    on_device,
+)
 from splatpainter.session.mask_weights import MaskWeights
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
 from splatpainter.session.selection import Selection
@@ -136,7 +146,7 @@ class PainterAdapter:
             base = self._base()
             assert base.encoding is not None and below.origin is not None
             if state is not None:
-                state = _on_device(state, next(base.encoding.model.parameters()).device)
+                state = on_device(state, next(base.encoding.model.parameters()).device)
             parent_ids = np.maximum(below.origin, 0)
             asset = replace(asset, encoding=replace(base.encoding, parent_ids=parent_ids, state=state))
         return numbered, self._painter_with(options).apply(asset, edits, mode, method)
@@ -494,9 +504,9 @@ class Replay:
             parameters = with_table(parameters, self._store.blob)
             adjusted = replace(splats, sh=adjust_sh(splats.sh, parameters, self.adjustments))
             if layer.views:
-                adjusted = _within(self._reached(splats, layer.views), splats, adjusted)
+                adjusted = within(self._reached(splats, layer.views), splats, adjusted)
             if SELECTION in layer.parameters:
-                adjusted = _mixed(self._selected(layer, splats), splats, adjusted)
+                adjusted = mixed(self._selected(layer, splats), splats, adjusted)
             return LayerResult(between(splats, adjusted))
         return self._paint(below, layer)
 
@@ -537,9 +547,9 @@ class Replay:
             masked = [view for view in layer.views if view.mask is not None]
             if not masked:
                 raise ValueError(f"{layer.title}: expected a mask in one of its views to stay within")
-            splats = _within(self._reached(below.splats, masked), below.splats, splats)
+            splats = within(self._reached(below.splats, masked), below.splats, splats)
         if layer.mode == "global" and SELECTION in layer.parameters:
-            splats = _mixed(self._selected(layer, below.splats), below.splats, splats)
+            splats = mixed(self._selected(layer, below.splats), below.splats, splats)
         painter_state = None if asset.encoding is None else asset.encoding.state
         return LayerResult(between(numbered, splats, parent_ids), facts, confidence, painter_state)
 
@@ -658,41 +668,6 @@ def lays_sheets(painter: str) -> bool:
 
 _DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()
 """Of the models in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""
-
-
-def _on_device(state: RefineState, device: object) -> RefineState:
-    """The same state on a torch device."""
-
-    def moved(block):
-        if block is None:
-            return None
-        return type(block)(*(part.to(device) for part in block)) if isinstance(block, tuple) else block.to(device)
-
-    return replace(state, blocks=tuple(moved(block) for block in state.blocks), detail=moved(state.detail))
-
-
-def _within(mask: np.ndarray, below: Splats, above: Splats) -> Splats:
-    """`above` for some Gaussians ([N] bool), `below` for the rest; attributes in which nothing differs are shared."""
-    mixed = {}
-    for name in ATTRIBUTES:
-        old, new = getattr(below, name), getattr(above, name)
-        mixed[name] = old if old is new else np.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old)
-    return replace(above, **mixed)
-
-
-def _mixed(weights: np.ndarray, below: Splats, above: Splats) -> Splats:
-    """Between `below` (weight 0, bit for bit) and `above` (1), [N] float32; attributes in which nothing differs are
-    shared, and places are those of the nearer one."""
-    mixed = {}
-    for name in ATTRIBUTES:
-        old, new = getattr(below, name), getattr(above, name)
-        share = weights.reshape(-1, *[1] * (old.ndim - 1))
-        if name in ("means", "quats", "scales"):
-            mixed[name] = old if old is new else np.where(share >= 0.5, new, old)
-        elif old is not new:
-            part = np.where(share == 1, new, old + share * (new - old))
-            mixed[name] = np.where(share == 0, old, part).astype(np.float32)
-    return replace(above, **mixed)
 
 
 def _is_visible(layer: Layer) -> bool:

@@ -46,7 +46,7 @@ from splatpainter.session.delta import Delta, no_delta
 from splatpainter.session.document import Blend
 from splatpainter.sources.color_grading import GRADE, grade_sh
 from splatpainter.sources.color_transfer import TRANSFERS, transfer_sh
-from splatpainter.splats import MAX_MAGNITUDE, SH_C0, Splats
+from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, SH_C0, Splats
 
 AdjustmentFunction = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
 MIN_INSIDE_SHARE = 0.5
@@ -138,6 +138,30 @@ def _with_luminosity(colors: np.ndarray, luminosity: np.ndarray) -> np.ndarray:
     high = np.where(low < 0, out.max(1, keepdims=True), high)
     shrink = np.where(high > 1, (1 - grey) / np.maximum(high - grey, 1e-12), 1)
     return grey + (out - grey) * shrink
+
+
+def within(mask: np.ndarray, below: Splats, above: Splats) -> Splats:
+    """`above` for some Gaussians ([N] bool), `below` for the rest; attributes in which nothing differs are shared."""
+    values = {}
+    for name in ATTRIBUTES:
+        old, new = getattr(below, name), getattr(above, name)
+        values[name] = old if old is new else np.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+    return replace(above, **values)
+
+
+def mixed(weights: np.ndarray, below: Splats, above: Splats) -> Splats:
+    """Between `below` (weight 0, bit for bit) and `above` (1), [N] float32; attributes in which nothing differs are
+    shared, and places are those of the nearer one."""
+    values = {}
+    for name in ATTRIBUTES:
+        old, new = getattr(below, name), getattr(above, name)
+        share = weights.reshape(-1, *[1] * (old.ndim - 1))
+        if name in ("means", "quats", "scales"):
+            values[name] = old if old is new else np.where(share >= 0.5, new, old)
+        elif old is not new:
+            part = np.where(share == 1, new, old + share * (new - old))
+            values[name] = np.where(share == 0, old, part).astype(np.float32)
+    return replace(above, **values)
 
 
 def gain(sh: np.ndarray, parameters: Mapping[str, Any]) -> np.ndarray:

@@ -4,14 +4,17 @@ are stored."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from splatpainter.session.conflicts import EditedIds
 from splatpainter.session.delta import Delta
 from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.models.refine import RefineState
 
 
 @dataclass(frozen=True)
@@ -78,3 +81,14 @@ def ancestors(state: LayerState, count: int) -> np.ndarray:
 def lineage(state: LayerState, count: int) -> np.ndarray:
     """[N] the Gaussian among the first `count` that each is, or was split from; -1: none."""
     return np.concatenate([np.arange(count), ancestors(state, count)])
+
+
+def on_device(state: RefineState, device: object) -> RefineState:
+    """The same state on a torch device."""
+
+    def moved(block):
+        if block is None:
+            return None
+        return type(block)(*(part.to(device) for part in block)) if isinstance(block, tuple) else block.to(device)
+
+    return replace(state, blocks=tuple(moved(block) for block in state.blocks), detail=moved(state.detail))
