@@ -16,7 +16,7 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.options import LocalOptions
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
-from splatpainter.session.compose import SHEETS
+from splatpainter.session.fingerprint import SHEETS
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import differing, disk, front, same_bits, sheet
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, SIZE, dab, print_of

@@ -24,18 +24,17 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.nn.precision import resolve
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
 from splatpainter.session.appearance import base_of_parents, picture_of, with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength
 from splatpainter.session.delta import Delta, bare, between, no_delta
 from splatpainter.session.document import SELECTION, Document, Layer, View, digest
 from splatpainter.session.eraser import erase_delta, fade_delta
+from splatpainter.session.fingerprint import SHEETS, fingerprint, lays_sheets
 from splatpainter.session.layer_blending import (
     AdjustmentFunction,
     adjust_sh,
@@ -72,7 +71,6 @@ from splatpainter.sources.color_transfer import with_table
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
-    from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
     from splatpainter.surface.estimate import Surface
     from splatpainter.surface.visible import VisibleSurface
@@ -93,18 +91,6 @@ MAX_PLACED_LAYERS = 1024
 """... of so many layers, ..."""
 MAX_READ_IDS = 1 << 23
 """... and the Gaussians that they read, in all."""
-RECORDED_NAMES = {
-    "goal_px": "goal",
-    "min_share": "share",
-    "max_halvings": "levels",
-    "max_appended": "budget",
-    "max_error": "detail",
-    "rim_px": "rim",
-}
-"""Fields of LocalOptions -> their names in projects: results of layers are found by them."""
-SHEETS = "sheets-2"
-"""What stands in the fingerprints of painters that lay sheets. Layers of older ones are lifted as they were made:
-split, without sheets, blended and erased from the colours of parents."""
 WITHOUT_SHEETS = "lifted without sheets, as it was made; set its method to paint it anew"
 GRID_ATTRIBUTES = ("means", "quats", "scales", "opacities")
 """What a voxel grid depends on."""
@@ -642,32 +628,6 @@ def _local_options(layer: Layer) -> dict[str, Any]:
     if layer.parameters.get(SPLIT_ONLY) is True:
         options |= turns.WITHOUT_SHEETS
     return options
-
-
-def fingerprint(painter: Painter, method: Method) -> str:
-    """What of a painter decides the results of a method, as text: its settings, the hash of its weights, and bf16 where
-    its networks are rounded to that. method: not "auto"."""
-    settings = f"{painter.local_options!r} {painter.global_options!r} {SHEETS}"
-    for name, recorded in RECORDED_NAMES.items():
-        settings = settings.replace(f"{name}=", f"{recorded}=")
-    if method != "ttt" or painter.model is None:
-        return f"{method} {settings}"
-    if painter.model not in _DIGESTS:
-        from splatpainter.models.cache import digest
-
-        _DIGESTS[painter.model] = digest(painter.model)
-    device = next(painter.model.parameters()).device
-    rounded = " bfloat16" if resolve(painter.precision, device) == "bfloat16" else ""
-    return f"ttt {settings} polish={painter.polish} {_DIGESTS[painter.model]}{rounded}"
-
-
-def lays_sheets(painter: str) -> bool:
-    """Whether a painter of this fingerprint knows sheets."""
-    return SHEETS in painter.split()
-
-
-_DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()
-"""Of the models in use, whose weights do not change meanwhile; hashing one takes longer than a small edit."""
 
 
 def _is_visible(layer: Layer) -> bool:

@@ -89,7 +89,7 @@ class Layer:
     thumbnail: str | None = None
     """Hash of a small PNG of what was edited."""
     painter: str = ""
-    """What of the painter decides its result (compose.fingerprint), as it was when the layer was made."""
+    """What of the painter decides its result (fingerprint.py), as it was when the layer was made."""
     strokes: tuple[Layer, ...] = ()
     """Of kind "paint" without views: what was painted into it, oldest first. Each stroke is a layer of its own views,
     painted on those before it; its opacity, blend and visibility do not count."""

@@ -37,7 +37,7 @@ from splatpainter.rendering.profiles import Profile
 from splatpainter.session import asset_files, conflicts
 from splatpainter.session.annotations import Annotations
 from splatpainter.session.asset_files import ANY_FILE, OriginalRule
-from splatpainter.session.compose import LayerState, Progress, Replay, fingerprint
+from splatpainter.session.compose import LayerState, Progress, Replay
 from splatpainter.session.database import SUFFIX
 from splatpainter.session.delta import AssetDelta, VersionLog, bare
 from splatpainter.session.document import (
@@ -56,6 +56,7 @@ from splatpainter.session.document import (
     move_layer,
     resolve_conflict,
 )
+from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.layer_factory import limits_of, new_layer
 from splatpainter.session.project_file import Project, Step, Transaction

@@ -15,8 +15,9 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
 from splatpainter.painter import Edit, Method, Painter
-from splatpainter.session.compose import Replay, fingerprint
+from splatpainter.session.compose import Replay
 from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, add_layer, add_stroke, change_layer
+from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_factory import decode_mask_part, encode_mask_part, new_layer
 from splatpainter.session.layer_mask import MAX_PARTS, LayerMask, MaskPart, over
 from splatpainter.session.project_file import Transaction
