@@ -287,3 +287,35 @@ def test_undo_takes_back_selections_and_the_box_has_handles(opened: tuple[studio
     means = live.studio.session.splats.means
     expected = int((means[:, 1] > pulled).sum())
     page.wait("what is in it", lambda: abs(count(page) - expected) < 12)
+
+
+def test_what_is_selected_is_filled_from_around(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """A blot on the ball is gone; what is not selected keeps its Gaussians. Undo brings the blot back."""
+    live, page = opened
+    page.tab.get_by_role("textbox", name="Colour").fill("#000000")
+    page.drag((0.49, 0.5), (0.51, 0.5))
+    page.wait("the blot", lambda: page.names() == ["Paint"])
+    page.settled()
+    blotted = page.pixels()
+    height, width, _ = blotted.shape
+    middle = np.s_[height // 2 - 4 : height // 2 + 5, width // 2 - 4 : width // 2 + 5]
+    dark = blotted[middle].mean()
+    page.tab.keyboard.press("m")
+    page.drag((0.42, 0.4), (0.58, 0.6))
+    selected(page)
+    page.tab.get_by_role("tab", name="Select").click()
+    button = page.tab.get_by_title("Fill what is selected of this view from what lies around it")
+    page.wait("its picture", button.is_enabled)
+    button.click()
+    page.wait("the fill", lambda: page.state()["history"][-1]["label"].startswith("Fill from around"))
+    page.settled()
+    page.tab.keyboard.press("Control+d")
+    page.wait("nothing selected", lambda: count(page) == 0)
+    filled = page.pixels()
+    assert filled[middle].mean() > dark + 0.15, "what lies around is brighter"
+    assert np.abs(filled - blotted)[: height // 4].max() < 0.02
+    cursor = page.state()["cursor"]
+    page.tab.keyboard.press("Control+z")
+    page.wait("the selection", lambda: count(page) > 0)
+    page.tab.keyboard.press("Control+z")
+    page.wait("the blot", lambda: page.state()["cursor"] == cursor - 1)

@@ -3,6 +3,7 @@ import { describe, expect, it } from "vitest";
 import { blend, luma, withLuma } from "../src/paint/colors";
 import { likeColor, soften } from "../src/paint/flood";
 import { heal, membrane } from "../src/paint/heal";
+import { sourceNear } from "../src/paint/surroundings";
 import { limitsToSend } from "../src/paint/limits";
 import { base64, compose, over, shifted, solid } from "../src/paint/patch";
 import { clip, dab, emptyMask, falloff, segment, union } from "../src/paint/raster";
@@ -254,7 +255,63 @@ describe("healing", () => {
         if (mask.data[at / 4] > 0) worst = Math.max(worst, Math.abs(data[(y * rect.width + x) * 4] - clean.data[at]));
       }
     }
-    expect(worst).toBeLessThan(2);
+    expect(worst).toBeLessThan(4); // the border is averaged over five rows of stripes of four
+  });
+
+  it("leaves no holes in dark leather: folds of a bright source are no texture there", () => {
+    const grain = (x: number, y: number) => ((x * 7 + y * 13) % 5) - 2;
+    const dark = (x: number, y: number) => [14, 15, 18].map((v) => v + grain(x, y));
+    const fold = (x: number) => 90 + 80 * Math.sin(x / 6); // wide and bright
+    const pixels = picture(160, 80, (x, y) => (x < 80 ? [0, 1, 2].map(() => fold(x) + 3 * grain(x, y)) : dark(x, y)));
+    const mask = emptyMask(160, 80);
+    dab(mask, 120, 40, { radius: 22, hardness: 1, flow: 1 });
+    const extent = { x: 96, y: 16, width: 48, height: 48 };
+    const { rect, data } = heal(pixels, mask, extent, (x, y) => (y * 160 + x - 80) * 4);
+    for (let y = 0; y < rect.height; y++)
+      for (let x = 0; x < rect.width; x++) {
+        if (mask.data[(rect.y + y) * 160 + rect.x + x] === 0) continue;
+        const [r, g, b] = data.subarray((y * rect.width + x) * 4);
+        expect(r).toBeGreaterThan(5);
+        expect(r).toBeLessThan(40);
+        expect(b - r).toBeGreaterThan(1);
+        expect(b - r).toBeLessThan(8);
+        expect(Math.abs(g - r)).toBeLessThan(5);
+      }
+  });
+
+  it("looks away from where nothing of the asset is, at the border and in the source", () => {
+    const stripes = (_: number, y: number) => Array(3).fill(120 + (y % 4 < 2 ? 8 : -8));
+    const emptiness = [27, 29, 33];
+    const pixels = picture(120, 40, (x, y) => (x > 70 || (x < 20 && y > 20) ? emptiness : stripes(x, y)));
+    const isEmpty = (at: number) => pixels.data[at] === 27;
+    const mask = emptyMask(120, 40);
+    dab(mask, 62, 20, { radius: 9, hardness: 1, flow: 1 });
+    const extent = { x: 52, y: 10, width: 20, height: 20 };
+    const { rect, data } = heal(pixels, mask, extent, (x, y) => (y * 120 + x - 40) * 4, isEmpty);
+    for (let k = 0; k < rect.width * rect.height; k++) {
+      const [x, y] = [rect.x + (k % rect.width), rect.y + Math.floor(k / rect.width)];
+      if (mask.data[y * 120 + x] > 0 && !isEmpty((y * 120 + x) * 4))
+        expect(Math.abs(data[k * 4] - 120)).toBeLessThan(16);
+    }
+    expect(sourceNear(pixels, mask, extent, isEmpty)).not.toBeNull();
+  });
+
+  it("finds a source of the same kind beside the region, on the asset", () => {
+    const pixels = picture(200, 120, (x, y) => (y < 60 ? [200, 40, 40] : [30, 30, x > 150 ? 220 : 90]));
+    const mask = emptyMask(200, 120);
+    dab(mask, 100, 95, { radius: 10, hardness: 1, flow: 1 });
+    const extent = { x: 89, y: 84, width: 22, height: 22 };
+    const [dx, dy] = sourceNear(pixels, mask, extent, () => false)!;
+    expect(95 - dy - 11).toBeGreaterThan(60); // not the red half
+    expect(100 - dx + 11).toBeLessThan(151); // nor the blue end
+    expect(Math.max(Math.abs(dx), Math.abs(dy))).toBeGreaterThanOrEqual(22); // nor the region itself
+    const striped = picture(200, 120, (x, y) => (Math.hypot(x - 100, y - 95) < 16 ? [9, 9, 9] : [240, 240, 240]));
+    expect(sourceNear(striped, mask, extent, () => false)).toBeNull(); // nothing like its border: no texture
+    const plain = heal(striped, mask, extent, () => -1);
+    const middle = ((95 - plain.rect.y) * plain.rect.width + 100 - plain.rect.x) * 4;
+    expect([...plain.data.subarray(middle, middle + 3)]).toEqual([9, 9, 9]);
+    const alone = (at: number) => !mask.data[at / 4];
+    expect(sourceNear(pixels, mask, extent, alone)).toBeNull();
   });
 });
 

@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 
-import { brush, color, maskShows, paintMode, toast } from "../state/store";
+import { brush, camera, color, maskShows, paintMode, toast } from "../state/store";
 import { brushFor, colorSource, grainOf, stringLength } from "./brush";
 import { DabPath, Stabiliser, type Brush } from "./dabs";
 import {
@@ -13,13 +13,16 @@ import {
   cloneFrom,
   endStroke,
   originalPixels,
+  viewPixels,
 } from "./strokes";
 import type { Pixels } from "./flood";
 import { setColor } from "./point-tools";
 import { heal } from "./heal";
 import { limit, picture, shifted, solid } from "./patch";
-import { union, type Point } from "./raster";
+import { union, type Mask, type Point, type Rect } from "./raster";
+import { selection } from "./selection";
 import type { Stroke } from "./stroke";
+import { sourceNear } from "./surroundings";
 import type { Pen, ToolHandler } from "./tool";
 
 /** The brush on its string, to be shown; null: no stroke is drawn, or there is no string. */
@@ -126,30 +129,73 @@ function fromSource(pen: Pen, name: string): Stroke | null {
 
 export const clone = sampling(along((pen) => fromSource(pen, "Clone"), undefined, true));
 
-/** Shows the copy while drawing and mends its colours at the end, when the border of the region is known. */
+/** Pixels that show the background and nothing else. */
+function emptyPixels(pixels: Pixels): (at: number) => boolean {
+  const [r, g, b] = (camera.value?.background ?? [-1, -1, -1]).map((v) => Math.round(v * 255));
+  return (at) => pixels.data[at] === r && pixels.data[at + 1] === g && pixels.data[at + 2] === b;
+}
+
+/** Mend what a stroke covers, from `offset` away or, where that is null, from what lies around it. */
+export function mend(stroke: Stroke, offset: [number, number] | null): void {
+  const { base, mask, extent } = stroke;
+  if (!base || extent.width === 0) return;
+  const isEmpty = emptyPixels(base);
+  const away = offset ?? sourceNear(base, mask, extent, isEmpty);
+  const from = (x: number, y: number) =>
+    away ? (limit(y - away[1], base.height) * base.width + limit(x - away[0], base.width)) * 4 : -1; // -1: tone alone
+  const { rect: area, data } = heal(base, mask, extent, from, isEmpty);
+  stroke.setSource((x, y, out) => {
+    const at = ((y - area.y) * area.width + x - area.x) * 4;
+    [out[0], out[1], out[2]] = [data[at], data[at + 1], data[at + 2]];
+  });
+  stroke.touch(extent);
+}
+
+/**
+ * With a source: shows the copy while drawing and mends its colours at the end, when the border of the region is known.
+ * Without one the region is shown light while it is drawn, and mended from its surroundings.
+ */
 export const healer = sampling(
   along(
-    (pen) => fromSource(pen, "Heal"),
-    (stroke) => {
-      const { base, mask, extent } = stroke;
-      const [dx, dy] = cloneFrom.value?.offset ?? [0, 0];
-      if (!base || extent.width === 0) return;
-      const healed = heal(
-        base,
-        mask,
-        extent,
-        (x, y) => (limit(y - dy, base.height) * base.width + limit(x - dx, base.width)) * 4,
-      );
-      const area = healed.rect;
-      stroke.setSource((x, y, out) => {
-        const at = ((y - area.y) * area.width + x - area.x) * 4;
-        [out[0], out[1], out[2]] = [healed.data[at], healed.data[at + 1], healed.data[at + 2]];
-      });
-      stroke.touch(extent);
+    (pen) => {
+      if (cloneFrom.value) return fromSource(pen, "Heal");
+      const stroke = beginStroke("clone", "Heal");
+      stroke?.setSource(solid([128, 128, 128], "lighten", () => stroke.base));
+      return stroke;
     },
+    (stroke) => mend(stroke, cloneFrom.value?.offset ?? null),
     true,
   ),
 );
+
+/** Fill what is selected of the view from what lies around it: tone from its border, texture from beside it. */
+export async function fillFromAround(): Promise<void> {
+  const area = selection.value;
+  if (!area) return;
+  await viewPixels();
+  const stroke = beginStroke("clone", "Fill from around", 1);
+  if (!stroke) return;
+  stroke.mask.data.set(area.data);
+  stroke.setSource(solid([128, 128, 128], "lighten", () => stroke.base));
+  stroke.touch(bounds(area));
+  await endStroke(stroke, (drawn) => {
+    const isEmpty = drawn.base ? emptyPixels(drawn.base) : () => false;
+    for (let k = 0; k < area.data.length; k++) if (isEmpty(k * 4)) drawn.mask.data[k] = 0; // nothing to paint on
+    mend(drawn, null);
+  });
+}
+
+/** The rectangle of what a mask covers. */
+function bounds({ width, height, data }: Mask): Rect {
+  let [left, top, right, bottom] = [width, height, 0, 0];
+  for (let k = 0; k < data.length; k++) {
+    if (data[k] <= 0) continue;
+    const [x, y] = [k % width, Math.floor(k / width)];
+    [left, top] = [Math.min(left, x), Math.min(top, y)];
+    [right, bottom] = [Math.max(right, x + 1), Math.max(bottom, y + 1)];
+  }
+  return { x: left, y: top, width: Math.max(0, right - left), height: Math.max(0, bottom - top) };
+}
 
 /** The next click chooses the source: for those without an Alt key. */
 export const choosingSource = signal(false);

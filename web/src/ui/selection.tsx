@@ -3,9 +3,19 @@
 import { signal } from "@preact/signals";
 
 import type { SelectByAttribute } from "../messages";
-import { changeSelection, cropBox, deselect, hideSelected, selectedCount, sent, tinted } from "../paint/selection";
+import { fillFromAround } from "../paint/freehand";
+import {
+  changeSelection,
+  cropBox,
+  deselect,
+  hideSelected,
+  selectedCount,
+  selection,
+  sent,
+  tinted,
+} from "../paint/selection";
 import { camera, readOnly, selecting, state } from "../state/store";
-import { run } from "../state/studio";
+import { report, run } from "../state/studio";
 import type { Vec3 } from "../view/camera";
 import { Button, Choice, Percent, Slider } from "./parts";
 
@@ -66,6 +76,12 @@ export function SelectionPanel() {
           text="Crop"
           disabled={off}
           onClick={() => void hideSelected(true, "Crop")}
+        />
+        <Button
+          label="Fill what is selected of this view from what lies around it"
+          text="Fill"
+          disabled={off || !selection.value}
+          onClick={() => void fillFromAround().catch(report)}
         />
       </p>
       <details open>
