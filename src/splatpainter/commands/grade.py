@@ -180,7 +180,9 @@ def _look_of_layer(path: Path) -> Look:
     layer, blobs = read_layer(path)
     look = layer.parameters.get("look")
     if layer.kind != "look" or look not in (GRADE, *TRANSFERS):
-        raise ValueError(f"{path}: expected an adjustment layer, got a layer of kind {layer.kind}")
+        raise ValueError(
+            f"{path}: expected an adjustment layer with sliders or other colours, got a layer of kind {layer.kind}"
+        )
     if layer.views or SELECTION in layer.parameters:
         raise ValueError(f"{path}: is limited to a selection, which grade takes as --where mask=M.png@CAM.json instead")
     if layer.blend != "normal":
