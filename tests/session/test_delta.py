@@ -19,6 +19,7 @@ from splatpainter.session.delta import (
     encode,
     no_delta,
 )
+from splatpainter.session.layer_blending import blend_delta
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import same_bits
 from tests.support.session_scenes import asset
@@ -61,6 +62,33 @@ def test_a_base_makes_it_version_2_and_travels_with_it():
     plain = list(encode(replace(delta, base=None)))
     assert len(plain) == len(parts) - 1 and decode(plain).base is None
     for damaged in ([plain[0], *parts[1:]], [parts[0], *plain[1:]], [*parts[:-1], parts[1]]):
+        with pytest.raises(ValueError, match=r"^delta: damaged \(.*\)$"):
+            decode(damaged)
+
+
+@pytest.mark.parametrize("base", [False, True])
+def test_of_gaussians_that_only_fade_the_opacity_alone_is_stored(base: bool):
+    before = asset(7, 2)
+    emptied = replace(before, opacities=before.opacities.copy())
+    emptied.opacities[5:35] = 0
+    after = replace(emptied, means=emptied.means.copy(), sh=emptied.sh.copy()).append(asset(2, 2))
+    after.means[30:34] += 1
+    after.sh[2, 8, 1] = -after.sh[2, 8, 1]
+    delta = between(before, after, np.array([-1, 5, 6, 6]))
+    assert delta.faded is not None
+    np.testing.assert_array_equal(delta.gaussian_ids[delta.faded], [*range(5, 30), 34])
+    if base:
+        delta = replace(delta, base=np.ones((len(delta.gaussian_ids) + 4, 9, 3), np.float32))
+    parts = list(encode(delta))
+    again = decode(parts)
+    assert sum(map(len, parts)) < 0.6 * sum(map(len, encode(replace(delta, faded=None))))
+    assert same_bits(again.apply(before), after)
+    assert same_bits(again.complete(before).values, delta.values) and same_bits(again.appended, delta.appended)
+    assert (again.base is not None) == base
+    assert list(encode(again)) == parts == list(encode(again.complete(before)))
+    half = [blend_delta(before, one, 0.5).apply(before) for one in (delta, again)]
+    assert same_bits(*half)
+    for damaged in ([*parts[:3], parts[2], *parts[4:]], parts[:3] + parts[4:]):
         with pytest.raises(ValueError, match=r"^delta: damaged \(.*\)$"):
             decode(damaged)
 

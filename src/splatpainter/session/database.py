@@ -28,6 +28,8 @@ VERSION = 3
 FIRST_READABLE = 2
 """Oldest version that can be looked at without being brought up."""
 SUFFIX = ".splatproj"
+MAX_LOG_BYTES = 4 << 20
+"""Of the log beside an open project, after it was folded back into the file."""
 
 TABLES = """
 CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -161,6 +163,7 @@ def open_writable(path: Path) -> sqlite3.Connection:
         _distrust(connection)
         connection.execute("PRAGMA journal_mode=WAL").fetchall()
         connection.execute("PRAGMA synchronous=FULL")
+        connection.execute(f"PRAGMA journal_size_limit={MAX_LOG_BYTES}").fetchall()
         connection.execute("PRAGMA fullfsync=ON")  # macOS: past the disk's own cache; nothing elsewhere
         return connection
 

@@ -53,17 +53,37 @@ class Delta:
     base: np.ndarray | None = field(default=None, repr=False)
     """[T + A, K, 3] SH with which the changed and the appended Gaussians look as those below did (appearance.py); None:
     the SH of the same index and of the parents."""
+    faded: np.ndarray | None = field(default=None, repr=False)
+    """[T] bool: changed Gaussians of which only the opacity is another, such as those that a sheet took the place of;
+    None: none is said to be. Their other values are not stored: in `values` they may be 0 (`complete`)."""
+
+    def written(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """(ids, values) of an attribute that have to be written."""
+        values = getattr(self.values, name)
+        if self.faded is None or name == "opacities":
+            return self.gaussian_ids, values
+        return self.gaussian_ids[~self.faded], values[~self.faded]
+
+    def complete(self, below: Splats) -> Delta:
+        """The same with all values."""
+        if self.faded is None or not self.faded.any():
+            return self
+        ids, values = self.gaussian_ids[self.faded], {}
+        for name in (name for name in ATTRIBUTES if name != "opacities"):
+            values[name] = getattr(self.values, name).copy()
+            values[name][self.faded] = getattr(below, name)[ids]
+        return replace(self, values=replace(self.values, **values))
 
     def apply(self, below: Splats) -> Splats:
         """The Gaussians after. Arrays in which no bit changes are shared with `below`."""
         assert len(below) == self.count, f"delta of {self.count} Gaussians on {len(below)}"
         written = {}
         for name in ATTRIBUTES:
-            old, new = getattr(below, name), getattr(self.values, name)
-            if np.array_equal(float_bits(old[self.gaussian_ids]), float_bits(new)):
+            old, (ids, new) = getattr(below, name), self.written(name)
+            if np.array_equal(float_bits(old[ids]), float_bits(new)):
                 continue
             written[name] = old.copy()
-            written[name][self.gaussian_ids] = new
+            written[name][ids] = new
         result = replace(below, **written) if written else below
         if not len(self.appended):
             return result
@@ -83,7 +103,18 @@ def between(before: Splats, after: Splats, parent_ids: np.ndarray | None = None)
     changed = changed_rows(before, after)
     tail = np.arange(n, len(after))
     parent_ids = np.full(len(tail), -1, np.int64) if parent_ids is None else parent_ids.astype(np.int64)
-    return Delta(n, changed, bare(after.take(changed)), bare(after.take(tail)), parent_ids)
+    values = bare(after.take(changed))
+    faded = only_faded(before, changed, values)
+    return Delta(n, changed, values, bare(after.take(tail)), parent_ids, faded=faded)
+
+
+def only_faded(before: Splats, ids: np.ndarray, values: Splats) -> np.ndarray:
+    """[T] bool: which of some Gaussians ([T] int) differ from `values` (T) in nothing but the opacity, bit for bit."""
+    out = np.ones(len(ids), bool)
+    for name in (name for name in ATTRIBUTES if name != "opacities"):
+        differs = float_bits(getattr(before, name)[ids]) != float_bits(getattr(values, name))
+        out &= ~differs.any(tuple(range(1, differs.ndim)))
+    return out
 
 
 def bare(splats: Splats) -> Splats:
@@ -99,16 +130,23 @@ def no_delta(below: Splats) -> Delta:
 
 def encode(delta: Delta) -> Iterator[bytes]:
     """Parts of zstd with checksums, made one at a time: a JSON head, then ids, parents and the attributes of the
-    changed and of the appended Gaussians, little-endian float32, one after the other; in version 2 then the base."""
+    changed and of the appended Gaussians, little-endian float32, one after the other; then the base where there is one.
+    Version 1 has none, version 2 has one; version 3 says whether, and holds after the parents the bits of `faded`,
+    whose values but the opacities are left out."""
     import zstandard
 
     pack = zstandard.ZstdCompressor(level=3, write_checksum=True).compress
     head = {"count": delta.count, "rows": len(delta.gaussian_ids), "appended": len(delta.appended)}
     head["coefficients"] = int(delta.values.sh.shape[1])
     version, base = (1, ()) if delta.base is None else (2, (np.asarray(delta.base, "<f4"),))
+    faded: tuple[np.ndarray, ...] = ()
+    values = [np.asarray(getattr(delta.values, name), "<f4") for name in ATTRIBUTES]
+    if delta.faded is not None and delta.faded.any():
+        version, head["base"], faded = 3, bool(base), (np.packbits(delta.faded),)
+        values = [np.asarray(delta.written(name)[1], "<f4") for name in ATTRIBUTES]
     yield pack(json.dumps({"version": version, **head}).encode())
     steps = np.diff(delta.gaussian_ids, prepend=0)  # small numbers, most of them 1
-    for column in (steps, delta.parent_ids, *_columns(delta.values), *_columns(delta.appended), *base):
+    for column in (steps, delta.parent_ids, *faded, *values, *_columns(delta.appended), *base):
         data = np.ascontiguousarray(column).reshape(-1).view(np.uint8)
         for start in range(0, max(len(data), 1), PART_BYTES):
             yield pack(data[start : start + PART_BYTES].tobytes())
@@ -148,7 +186,7 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
 
     try:
         head = json.loads(unpack(next(source)))
-        if head["version"] not in (1, 2) or head["coefficients"] not in SH_COUNTS:
+        if head["version"] not in (1, 2, 3) or head["coefficients"] not in SH_COUNTS:
             raise ValueError(f"unknown layout {head}")
         n, t, a, k = (int(head[name]) for name in ("count", "rows", "appended", "coefficients"))
         if not (0 <= t <= n <= MAX_GAUSSIANS and 0 <= a <= MAX_GAUSSIANS):
@@ -159,13 +197,16 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
             raise ValueError("ids are not ascending")
         if a and not (parent_ids.min() >= -1 and parent_ids.max() < n):
             raise ValueError("parents are out of range")
-        values, appended = _gaussians(column, t, k), _gaussians(column, a, k)
+        faded = None
+        if head["version"] == 3:
+            faded = np.unpackbits(column(-(-t // 8), "u1"), count=t).astype(bool)
+        values, appended = _gaussians(column, t, k, faded), _gaussians(column, a, k)
         base = None
-        if head["version"] == 2:
+        if head["version"] == 2 or (head["version"] == 3 and head["base"]):
             base = column((t + a) * k * 3, "<f4").reshape(t + a, k, 3).copy()
         if next(source, None) is not None:
             raise ValueError("more parts than expected")
-        return Delta(n, gaussian_ids, values, appended, parent_ids, base)
+        return Delta(n, gaussian_ids, values, appended, parent_ids, base, faded)
     except StopIteration:
         raise ValueError(f"{where}: damaged (parts are missing)") from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, zstandard.ZstdError) as error:
@@ -229,10 +270,15 @@ def _columns(splats: Splats) -> Iterator[np.ndarray]:
         yield np.asarray(getattr(splats, name), "<f4")
 
 
-def _gaussians(column, count: int, k: int) -> Splats:
+def _gaussians(column, count: int, k: int, faded: np.ndarray | None = None) -> Splats:
+    """faded: [count] bool, of which only the opacity is there; the rest of their values becomes 0."""
     shapes = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh": (k, 3)}
     arrays = {}
     for name in ATTRIBUTES:
         size = int(np.prod(shapes[name], dtype=np.int64))
-        arrays[name] = column(count * size, "<f4").reshape(count, *shapes[name]).copy()
+        if faded is None or name == "opacities":
+            arrays[name] = column(count * size, "<f4").reshape(count, *shapes[name]).copy()
+        else:
+            arrays[name] = np.zeros((count, *shapes[name]), np.float32)
+            arrays[name][~faded] = column(int((~faded).sum()) * size, "<f4").reshape(-1, *shapes[name])
     return Splats(**arrays)

@@ -69,6 +69,7 @@ def blend_delta(
         return delta
     if mask is not None and not mask.any():
         return no_delta(below)
+    delta = delta.complete(below)
     factor = np.ones(len(below), np.float32) if strength is None else strength.astype(np.float32)
     parent_factor = np.where(delta.parent_ids >= 0, factor[np.maximum(delta.parent_ids, 0)], 1)
     share, tail_share = np.float32(opacity) * factor[delta.gaussian_ids], np.float32(opacity) * parent_factor

@@ -348,7 +348,11 @@ class Project:
             rows = [(old,) for old in keys]
             db.executemany("DELETE FROM step_results WHERE result = ?", rows)
             db.executemany("DELETE FROM results WHERE key = ?", rows)
-            return _sweep(db).union(keys)
+            removed = _sweep(db).union(keys)
+        with self._mutex, contextlib.suppress(sqlite3.Error):  # a full disk: the room is free within the file
+            self._database.start()
+            self._db.execute("PRAGMA incremental_vacuum").fetchall()
+        return removed
 
     def add_bookmark(self, name: str, camera: Camera) -> str:
         query = "INSERT INTO bookmarks (name, camera) VALUES (?, ?)"

@@ -74,7 +74,7 @@ def renumber(delta: Delta, old: ReadSet, new: ReadSet, count: int) -> Delta | No
     gaussian_ids, parent_ids = (_translated(ids, old, new) for ids in (delta.gaussian_ids, delta.parent_ids))
     if gaussian_ids is None or parent_ids is None:
         return None
-    return Delta(count, gaussian_ids, delta.values, delta.appended, parent_ids)
+    return Delta(count, gaussian_ids, delta.values, delta.appended, parent_ids, faded=delta.faded)
 
 
 def _translated(ids: np.ndarray, old: ReadSet, new: ReadSet) -> np.ndarray | None:

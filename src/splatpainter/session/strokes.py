@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.session.delta import Delta, bare
+from splatpainter.session.delta import Delta, bare, only_faded
 from splatpainter.session.document import Layer, digest
 from splatpainter.session.layer_state import LayerResult, LayerState, ResultStore, ancestors
 from splatpainter.splats import ATTRIBUTES
@@ -32,7 +32,7 @@ start from there."""
 SPARE_ROOM = 0.25
 """Share of the Gaussians by which arrays grow when appended ones do not fit."""
 
-MAX_RESULT_BYTES = 16 << 20
+MAX_RESULT_BYTES = 12 << 20
 """Bytes that the results of a layer's strokes may take, each by itself; ..."""
 LATEST_BYTES = 8 << 20
 """... beyond that those of the latest strokes go on to take so many, and all before become one result."""
@@ -83,7 +83,9 @@ class Painted:
         count, splats = len(below.splats), self.state.splats
         appended = splats.take(np.arange(count, len(splats)))
         parent_ids = ancestors(self.state, count)
-        return Delta(count, self.changed, bare(splats.take(self.changed)), bare(appended), parent_ids)
+        values = bare(splats.take(self.changed))
+        faded = only_faded(below.splats, self.changed, values)
+        return Delta(count, self.changed, values, bare(appended), parent_ids, faded=faded)
 
     def layer_facts(self, layer: Layer, below: LayerState) -> dict[str, Any]:
         """Facts of the layer: the latest stroke's, and the counts of all."""
@@ -267,7 +269,8 @@ class _Writer:
         end = count + len(delta.appended)
         self._grow(end)
         for name, array in self._arrays.items():
-            array[delta.gaussian_ids] = getattr(delta.values, name)
+            ids, values = delta.written(name)
+            array[ids] = values
             array[count:end] = getattr(delta.appended, name)
         if self._origin is not None:
             parents = delta.parent_ids
