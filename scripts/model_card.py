@@ -21,7 +21,13 @@ from splatpainter.train.judge import from_json, goals, table, weak_kinds
 SOURCES = Path(__file__).with_name("model_card_sources.md")
 OBJECTS = "Single objects, mostly furniture, tools, toys, packaging, vehicles. Few plants, creatures, people; no rooms."
 
-STAGES = {"lrm": "Gaussian LRM", "compress": "Stage I", "predict": "predictor", "refine": "Stage II"}
+STAGES = {
+    "lrm": "Gaussian LRM",
+    "compress": "Stage I",
+    "predict": "predictor",
+    "rows": "Stage II on rows",
+    "refine": "Stage II",
+}
 NETWORKS = {
     "lrm": "Gaussian LRM",
     "compressor": "Stage I",

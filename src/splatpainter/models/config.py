@@ -319,6 +319,7 @@ COMPACT = ModelConfig(
         mask_tokens=True,
         lift_features=True,
         row_tokens=2048,
+        inputs="normalised",
     ),
     predict=PredictConfig(features=64, alone=True),
     decoder="bounded",
