@@ -81,8 +81,14 @@ def test_resized_and_moved_pictures_are_put_straight(studio: Live) -> None:
     file = io.BytesIO()
     big.save(file, "PNG")
     checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
-    assert checked["notes"] == ["resampled from 240x240 to its camera's 96x96"]
-    assert fetch(studio, checked["picture"]).shape == (96, 96, 3)
+    assert checked["notes"] == ["240x240: a larger render of its view of 96x96"] and checked["warnings"] == []
+    assert fetch(studio, checked["picture"]).shape == (240, 240, 3) and checked["camera"]["width"] == 240
+    large = np.asarray(Image.fromarray(mask).resize((240, 240)))
+    seen = fetch(studio, checked["mask"]) > 127
+    assert (seen & large).sum() > 0.95 * large.sum() and (seen & ~large).mean() < 0.03
+    views = [{key: checked[key] for key in ("camera", "picture", "mask")}]
+    assert studio.post("edit", kind="picture", views=views, method="lift")["layer"]["gaussians_appended"] > 0
+    studio.post("undo")
     rolled = np.roll(image, (2, -3), (0, 1))
     checked = studio.post("picture.check", picture=studio.send(png_bytes(rolled)), camera=wire(view()))
     assert checked["shift"] == [-3, 2]

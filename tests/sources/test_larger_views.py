@@ -123,5 +123,8 @@ def test_which_pictures_are_larger_views(camera: Camera) -> None:
     ):
         larger = larger_view(other, *size)
         assert (None if larger is None else (larger.width, larger.height)) == expected, size
+    limited = larger_view(other, 1280, 720, 500_000)
+    assert limited is not None and (limited.width, limited.height) == (942, 530)
+    assert larger_view(other, 1280, 720, 250_000) is None
     tiny = larger_view(camera.resized(20, 20), 2000, 2000)
     assert tiny is not None and tiny.width == 160

@@ -26,14 +26,14 @@ REACH_PX = 3
 """Pixels of the view around what surely was edited, in which differences count that may come from enlarging."""
 
 
-def larger_view(view: Camera, width: int, height: int) -> Camera | None:
-    """The view at the size of a picture, at most MAX_LARGER_PX and MAX_SCALE times its own; None where the picture is
-    not larger by MIN_SCALE, or not of its shape to a pixel of the picture."""
+def larger_view(view: Camera, width: int, height: int, max_pixels: float = math.inf) -> Camera | None:
+    """The view at the size of a picture, at most MAX_LARGER_PX and MAX_SCALE times its own and of `max_pixels`; None
+    where the picture (or what is left of it) is not larger by MIN_SCALE, or not of its shape to a pixel of it."""
     scale = width / view.width
     if scale < MIN_SCALE or abs(view.height * scale - height) > math.ceil(scale):
         return None
-    shrink = min(1, MAX_LARGER_PX / max(width, height), MAX_SCALE / scale)
-    larger = view.resized(max(1, round(width * shrink)), max(1, round(height * shrink)))
+    shrink = min(1, MAX_LARGER_PX / max(width, height), MAX_SCALE / scale, (max_pixels / (width * height)) ** 0.5)
+    larger = view.resized(max(1, int(width * shrink + 1e-6)), max(1, int(height * shrink + 1e-6)))
     return larger if larger.width > MIN_SCALE * view.width else None
 
 

@@ -17,11 +17,13 @@ from splatpainter.server.commands.context import CommandContext, command, render
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
 from splatpainter.server.storage import StoredBlob
 from splatpainter.sources.edit_files import over_render, unmultiplied
+from splatpainter.sources.larger_views import edited_in_larger, larger_view
 from splatpainter.sources.picture_reader import Picture, read_picture
 from splatpainter.sources.registration import Crop, error_at, find_crop, find_shift, undo_shift
 
 MAX_CROP_CANDIDATES = 8
 """Latest exported views that a picture without a camera may be a part of."""
+LARGER_NOTE = "{0}x{1}: a larger render of its view of {2}x{3}"
 MAX_CROP_ERROR_RATIO = 0.5
 """A picture of its view's shape is a part of it only where that agrees better by this factor."""
 CameraSource = Literal["given", "chunk", "sidecar", "export"]
@@ -83,20 +85,31 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
             f"{name}: expected the shape of its view ({expected}) or a part of it, got {got}, which matches no part; "
             "resize without cropping"
         )
-    shift = (0, 0)
+    shift, larger = (0, 0), None
     if crop is not None:
         colors = render.copy()
         colors[crop.window] = _flat(picture, render[crop.window], (crop.width, crop.height))
         notes.append(f"a part of its view: {crop.width}x{crop.height} at {crop.x}, {crop.y}; the rest is unchanged")
     else:
-        if picture.size != size:
-            notes.append(f"resampled from {picture.size[0]}x{picture.size[1]} to its camera's {size[0]}x{size[1]}")
         colors = _flat(picture, render, size) if alpha is None else _cut_out(context, picture, render, camera)
         shift = find_shift(colors, render)
+        if shift == (0, 0) and alpha is None:
+            larger = larger_view(camera, *picture.size, MAX_VIEW_PIXELS)
+        change = "resampled from {0}x{1} to its camera's {2}x{3}" if larger is None else LARGER_NOTE
+        if picture.size != size:
+            notes.append(change.format(*picture.size, *size))
+    view_render = render
+    if larger is not None:
+        camera, render = larger, _render(context, larger)
+        colors = _flat(picture, render, (camera.width, camera.height))
     if shift != (0, 0):
         colors = undo_shift(colors, render, *shift)
         notes.append(f"moved back by {shift[0]}, {shift[1]} pixels")
-    mask = registration.changed_mask(colors, render, render_alpha(studio.session.splats, camera), request.threshold)
+    cover = render_alpha(studio.session.splats, camera)
+    if larger is not None and request.threshold is None:
+        mask = edited_in_larger(colors, render, view_render, cover)
+    else:
+        mask = registration.changed_mask(colors, render, cover, request.threshold)
     share = float(mask.mean())
     if camera.asset_sha256 not in (None, studio.original.sha256):
         text = "The picture was rendered from another asset: every difference counts as an edit."
@@ -104,7 +117,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     if share > registration.REGRADED_SHARE:
         text = f"{100 * share:.0f} % of the picture changed. If it was regraded as a whole, use it as a global edit."
         warnings.append(PictureWarning(message=text))
-    else:
+    elif larger is None:  # what enlarging alone changed is no drift
         faint = registration.faint_changes(colors, render, mask)
         if faint.mean() > registration.FAINT_WARNING_SHARE * (1 - share):
             text = (
