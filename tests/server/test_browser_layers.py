@@ -60,6 +60,7 @@ def test_every_painting_tool_paints(opened: tuple[studio_scenes.Live, Page]) -> 
     keys.up("Shift")
     painted("add Erase", ["Paint", "Erase to original"])
     keys.press("t")
+    page.tab.get_by_label("On the surface").uncheck()
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
     page.tab.locator("#stage").press("Escape")  # a canvas that is only cleared goes on showing what it showed
@@ -108,6 +109,7 @@ def test_strokes_go_into_the_chosen_layer_from_several_views_and_undo_one_by_one
 def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[studio_scenes.Live, Page]) -> None:
     live, page = opened
     page.tab.keyboard.press("t")
+    page.tab.get_by_label("On the surface").uncheck()
     page.tab.get_by_role("textbox", name="Text", exact=True).fill("TEA")
     page.drag((0.5, 0.5))
     page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
@@ -140,17 +142,21 @@ def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[st
         page.tab.get_by_role("button", name="Choose a picture").click()
     chooser.value.set_files({"name": "stripes.png", "mimeType": "image/png", "buffer": file.getvalue()})
     page.wait("the sticker", lambda: page.tab.get_by_role("button", name="Apply").count())
+    page.tab.get_by_label("On the surface").check()
+    page.wait("it on the surface", lambda: page.ask("!!window.studio.placement.value?.anchor"))
     page.tab.locator("#stage").press("Enter")
     page.wait("its layer", lambda: page.names() == ["Text: MILK", "stripes.png"])
     page.settled()
     page.tab.get_by_role("button", name="Change stripes.png").click()
     page.wait("it to be hidden", lambda: not page.state()["layers"][1]["visible"])
+    page.wait("it on the surface", lambda: page.ask("!!window.studio.placement.value?.anchor"))
     page.drag((0.5, 0.5), (0.56, 0.5))
     page.tab.get_by_role("button", name="Apply").click()
     page.wait("it elsewhere", lambda: page.state()["layers"][1]["visible"])
     page.settled()
     placed = page.state()["layers"][1]["placed"]
     assert placed["x"] > 1.05 * page.camera()["width"] / 2
+    assert placed["unit"] > 0 and placed["view"]["width"] == page.camera()["width"]
     assert live.studio.session.blob(placed["image"])[:4] == b"\x89PNG"
 
 

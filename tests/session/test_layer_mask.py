@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from splatpainter.session.curvature import bend_degrees
 from splatpainter.session.layer_mask import LayerMask, MaskPart, by_rule, over
+from splatpainter.splats import Splats
+from tests.support import surface_shapes
 from tests.support.session_scenes import BLUE, CAMERA, RED, SIZE, dab, flat, load, print_of
 
 LEFT = np.zeros((SIZE, SIZE), np.float32)
@@ -96,6 +99,27 @@ def test_rules_show_by_height_slope_and_coverage() -> None:
         assert facing.any() and not (facing & away).any() and (facing | away).all()
         seen = changed(LayerMask(parts=(by_rule("coverage", 1, 1),)))
         assert 0 < seen.sum() < len(below) and not (seen & changed(LayerMask(parts=(by_rule("coverage", 0, 0),)))).any()
+
+
+def test_edges_bend_outwards_and_crevices_inwards() -> None:
+    sphere, box = surface_shapes.sphere(3000), surface_shapes.box(4000)
+    bend = bend_degrees(sphere)
+    assert np.quantile(bend, 0.05) > 15 and np.quantile(bend, 0.95) < 16  # 3 widths each way, in degrees
+    from_edge = np.sort(0.5 - np.abs(box.means), 1)[:, 1]  # distance of a face's point from its next edge
+    bend = bend_degrees(box)
+    assert abs(np.median(bend[from_edge > 0.2])) < 1 and np.median(bend[from_edge < 0.02]) > 15
+    # what stands on a floor meets it in a crevice
+    walls = box.take(np.flatnonzero(box.means[:, 1] < 0.499))
+    floor = surface_shapes.box(9000, half=(1.5, 0.02, 1.5))
+    means = np.concatenate([walls.means, floor.means + np.array([0, 0.52, 0], np.float32)])
+    quats, scales, opacities, sh = (
+        np.concatenate([getattr(walls, name), getattr(floor, name)]) for name in ("quats", "scales", "opacities", "sh")
+    )
+    bend = bend_degrees(Splats(means, quats, scales, opacities, sh))
+    beside = (np.abs(means[:, 1] - 0.5) < 1e-3) & (np.abs(means[:, 0]) > 0.5) & (np.abs(means[:, 2]) < 0.35)
+    assert np.median(bend[beside & (np.abs(means[:, 0]) < 0.54)]) < -20
+    assert abs(np.median(bend[beside & (np.abs(means[:, 0]) > 0.7)])) < 1
+    assert not bend_degrees(sphere.take(np.arange(3))).any()
 
 
 def test_records_go_there_and_back_and_others_are_refused() -> None:

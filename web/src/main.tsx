@@ -9,6 +9,7 @@ import { parseFrame } from "./net/frames";
 import { camera, pose, state } from "./state/store";
 import { cursorFrame } from "./paint/brush";
 import { meanRadius } from "./paint/dabs";
+import { handles, placement } from "./paint/placement";
 import { followSurface, surfaceOf } from "./paint/view-surface";
 import { go, link, start, viewer } from "./state/studio";
 import { App } from "./ui/app";
@@ -24,7 +25,8 @@ try {
   const brushRadius = (x: number, y: number) =>
     meanRadius(cursorFrame(x * camera.value!.width, y * camera.value!.height));
   const surface = () => surfaceOf(camera.value) !== null;
-  const studio = { viewer, link, go, pose, camera, state, parseFrame, brushRadius, surface };
+  const tools = { brushRadius, surface, placement, handles };
+  const studio = { viewer, link, go, pose, camera, state, parseFrame, ...tools };
   Object.assign(window, { studio }); // for the console and for tests
 } catch (error) {
   console.error(error);

@@ -161,6 +161,13 @@ class Placed(Message):
     color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
     image: Blob | None
     """Of a sticker."""
+    unit: float | None = Field(default=None, gt=0, le=1e9)
+    """World units per pixel of the picture, where it lies on the surface under its middle; None: it was laid on the
+    view."""
+    wrap: float = Field(default=180.0, gt=0, le=180)
+    """Degrees by which that surface may turn away."""
+    view: CameraInfo | None = None
+    """On which x and y are pixels; None: that of the layer's first picture."""
 
 
 class MaskInfo(Message):

@@ -142,6 +142,12 @@ class PainterAdapter:
         """That of the original."""
         return self._bare.surface
 
+    def asset(self, splats: Splats) -> Asset:
+        """Some state's Gaussians with the voxels and the surface that are at hand, to lay something on."""
+        asset = Asset(replace(bare(splats), origin=np.arange(len(splats))), original=self._original)
+        vars(asset)["surface"], vars(asset)["grid"] = self.surface, self.grid(splats)
+        return asset
+
     def _painter_with(self, options: Mapping[str, Any]) -> Painter:
         """The painter with other local options."""
         if not options:
@@ -595,6 +601,10 @@ class Replay:
     def surface(self) -> Surface:
         """That of the original."""
         return self._adapter.surface
+
+    def asset(self, splats: Splats) -> Asset:
+        """PainterAdapter.asset."""
+        return self._adapter.asset(splats)
 
     def prepare(self, state: LayerState, camera: Camera | None) -> None:
         """Make what a local edit of a state in a view (None: any) needs before anything else."""

@@ -16,7 +16,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
 
-Rule = Literal["height", "slope", "coverage"]
+Rule = Literal["height", "slope", "coverage", "curvature"]
 MIN_SEEN_PX = 0.02
 """Pixels of weight from which a view shows a Gaussian."""
 MAX_PARTS = 256
@@ -36,8 +36,9 @@ class MaskPart:
     there (0: as it was)."""
     rule: Rule | None = None
     """height: share of the way from the lowest to the highest Gaussian, along `axis`; slope: degrees between a
-    Gaussian's normal and `axis`; coverage: 0 untouched by the layers below, 1 seen in one of their views, 2 predicted.
-    """
+    Gaussian's normal and `axis`; coverage: 0 untouched by the layers below, 1 seen in one of their views, 2 predicted;
+    curvature: degrees by which the surface bends around the Gaussian (session/curvature.py), above 0 on edges, below in
+    crevices."""
     low: float = 0.0
     high: float = 1.0
     """What lies between both is shown, all else is not, ..."""
@@ -168,6 +169,10 @@ def _measured(splats: Splats, part: MaskPart, coverage: np.ndarray) -> np.ndarra
         solid = heights[splats.drawable & (splats.opacities > 0)]
         low, high = (solid.min(), solid.max()) if len(solid) else (0.0, 1.0)
         return (heights - low) / max(high - low, 1e-12)
+    if part.rule == "curvature":
+        from splatpainter.session.curvature import bend_degrees
+
+        return bend_degrees(splats)
     from splatpainter.lift.depth_normals import outward_normals
 
     cosines = np.clip(outward_normals(splats) @ axis, -1, 1)

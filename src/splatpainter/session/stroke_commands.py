@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import count
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from splatpainter.session.layer_factory import decode_mask_part, encode_mask_par
 from splatpainter.session.layer_mask import MAX_PARTS, LayerMask, MaskPart, over
 from splatpainter.session.project_file import Transaction
 from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.sources.decals import Decal, LaidDecal
 
 
 class StrokeCommands(ABC):
@@ -141,6 +144,14 @@ class StrokeCommands(ABC):
             document = self._document
             layers = document.layers[: document.index(layer)]
             return self._replay.compose(replace(document, layers=layers)).splats
+
+    def laid(self, decal: Decal, *, replaces: str | None = None) -> LaidDecal:
+        """A decal on the asset as it is now, or on what is below a layer: its edits, for `add("paint", laid.edits)` or
+        `replace_views(replaces, laid.edits)`. Raises ValueError as Decal.laid does."""
+        splats = self.splats if replaces is None else self.below(replaces)
+        with self._commands:
+            asset = self._replay.asset(splats)
+        return decal.laid(asset, asset.surface)
 
     def replace_views(
         self,

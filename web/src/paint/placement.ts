@@ -4,10 +4,37 @@ import { effect, signal } from "@preact/signals";
 
 import type { LayerInfo, Placed } from "../messages";
 import { blobUrl, sendBlob } from "../net/blobs";
-import { brush, camera, color, paintMode, selectedLayer, state, text, tool } from "../state/store";
+import {
+  brush,
+  camera,
+  color,
+  limits,
+  method,
+  paintMode,
+  selectedLayer,
+  state,
+  text,
+  toast,
+  tool,
+} from "../state/store";
 import { go, report, run } from "../state/studio";
 import { fromCamera, type CameraJson, type Vec3 } from "../view/camera";
+import {
+  anchorAt,
+  anchorPixel,
+  angleOf,
+  decalBounds,
+  decalHandles,
+  decalMap,
+  drawDecal,
+  upAt,
+  type Anchor,
+} from "./decal";
+import { viewScale } from "./brush-settings";
+import { limitsToSend } from "./limits";
 import { beginStroke, endStroke } from "./strokes";
+import type { SurfaceView } from "./surface-view";
+import { surfaceOf, viewSurface, wrapping } from "./view-surface";
 import { blend, type Rgb } from "./colors";
 import type { Pen, ToolHandler } from "./tool";
 
@@ -22,6 +49,12 @@ export interface Placement {
   scale: number;
   /** Radians, clockwise. */
   angle: number;
+  /** Where it lies on the surface; x, y, scale and angle follow from it. null: on the view. */
+  anchor?: Anchor | null;
+  /** It stays on the view: it was lifted off one. */
+  flat?: boolean;
+  /** World units per pixel of the image that it shall have on the surface. */
+  unit?: number;
 }
 
 export const placement = signal<Placement | null>(null);
@@ -32,11 +65,17 @@ export const placement = signal<Placement | null>(null);
 export const editedLayer = signal<{ layer: string; name: string; gesture: string; strokes?: boolean } | null>(null);
 
 const GRAB = 14;
+/** Of angles while Shift is held. */
+const STEP = Math.PI / 12;
 /** The knob for turning stands this far above the box, view pixels. */
 export const KNOB = 28;
 
+/** It is being laid on the surface by the server. */
+export const laying = signal(false);
+
 /** Corners of the box (left upper, right upper, right lower, left lower) and the knob, in view pixels. */
 export function handles(p: Placement): { corners: [number, number][]; knob: [number, number] } {
+  if (p.anchor) return decalHandles(camera.value!, p.anchor, p.image.width, p.image.height, KNOB);
   const [w, h] = [(p.image.width * p.scale) / 2, (p.image.height * p.scale) / 2];
   const toView = (x: number, y: number): [number, number] => [
     p.x + x * Math.cos(p.angle) - y * Math.sin(p.angle),
@@ -50,6 +89,7 @@ export function drawPlacement(
   context: CanvasRenderingContext2D | OffscreenCanvasRenderingContext2D,
   p: Placement,
 ): void {
+  if (p.anchor) return drawOnSurface(context, p, p.anchor);
   context.save();
   context.translate(p.x, p.y);
   context.rotate(p.angle);
@@ -59,6 +99,85 @@ export function drawPlacement(
   context.restore();
 }
 
+let map: { view: SurfaceView; anchor: Anchor; limit: number; map: Float32Array } | null = null;
+let drawn: { image: Placement["image"]; width: number; pixels: ImageData } | null = null;
+
+/** The image's pixels at about the size at which they are shown. */
+function imagePixels(image: Placement["image"], width: number): ImageData {
+  const factor = Math.min(1, 1.3 ** Math.ceil(Math.log(Math.max(width, 1) / image.width) / Math.log(1.3)));
+  const columns = Math.max(1, Math.round(image.width * factor));
+  if (drawn?.image !== image || drawn.width !== columns) {
+    const canvas = new OffscreenCanvas(columns, Math.max(1, Math.round(image.height * factor)));
+    const context = canvas.getContext("2d")!;
+    context.imageSmoothingQuality = "high";
+    context.drawImage(image, 0, 0, canvas.width, canvas.height);
+    drawn = { image, width: columns, pixels: context.getImageData(0, 0, canvas.width, canvas.height) };
+  }
+  return drawn.pixels;
+}
+
+/** As it will look on the surface: the server lays it more exactly. Nothing until the surface of this view is there. */
+function drawOnSurface(
+  context: CanvasRenderingContext2D | OffscreenCanvasRenderingContext2D,
+  p: Placement,
+  anchor: Anchor,
+): void {
+  const view = surfaceOf(camera.value);
+  if (!view) return;
+  const { limit } = wrapping.value;
+  if (map?.view !== view || map.anchor !== anchor || map.limit !== limit)
+    map = { view, anchor, limit, map: decalMap(view, anchor, limit) };
+  const size: [number, number] = [p.image.width * anchor.unit, p.image.height * anchor.unit];
+  const part = decalBounds(view, map.map, 0.6 * size[0], 0.6 * size[1]);
+  if (!part) return;
+  const shown = (size[0] * view.camera.fx) / Math.max(anchorPixel(view.camera, anchor).depth, 1e-9);
+  const pixels = drawDecal(view, map.map, imagePixels(p.image, shown), size, part);
+  const canvas = new OffscreenCanvas(part.width, part.height);
+  canvas.getContext("2d")!.putImageData(new ImageData(pixels, part.width, part.height), 0, 0);
+  context.drawImage(canvas, part.x, part.y);
+}
+
+/** x, y, scale and angle of what lies on the surface, on the present view. */
+function fromAnchor(p: Placement, anchor: Anchor): Placement {
+  const now = camera.value!;
+  const { x, y, depth } = anchorPixel(now, anchor);
+  return {
+    ...p,
+    anchor,
+    unit: anchor.unit,
+    x,
+    y,
+    scale: (anchor.unit * now.fx) / Math.max(depth, 1e-9),
+    angle: angleOf(now, anchor),
+  };
+}
+
+/** Reach over which the surface's direction is averaged under a picture, world units. */
+const evened = ({ image }: Placement, size: number): number => 0.35 * size * Math.min(image.width, image.height);
+
+/** The same, laid on the surface under its middle where the view sees one. */
+function laid(p: Placement): Placement {
+  const view = surfaceOf(camera.value);
+  const at = view?.at(p.x, p.y);
+  if (!view || !at || p.flat) return p;
+  const size = p.unit ?? (p.scale * at.point[2]) / view.camera.fx;
+  const anchor = anchorAt(view, p.x, p.y, p.angle, size, evened(p, size));
+  return anchor ? { ...p, anchor, unit: size } : p;
+}
+
+effect(() => {
+  // it goes onto the surface as soon as that is known, stays there when the view turns, and comes off it again
+  const [view, { on }, now] = [viewSurface.value, wrapping.value, camera.value];
+  const p = placement.value;
+  if (!p || !now || p.flat || laying.value) return;
+  if (!on) {
+    if (p.anchor) placement.value = { ...fromAnchor(p, p.anchor), anchor: null };
+  } else if (!p.anchor && view && surfaceOf(now)) {
+    const next = laid(p);
+    if (next !== p) placement.value = next;
+  }
+});
+
 type Grip = { part: "move" | "scale" | "turn"; from: Placement; pen: Pen };
 let grip: Grip | null = null;
 
@@ -66,6 +185,7 @@ let grip: Grip | null = null;
 export const placer: ToolHandler = {
   down(pen) {
     const p = placement.value;
+    if (laying.value) return;
     if (!p) return void (tool.value === "text" && startText(pen));
     const { corners, knob } = handles(p);
     const grabbed = ([x, y]: [number, number]) => Math.hypot(pen.x - x, pen.y - y) < GRAB;
@@ -74,14 +194,14 @@ export const placer: ToolHandler = {
   move(pen) {
     if (!grip) return;
     const { part, from, pen: first } = grip;
+    if (from.anchor) return void (placement.value = onSurface(part, from, from.anchor, first, pen));
     if (part === "move") placement.value = { ...from, x: from.x + pen.x - first.x, y: from.y + pen.y - first.y };
     const reach = (at: Pen) => Math.hypot(at.x - from.x, at.y - from.y) || 1;
     if (part === "scale")
       placement.value = { ...from, scale: Math.max(0.01, (from.scale * reach(pen)) / reach(first)) };
     if (part === "turn") {
-      const step = Math.PI / 12;
       const angle = Math.atan2(pen.y - from.y, pen.x - from.x) + Math.PI / 2;
-      placement.value = { ...from, angle: pen.shift ? Math.round(angle / step) * step : angle };
+      placement.value = { ...from, angle: pen.shift ? Math.round(angle / STEP) * STEP : angle };
     }
   },
   up() {
@@ -93,8 +213,28 @@ export const placer: ToolHandler = {
   },
 };
 
+/** Moved, scaled or turned on the surface. */
+function onSurface(part: Grip["part"], from: Placement, anchor: Anchor, first: Pen, pen: Pen): Placement {
+  const now = camera.value!;
+  const middle = anchorPixel(now, anchor);
+  if (part === "move") {
+    const view = surfaceOf(now);
+    const [x, y] = [middle.x + pen.x - first.x, middle.y + pen.y - first.y];
+    const moved = view && anchorAt(view, x, y, angleOf(now, anchor), anchor.unit, evened(from, anchor.unit));
+    return moved ? fromAnchor(from, moved) : placement.value!;
+  }
+  const reach = (at: Pen) => Math.hypot(at.x - middle.x, at.y - middle.y) || 1;
+  if (part === "scale")
+    return fromAnchor(from, { ...anchor, unit: anchor.unit * Math.max(0.02, reach(pen) / reach(first)) });
+  const turned = (at: Pen) => Math.atan2(at.y - middle.y, at.x - middle.x);
+  let angle = angleOf(now, anchor) + turned(pen) - turned(first);
+  if (pen.shift) angle = Math.round(angle / STEP) * STEP;
+  return fromAnchor(from, { ...anchor, up: upAt(now, anchor.normal, angle) });
+}
+
 /** Take it away; a layer that was being changed is as it was. */
 export async function discardPlacement(): Promise<void> {
+  if (laying.value) return;
   placement.value = null;
   const edited = editedLayer.value;
   editedLayer.value = null;
@@ -107,7 +247,9 @@ export async function changePlaced(layer: LayerInfo): Promise<void> {
   const [view] = layer.views;
   if (!placed || !view) return;
   if (placement.value) await discardPlacement();
-  go(fromCamera(view.camera as CameraJson, state.value!.asset.center as Vec3));
+  const seen = (placed.view ?? view.camera) as CameraJson;
+  go(fromCamera(seen, state.value!.asset.center as Vec3));
+  wrapping.value = { on: typeof placed.unit === "number", limit: placed.wrap ?? 180 };
   brush.value = { ...brush.value, opacity: placed.opacity };
   paintMode.value = placed.mode;
   const kind = placed.kind === "text" ? "text" : "stamp";
@@ -126,11 +268,12 @@ export async function changePlaced(layer: LayerInfo): Promise<void> {
   const gesture = `change ${layer.id} ${Date.now()}`;
   editedLayer.value = { layer: layer.id, name: layer.name, gesture };
   const [x, y] = [placed.x, placed.y].map((v, k) => {
-    const [at, now] = [view.camera, camera.value!];
+    const [at, now] = [seen, camera.value!];
     return k === 0 ? now.cx + ((v - at.cx) * now.fx) / at.fx : now.cy + ((v - at.cy) * now.fy) / at.fy;
   });
-  const scale = (placed.scale * camera.value!.fx) / view.camera.fx;
-  placement.value = { kind, image, name: layer.name, x, y, scale, angle: placed.angle };
+  const scale = (placed.scale * camera.value!.fx) / seen.fx;
+  const unit = placed.unit ?? undefined;
+  placement.value = { kind, image, name: layer.name, x, y, scale, angle: placed.angle, unit };
   await run("layer.set", { layer: layer.id, visible: false, gesture }, layer.name);
 }
 
@@ -142,7 +285,8 @@ export async function startStamp(file: Blob, name: string, view: { width: number
 }
 
 function startText(pen: Pen): void {
-  placement.value = { kind: "text", image: textImage(), name: "Text", x: pen.x, y: pen.y, scale: 1, angle: 0 };
+  const scale = viewScale.value; // letters are as large as their pixels are on the screen
+  placement.value = { kind: "text", image: textImage(), name: "Text", x: pen.x, y: pen.y, scale, angle: 0 };
 }
 
 /** The text in its font and colour on a canvas that just holds it. */
@@ -174,7 +318,8 @@ effect(() => {
 /** What is kept of it with its layer. */
 async function placedInfo(p: Placement): Promise<Placed> {
   const { x, y, scale, angle } = p;
-  const common = { x, y, scale, angle, opacity: brush.value.opacity, mode: paintMode.value };
+  const surface = { unit: p.anchor?.unit ?? null, wrap: wrapping.value.limit, view: p.anchor ? camera.value! : null };
+  const common = { x, y, scale, angle, opacity: brush.value.opacity, mode: paintMode.value, ...surface };
   const { text: words, font, size, bold, italic } = text.value;
   const written = { text: words, font, size, bold, italic, color: color.value, image: null };
   if (p.kind === "text") return { kind: "text", ...common, ...written };
@@ -184,15 +329,59 @@ async function placedInfo(p: Placement): Promise<Placed> {
   return { kind: "sticker", ...common, ...written, text: "", image };
 }
 
+/** Have it laid on the surface; it is shown as it was placed until that is done. */
+async function lay(p: Placement, anchor: Anchor, placed: Placed, name: string): Promise<void> {
+  const now = camera.value!;
+  const edited = editedLayer.value;
+  laying.value = true;
+  try {
+    const canvas = new OffscreenCanvas(p.image.width, p.image.height);
+    const context = canvas.getContext("2d")!;
+    context.globalAlpha = brush.value.opacity;
+    context.drawImage(p.image, 0, 0);
+    const picture = await sendBlob(await canvas.convertToBlob({ type: "image/png" }), `${p.kind}.png`);
+    const { x, y } = anchorPixel(now, anchor);
+    const answer = await run(
+      "decal.lay",
+      {
+        camera: now,
+        x,
+        y,
+        picture,
+        width: anchor.unit * p.image.width,
+        angle: (-angleOf(now, anchor) * 180) / Math.PI,
+        wrap: wrapping.value.limit,
+        placed,
+        ...(edited ? { replaces: edited.layer, gesture: edited.gesture } : {}),
+        name,
+        method: method.value,
+        limits: limitsToSend(limits.value),
+      },
+      name,
+    );
+    if (!answer) return; // it stays where it is, to be moved; the reason was said
+    placement.value = null;
+    editedLayer.value = null;
+    selectedLayer.value = answer.layer.id;
+    if (answer.note) toast("warning", answer.note);
+  } catch (error) {
+    report(error, name);
+  } finally {
+    laying.value = false;
+  }
+}
+
 /** Make it a layer, or the layer that it was again. */
 export async function commitPlacement(): Promise<void> {
-  const p = placement.value;
-  if (!p) return;
+  const shown = placement.value;
+  if (!shown || laying.value) return;
+  const p = shown.anchor ? fromAnchor(shown, shown.anchor) : shown; // the view may have turned since
   const edited = editedLayer.value;
   const placed = await placedInfo(p).catch((error) => void report(error));
   if (!placed) return;
   const target = edited && !edited.strokes ? { replaces: edited.layer, gesture: edited.gesture, placed } : { placed };
   const title = p.kind === "text" ? `Text: ${text.value.text.slice(0, 40)}` : p.name;
+  if (p.anchor) return lay(p, p.anchor, placed, title);
   const stroke = beginStroke("paint", title, brush.value.opacity, target);
   if (!stroke) return;
   placement.value = null;

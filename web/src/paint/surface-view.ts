@@ -31,6 +31,15 @@ export class SurfaceView {
     return [(x - cx) / fx, (y - cy) / fy, 1];
   }
 
+  /** The surface in the middle of a block, by its number; null where there is none. */
+  blockAt(k: number): SurfacePoint | null {
+    const depth = this.data[4 * k];
+    if (!(depth > 0)) return null;
+    const [i, j] = [k % this.columns, Math.floor(k / this.columns)];
+    const point = scale(this.ray((i + 0.5) * this.block, (j + 0.5) * this.block), depth);
+    return { point, normal: [this.data[4 * k + 1], this.data[4 * k + 2], this.data[4 * k + 3]] };
+  }
+
   /** The surface at a pixel; null where there is none. */
   at(x: number, y: number): SurfacePoint | null {
     const [u, v] = [x / this.block - 0.5, y / this.block - 0.5];

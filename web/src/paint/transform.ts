@@ -52,6 +52,7 @@ export async function transformLayer(): Promise<void> {
     y: view.height / 2 + (box.y + box.height / 2 - height / 2) * scale,
     scale,
     angle: 0,
+    flat: true,
   };
 }
 

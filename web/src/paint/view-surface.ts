@@ -4,20 +4,23 @@ import { effect, signal } from "@preact/signals";
 
 import { camera, state, tool } from "../state/store";
 import { link } from "../state/studio";
-import type { CameraJson } from "../view/camera";
+import { sameView, type CameraJson } from "../view/camera";
 import { engine } from "./brush-settings";
 import { SurfaceView } from "./surface-view";
 
 /** Of the present view, or of the one before until its answer is there; null: not needed so far. */
 export const viewSurface = signal<SurfaceView | null>(null);
-/** Tools that lay something on the surface ask for it by this. */
-export const surfaceUsers = signal(0);
+/** Whether texts and pictures are laid on the surface, and by how many degrees that may turn away; 180: no limit. */
+export const wrapping = signal({ on: true, limit: 180 });
 const BRUSHES = ["brush", "erase", "line", "clone", "heal"];
+const LAYING = ["text", "stamp"];
 const REST_MS = 120;
 
 /** What is known of the surface of exactly this view. */
 export const surfaceOf = (view: CameraJson | null): SurfaceView | null =>
-  viewSurface.value && viewSurface.value.camera === view ? viewSurface.value : null;
+  view && viewSurface.value && same(viewSurface.value.camera, view) ? viewSurface.value : null;
+/** The same view comes back as another object when one goes away and returns. */
+const same = (one: CameraJson, other: CameraJson): boolean => one === other || sameView(one, other);
 
 let asked = "";
 
@@ -25,7 +28,7 @@ async function ask(view: CameraJson, key: string): Promise<void> {
   asked = key;
   try {
     const { block, columns, rows, data } = await link.do("view.surface", { camera: view });
-    if (camera.value !== view) return;
+    if (!camera.value || !same(camera.value, view)) return;
     const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
     viewSurface.value = new SurfaceView(view, block, columns, rows, new Float32Array(bytes.buffer));
   } catch {
@@ -39,7 +42,8 @@ export function followSurface(): void {
   effect(() => {
     const [view, now] = [camera.value, state.value];
     const { unit, follow } = engine.value;
-    const needed = surfaceUsers.value > 0 || (BRUSHES.includes(tool.value) && (unit === "world" || follow));
+    const lays = LAYING.includes(tool.value) && wrapping.value.on;
+    const needed = lays || (BRUSHES.includes(tool.value) && (unit === "world" || follow));
     clearTimeout(timer);
     if (!view || !now || !needed) return;
     // paint changes what is seen, but hardly where the surface is: layers that hide something do

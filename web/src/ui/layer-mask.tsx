@@ -13,12 +13,14 @@ import { Button, Choice, Slider } from "./parts";
 /** Whether the settings of masks are open. */
 export const maskOpen = signal(false);
 
-type RuleName = "height" | "slope" | "coverage";
-const RULES: Record<RuleName, { label: string; max: number; step: number; unit: string; scale: number }> = {
-  height: { label: "Height", max: 100, step: 1, unit: " %", scale: 0.01 },
-  slope: { label: "Angle from upright", max: 180, step: 1, unit: "°", scale: 1 },
-  coverage: { label: "Coverage", max: 2, step: 1, unit: "", scale: 1 },
-};
+type RuleName = "height" | "slope" | "coverage" | "curvature";
+const RULES: Record<RuleName, { label: string; min?: number; max: number; step: number; unit: string; scale: number }> =
+  {
+    height: { label: "Height", max: 100, step: 1, unit: " %", scale: 0.01 },
+    slope: { label: "Angle from upright", max: 180, step: 1, unit: "°", scale: 1 },
+    coverage: { label: "Coverage", max: 2, step: 1, unit: "", scale: 1 },
+    curvature: { label: "Edges and crevices", min: -90, max: 90, step: 1, unit: "°", scale: 1 },
+  };
 const SHOWS = [
   ["hide", "Hide"],
   ["show", "Show"],
@@ -56,6 +58,11 @@ function byRule(layer: LayerInfo, part: Partial<NonNullable<typeof rule.value>>,
   const { name, low, high, soft } = next;
   const { scale } = RULES[name];
   const values = { low: Math.min(low, high) * scale, high: Math.max(low, high) * scale, soft: soft * scale };
+  if (name === "curvature") {
+    // the ends of the sliders are open: few places bend further
+    if (values.low === RULES.curvature.min) values.low = -180;
+    if (values.high === RULES.curvature.max) values.high = 180;
+  }
   gesture ||= `rule ${Math.random().toString(36).slice(2)}`;
   void set(layer, { mask: name, ...values, gesture });
 }
@@ -118,7 +125,11 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
           onChange={(name) => {
             if (!name) return;
             gesture = "";
-            const high = name === "coverage" ? 0 : RULES[name].max / 2;
+            const { max } = RULES[name];
+            // edges: what bends outwards
+            if (name === "curvature")
+              return byRule(layer, { layer: layer.id, name, low: 12, high: max, soft: 8 }, true);
+            const high = name === "coverage" ? 0 : max / 2;
             byRule(layer, { layer: layer.id, name, low: 0, high, soft: 0 }, true);
           }}
         />
@@ -146,7 +157,7 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
             key={key}
             label={{ low: "From", high: "To", soft: "Soft" }[key]}
             value={r[key]}
-            min={0}
+            min={key === "soft" ? 0 : (measure.min ?? 0)}
             max={measure.max}
             step={measure.step}
             unit={measure.unit}

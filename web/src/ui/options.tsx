@@ -9,6 +9,7 @@ import { commitPlacement, discardPlacement, editedLayer, placement, startStamp }
 import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
 import { setColor } from "../paint/point-tools";
 import type { Combine } from "../paint/select";
+import { wrapping } from "../paint/view-surface";
 import {
   brush,
   camera,
@@ -79,7 +80,7 @@ export function Options() {
         <span class="hint">This layer's paint; Shift: back to the original</span>
       )}
       {current === "pick" && <span class="hint">Click: takes the colour as it is seen</span>}
-      {colored && (
+      {colored && !placement.value?.anchor && (
         <Choice label="Mode" value={paintMode.value} options={MODES} onChange={(value) => (paintMode.value = value)} />
       )}
       {colored && current !== "stamp" && <Recent />}
@@ -192,6 +193,7 @@ function Text() {
       <Slider label="Size" value={t.size} min={8} max={400} log unit=" px" onInput={(size) => set({ size })} />
       <Check label="Bold" value={t.bold} onChange={(bold) => set({ bold })} />
       <Check label="Italic" value={t.italic} onChange={(italic) => set({ italic })} />
+      {!placement.value?.flat && <OnSurface />}
       {placement.value ? <Place /> : <span class="hint">Click on the asset</span>}
     </>
   );
@@ -213,7 +215,35 @@ function Stamp() {
         accept="image/png,image/jpeg,image/webp,image/avif"
         onFiles={start}
       />
+      {!placement.value?.flat && <OnSurface />}
       {placement.value ? <Place /> : <span class="hint">or paste one</span>}
+    </>
+  );
+}
+
+/** Whether it lies on the surface, and how far round. */
+function OnSurface() {
+  const { on, limit } = wrapping.value;
+  return (
+    <>
+      <Check
+        label="On the surface"
+        value={on}
+        onChange={(next) => (wrapping.value = { ...wrapping.value, on: next })}
+      />
+      {on && (
+        <Slider
+          label="Wrap"
+          value={limit}
+          min={5}
+          max={180}
+          step={5}
+          unit="°"
+          reset={180}
+          onInput={(v) => (wrapping.value = { ...wrapping.value, limit: Math.round(v) })}
+        />
+      )}
+      {on && placement.value && !placement.value.anchor && <span class="hint">No surface under it yet</span>}
     </>
   );
 }

@@ -8,7 +8,7 @@ import { meanRadius, type Frame } from "../paint/dabs";
 import { pulled } from "../paint/freehand";
 import { cloneFrom } from "../paint/strokes";
 import { boxHandles, handleAt } from "../paint/crop-box";
-import { drawPlacement, handles, placement } from "../paint/placement";
+import { drawPlacement, handles, laying, placement } from "../paint/placement";
 import { draft } from "../paint/point-tools";
 import { outline } from "../paint/select";
 import type { Mask } from "../paint/raster";
@@ -77,9 +77,10 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
     const placed = placement.value;
     if (placed) {
       drawPlacement(context, placed);
-      const { corners, knob } = handles(placed);
-      two(polyline(corners.flat()));
-      for (const [x, y] of [...corners, knob]) {
+      const { corners, knob } = laying.value ? { corners: [], knob: [0, 0] as [number, number] } : handles(placed);
+      empty = false;
+      if (corners.length) two(polyline(corners.flat()));
+      for (const [x, y] of corners.length ? [...corners, knob] : []) {
         const dot = new Path2D();
         dot.arc(x, y, 5 / k, 0, 7);
         context.fillStyle = "#fff";

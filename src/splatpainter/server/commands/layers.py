@@ -111,14 +111,14 @@ class MaskSet(Command):
     NAME = "layer.mask"
     ANSWER = LayerMade
     layer: str
-    mask: Literal["reveal", "hide", "remove", "on", "off", "area", "height", "slope", "coverage"]
+    mask: Literal["reveal", "hide", "remove", "on", "off", "area", "height", "slope", "coverage", "curvature"]
     camera: CameraInfo | None = None
     """Of an area."""
     area: Blob | None = None
     """Of an area: a mask picture of the camera's shape; what is not black is selected, by its brightness."""
     low: float = 0.0
-    """Of a rule: share of the height (0..1), degrees from `up` (0..180), or coverage (0: as the original, 1: seen in a
-    view of the layers below, 2: predicted)."""
+    """Of a rule: share of the height (0..1), degrees from `up` (0..180), coverage (0: as the original, 1: seen in a
+    view of the layers below, 2: predicted), or degrees of bend (-180..180: crevices below 0, edges above)."""
     high: float = 1.0
     soft: float = Field(default=0.0, ge=0)
     gesture: Name | None = None
@@ -142,7 +142,7 @@ def set_mask(context: CommandContext, request: MaskSet) -> LayerMade:
                 mask = None
             elif request.mask in ("on", "off"):
                 mask = replace(before or LayerMask(), enabled=request.mask == "on")
-            elif request.mask in ("height", "slope", "coverage"):
+            elif request.mask in ("height", "slope", "coverage", "curvature"):
                 axis = up_axis(session)
                 mask = LayerMask(parts=(by_rule(request.mask, request.low, request.high, request.soft, axis),))
             session.set_mask(request.layer, mask, what=f"mask ({request.mask})", gesture=request.gesture)

@@ -48,6 +48,7 @@ from splatpainter.server.protocol import (
     Unit,
 )
 from splatpainter.server.stroke import Stroke
+from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
 from splatpainter.session.document import PLACED, SELECTION, SOURCE, Kind
@@ -286,7 +287,7 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
     else:
         edits = [edit_from_upload(context, view, request.mode) for view in request.views]
     if request.mode == "local":
-        edits = [_within_selection(context, edit) for edit in edits]
+        edits = [edit for edit in (within_selection(context.studio, edit) for edit in edits) if edit is not None]
     options: dict[str, Any] = {"name": request.name, "mode": request.mode, "method": request.method}
     options |= {"opacity": request.opacity, "blend": request.blend}
     if request.within and request.mode == "global":
@@ -319,17 +320,19 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
     return layer_made(context, layer.id, python_line("session.add", request.kind, words, **options))
 
 
-def _within_selection(context: CommandContext, edit: Edit) -> Edit:
-    """A local edit of what is selected. Raises ValueError where none of it is."""
-    part = context.studio.selection.view(edit.camera)
+def within_selection(studio: Studio, edit: Edit, required: bool = True) -> Edit | None:
+    """A local edit of what is selected. Where none of it is: raises ValueError if `required`, else None."""
+    part = studio.selection.view(edit.camera)
     if part is None:
         return edit
     mask = edit.mask
     if mask is None:
-        mask = change_mask(edit.image, render(context.studio.session.splats, edit.camera).colors[0])
-    if not (mask & (part > 0.5)).any():
+        mask = change_mask(edit.image, render(studio.session.splats, edit.camera).colors[0])
+    if (mask & (part > 0.5)).any():
+        return replace(edit, mask=mask & (part > 0.5))
+    if required:
         raise ValueError(f"{edit.name}: changes nothing of what is selected; deselect first")
-    return replace(edit, mask=mask & (part > 0.5))
+    return None
 
 
 def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> Edit:

@@ -1,0 +1,87 @@
+"""Decals over HTTP: laid on the surface under a pixel as a layer, changed afterwards, kept to what is selected."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatpainter.rendering import render
+from splatpainter.server.protocol import CameraInfo
+from tests.support import studio_scenes, surface_shapes
+from tests.support.studio_scenes import Live, view
+
+CAMERA = CameraInfo.of(view()).model_dump()
+MIDDLE = (48.0, 48.0)
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[Live]:
+    studio = studio_scenes.make_studio(tmp_path, surface_shapes.sphere(1500))
+    with studio_scenes.live(studio) as one:
+        yield one
+
+
+def label(color: tuple[int, int, int]) -> bytes:
+    file = io.BytesIO()
+    Image.new("RGBA", (24, 12), (*color, 255)).save(file, "png")
+    return file.getvalue()
+
+
+def placed(text: str, **fields: Any) -> dict[str, Any]:
+    written = {"text": text, "font": "serif", "size": 12, "bold": False, "italic": False, "color": "#ff0000"}
+    pose = {"x": 48, "y": 48, "scale": 1, "angle": 0, "opacity": 1, "mode": "normal"}
+    return {"kind": "text", **pose, **written, "image": None, "unit": 0.03, "wrap": 90, "view": CAMERA, **fields}
+
+
+def test_a_decal_is_a_layer_that_can_be_changed(live: Live) -> None:
+    session = live.studio.session
+    before = render(session.splats, view()).colors[0]
+    fields = {"camera": CAMERA, "x": MIDDLE[0], "y": MIDDLE[1], "width": 0.6, "name": "Word"}
+    answer = live.post("decal.lay", picture=live.send(label((255, 0, 0))), placed=placed("one"), **fields)
+    assert answer["coverage"] > 0.9 and 1 <= answer["views"] <= 6 and answer["note"] == ""
+    assert answer["layer"]["placed"]["unit"] == 0.03 and answer["layer"]["placed"]["view"]["width"] == 96
+    change = np.abs(render(session.splats, view()).colors[0] - before).max(-1)
+    assert change[48, 48] > 0.2 and change[5:20, 5:20].max() < 0.02
+    rows, columns = np.nonzero(change > 0.1)
+    assert np.ptp(columns) > 1.5 * np.ptp(rows)  # it lies as the label does
+    layer = answer["layer"]["id"]
+    again = live.post(
+        "decal.lay", picture=live.send(label((0, 0, 255))), placed=placed("two"), replaces=layer, angle=90.0, **fields
+    )
+    assert [one.id for one in session.layers] == [layer] == [again["layer"]["id"]]
+    assert again["layer"]["placed"]["text"] == "two"
+    turned = np.abs(render(session.splats, view()).colors[0] - before).max(-1)
+    rows, columns = np.nonzero(turned > 0.1)
+    assert np.ptp(rows) > 1.5 * np.ptp(columns)
+    live.post("undo")
+    assert session.layer(layer).parameters["placed"]["text"] == "one"
+
+
+def test_a_decal_keeps_to_what_is_selected(live: Live) -> None:
+    left = np.zeros((96, 96))
+    left[:, :48] = 255
+    file = io.BytesIO()
+    Image.fromarray(left.astype(np.uint8)).convert("RGB").save(file, "png")
+    live.post("selection.area", camera=CAMERA, mask=live.send(file.getvalue()), how="replace", through=False)
+    before = render(live.studio.session.splats, view()).colors[0]
+    picture = live.send(label((255, 0, 0)))
+    live.post("decal.lay", camera=CAMERA, x=48, y=48, width=0.6, picture=picture)
+    change = np.abs(render(live.studio.session.splats, view()).colors[0] - before).max(-1)
+    assert change[48, 40] > 0.2 and change[48, 58] < 0.05
+    with_nothing = live.http.post(
+        "/api/do/decal.lay", json={"camera": CAMERA, "x": 70, "y": 48, "width": 0.1, "picture": picture}
+    )
+    assert with_nothing.status_code == 400 and "selected" in with_nothing.json()["error"]["message"]
+
+
+def test_where_there_is_no_surface_it_says_so(live: Live) -> None:
+    fields = {"camera": CAMERA, "x": 2, "y": 2, "width": 0.5, "picture": live.send(label((255, 0, 0)))}
+    answer = live.http.post("/api/do/decal.lay", json=fields)
+    assert answer.status_code == 400 and "no surface" in answer.json()["error"]["message"]
+    assert not live.studio.session.layers
