@@ -24,7 +24,8 @@ try {
   followSurface();
   const brushRadius = (x: number, y: number) =>
     meanRadius(cursorFrame(x * camera.value!.width, y * camera.value!.height));
-  const surface = () => surfaceOf(camera.value) !== null;
+  const surface = (x = 0.5, y = 0.5) =>
+    surfaceOf(camera.value)?.at(x * camera.value!.width, y * camera.value!.height) ?? null;
   const tools = { brushRadius, surface, placement, handles };
   const studio = { viewer, link, go, pose, camera, state, parseFrame, ...tools };
   Object.assign(window, { studio }); // for the console and for tests

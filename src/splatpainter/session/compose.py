@@ -142,12 +142,6 @@ class PainterAdapter:
         """That of the original."""
         return self._bare.surface
 
-    def asset(self, splats: Splats) -> Asset:
-        """Some state's Gaussians with the voxels and the surface that are at hand, to lay something on."""
-        asset = Asset(replace(bare(splats), origin=np.arange(len(splats))), original=self._original)
-        vars(asset)["surface"], vars(asset)["grid"] = self.surface, self.grid(splats)
-        return asset
-
     def _painter_with(self, options: Mapping[str, Any]) -> Painter:
         """The painter with other local options."""
         if not options:
@@ -203,8 +197,7 @@ class Replay:
         self._merged: tuple[tuple[str, str], Delta] | None = None
         self._strokes = StrokeChains(store, self._painted_stroke)
         self._masks = MaskWeights(store)
-        self._seen: tuple[str, VisibleSurface] | None = None
-        """Of the latest state and view that `coarse_surface` was asked for."""
+        self._seen: tuple[str, VisibleSurface] | None = None  # of the latest state and view
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)
 
     def compose(self, document: Document, progress: Progress | None = None, strict: str | None = None) -> LayerState:
@@ -579,32 +572,26 @@ class Replay:
         return decode_mask(self._store.blob(view.mask), view.camera, "mask")
 
     def left_out(self, state: LayerState, camera: Camera, limits: Mapping[str, Any]) -> np.ndarray:
-        """[H, W] bool: pixels of a view whose paint the limits would leave out (lift.limits.left_out), by parameters as
-        of a layer; what the view sees is cached for the latest one."""
+        """[H, W] bool: pixels of a view whose paint the limits (a layer's parameters) leave out (lift.limits)."""
         from splatpainter.lift.limits import left_out
         from splatpainter.lift.options import LOCAL_DEFAULTS
 
         options = replace(self.painter.local_options or LOCAL_DEFAULTS, **limits_of(limits, "limits"))
-        coarse = self.coarse_surface(state, camera)
-        return left_out(coarse, camera, options.angle_limit, options.depth_edge_limit)
+        return left_out(self.coarse_surface(state, camera), camera, options.angle_limit, options.depth_edge_limit)
 
     def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
-        """What a view sees of a state's surface, on blocks of pixels (lift.limits.coarse_surface)."""
+        """What a view sees of a state's surface, on blocks of pixels (lift.limits); cached for the latest one."""
         from splatpainter.lift.limits import coarse_surface
 
         key, seen = f"{state.key} {camera.to_json()}", self._seen
         if seen is None or seen[0] != key:
-            seen = self._seen = (key, coarse_surface(self._adapter.surface, state.splats, camera))
+            seen = self._seen = (key, coarse_surface(self.surface, state.splats, camera))
         return seen[1]
 
     @property
     def surface(self) -> Surface:
         """That of the original."""
         return self._adapter.surface
-
-    def asset(self, splats: Splats) -> Asset:
-        """PainterAdapter.asset."""
-        return self._adapter.asset(splats)
 
     def prepare(self, state: LayerState, camera: Camera | None) -> None:
         """Make what a local edit of a state in a view (None: any) needs before anything else."""

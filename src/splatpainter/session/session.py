@@ -306,10 +306,16 @@ class Session(StrokeCommands, Annotations):
 
     def surface_blocks(self, camera: Camera) -> tuple[np.ndarray, int]:
         """([rows, columns, 4] float32 z-depth and unit normal towards the camera (camera space) of the surface in the
-        middle of each block of a view, depth 0 where it is not trusted or there is none; pixels along a block)."""
+        middle of each block of a view, depth 0 where it is not trusted or there is none; pixels along a block). Of the
+        original, less what is hidden: paint lies on that surface, whatever it is made of."""
         from splatpainter.lift.limits import blocks_px
 
-        coarse = self._replay.coarse_surface(self._snapshot.state, camera)
+        document, state = self._snapshot.document, self._replay.base_state
+        hiding = tuple(layer for layer in document.layers if layer.kind == "hide" and layer.visible)
+        if hiding:
+            with self._commands:
+                state = self._replay.compose(replace(document, layers=hiding))
+        coarse = self._replay.coarse_surface(state, camera)
         rows, columns = coarse.index.shape
         middles = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2) + 0.5
         at = coarse.at(middles.astype(np.float64))

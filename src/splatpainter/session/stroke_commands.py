@@ -14,8 +14,9 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
-from splatpainter.painter import Edit, Method, Painter
+from splatpainter.painter import Asset, Edit, Method, Painter
 from splatpainter.session.compose import Replay
+from splatpainter.session.delta import bare
 from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, add_layer, add_stroke, change_layer
 from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_factory import decode_mask_part, encode_mask_part, new_layer
@@ -149,9 +150,8 @@ class StrokeCommands(ABC):
         """A decal on the asset as it is now, or on what is below a layer: its edits, for `add("paint", laid.edits)` or
         `replace_views(replaces, laid.edits)`. Raises ValueError as Decal.laid does."""
         splats = self.splats if replaces is None else self.below(replaces)
-        with self._commands:
-            asset = self._replay.asset(splats)
-        return decal.laid(asset, asset.surface)
+        asset = Asset(replace(bare(splats), origin=np.arange(len(splats))), original=bare(self._replay.original))
+        return decal.laid(asset, self._replay.surface)
 
     def replace_views(
         self,
