@@ -12,7 +12,7 @@ import { maskPng } from "../paint/picture";
 import { selectedCount, selection } from "../paint/selection";
 import { addChecked } from "../state/dropped-images";
 import { camera, method, readOnly, selectedLayer, toast } from "../state/store";
-import { report, run } from "../state/studio";
+import { link, report, run } from "../state/studio";
 import { Button, Check, Choice, Dialog, Slider } from "./parts";
 
 type What = "view" | "around" | "refine";
@@ -158,20 +158,18 @@ function Around({ source }: { source: SourceInfo }) {
   const limit = maxViews.value;
   const begin = fromHere.value;
   useEffect(() => {
-    let latest = true;
+    let stop: (() => void) | undefined;
     plan.value = null;
     const wait = setTimeout(() => {
-      void run("source.plan", {
-        source: source.name,
-        camera: begin ? camera.value : null,
-        max_views: limit,
-      }).then((answer) => {
-        if (latest) plan.value = answer;
-      });
+      const fields = { source: source.name, camera: begin ? camera.value : null, max_views: limit };
+      const running = link.do("source.plan", fields);
+      stop = running.cancel;
+      running.then((answer) => stop && (plan.value = answer), report);
     }, 200);
     return () => {
-      latest = false;
       clearTimeout(wait);
+      stop?.();
+      stop = undefined;
     };
   }, [source.name, limit, begin]);
   const now = plan.value;
