@@ -31,6 +31,7 @@ ORDER = (
     ("voxels",),
     ("surface",),
     ("lift",),
+    ("spread",),
     ("fit",),
     ("nn",),
     ("models",),

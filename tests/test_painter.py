@@ -322,7 +322,7 @@ ERRORS: dict[str, tuple[Callable[[Splats], object], str]] = {
     ),
     "no weights": (edit_once(method="ttt"), "weights"),
     "unknown method": (edit_once(method="magic"), "auto, ttt, lift or fit.*'magic'"),
-    "unknown mode": (edit_once(mode="everywhere"), "local or global.*'everywhere'"),
+    "unknown mode": (edit_once(mode="everywhere"), "local, global, spread.*'everywhere'"),
     "fit is local": (edit_once(mode="global", method="fit"), "'fit' is for local"),
     "unknown preset": (lambda s: Painter.load("paper"), "'paper': no trained weights.*'lift'"),
     "nothing to draw": (

@@ -23,6 +23,7 @@ MEASUREMENTS = {
     "lift": "quality of local edits on given assets, with a contact sheet",
     "painted": "quality of paint on held-out meshes, in novel views, against the painted surface",
     "adapt": "what carries an edit to Gaussians that no picture shows: test-time training and others, at equal cost",
+    "spread": "how well a recoloured material is found and carried on where the edited view does not look",
     "studio": "what an artist waits for in the studio, and its server's memory",
 }
 TABLES = {
@@ -196,7 +197,7 @@ class JsonOption:
 
 
 def measure(name: str, words: Sequence[str]) -> Outcome:
-    """speed, lift, painted, adapt or studio. Raises ValueError for words and files that make no sense."""
+    """speed, lift, painted, adapt, spread or studio. Raises ValueError for words and files that make no sense."""
     from splatpainter.text_tables import markdown
 
     module_name, options_name = {
@@ -204,6 +205,7 @@ def measure(name: str, words: Sequence[str]) -> Outcome:
         "lift": ("local_edits", "LiftBench"),
         "painted": ("painted", "PaintedBench"),
         "adapt": ("adapt", "AdaptBench"),
+        "spread": ("spread", "SpreadBench"),
         "studio": ("studio", "StudioBench"),
     }[name]
     try:

@@ -11,6 +11,16 @@ from splatpainter.splats import SH_C0, Array, ColorSpace
 
 LUMA = (0.2126, 0.7152, 0.0722)
 """Weights of Rec. 709: the luminance of linear colours, and near enough the luma of display colours."""
+TO_LMS = (
+    (0.4122214708, 0.5363325363, 0.0514459929),
+    (0.2119034982, 0.6806995451, 0.1073969566),
+    (0.0883024619, 0.2817188376, 0.6299787005),
+)
+LMS_TO_LAB = (
+    (0.2104542553, 0.7936177850, -0.0040720468),
+    (1.9779984951, -2.4285922050, 0.4505937099),
+    (0.0259040371, 0.7827717662, -0.8086757660),
+)
 
 
 def srgb_to_linear(display: Array) -> Array:
@@ -43,6 +53,13 @@ def to_light(colors: np.ndarray, space: ColorSpace) -> np.ndarray:
 def luminance(colors: Array) -> Array:
     """[..., 3] -> [...] Rec. 709 weighted sum."""
     return LUMA[0] * colors[..., 0] + LUMA[1] * colors[..., 1] + LUMA[2] * colors[..., 2]
+
+
+def oklab(colors: np.ndarray) -> np.ndarray:
+    """[N, 3] display colours 0..1 -> [N, 3] float64 lightness, a, b (Ottosson, "A perceptual color space for image
+    processing", 2020)."""
+    light = srgb_to_linear(colors.astype(np.float64))
+    return np.cbrt(light @ np.array(TO_LMS).T) @ np.array(LMS_TO_LAB).T
 
 
 def base_color(sh: Array) -> Array:

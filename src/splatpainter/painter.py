@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -31,10 +31,11 @@ if TYPE_CHECKING:
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
+    from splatpainter.spread.spread import SpreadOptions
     from splatpainter.surface.estimate import Surface
     from splatpainter.voxels.grid import VoxelGrid
 
-Mode = Literal["local", "global"]
+Mode = Literal["local", "global", "spread"]
 Method = Literal["auto", "ttt", "lift", "fit"]
 MAX_VIEWS = 16
 LOW_ASIDE_DB = 20.0
@@ -87,7 +88,8 @@ class Asset:
     receipt: Receipt | None = None
     """Of the edit that made it; None for a fresh one."""
     confidence: np.ndarray | None = field(default=None, repr=False)
-    """[N] float32 0..1 after a global edit: seen (1) or predicted (towards 0)."""
+    """[N] float32 0..1 after a global edit: seen (1) or predicted (towards 0); after one of mode spread: how sure it is
+    that a Gaussian is of the painted material."""
     encoding: EncodedAsset | None = field(default=None, repr=False)
     """For a model's edits; None where none has needed it yet."""
     original: Splats | None = field(default=None, repr=False)
@@ -164,6 +166,8 @@ class Painter:
     """Settings of local lifts; None: the defaults."""
     global_options: GlobalOptions | None = None
     """Settings of global lifts; None: the defaults."""
+    spread_options: SpreadOptions | None = None
+    """How far edits of mode spread reach; None: the defaults."""
     model: SplatPainterModel | None = field(default=None, repr=False)
     """The networks for method "ttt", on any device; None: the lift alone."""
     polish: bool = False
@@ -239,6 +243,8 @@ class Painter:
 
         mode "local": only Gaussians that visibly make the edited pixels change, finer ones are appended.
         mode "global": every Gaussian changes; what the views do not show is predicted from what they do.
+        mode "spread": as "local", and the change of colour goes on over the rest of the painted material, as far as
+        `spread_options` says (spread/spread.py); by the lift alone.
         method "ttt": the networks (pictures of one size); "lift": analytic; "fit": the lift, then steps of 3DGS on the
         Gaussians that it painted, seconds to tens of them; "auto": ttt where the painter has a model that is better in
         this mode, else lift. An asset that its model has not encoded yet is encoded first.
@@ -246,8 +252,8 @@ class Painter:
         Raises ValueError: no edits, an empty mask, an edit that reaches no Gaussian, a camera inside the object."""
         if not 1 <= len(edits) <= MAX_VIEWS:
             raise ValueError(f"edit: expected 1 to {MAX_VIEWS} edited views, got {len(edits)}")
-        if mode not in ("local", "global"):
-            raise ValueError(f"edit: expected mode local or global, got {mode!r}")
+        if mode not in get_args(Mode):
+            raise ValueError(f"edit: expected mode {', '.join(get_args(Mode))}, got {mode!r}")
         chosen, note = self.choose(method, mode)
         if mode == "global" and chosen == "fit":
             raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
@@ -288,7 +294,7 @@ class Painter:
         chosen: Method,
         note: str,
     ) -> Receipt:
-        notes = [note, _beside(views) if mode == "local" else "", _beyond_limits(views, lifted.limited)]
+        notes = [note, _beside(views) if mode != "global" else "", _beyond_limits(views, lifted.limited), lifted.note]
         if chosen == "ttt":
             assert self.model is not None
             notes.append("polished: two rounds of the lift after the network" if self.polish else "")
@@ -296,7 +302,7 @@ class Painter:
                 notes.append(f"the asset is a copy of {len(asset.splats)} rows that the model made")
         touched = changed_rows(asset.splats, result.splats)
         hashes = untouched_hashes(asset.splats, result.splats, touched) if self.proof else ("", "")
-        aside = self._aside(asset, result, views) if self.aside and mode == "local" else ()
+        aside = self._aside(asset, result, views) if self.aside and mode != "global" else ()
         notes.append(_seen_aside(aside))
         judged = scores([(*_before_and_after(asset, result, v, touched), v.edited, v.mask, _scored(v)) for v in views])
         return Receipt(
@@ -346,6 +352,10 @@ class Painter:
             raise ValueError(
                 "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
             )
+        if mode == "spread":
+            if method not in ("auto", "lift"):
+                raise ValueError(f"method: mode spread is made by the lift alone, got {method!r}")
+            return "lift", "mode spread: the analytic lift"
         if method == "auto":
             if self.model is not None and not self.why:
                 gain = self.model.notes.get("gain", {}).get(mode)
@@ -388,6 +398,8 @@ class Painter:
         from splatpainter.lift.edits import lift_global_views, lift_local_views
         from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS
 
+        if mode == "spread":
+            return self._spread(asset, views)
         config = self.model.config.refine if chosen == "ttt" and self.model is not None else None
         base, features = ("lift", False) if config is None else (config.base, config.lift_features)
         if mode == "local":
@@ -414,6 +426,16 @@ class Painter:
             normals=asset.normals,
             predict=None if config is None else self._predict(asset),
         )
+
+    def _spread(self, asset: Asset, views: Sequence[EditView]) -> LiftedEdit:
+        """The painted material in its new colour all around, and the local lift on that."""
+        from splatpainter.spread.spread import SPREAD_DEFAULTS, spread
+
+        result = spread(asset.splats, views, self.spread_options or SPREAD_DEFAULTS)
+        below = replace(asset, splats=result.splats, original=asset.original or asset.splats)
+        vars(below).update({name: getattr(asset, name) for name in ("grid", "surface")})  # places have not changed
+        again = [replace(view, before=_draw(result.splats, view.camera)[0]) for view in views]
+        return result.with_lift(self._lifted(below, again, "local", "lift"))
 
     def _predict(self, asset: Asset) -> Predict | None:
         """The model's prediction for Gaussians that no view shows; None where it leaves that to the lift."""

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from splatpainter.cameras import look_at
-from splatpainter.color import base_color, luminance, srgb_to_linear
+from splatpainter.color import base_color, luminance, oklab, srgb_to_linear
 from splatpainter.grading.grade import describe, grade
-from splatpainter.grading.region import Region, hues, oklab
+from splatpainter.grading.region import Region, hues
 from splatpainter.image_files import write_png
 from splatpainter.sources.color_grading import GradeSettings, grade_sh
 from splatpainter.sources.color_match import ColorMatch, Recolor, monge_kantorovitch, seen_weights, statistics

@@ -94,9 +94,9 @@ def test_bad_limits_are_refused(parameters: dict[str, Any], reason: str):
         with pytest.raises(ValueError, match=reason):
             session.set(layer, parameters=parameters)
         assert session.layer(layer).parameters == {} and len(session.history) == 2
-        with pytest.raises(ValueError, match="with pictures in mode local only"):
+        with pytest.raises(ValueError, match="with pictures in modes local and spread only"):
             session.add("picture", [edit], mode="global", parameters={"angle_limit": 60})
-        with pytest.raises(ValueError, match="with pictures in mode local only"):
+        with pytest.raises(ValueError, match="with pictures in modes local and spread only"):
             session.add("erase", [edit], parameters={"angle_limit": 60})
 
 

@@ -20,8 +20,10 @@ from splatpainter.commands.source_options import (
     plan_lines,
     source_from_options,
 )
+from splatpainter.commands.targets import check_target
 from splatpainter.commands.terminal import count, decibels, seconds, stages, warn
 from splatpainter.commands.verify import receipt_of, same_words
+from splatpainter.image_files import write_png
 from splatpainter.io import read
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.nn.precision import Precision
@@ -44,6 +46,7 @@ class Config:
     example:
       splatpainter edit vase.ply views/view_000.png --out painted.ply
       splatpainter edit vase.ply warm.png --mode global --out warm.ply
+      splatpainter edit vase.ply red_lid.png --mode spread --spread-confidence sure.png --out red.ply
       splatpainter edit vase.ply --decal label.png --at 400,300 --camera cam.json --width 20% --out new.ply
       splatpainter edit vase.ply --source gemini --prompt "mossy stone" --views auto --out mossy.ply
     """
@@ -65,7 +68,14 @@ class Config:
     mask: Annotated[tuple[Path, ...], arg(metavar="M.png ...", help_behavior_hint="")] = ()
     """Masks of the pictures, in their order: what is not black was edited. Default: what differs from the asset."""
     mode: Mode = "local"
-    """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
+    """local: only what was painted changes. global: a regraded or relit picture changes the whole asset. spread: the
+    painted material changes all around, also where the pictures do not show it."""
+    spread_threshold: float | None = None
+    """Of mode spread: how sure (0 to 1) it must be that something is of the painted material; lower reaches further.
+    Default: 0.5."""
+    spread_confidence: Annotated[Path | None, arg(metavar="C.png", help_behavior_hint="")] = None
+    """Of mode spread: a picture of how sure it is, from the first edited view and from behind (green: sure, yellow: at
+    the threshold, red and blue: not reached). With --dry-run nothing else is written."""
     method: Method = "auto"
     """How: lift (analytic, under a second), fit (the lift, then some seconds of optimisation: nearer to the picture,
     local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else lift."""
@@ -128,7 +138,8 @@ class Config:
     source_report: Annotated[Path | None, arg(metavar="REPORT.png", help_behavior_hint="")] = None
     """A page of pictures: sent, came back, mask, what was taken, difference."""
     dry_run: bool = False
-    """Print which views would be sent and how many paid calls that are; ask and write nothing."""
+    """Print which views would be sent and how many paid calls that are (with mode spread: how far it reaches); ask and
+    write nothing."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False
@@ -164,6 +175,10 @@ def run(config: Config) -> Outcome:
         else:
             edited = paint(splats, pictures, config.mode, config.method, painter)
         assert edited.receipt is not None
+        if config.spread_confidence is not None:
+            _write_confidence(config.spread_confidence, splats, edited, pictures, painter)
+        if config.dry_run:
+            return _reached(config, edited.receipt)
         receipt, verification = write_proved(
             splats, edited, config.out, receipt_path, config.out_frame, bar, read_seconds
         )
@@ -172,6 +187,26 @@ def run(config: Config) -> Outcome:
         _record(config, receipt_path, receipt, verification, sources),
         _lines(config, receipt, verification, sources, rounded),
     )
+
+
+def _write_confidence(
+    path: Path, splats: Splats, edited: Asset, pictures: Sequence[FileEdit], painter: Painter
+) -> None:
+    from splatpainter.spread.overlay import confidence_picture
+    from splatpainter.spread.spread import SPREAD_DEFAULTS
+
+    assert edited.confidence is not None
+    arrays, threshold = splats.numpy(), (painter.spread_options or SPREAD_DEFAULTS).threshold
+    confidence = edited.confidence[: len(arrays)]
+    write_png(path, confidence_picture(arrays, confidence, threshold, pictures[0].camera))
+
+
+def _reached(config: Config, receipt: Receipt) -> Outcome:
+    """Of a dry run in mode spread."""
+    record = {"touched_rows": len(receipt.touched), "rows": receipt.asset_rows, "note": receipt.note}
+    lines = [f"{config.asset}: nothing is written", *(f"note: {note}" for note in receipt.note.split("; ") if note)]
+    lines.append(f"{len(receipt.touched):,} of {count(receipt.asset_rows, 'Gaussian')} would change")
+    return Outcome(record | {"confidence": config.spread_confidence}, lines)
 
 
 def paint(splats: Splats, sources: list[FileEdit], mode: Mode, method: Method, painter: Painter | None = None) -> Asset:
@@ -194,6 +229,10 @@ def _painter(config: Config) -> Painter:
     painter = Painter.load(config.preset, modes=[config.mode], polish=config.polish, precision=config.precision)
     limits = {"angle_limit": config.angle_limit, "depth_edge_limit": config.depth_edge_limit}
     painter = replace(painter, aside=True, local_options=replace(LOCAL_DEFAULTS, **limits))
+    if config.spread_threshold is not None:
+        from splatpainter.spread.spread import SpreadOptions
+
+        painter = replace(painter, spread_options=SpreadOptions(config.spread_threshold))
     method = painter.choose(config.method, config.mode)[0]
     if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
         raise ValueError(
@@ -219,6 +258,12 @@ def _check(config: Config, receipt_path: Path) -> None:
         )
     if decal and (config.mode != "local" or config.method == "ttt"):
         raise ValueError("splatpainter edit: a decal is an edit of mode local by method lift or fit")
+    if config.mode != "spread" and (config.spread_threshold, config.spread_confidence) != (None, None):
+        raise ValueError("splatpainter edit: --spread-threshold and --spread-confidence are for --mode spread")
+    if config.source and config.mode == "spread":
+        raise ValueError("splatpainter edit: a source's picture is painted in mode local or global, not spread")
+    if config.spread_confidence is not None:
+        check_target(config.spread_confidence, config.overwrite, [config.asset], config.pictures)
     if not (decal or config.source) and not 1 <= len(config.pictures) <= MAX_VIEWS:
         got = len(config.pictures) or "none"
         raise ValueError(f"splatpainter edit: expected 1 to {MAX_VIEWS} pictures (VIEW.png) after ASSET, got {got}")

@@ -276,7 +276,7 @@ def check_source_options(config: SourceConfig) -> None:
     }
     if not config.source:
         for option, given in needed.items():
-            if given:
+            if given and not (option == "--dry-run" and config.mode == "spread"):
                 raise ValueError(f"{COMMAND}: {option} is for pictures that a source makes; give --source NAME too")
         return
     if config.view is not None and (config.azimuth is not None or config.elevation is not None):

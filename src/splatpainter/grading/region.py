@@ -15,8 +15,7 @@ turns it round. Ranges A..B have an end or both; numbers are world units as `spl
     mask=M.png@CAM.json  those that show mostly inside a mask drawn on a view, as a selection in the studio; without
                        @CAM.json the picture carries its camera
 
-Terms of colour fade out beyond their ends (FADE), so that shades do not tear; the others are sharp. OKLab: Ottosson, "A
-perceptual color space for image processing", 2020.
+Terms of colour fade out beyond their ends (FADE), so that shades do not tear; the others are sharp.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.color import luminance, srgb_to_linear
+from splatpainter.color import luminance, oklab
 from splatpainter.sources.color_match import display_colors
 from splatpainter.splats import Splats
 
@@ -41,16 +40,6 @@ COLOR_FADE = 0.5
 """Of a colour's distance, beyond it."""
 MIN_CHROMA = 0.05
 """Display units between the largest and the smallest channel: what has less is nearly grey, and has a hue by chance."""
-TO_LMS = (
-    (0.4122214708, 0.5363325363, 0.0514459929),
-    (0.2119034982, 0.6806995451, 0.1073969566),
-    (0.0883024619, 0.2817188376, 0.6299787005),
-)
-LMS_TO_LAB = (
-    (0.2104542553, 0.7936177850, -0.0040720468),
-    (1.9779984951, -2.4285922050, 0.4505937099),
-    (0.0259040371, 0.7827717662, -0.8086757660),
-)
 Weigh = Callable[[Splats], np.ndarray]
 
 
@@ -195,12 +184,6 @@ def _color(name: str, text: str) -> Weigh:
         return _faded(distance - limit, COLOR_FADE * limit)
 
     return weigh
-
-
-def oklab(colors: np.ndarray) -> np.ndarray:
-    """[N, 3] display colours 0..1 -> [N, 3] float64 lightness, a, b."""
-    light = srgb_to_linear(colors.astype(np.float64))
-    return np.cbrt(light @ np.array(TO_LMS).T) @ np.array(LMS_TO_LAB).T
 
 
 def _attribute(name: str, text: str) -> Weigh:

@@ -30,6 +30,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py", "kernels/search.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
     "splatpainter.lighting:warm": ("lighting.py",),
+    "splatpainter.spread.warm:warm": ("spread",),
     "splatpainter.surface.warm:warm": ("surface", "rendering/cpu/geometry.py", "kernels/search.py"),
 }
 """Registry. "module:function" that calls every kernel of its package once with float32 arrays -> files and folders

@@ -48,7 +48,8 @@ class LiftedEdit:
     features: np.ndarray = field(repr=False)
     """[J, 13] float32 of lift/features.py, or zeros."""
     confidence: np.ndarray | None = field(default=None, repr=False)
-    """[N] float32 0..1, of a global lift: seen (1) or predicted (towards 0)."""
+    """[N] float32 0..1, of a global lift: seen (1) or predicted (towards 0); of a spread one: of the painted material
+    (1) or not."""
     detail: bool = False
     """Whether a network may append children (local, base "own": with "lift" the children are the lift's)."""
     replaced: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
@@ -57,6 +58,8 @@ class LiftedEdit:
     """[E] int64 ascending, part of `ids`: those whose indices are empty now (opacity 0)."""
     limited: tuple[float, ...] = ()
     """Per view, edited pixels' worth of paint that its limits left out."""
+    note: str = ""
+    """A line for receipts."""
 
     def parent_ids(self, count: int) -> np.ndarray:
         """[N + A] int64 the asset's Gaussian that each Gaussian of `splats` is or was split from. count: N."""

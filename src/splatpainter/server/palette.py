@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.color import base_color, to_display
-from splatpainter.grading.region import oklab
+from splatpainter.color import base_color, oklab, to_display
 from splatpainter.splats import Splats
 
 MAX_SAMPLES = 20_000

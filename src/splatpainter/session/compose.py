@@ -43,7 +43,14 @@ from splatpainter.session.layer_blending import (
     reached_gaussians,
     within,
 )
-from splatpainter.session.layer_factory import SPLIT_ONLY, decode_mask, decode_picture, is_cut_out, limits_of
+from splatpainter.session.layer_factory import (
+    SPLIT_ONLY,
+    decode_mask,
+    decode_picture,
+    is_cut_out,
+    limits_of,
+    spread_options_of,
+)
 from splatpainter.session.layer_state import (
     LayerResult,
     LayerState,
@@ -72,6 +79,7 @@ from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
     from splatpainter.models.refine import RefineState
+    from splatpainter.spread.spread import SpreadOptions
     from splatpainter.surface.estimate import Surface
     from splatpainter.surface.visible import VisibleSurface
     from splatpainter.voxels.grid import VoxelGrid
@@ -119,14 +127,15 @@ class PainterAdapter:
         method: Method,
         sheets: bool = True,
         options: Mapping[str, Any] = NO_OPTIONS,
+        spread: SpreadOptions | None = None,
     ) -> tuple[Splats, Asset]:
         """(the Gaussians below as the painter got them, what it made of them). below: [N] with `origin`; in both
         results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
         edits below; sheets: False for layers of painters that knew none; options: those of the painter's local options
-        that are others for this layer. Raises ValueError as Painter.apply does."""
+        that are others for this layer; spread: options of mode spread. Raises ValueError as Painter.apply does."""
         numbered = replace(bare(below), origin=np.arange(len(below)))
         asset = Asset(numbered, original=self._original, make_grid=self.grid)
-        if mode == "local":
+        if mode != "global":
             vars(asset)["surface"] = self._bare.surface if sheets else None
         if self._painter.encodes(method, mode):
             base = self._base()
@@ -135,7 +144,10 @@ class PainterAdapter:
                 state = on_device(state, next(base.encoding.model.parameters()).device)
             parent_ids = np.maximum(below.origin, 0)
             asset = replace(asset, encoding=replace(base.encoding, parent_ids=parent_ids, state=state))
-        return numbered, self._painter_with(options).apply(asset, edits, mode, method)
+        painter = self._painter_with(options)
+        if spread is not None:
+            painter = replace(painter, spread_options=spread)
+        return numbered, painter.apply(asset, edits, mode, method)
 
     @property
     def surface(self) -> Surface:
@@ -502,12 +514,13 @@ class Replay:
         return delta(splats, original, views, reached_gaussians(splats, views))
 
     def _paint(self, below: LayerState, layer: Layer) -> LayerResult:
-        local = layer.mode == "local" and layer.method != "ttt"  # networks paint without limits
+        local = layer.mode != "global" and layer.method != "ttt"  # networks paint without limits
         options = _local_options(layer) if local else NO_OPTIONS
+        spread = spread_options_of(layer.parameters, layer.title) if layer.mode == "spread" else None
         edits = [self._edit(view, layer, below.splats) for view in layer.views]
         sheets = lays_sheets(layer.painter)
         numbered, asset = self._adapter.apply(
-            below.splats, below.painter_state, edits, layer.mode, layer.method, sheets, options
+            below.splats, below.painter_state, edits, layer.mode, layer.method, sheets, options, spread
         )
         parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
         facts: dict[str, Any] = {}
@@ -519,7 +532,7 @@ class Replay:
         now = fingerprint(self.painter, layer.method)
         if not sheets:
             now = " ".join(word for word in now.split(" ") if word != SHEETS)
-            if layer.mode == "local" and layer.method != "ttt":
+            if local:
                 facts["note"] = "; ".join(filter(None, (facts.get("note"), WITHOUT_SHEETS)))
         if layer.painter != now:
             notes = (facts.get("note"), "computed by another painter than it was made with")
@@ -533,7 +546,7 @@ class Replay:
             if not masked:
                 raise ValueError(f"{layer.title}: expected a mask in one of its views to stay within")
             splats = within(self._reached(below.splats, masked), below.splats, splats)
-        if layer.mode == "global" and SELECTION in layer.parameters:
+        if layer.mode != "local" and SELECTION in layer.parameters:
             splats = mixed(self._selected(layer, below.splats), below.splats, splats)
         painter_state = None if asset.encoding is None else asset.encoding.state
         return LayerResult(between(numbered, splats, parent_ids), facts, confidence, painter_state)

@@ -27,7 +27,8 @@ class EditedIds:
     appended: tuple[int, int] = (0, 0)
     """First of those that it appended, and the one after the last."""
     confidence: np.ndarray | None = field(default=None, repr=False)
-    """[N + A] uint8 of a global layer: 255 was seen, towards 0 predicted; None: its views showed what it changed."""
+    """[N + A] uint8 of a global layer: 255 was seen, towards 0 predicted; of a spread one: 255 was painted, else
+    how sure it is that it is of the painted material; None: its views showed what it changed."""
 
     @property
     def local(self) -> bool:
@@ -102,16 +103,16 @@ def same_views(a: Layer, b: Layer) -> bool:
 
 
 def coverage(edited: Sequence[EditedIds], count: int) -> np.ndarray:
-    """[N] uint8 per Gaussian: ORIGINAL, SEEN (an edited view showed it) or PREDICTED (a global layer changed it without
-    having seen it). Adjustments and the eraser invent nothing: what they change stays as it was, or is the original
-    again."""
+    """[N] uint8 per Gaussian: ORIGINAL, SEEN (an edited view showed it) or PREDICTED (a global or spread layer changed
+    it without having seen it). Adjustments and the eraser invent nothing: what they change stays as it was, or is the
+    original again."""
     out = np.zeros(count, np.uint8)
     for entry in edited:
         ids = np.concatenate([entry.changed, np.arange(*entry.appended)])
         if entry.layer.kind == "erase":
             out[entry.changed] = ORIGINAL
         elif entry.confidence is not None:
-            certain = entry.confidence[ids] > 127
+            certain = entry.confidence[ids] > (254 if entry.layer.mode == "spread" else 127)
             out[ids] = np.where(certain | (out[ids] == SEEN), SEEN, PREDICTED)
         elif entry.layer.kind not in ("look", "hide"):
             out[ids] = SEEN

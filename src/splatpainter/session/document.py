@@ -36,6 +36,8 @@ SELECTION = "selection"
 """Name of the parameter of layers that only change what is selected: the hash of a blob (selection.py)."""
 SOURCE = "source"
 """Name of the parameter of layers whose pictures a source made: what receipts say of it."""
+SPREAD_THRESHOLD = "spread_threshold"
+"""Name of the parameter of layers of mode spread: confidence 0..1 from which a Gaussian is of the painted material."""
 MAX_VIEW_PIXELS = 64_000_000
 """Pixels of one view."""
 MAX_REASON = 300

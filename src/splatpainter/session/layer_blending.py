@@ -152,10 +152,12 @@ def within(mask: np.ndarray, below: Splats, above: Splats) -> Splats:
 
 def mixed(weights: np.ndarray, below: Splats, above: Splats) -> Splats:
     """Between `below` (weight 0, bit for bit) and `above` (1), [N] float32; attributes in which nothing differs are
-    shared, and places are those of the nearer one."""
-    values = {}
+    shared, and places are those of the nearer one. Gaussians that `above` appended stay as they are."""
+    values, appended = {}, len(above) - len(below)
+    weights = np.pad(weights, (0, appended), constant_values=1)
     for name in ATTRIBUTES:
         old, new = getattr(below, name), getattr(above, name)
+        old = np.concatenate([old, new[len(old) :]]) if appended else old
         share = weights.reshape(-1, *[1] * (old.ndim - 1))
         if name in ("means", "quats", "scales"):
             values[name] = old if old is new else np.where(share >= 0.5, new, old)

@@ -17,11 +17,13 @@ from splatpainter.color import from_display, to_display
 from splatpainter.image_files import to_uint8
 from splatpainter.io import files
 from splatpainter.painter import MAX_VIEWS, Edit
-from splatpainter.session.document import Kind, Layer, View
+from splatpainter.session.document import SPREAD_THRESHOLD, Kind, Layer, View
 from splatpainter.splats import ColorSpace, Splats
 
 if TYPE_CHECKING:
     from PIL import Image
+
+    from splatpainter.spread.spread import SpreadOptions
 
 MAX_PICTURE_PIXELS = 64_000_000
 THUMBNAIL_PX = 96
@@ -29,7 +31,8 @@ THUMBNAIL_PX = 96
 THUMBNAIL_COLORS = 64
 """Of the thumbnails of strokes, of which a project may hold hundreds."""
 LIMITS = ("angle_limit", "depth_edge_limit")
-"""Names of the parameters of layers of mode local that stand in for the painter's LocalOptions of the same names."""
+"""Names of the parameters of layers of modes local and spread that stand in for the painter's LocalOptions of the same
+names."""
 SPLIT_ONLY = "split_only"
 """Name of the parameter {"split_only": true} of layers of mode local: their Gaussians are split and recoloured, not
 replaced by sheets (source_edits.turns.WITHOUT_SHEETS), for views that are painted one after the other."""
@@ -51,8 +54,12 @@ def new_layer(
     if not 0 <= len(edits) <= MAX_VIEWS or kind == "merged":
         raise ValueError(f"layer: expected at most {MAX_VIEWS} views, and layers that exist to be merged with merge")
     mode = settings["mode"] or ("global" if kind == "look" else "local")
-    if limits_of(parameters, "layer") and (mode != "local" or kind == "erase"):
-        raise ValueError(f"layer: expected {' and '.join(LIMITS)} with pictures in mode local only")
+    if limits_of(parameters, "layer") and (mode == "global" or kind == "erase"):
+        raise ValueError(f"layer: expected {' and '.join(LIMITS)} with pictures in modes local and spread only")
+    if mode == "spread":
+        if kind not in ("paint", "picture"):
+            raise ValueError(f"layer: expected kind paint or picture with mode spread, got {kind}")
+        parameters = {**parameters, SPREAD_THRESHOLD: spread_options_of(parameters, "layer").threshold}
     by_name = kind == "look" and "look" in parameters
     if not edits and not by_name:
         raise ValueError(f"layer: expected at least one edited view for kind {kind}, got none")
@@ -66,7 +73,7 @@ def new_layer(
     views, small = [], None
     for edit in edits:
         mask = edit.mask
-        if mask is None and pictured and mode == "local":
+        if mask is None and pictured and mode != "global":
             # Judged once: on replay over other layers everything would differ.
             mask = _changed_pixels(splats, edit)
         if mask is None and not pictured:
@@ -98,6 +105,19 @@ def limits_of(parameters: Mapping[str, Any], where: str) -> dict[str, float]:
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{where}: {error}") from None
     return limits
+
+
+def spread_options_of(parameters: Mapping[str, Any], where: str) -> SpreadOptions:
+    """How far a layer of mode spread reaches. Raises ValueError naming `where`: no number, out of range."""
+    from splatpainter.spread.spread import SPREAD_DEFAULTS, SpreadOptions
+
+    value = parameters.get(SPREAD_THRESHOLD, SPREAD_DEFAULTS.threshold)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{where}: expected {SPREAD_THRESHOLD} as a number, got {value!r:.40}")
+    try:
+        return SpreadOptions(float(value))
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{where}: {error}") from None
 
 
 def encode_picture(image: np.ndarray, space: ColorSpace = "srgb", mask: np.ndarray | None = None) -> bytes:

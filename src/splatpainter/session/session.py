@@ -58,7 +58,7 @@ from splatpainter.session.document import (
 )
 from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
-from splatpainter.session.layer_factory import limits_of, new_layer
+from splatpainter.session.layer_factory import limits_of, new_layer, spread_options_of
 from splatpainter.session.project_file import Project, Step, Transaction
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.session.selection import Selection
@@ -406,7 +406,8 @@ class Session(StrokeCommands, Annotations):
         that grade everything (mode global), or parameters {"look": name, ...} with edits whose masks limit it; erase:
         edits of which only cameras and masks count. Pictures are kept with 8 bits. A local edit without a mask gets the
         one of what differs from the asset now. parameters {"angle_limit": degrees, "depth_edge_limit": pixels} of local
-        edits: what one view may paint, where that is not to be as the painter's LocalOptions say. attached: PNG bytes
+        edits: what one view may paint, where that is not to be as the painter's LocalOptions say; {"spread_threshold":
+        confidence 0..1} of edits of mode spread: how far their material reaches (lower: further). attached: PNG bytes
         that the parameter "placed" names as its image, kept with the layer. Raises ValueError as Painter.apply does,
         with nothing changed."""
         with self._command():
@@ -429,6 +430,7 @@ class Session(StrokeCommands, Annotations):
             )
         with self._command():
             limits_of(values.get("parameters") or {}, "layer")
+            spread_options_of(values.get("parameters") or {}, "layer")
             if "method" in values:
                 values["method"] = self.painter.choose(values["method"], self.layer(layer).mode)[0]
                 values["painter"] = fingerprint(self.painter, values["method"])

@@ -1,0 +1,73 @@
+"""The change of colour from what a material was to what it was painted, as a function of the old colour that holds for
+other light and shade on it too.
+
+In linear light new = A old + b: A starts as "the light and shade stay, the hue is the paint's" (rank one), b as 0, and
+both move away from that as far as the examples speak for it (ridge regression): flat paint over a shaded surface stays
+flat, a tint keeps hues apart, paint on an evenly lit spot keeps the shade that is found elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.color import LUMA, from_display, linear_to_srgb, luminance, srgb_to_linear, to_display
+from splatpainter.lift.colors import MAX_COLOR
+from splatpainter.splats import SH_C0, Splats
+
+MIN_LIGHT = 1e-3
+"""Luminance, linear, that a mean counts as at least."""
+HOLD_MATRIX, HOLD_OFFSET = 0.02, 0.05
+"""Pull of A and b towards where they start, in variances of the old colour over its mean luminance."""
+STEP = 0.02
+"""Of the central differences along a SH coefficient, display units."""
+
+
+@dataclass(frozen=True)
+class ColorChange:
+    """A map of display colours."""
+
+    matrix: np.ndarray = field(repr=False)
+    """[3, 3] float64 A."""
+    offset: np.ndarray = field(repr=False)
+    """[3] float64 b."""
+
+    @staticmethod
+    def fit(old: np.ndarray, new: np.ndarray, weights: np.ndarray) -> ColorChange:
+        """old, new: [P, 3] display colours; weights: [P] >= 0, not all 0."""
+        x, y = (srgb_to_linear(colors.astype(np.float64).clip(0, 1)) for colors in (old, new))
+        share = weights.astype(np.float64) / weights.sum(dtype=np.float64)
+        light = max(float(share @ luminance(x)), MIN_LIGHT)
+        x = x / light
+        start = np.outer(share @ y, LUMA)  # [3, 3]
+        columns = np.concatenate([x, np.ones((len(x), 1))], 1)  # [P, 4]
+        gram = (columns * share[:, None]).T @ columns + np.diag([HOLD_MATRIX] * 3 + [HOLD_OFFSET])
+        rest = y - x @ start.T
+        solved = np.linalg.solve(gram, (columns * share[:, None]).T @ rest)  # [4, 3]
+        return ColorChange((start + solved[:3].T) / light, solved[3])
+
+    def __call__(self, colors: np.ndarray) -> np.ndarray:
+        """[..., 3] display colours 0..1 -> the like, 0..MAX_COLOR."""
+        linear = srgb_to_linear(colors.astype(np.float64).clip(0, None))
+        new = linear_to_srgb((linear @ self.matrix.T + self.offset).clip(0, None))
+        return new.clip(0, MAX_COLOR).astype(np.float32)
+
+    def applied(self, splats: Splats, ids: np.ndarray, shares: np.ndarray) -> np.ndarray:
+        """[J, K, 3] float32 SH of Gaussians `ids` after the change, mixed with what they are by shares [J] 0..1. Bands
+        >= 1 are carried through its derivative, so that highlights stay in place."""
+        sh, space = splats.sh[ids], splats.color_space
+
+        def change(colors: np.ndarray) -> np.ndarray:
+            return from_display(self(to_display(colors, space)), space)
+
+        old = np.clip(0.5 + SH_C0 * sh[:, 0], 0, 1)
+        out = np.empty_like(sh)
+        out[:, 0] = (change(old) - 0.5) / SH_C0
+        if sh.shape[1] > 1:
+            bands = sh[:, 1:]
+            size = np.maximum(np.abs(bands).max(-1, keepdims=True), 1e-6)
+            along = STEP * bands / size
+            middle = old.clip(2 * STEP, 1 - 2 * STEP)[:, None]
+            out[:, 1:] = (change(middle + along) - change(middle - along)) * (size / (2 * STEP))
+        return (sh + shares[:, None, None] * (out - sh)).astype(np.float32)

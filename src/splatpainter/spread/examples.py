@@ -1,0 +1,105 @@
+"""What edited views say of each Gaussian: painted, shown and not painted, or not shown; and whether the paint ends
+where the material does, or in the middle of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.color import oklab, to_display
+from splatpainter.lift.edit_views import EditView
+from splatpainter.lift.masks import box_mean, dilated
+from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.splats import Splats
+from splatpainter.spread.descriptors import CHROMA, DARK, LIGHTNESS
+
+MIN_SEEN_PX = 0.1
+"""Pixels' worth of a Gaussian that views must show before it is an example."""
+MIN_VISIBILITY = 0.1
+"""Share of it that nothing hides, over the pixels where it lies."""
+MAX_WEIGHT_PX = 20.0
+"""A large Gaussian must not outvote a hundred small ones."""
+POSITIVE, NEGATIVE = 0.7, 0.2
+"""Shares of what views show of a Gaussian from which, and up to which, it counts as painted and as not painted."""
+BORDER_PX = 4
+"""Radius of the windows on both sides of the paint's edge that are compared, pixels."""
+SAME_MATERIAL = 0.8
+"""Distance of their mean colours, in units of descriptors, up to which both sides are of one material."""
+MAX_STEP_PX = 8.0
+"""Step in depth across the edge from which the other side is another surface, pixels' worth of length."""
+MIN_OPEN_SHARE = 0.1
+"""Of the paint's edge, from which the paint ends in the middle of a material."""
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Of M Gaussians."""
+
+    positive: np.ndarray = field(repr=False)
+    """[M] bool: painted in some view."""
+    negative: np.ndarray = field(repr=False)
+    """[M] bool: shown and not painted by a view whose paint ends where the material does; of a partial edit by any."""
+    weights: np.ndarray = field(repr=False)
+    """[M] float64 pixels that show each, capped."""
+    is_partial: bool
+    """Whether the paint of every view ends in the middle of the material: what is not painted is no counterexample
+    then."""
+
+    @staticmethod
+    def of(splats: Splats, views: Sequence[EditView]) -> Examples:
+        """splats: numpy, all drawable. Raises ValueError: nothing is painted that can be told, or nothing else is
+        shown."""
+        count = len(splats)
+        visible_px, alpha = np.zeros(count), np.zeros(count)
+        positive, complete, other = (np.zeros(count, bool) for _ in range(3))
+        for view in views:
+            projected = project(splats, view.camera)
+            ids, black = projected.gaussian_ids, np.zeros_like(view.edited)
+            everywhere = projected.backproject(black, np.ones(view.mask.shape, np.float32))
+            painted = projected.backproject(black, view.mask.astype(np.float32)).weight
+            visible_px[ids] += everywhere.weight
+            alpha[ids] += everywhere.alpha
+            visible = (everywhere.weight > MIN_SEEN_PX) & (everywhere.weight > MIN_VISIBILITY * everywhere.alpha)
+            share = painted / np.maximum(everywhere.weight, 1e-9)
+            positive[ids[visible & (share > POSITIVE)]] = True
+            unpainted = ids[visible & (share < NEGATIVE)]
+            (other if open_share(view, splats) >= MIN_OPEN_SHARE else complete)[unpainted] = True
+        is_partial = not (complete & ~positive).any()
+        negative = (other if is_partial else complete) & ~positive
+        if not positive.any():
+            raise ValueError("edit: spread: the paint covers no Gaussian; paint a larger part of the material")
+        if not negative.any():
+            raise ValueError(
+                "edit: spread: all that the views show was edited, so nothing says what is another material; use mode "
+                "global, or leave something unpainted"
+            )
+        visibility = visible_px / np.maximum(alpha, 1e-9)
+        weights = np.minimum(visible_px, MAX_WEIGHT_PX) * np.minimum(2 * visibility, 1)
+        return Examples(positive, negative, weights, is_partial)
+
+
+def open_share(view: EditView, splats: Splats) -> float:
+    """0..1 part of the paint's edge that has the same material on its other side."""
+    assert view.alpha is not None and view.depth is not None
+    lab = oklab(to_display(np.clip(view.before, 0, 1), splats.color_space).reshape(-1, 3)).reshape(view.before.shape)
+    units = np.concatenate([lab[..., :1] / LIGHTNESS, lab[..., 1:] / (lab[..., :1] + DARK) / CHROMA], 2)
+    values = np.concatenate([units, view.depth[..., None]], 2).astype(np.float32)
+    solid = view.alpha > 0.9
+    inside = solid & np.logical_not(dilated(~view.mask, 2))
+    outside = solid & ~dilated(view.mask, 2)
+    here, inside_share = _mean_within(values, inside)
+    there, outside_share = _mean_within(values, outside)
+    edge = view.mask & dilated(~view.mask, 1) & (inside_share > 0.1)
+    both = edge & (outside_share > 0.1)
+    same = np.linalg.norm(here[..., :3] - there[..., :3], axis=2) < SAME_MATERIAL
+    step = np.abs(here[..., 3] - there[..., 3]) < MAX_STEP_PX * view.depth / view.camera.fx
+    return float((both & same & step).sum() / max(edge.sum(), 1))
+
+
+def _mean_within(values: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """([H, W, C] mean of values over the chosen pixels of each window, [H, W] their share of it)."""
+    share = box_mean(chosen.astype(np.float32), BORDER_PX)
+    return box_mean(values * chosen[..., None], BORDER_PX) / np.maximum(share, 1e-6)[..., None], share

@@ -1,0 +1,11 @@
+"""Compile (or load) the kernels of this package."""
+
+from __future__ import annotations
+
+from splatpainter.spread import classifier, neighbours
+
+
+def warm() -> None:
+    """A classifier of eight points, and the neighbours of forty."""
+    classifier.warm()
+    neighbours.warm()

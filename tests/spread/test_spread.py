@@ -1,0 +1,116 @@
+"""Mode spread: what is reached, what keeps its bits, and what colours it takes, on a board of two materials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatpainter.kernels.parallel import THREADS_VARIABLE
+from splatpainter.lift.masks import dilated
+from splatpainter.painter import Asset, Edit, Painter
+from splatpainter.rendering import render
+from splatpainter.splats import SH_C0, Splats
+from splatpainter.spread.spread import SpreadOptions
+from tests.support.lift_scenes import db, differing
+from tests.support.spread_scenes import CAMERA, PAINT, SIDE, board, left_half, lit, painted_picture
+
+BACK = np.arange(2 * SIDE**2) >= SIDE**2
+
+
+def spread(splats: Splats, mask: np.ndarray, threshold: float | None = None) -> Asset:
+    options = None if threshold is None else SpreadOptions(threshold)
+    painter = Painter(spread_options=options)
+    return painter.apply(painter.encode(splats), [Edit(painted_picture(splats), CAMERA, mask)], "spread")
+
+
+def stroke() -> np.ndarray:
+    """[H, W] bool: a round part of the left half."""
+    y, x = np.mgrid[: CAMERA.height, : CAMERA.width]
+    return left_half() & (np.hypot(x - 23, y - 36) < 9)
+
+
+@pytest.mark.parametrize("mask", [left_half(), stroke()], ids=["all of it", "a stroke"])
+def test_the_material_changes_behind_and_nothing_else(mask: np.ndarray) -> None:
+    splats = board(degree=1)
+    result = spread(splats, mask)
+    left, changed = splats.means[:, 0] < -0.05, differing(splats, result.splats)
+    assert changed[left & BACK].mean() > 0.98 and not changed[~left & BACK & (splats.means[:, 0] > 0.15)].any()
+    assert result.receipt is not None and result.receipt.mode == "spread"
+    np.testing.assert_array_equal(result.receipt.touched, np.flatnonzero(changed))
+    assert result.receipt.untouched_sha256_before == result.receipt.untouched_sha256_after
+    assert ("in the middle of the material" in result.receipt.note) == (mask.sum() < left_half().sum())
+    assert result.confidence is not None and len(result.confidence) == len(result.splats)
+    assert result.confidence[: len(splats)][left & BACK].min() > 0.5
+
+
+def test_colors_keep_the_light_that_lies_on_them() -> None:
+    splats = board()
+    result = spread(splats, left_half())
+    ids = np.flatnonzero((splats.means[:, 0] < -0.1) & BACK)
+    light = (0.4 + 0.15 * splats.means[ids, 1])[:, None]
+    colors = 0.5 + SH_C0 * result.splats.sh[ids, 0]
+    assert np.abs(colors - lit(PAINT, light)).mean() < 0.03  # the noise of the board, and of a linear fit
+    before = 0.5 + SH_C0 * splats.sh[ids, 0]
+    assert np.abs(before - lit(PAINT, light)).mean() > 0.15
+
+
+@pytest.mark.parametrize("mask", [left_half(), stroke()], ids=["all of it", "a stroke"])
+def test_the_edited_view_shows_the_picture_and_no_rim_of_old_colour(mask: np.ndarray) -> None:
+    splats, painter, picture = board(), Painter(), painted_picture(board())
+    local = painter.apply(painter.encode(splats), [Edit(picture, CAMERA, mask)])
+    result = spread(splats, mask)
+    assert local.receipt is not None and result.receipt is not None
+    (one,), (other,) = local.receipt.views, result.receipt.views
+    assert one.psnr_after is not None and other.psnr_after is not None and other.psnr_after > one.psnr_after - 1
+    inner = left_half() & ~dilated(~left_half(), 3)
+    assert db(np.clip(render(result.splats, CAMERA).colors[0], 0, 1), picture, inner) > 27
+
+
+def test_a_lower_threshold_reaches_more_and_one_reaches_nothing() -> None:
+    splats = board()
+    counts = [int(differing(splats, spread(splats, left_half(), t).splats)[BACK].sum()) for t in (0.02, 0.55, 1.0)]
+    assert counts[0] > counts[1] > counts[2] == 0
+
+
+def test_any_number_of_threads_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats, results = board(), []
+    for threads in ("1", "3"):
+        monkeypatch.setenv(THREADS_VARIABLE, threads)
+        results.append(spread(splats, stroke()))
+    assert not differing(results[0].splats, results[1].splats).any()
+    np.testing.assert_array_equal(results[0].confidence, results[1].confidence)
+
+
+def test_examples_of_several_views_count_together() -> None:
+    splats = board()
+    other = replace(CAMERA, world_to_camera=CAMERA.world_to_camera @ np.diag([-1.0, 1, -1, 1]))
+    edits = [Edit(painted_picture(splats, c), c, left_half()) for c in (CAMERA,)]
+    mask = np.zeros_like(left_half())
+    mask[30:40, 45:55] = True  # from behind, left is right
+    edits.append(Edit(painted_picture(splats, other), other, mask))
+    painter = Painter()
+    result = painter.apply(painter.encode(splats), edits, "spread")
+    assert differing(splats, result.splats)[BACK & (splats.means[:, 0] < -0.1)].mean() > 0.98
+
+
+def test_gaussians_that_cannot_be_drawn_stay() -> None:
+    splats = board()
+    means = splats.means.copy()
+    means[[5, 900]] = np.nan
+    result = spread(replace(splats, means=means), left_half())
+    changed = differing(replace(splats, means=means), result.splats)
+    assert not changed[[5, 900]].any() and changed[BACK].any()
+
+
+def test_what_cannot_be_spread_says_why() -> None:
+    splats, painter = board(), Painter()
+    asset, picture = painter.encode(splats), painted_picture(splats)
+    with pytest.raises(ValueError, match="all that the views show was edited"):
+        painter.apply(asset, [Edit(picture, CAMERA, np.ones_like(left_half()))], "spread")
+    with pytest.raises(ValueError, match="mode spread is made by the lift alone, got 'fit'"):
+        painter.apply(asset, [Edit(picture, CAMERA, left_half())], "spread", "fit")
+    for bad in (-0.1, 1.5, float("nan")):
+        with pytest.raises(ValueError, match="spread threshold: expected 0"):
+            SpreadOptions(bad)
