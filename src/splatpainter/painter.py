@@ -429,12 +429,16 @@ class Painter:
 
     def _spread(self, asset: Asset, views: Sequence[EditView]) -> LiftedEdit:
         """The painted material in its new colour all around, and the local lift on that."""
+        from splatpainter.rendering import render
         from splatpainter.spread.spread import SPREAD_DEFAULTS, spread
 
         result = spread(asset.splats, views, self.spread_options or SPREAD_DEFAULTS)
-        below = replace(asset, splats=result.splats, original=asset.original or asset.splats)
-        vars(below).update({name: getattr(asset, name) for name in ("grid", "surface")})  # places have not changed
-        again = [replace(view, before=_draw(result.splats, view.camera)[0]) for view in views]
+        # Places have not changed.
+        below = replace(
+            asset, splats=result.splats, original=asset.original or asset.splats, make_grid=lambda _: asset.grid
+        )
+        vars(below)["surface"] = asset.surface
+        again = [replace(view, before=render(result.splats, view.camera).colors[0]) for view in views]
         return result.with_lift(self._lifted(below, again, "local", "lift"))
 
     def _predict(self, asset: Asset) -> Predict | None:

@@ -275,6 +275,17 @@ class Session(StrokeCommands, Annotations):
         snapshot = self._snapshot
         return conflicts.find_conflicts(snapshot.state.edited, snapshot.document)
 
+    def confidence(self, layer: str) -> np.ndarray:
+        """[N] float32 0..1 per Gaussian of `splats`: how sure a layer of mode spread is that it is of the painted
+        material (1: painted). Raises ValueError for another layer, and for one that is hidden."""
+        snapshot = self._snapshot
+        for entry in snapshot.state.edited:
+            if entry.layer.id == layer and entry.layer.mode == "spread" and entry.confidence is not None:
+                out = np.zeros(len(snapshot.splats), np.float32)
+                out[: len(entry.confidence)] = entry.confidence / np.float32(255)
+                return out
+        raise ValueError(f"{self.layer(layer).title}: expected a visible layer of mode spread")
+
     def coverage(self) -> np.ndarray:
         """[N] uint8 per Gaussian: conflicts.ORIGINAL, SEEN or PREDICTED."""
         snapshot = self._snapshot

@@ -28,7 +28,7 @@ BORDER_PX = 4
 """Radius of the windows on both sides of the paint's edge that are compared, pixels."""
 SAME_MATERIAL = 0.8
 """Distance of their mean colours, in units of descriptors, up to which both sides are of one material."""
-MAX_STEP_PX = 8.0
+MAX_STEP_PX = 25.0
 """Step in depth across the edge from which the other side is another surface, pixels' worth of length."""
 MIN_OPEN_SHARE = 0.1
 """Of the paint's edge, from which the paint ends in the middle of a material."""

@@ -37,7 +37,7 @@ export interface StrokeOptions {
 }
 
 /** The layer that a stroke becomes, or becomes a part of. */
-export type StrokeTarget = Pick<PaintEnd, "layer" | "into_new" | "replaces" | "placed" | "gesture">;
+export type StrokeTarget = Pick<PaintEnd, "layer" | "into_new" | "replaces" | "placed" | "gesture" | "spread">;
 
 export class Stroke {
   readonly mask: Mask;

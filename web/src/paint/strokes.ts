@@ -6,7 +6,19 @@
 import { signal } from "@preact/signals";
 
 import { blobUrl, pixelsOf } from "../net/blobs";
-import { brush, camera, limits, maskedLayer, method, readOnly, selectedLayer, state, toast } from "../state/store";
+import {
+  brush,
+  camera,
+  limits,
+  maskedLayer,
+  method,
+  readOnly,
+  selectedLayer,
+  spreading,
+  state,
+  toast,
+  tool,
+} from "../state/store";
 import { painting } from "../state/pending-layers";
 import { link, report, run, track, viewer } from "../state/studio";
 import type { LayerInfo } from "../messages";
@@ -16,6 +28,8 @@ import { limitsToSend } from "./limits";
 import { selection, selectionSent } from "./selection";
 import { Stroke, type StrokeTarget } from "./stroke";
 
+/** Tools whose paint can go on over the material that it lies on. */
+export const SPREADING_TOOLS: readonly string[] = ["brush", "line", "fill"];
 /** Strokes that are not layers yet. */
 export const pendingStrokes = signal(0);
 /** Above 0 while the camera must stay: a stroke still reads the view. */
@@ -84,15 +98,17 @@ function paintTarget(): () => StrokeTarget {
 }
 
 /**
- * Begin a stroke on the present view; null (with a toast) when nothing can be painted. `target`: what it becomes; by
- * default it goes into the chosen paint layer.
+ * Begin a stroke on the present view; null (with a toast) when nothing can be painted. `given`: what it becomes; by
+ * default it goes into the chosen paint layer, or becomes a layer of its own that spreads.
  */
 export function beginStroke(
   kind: "paint" | "clone" | "erase" | "mask",
   name: string,
   opacity = brush.value.opacity,
-  target?: StrokeTarget,
+  given?: StrokeTarget,
 ): Stroke | null {
+  const spreads = !given && kind === "paint" && spreading.value.on && SPREADING_TOOLS.includes(tool.value);
+  const target = spreads ? { spread: spreading.value.threshold } : given;
   const now = camera.value;
   if (!now || viewer.count === 0) return null;
   if (readOnly.value) {
@@ -121,7 +137,7 @@ export function beginStroke(
     onScreen: () => camera.value === now,
     kind,
     layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
-    name: single && !target.replaces && kind !== "mask" ? unused(name) : name,
+    name: single && !(target as StrokeTarget).replaces && kind !== "mask" ? unused(name) : name,
     target: single ? () => target : paintTarget(),
     commit: async (fields) => {
       const { layer: id, into_new, replaces } = fields;

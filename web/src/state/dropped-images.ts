@@ -24,7 +24,7 @@ export interface DroppedImage {
 }
 
 export const droppedImages = signal<DroppedImage[]>([]);
-export const editMode = signal<"local" | "global">("local");
+export const editMode = signal<"local" | "global" | "spread">("local");
 let nextId = 1;
 
 computed(() => state.value?.session).subscribe(() => (droppedImages.value = [])); // they were pictures of another asset
@@ -97,7 +97,7 @@ export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Prom
   const views = ready.map((one) => ({
     camera: one.checked!.camera,
     picture: one.checked!.picture,
-    mask: mode === "local" ? one.checked!.mask : null,
+    mask: mode !== "global" ? one.checked!.mask : null,
   }));
   const name = ready
     .map((one) => one.name.replace(/\.[^.]*$/, ""))
@@ -111,7 +111,7 @@ export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Prom
       mode,
       method,
       name,
-      limits: mode === "local" ? limitsToSend(limits.value) : {},
+      limits: mode !== "global" ? limitsToSend(limits.value) : {},
     },
     "Lifting the picture onto the asset",
   );

@@ -6,13 +6,13 @@ import { chordOf } from "../keys/chord";
 import type { LayerInfo } from "../messages";
 import { blobUrl, download } from "../net/blobs";
 import { dragged, isPending, moveLayer, setLayer, shownLayers } from "../state/pending-layers";
-import { maskedLayer, readOnly, selectedLayer, state, tab } from "../state/store";
+import { maskedLayer, readOnly, selectedLayer, spreading, state, tab } from "../state/store";
 import { report, run } from "../state/studio";
 import { openFile } from "./files";
 import { changePlaced } from "../paint/placement";
 import { Icon } from "./icons";
 import { LayerMask, maskOpen, paintMask } from "./layer-mask";
-import { Button, Choice, FileButton, Slider } from "./parts";
+import { Button, Check, Choice, FileButton, Slider } from "./parts";
 
 const BLENDS = [
   ["normal", "Normal"],
@@ -49,6 +49,7 @@ export function Layers() {
         <LayerActions layer={chosen} layers={layers} range={range} />
       </header>
       <LayerSettings layer={chosen} />
+      <SpreadSettings layer={chosen} />
       <LayerMask layer={chosen} />
       <InConflict />
       <ul class="layer-list" aria-label="Layers, uppermost first">
@@ -330,6 +331,42 @@ function LayerSettings({ layer }: { layer: LayerInfo | null }) {
         onChange={(v) => fade(Math.round(v) / 100, true)}
       />
     </div>
+  );
+}
+
+/** How far a layer that spreads reaches; it is solved again where the slider is let go. */
+function SpreadSettings({ layer }: { layer: LayerInfo | null }) {
+  const [draft, setDraft] = useState<number | null>(null);
+  if (!layer || layer.mode !== "spread") return null;
+  const given = layer.parameters["spread_threshold"];
+  const solve = (value: number) => {
+    const parameters = { ...layer.parameters, spread_threshold: Math.round(value) / 100 };
+    setDraft(value);
+    void setLayer(layer.id, { parameters }, `Threshold of ${layer.name}`).finally(() => setDraft(null));
+  };
+  return (
+    <>
+      <div class="layer-settings">
+        <Slider
+          label="Threshold"
+          value={draft ?? (typeof given === "number" ? given : 0.5) * 100}
+          min={0}
+          max={100}
+          step={1}
+          unit=" %"
+          disabled={readOnly.value}
+          onInput={setDraft}
+          onChange={solve}
+        />
+      </div>
+      <div class="layer-settings">
+        <Check
+          label="Show confidence"
+          value={spreading.value.show}
+          onChange={(show) => (spreading.value = { ...spreading.value, show })}
+        />
+      </div>
+    </>
   );
 }
 

@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 
 import { shadingApplies } from "../paint/brush";
-import { chosenMask, cloneFrom } from "../paint/strokes";
+import { chosenMask, cloneFrom, SPREADING_TOOLS } from "../paint/strokes";
 import { choosingSource } from "../paint/freehand";
 import { commitPlacement, discardPlacement, editedLayer, placement, startStamp } from "../paint/placement";
 import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
@@ -21,6 +21,7 @@ import {
   paintMode,
   recentColors,
   selecting,
+  spreading,
   state,
   tab,
   text,
@@ -86,6 +87,7 @@ export function Options() {
       {colored && current !== "stamp" && <Recent />}
       {PAINTS.includes(current) && <Methods />}
       {LIMITED_TOOLS.includes(current) && <Limits />}
+      {SPREADING_TOOLS.includes(current) && <Spreading />}
     </section>
   );
 }
@@ -350,6 +352,28 @@ function Methods() {
       options={there.map((key) => [key, METHODS[key]] as const)}
       onChange={(value) => (method.value = value)}
     />
+  );
+}
+
+/** Paint that goes on over the material that it lies on. */
+function Spreading() {
+  const s = spreading.value;
+  const set = (part: Partial<typeof s>) => (spreading.value = { ...spreading.value, ...part });
+  return (
+    <>
+      <Button
+        label="What is painted is a material: it changes all around, as a layer for each stroke"
+        text="Spread"
+        pressed={s.on}
+        onClick={() => set({ on: !s.on })}
+      />
+      {s.on && (
+        <span class="group">
+          <Percent label="Threshold" value={s.threshold} onInput={(threshold) => set({ threshold })} />
+          <Check label="Show confidence" value={s.show} onChange={(show) => set({ show })} />
+        </span>
+      )}
+    </>
   );
 }
 

@@ -27,6 +27,7 @@ import { goTo } from "./views";
 const MODES = [
   ["local", "Only what was edited"],
   ["global", "All of the asset (relit)"],
+  ["spread", "The edited material, all around"],
 ] as const;
 const CAMERA_SOURCES = {
   given: "the present view",
@@ -117,7 +118,7 @@ function Entry({ one }: { one: DroppedImage }) {
       </header>
       <span class="drop-picture">
         <img src={blobUrl(checked?.picture ?? one.blob)} alt={one.name} />
-        {checked && editMode.value === "local" && (
+        {checked && editMode.value !== "global" && (
           <span
             class="drop-mask"
             role="img"
@@ -145,7 +146,7 @@ function Entry({ one }: { one: DroppedImage }) {
               {warning.picture && <img src={blobUrl(warning.picture)} alt="Where" />}
             </div>
           ))}
-          {editMode.value === "local" && (
+          {editMode.value !== "global" && (
             <Slider
               label="Threshold"
               value={(one.threshold ?? 0.02) * 100}

@@ -1,6 +1,6 @@
 /**
- * Still pictures of the view from the server: true colour, the original for the before/after line, coverage, and what
- * the limits leave out.
+ * Still pictures of the view from the server: true colour, the original for the before/after line, coverage, what the
+ * limits leave out, and how sure a layer that spreads is.
  */
 
 import { signal } from "@preact/signals";
@@ -8,12 +8,12 @@ import { useEffect } from "preact/hooks";
 
 import { blobUrl } from "../net/blobs";
 import { LIMITED_TOOLS, limitsToSend } from "../paint/limits";
-import { camera, compareAt, limits, state, tool, view } from "../state/store";
+import { camera, compareAt, limits, selectedLayer, spreading, state, tool, view } from "../state/store";
 import { run } from "../state/studio";
 import type { CameraJson } from "../view/camera";
 import { moving } from "./stage";
 
-type Kind = "true" | "before" | "coverage" | "limits";
+type Kind = "true" | "before" | "coverage" | "limits" | "confidence";
 type Profile = "inria" | "playcanvas";
 interface Still {
   url: string;
@@ -28,6 +28,7 @@ const pictures: Record<Kind, ReturnType<typeof signal<Still | null>>> = {
   before: signal(null),
   coverage: signal(null),
   limits: signal(null),
+  confidence: signal(null),
 };
 /** What the last coverage said, and where to look next. */
 export const covered = signal<{ seen: number; predicted: number; next: CameraJson | null } | null>(null);
@@ -43,9 +44,20 @@ async function ask(kind: Kind, at: CameraJson, profile: Profile): Promise<string
     const answer = await run("paint.limits", { camera: at, limits: limitsToSend(limits.value) });
     return answer && blobUrl(answer.picture);
   }
+  if (kind === "confidence") {
+    const layer = spreadLayer();
+    const answer = layer && (await run("spread.show", { camera: at, layer: layer.id }, "Confidence"));
+    return answer && blobUrl(answer.picture);
+  }
   const which = kind === "before" ? "original" : "now";
   const answer = await run("view.render", { camera: at, which, profile }, "Rendering");
   return answer && blobUrl(answer.picture);
+}
+
+/** The chosen layer, if it is one that spreads and is visible. */
+function spreadLayer() {
+  const layer = state.value?.layers.find((one) => one.id === selectedLayer.value);
+  return layer && layer.mode === "spread" && layer.visible && layer.opacity > 0 && !layer.problem ? layer : null;
 }
 
 /** The picture of the present view if it is enabled, there, and up to date; asks for it when the camera rests. */
@@ -79,6 +91,8 @@ export function Overlays() {
   const seen = usePicture("coverage", coverage);
   const { angle, depthEdge, show } = limits.value;
   const leftOut = usePicture("limits", show && LIMITED_TOOLS.includes(tool.value), `${angle} ${depthEdge}`);
+  const spread = spreadLayer();
+  const confidence = usePicture("confidence", spreading.value.show && spread !== null, spread?.id ?? "");
   const at = compareAt.value;
   return (
     <>
@@ -96,6 +110,12 @@ export function Overlays() {
       {seen && (
         <p class="legend">
           <i class="seen" /> seen by an edited view <i class="predicted" /> predicted <i /> as in the original
+        </p>
+      )}
+      {confidence && <img class="still" src={confidence} alt="" data-still="confidence" />}
+      {confidence && (
+        <p class="legend">
+          <i class="seen" /> of the painted material <i class="predicted" /> not sure enough
         </p>
       )}
       {leftOut && (

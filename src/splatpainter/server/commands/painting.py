@@ -51,7 +51,7 @@ from splatpainter.server.stroke import Stroke
 from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
-from splatpainter.session.document import PLACED, SELECTION, SOURCE, Kind
+from splatpainter.session.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Kind
 from splatpainter.sources.edit_files import FileEdit, unmultiplied
 from splatpainter.sources.picture_reader import read_picture
 
@@ -150,6 +150,8 @@ class PaintEnd(Command):
     blend: Blend = "normal"
     limits: PaintLimits = PaintLimits()
     """An eraser has none."""
+    spread: Unit | None = None
+    """Threshold of mode spread, in which the stroke becomes a new layer; None: mode local."""
 
 
 @command(PaintEnd, writes=True)
@@ -165,8 +167,11 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         raise ValueError("stroke: a text or a picture that can be changed is a layer of its own")
     if stroke.masks:
         return _masked(context, request, stroke)
+    alone = (request.layer, request.into_new, request.replaces, request.placed) == (None,) * 4
+    if request.spread is not None and (stroke.erase or not alone):
+        raise ValueError("stroke: one that spreads is a new layer of its own")
     kind = "erase" if stroke.erase else "paint"
-    parameters = {} if stroke.erase else request.limits.parameters()
+    parameters: dict[str, Any] = {} if stroke.erase else dict(request.limits.parameters())
     with progress(context, "painting"):
         if request.layer is not None:
             splats = session.painted_on(request.layer)
@@ -226,6 +231,9 @@ def _committed(
             session.paint(layer, [edit], **options)
         return layer, line + python_line("session.paint", layer, words, **options)
     options = {"name": request.name, "method": request.method, "opacity": request.opacity, "blend": request.blend}
+    if request.spread is not None:
+        options |= {"mode": "spread", "method": "auto"}
+        parameters = {**parameters, SPREAD_THRESHOLD: request.spread}
     options |= {"parameters": parameters} if parameters else {}
     return session.add(kind, [edit], **options, attached=attached).id, python_line(
         "session.add", kind, words, **options
@@ -257,8 +265,9 @@ class EditedView(Message):
 
 
 class EditAdd(Command):
-    """A layer from 1 to 4 edited pictures. mode local: only what was edited; global: regrades or relights everything.
-    kind erase: Gaussians that the masks reach go back to the original."""
+    """A layer from 1 to 4 edited pictures. mode local: only what was edited; global: regrades or relights everything;
+    spread: what was edited is a material that changes all around. kind erase: Gaussians that the masks reach go back to
+    the original."""
 
     NAME = "edit"
     ANSWER = LayerMade
@@ -272,7 +281,9 @@ class EditAdd(Command):
     within: bool = False
     """Of mode global: only Gaussians that the masks reach change, and only masked pixels count."""
     limits: PaintLimits = PaintLimits()
-    """Of mode local; an eraser has none."""
+    """Of modes local and spread; an eraser has none."""
+    spread: Unit | None = None
+    """Of mode spread: its threshold; None: the default."""
     stroke: str | None = None
     """A previewed stroke that this edit replaces."""
     replaces: str | None = None
@@ -286,7 +297,7 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         edits = [_eraser_from_upload(context, view) for view in request.views]
     else:
         edits = [edit_from_upload(context, view, request.mode) for view in request.views]
-    if request.mode == "local":
+    if request.mode != "global":
         edits = [edit for edit in (within_selection(context.studio, edit) for edit in edits) if edit is not None]
     options: dict[str, Any] = {"name": request.name, "mode": request.mode, "method": request.method}
     options |= {"opacity": request.opacity, "blend": request.blend}
@@ -299,11 +310,15 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
     if stored is not None:
         options["parameters"] = {**options.get("parameters", {}), SELECTION: stored[0]}
         options["attached"] = [stored[1]]
-    if request.mode == "local" and request.kind != "erase":
+    if request.mode != "global" and request.kind != "erase":
         options |= _limits(request.limits)
     source = context.studio.source_of([view.picture for view in request.views])
     if source is not None and request.kind != "erase":
         options["parameters"] = {**options.get("parameters", {}), SOURCE: source}
+    if request.mode == "spread":
+        options["method"] = "auto"
+        if request.spread is not None:
+            options["parameters"] = {**options.get("parameters", {}), SPREAD_THRESHOLD: request.spread}
     if request.replaces is not None:
         name = session.layer(request.replaces).name
         with progress(context, name):

@@ -32,6 +32,7 @@ from splatpainter.server.studio import ExportedView
 from splatpainter.session.asset_files import view_files_of
 from splatpainter.session.conflicts import PREDICTED, SEEN
 from splatpainter.session.conflicts import coverage as covered
+from splatpainter.session.layer_factory import spread_options_of
 from splatpainter.view_files import Aov, PictureOptions
 
 MAX_EXPORT_PIXELS = 1 << 24
@@ -226,6 +227,34 @@ def coverage(context: CommandContext, request: CoverageShow) -> Covered:
         next_view=None if view is None else CameraInfo.of(view),
         python="session.coverage()",
     )
+
+
+class SpreadShown(Answer):
+    picture: Blob
+    """PNG of the view, of its size: green sure, yellow at the threshold, red and blue not reached, transparent 0."""
+
+
+class SpreadShow(Command):
+    """How sure a layer of mode spread is of what a view shows."""
+
+    NAME = "spread.show"
+    ANSWER = SpreadShown
+    camera: CameraInfo
+    layer: str
+
+
+@command(SpreadShow)
+def show_spread(context: CommandContext, request: SpreadShow) -> SpreadShown:
+    from splatpainter.spread.overlay import confidence_overlay
+
+    studio, session = context.studio, context.studio.session
+    confidence, splats = session.confidence(request.layer), session.splats
+    if len(confidence) != len(splats):
+        raise ValueError("spread: the asset has changed meanwhile; ask again")
+    threshold = spread_options_of(session.layer(request.layer).parameters, "spread").threshold
+    picture = confidence_overlay(splats, confidence, threshold, request.camera.to_camera())
+    blob = studio.blobs.put(png_bytes(picture), "confidence.png")
+    return SpreadShown(picture=blob.sha256, python=python_line("session.confidence", request.layer))
 
 
 class LeftOut(Answer):

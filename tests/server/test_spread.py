@@ -1,0 +1,92 @@
+"""Mode spread in the studio: strokes and pictures over HTTP, the threshold, the confidence; and once in the page."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from splatbench.studio_client import encoded, wire
+
+from splatpainter.image_files import encode_png, to_uint8
+from tests.support.lift_scenes import differing
+from tests.support.spread_scenes import CAMERA, SIDE, board, left_half, painted_picture
+from tests.support.studio_pages import Page
+from tests.support.studio_scenes import Live, live, make_studio
+
+BACK = np.arange(2 * SIDE**2) >= SIDE**2
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Live]:
+    with live(make_studio(tmp_path, board())) as made:
+        yield made
+
+
+def behind(studio: Live) -> int:
+    """How many Gaussians of the back changed."""
+    return int(differing(board(), studio.studio.session.splats)[BACK].sum())
+
+
+def stroke(studio: Live, **fields: Any):
+    """All of the left half painted as one stroke."""
+    name = studio.post("paint.begin", camera=wire(CAMERA))["stroke"]
+    rgba = np.dstack([to_uint8(painted_picture(board())), np.where(left_half(), 255, 0).astype(np.uint8)])
+    studio.post("paint.dab", stroke=name, x=0, y=0, width=72, height=72, rgba=encoded(rgba))
+    return studio.http.post("/api/do/paint.end", json={"stroke": name, **fields})
+
+
+def test_a_stroke_that_spreads_is_a_layer_with_a_threshold(studio: Live) -> None:
+    made = stroke(studio, spread=0.5, name="Brush").json()["layer"]
+    assert made["mode"] == "spread" and made["parameters"]["spread_threshold"] == 0.5 and made["strokes"] is None
+    count = behind(studio)
+    assert count > 250
+    shown = studio.post("spread.show", camera=wire(CAMERA), layer=made["id"])["picture"]
+    picture = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{shown}").content)))
+    assert picture.shape == (72, 72, 4) and picture[36, 20, 3] > 150 > 60 > picture[36, 60, 3]
+    parameters = {**made["parameters"], "spread_threshold": 1.0}
+    studio.post("layer.set", layer=made["id"], parameters=parameters)
+    assert behind(studio) == 0
+    studio.post("undo")
+    assert behind(studio) == count and studio.post("verify")["proved"]
+
+
+def test_a_picture_is_spread(studio: Live) -> None:
+    rgba = np.dstack([to_uint8(painted_picture(board())), np.where(left_half(), 255, 0).astype(np.uint8)])
+    blob = studio.send(encode_png(rgba))
+    view = {"camera": wire(CAMERA), "picture": blob}
+    studio.post("edit", views=[view], mode="spread", spread=0.4)
+    assert behind(studio) > 250
+    answer = studio.http.post("/api/do/spread.show", json={"camera": wire(CAMERA), "layer": "9"})
+    assert answer.status_code == 400 and "expected one of 1" in answer.json()["error"]["message"]
+
+
+def test_a_stroke_that_spreads_goes_into_no_other_layer(studio: Live) -> None:
+    layer = studio.post("layer.new")["layer"]["id"]
+    answer = stroke(studio, spread=0.5, layer=layer)
+    assert answer.status_code == 400 and "a new layer of its own" in answer.json()["error"]["message"]
+    answer = studio.http.post("/api/do/spread.show", json={"camera": wire(CAMERA), "layer": layer})
+    assert answer.status_code == 400 and "expected a visible layer of mode spread" in answer.json()["error"]["message"]
+
+
+def test_the_page_spreads_a_stroke_and_shows_how_sure_it_is(browser: Any, tmp_path: Path) -> None:
+    with live(make_studio(tmp_path, board())) as studio:
+        page = Page(browser, studio.url)
+        try:
+            page.tab.get_by_role("button", name="Spread").click()
+            page.drag((0.42, 0.4), (0.44, 0.6))
+            page.wait("the layer", lambda: [layer["mode"] for layer in page.state()["layers"]] == ["spread"])
+            page.settled()
+            panel = page.tab.get_by_role("region", name="Layers")
+            panel.get_by_label("Show confidence").check()
+            page.wait("the overlay", lambda: page.tab.locator("[data-still=confidence]").count())
+            panel.get_by_role("textbox", name="Threshold, number").fill("100")
+            panel.get_by_role("textbox", name="Threshold, number").press("Enter")
+            page.wait("the slider", lambda: page.state()["layers"][0]["parameters"]["spread_threshold"] == 1)
+            assert behind(studio) == 0 and page.problems == []
+        finally:
+            page.tab.close()
