@@ -229,7 +229,7 @@ def coverage(context: CommandContext, request: CoverageShow) -> Covered:
     )
 
 
-class SpreadShown(Answer):
+class ConfidencePicture(Answer):
     picture: Blob
     """PNG of the view, of its size: green sure, yellow at the threshold, red and blue not reached, transparent 0."""
 
@@ -238,13 +238,13 @@ class SpreadShow(Command):
     """How sure a layer of mode spread is of what a view shows."""
 
     NAME = "spread.show"
-    ANSWER = SpreadShown
+    ANSWER = ConfidencePicture
     camera: CameraInfo
     layer: str
 
 
 @command(SpreadShow)
-def show_spread(context: CommandContext, request: SpreadShow) -> SpreadShown:
+def show_spread(context: CommandContext, request: SpreadShow) -> ConfidencePicture:
     from splatpainter.spread.overlay import confidence_overlay
 
     studio, session = context.studio, context.studio.session
@@ -254,7 +254,7 @@ def show_spread(context: CommandContext, request: SpreadShow) -> SpreadShown:
     threshold = spread_options_of(session.layer(request.layer).parameters, "spread").threshold
     picture = confidence_overlay(splats, confidence, threshold, request.camera.to_camera())
     blob = studio.blobs.put(png_bytes(picture), "confidence.png")
-    return SpreadShown(picture=blob.sha256, python=python_line("session.confidence", request.layer))
+    return ConfidencePicture(picture=blob.sha256, python=python_line("session.confidence", request.layer))
 
 
 class LeftOut(Answer):
