@@ -65,6 +65,14 @@ def test_a_picture_is_spread(studio: Live) -> None:
     assert answer.status_code == 400 and "expected one of 1" in answer.json()["error"]["message"]
 
 
+def test_a_selection_limits_how_far_a_stroke_reaches(studio: Live) -> None:
+    studio.post("selection.box", low=[-2, 0, -2], high=[2, 2, 2])
+    made = stroke(studio, spread=0.3).json()["layer"]
+    changed, y = differing(board(), studio.studio.session.splats), board().means[:, 1]
+    assert made["parameters"]["selection"] and not changed[y < 0].any()
+    assert changed[BACK & (y > 0.1) & (board().means[:, 0] < -0.1)].mean() > 0.9
+
+
 def test_a_stroke_that_spreads_goes_into_no_other_layer(studio: Live) -> None:
     layer = studio.post("layer.new")["layer"]["id"]
     answer = stroke(studio, spread=0.5, layer=layer)

@@ -38,19 +38,19 @@ class ColorChange:
         """old, new: [P, 3] display colours; weights: [P] >= 0, not all 0."""
         x, y = (srgb_to_linear(colors.astype(np.float64).clip(0, 1)) for colors in (old, new))
         share = weights.astype(np.float64) / weights.sum(dtype=np.float64)
-        light = max(float(share @ luminance(x)), MIN_LIGHT)
+        light = max(float((share * luminance(x)).sum()), MIN_LIGHT)
         x = x / light
-        start = np.outer(share @ y, LUMA)  # [3, 3]
+        start = np.outer((share[:, None] * y).sum(0), LUMA)  # [3, 3]
         columns = np.concatenate([x, np.ones((len(x), 1))], 1)  # [P, 4]
-        gram = (columns * share[:, None]).T @ columns + np.diag([HOLD_MATRIX] * 3 + [HOLD_OFFSET])
-        rest = y - x @ start.T
-        solved = np.linalg.solve(gram, (columns * share[:, None]).T @ rest)  # [4, 3]
+        # Sums without BLAS, whose order depends on its threads.
+        gram = _summed(columns, columns, share) + np.diag([HOLD_MATRIX] * 3 + [HOLD_OFFSET])
+        solved = np.linalg.solve(gram, _summed(columns, y - _mapped(x, start), share))  # [4, 3]
         return ColorChange((start + solved[:3].T) / light, solved[3])
 
     def __call__(self, colors: np.ndarray) -> np.ndarray:
         """[..., 3] display colours 0..1 -> the like, 0..MAX_COLOR."""
         linear = srgb_to_linear(colors.astype(np.float64).clip(0, None))
-        new = linear_to_srgb((linear @ self.matrix.T + self.offset).clip(0, None))
+        new = linear_to_srgb((_mapped(linear, self.matrix) + self.offset).clip(0, None))
         return new.clip(0, MAX_COLOR).astype(np.float32)
 
     def applied(self, splats: Splats, ids: np.ndarray, shares: np.ndarray) -> np.ndarray:
@@ -71,3 +71,13 @@ class ColorChange:
             middle = old.clip(2 * STEP, 1 - 2 * STEP)[:, None]
             out[:, 1:] = (change(middle + along) - change(middle - along)) * (size / (2 * STEP))
         return (sh + shares[:, None, None] * (out - sh)).astype(np.float32)
+
+
+def _summed(one: np.ndarray, other: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """[A, B] sum over p of share_p one_pa other_pb."""
+    return np.stack([[(share * a * b).sum() for b in other.T] for a in one.T])
+
+
+def _mapped(colors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """[..., 3] matrix times each colour."""
+    return sum(colors[..., k, None] * matrix[:, k] for k in range(3))  # type: ignore[return-value]

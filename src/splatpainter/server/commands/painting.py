@@ -234,6 +234,9 @@ def _committed(
     if request.spread is not None:
         options |= {"mode": "spread", "method": "auto"}
         parameters = {**parameters, SPREAD_THRESHOLD: request.spread}
+        if (stored := context.studio.selection.stored()) is not None:
+            parameters[SELECTION] = stored[0]
+            attached.append(stored[1])
     options |= {"parameters": parameters} if parameters else {}
     return session.add(kind, [edit], **options, attached=attached).id, python_line(
         "session.add", kind, words, **options
@@ -306,7 +309,7 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
         if not edits:
             raise ValueError("edit: expected a mask in one of the views; select an area on one of them")
         options["parameters"] = {WITHIN: True}
-    stored = context.studio.selection.stored() if request.mode == "global" else None
+    stored = context.studio.selection.stored() if request.mode != "local" else None
     if stored is not None:
         options["parameters"] = {**options.get("parameters", {}), SELECTION: stored[0]}
         options["attached"] = [stored[1]]
