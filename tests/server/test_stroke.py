@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from splatpainter.rendering import render
+from splatpainter.server.mirrored_stroke import MirroredStroke
+from splatpainter.server.protocol import CameraInfo
 from splatpainter.server.stroke import Stroke
+from splatpainter.session.mirror_plane import mirrored_camera, parsed_plane
 from splatpainter.splats import Splats
+from tests.support import studio_scenes
 from tests.support.studio_scenes import ball, view
 
 SIZE, BOX = 96, (34, 38, 24, 20)
@@ -123,3 +129,43 @@ def test_paint_beside_the_asset_previews_nothing() -> None:
     splats = ball(500)
     stroke = Stroke(view(SIZE))
     assert not len(stroke.preview(splats, splats, 1, stroke.patch(0, 0, 6, 6, square(width=6, height=6)))[0])
+
+
+def test_a_mirrored_stroke_paints_both_sides_in_one_step(tmp_path: Path) -> None:
+    """Previewed and painted on the mirrored view too; one undo takes both away."""
+    camera = view(96, 20)
+    with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
+        session = live.studio.session
+        info = CameraInfo.of(camera).model_dump()
+        mirror = {"normal": [2.0, 0.0, 0.0], "offset": 0.0}
+        stroke = live.post("paint.begin", camera=info, mirror=mirror)["stroke"]
+        red = base64.b64encode(bytes([255, 0, 0, 255]) * 144).decode()
+        one_side = live.post("paint.begin", camera=info)["stroke"]
+        alone = live.post("paint.dab", stroke=one_side, x=30, y=40, width=12, height=12, rgba=red)["gaussians"]
+        stroke = live.post("paint.begin", camera=info, mirror=mirror)["stroke"]
+        both = live.post("paint.dab", stroke=stroke, x=30, y=40, width=12, height=12, rgba=red)["gaussians"]
+        assert both > alone
+        layer = live.post("paint.end", stroke=stroke, into_new="Paint")["layer"]
+        assert len(layer["views"]) == 2 and len(session.history) == 2
+        other = mirrored_camera(camera, parsed_plane((1, 0, 0), 0))
+        for at, column in ((camera, 36), (other, 96 - 36)):
+            color = render(session.splats, at).colors[0, 46, column]
+            assert color[0] > 0.7 and color[1:].max() < 0.35
+        live.post("undo")
+        assert not session.layers
+
+
+def test_mirrored_paint_that_keeps_shading_has_the_shading_of_its_own_side() -> None:
+    splats = studio_scenes.ball()
+    camera = view(96)
+    first, half = Stroke(camera), MirroredStroke(mirrored_camera(camera, parsed_plane((1, 0, 0), 0)))
+    half.keep = 1.0
+    first.prepare(splats, splats, 0)
+    half.prepare(splats, splats, 0)
+    base = np.clip(first.base[40:52, 30:42], 0, 1)  # the colours are those below, a little redder
+    rgba = (
+        np.concatenate([base * 255 + (20, 0, 0), np.full((12, 12, 1), 255)], -1).clip(0, 255).round().astype(np.uint8)
+    )
+    half.follow(first, first.patch(30, 40, 12, 12, rgba.tobytes()), splats, splats, 0)
+    expected = np.clip(half.base[40:52, 54:66] * 255 + (20, 0, 0), 0, 255)
+    assert np.abs(half.rgba[40:52, 54:66, :3] - expected).mean() < 2

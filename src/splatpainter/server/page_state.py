@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from splatpainter.server.mirrored_stroke import MirroredStroke
 from splatpainter.server.protocol import Answer, Message
 from splatpainter.server.stroke import Stroke
 from splatpainter.server.work_queue import Ticket
@@ -46,6 +47,8 @@ class PageState:
         self.name = name
         self.strokes: dict[str, Stroke] = {}
         """At most one, by its name."""
+        self.mirrored: dict[str, MirroredStroke] = {}
+        """The other half of a stroke under symmetry, by the stroke's name."""
         self.previewed_ids = np.zeros(0, np.int64)
         """Gaussians that its screen shows in other colours than the asset has."""
         self.clear_preview = False

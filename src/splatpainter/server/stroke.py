@@ -158,6 +158,12 @@ class Stroke:
         return entries
 
     @property
+    def base(self) -> np.ndarray:
+        """[H, W, 3] the render without the stroke, in the asset's colour space; `prepare` first."""
+        assert self._canvas is not None
+        return self._canvas.base
+
+    @property
     def mask(self) -> np.ndarray:
         """[H, W] bool: painted pixels."""
         return self.rgba[..., 3] > 0

@@ -3,7 +3,7 @@
  * The view is frozen meanwhile. Patches are sent one at a time; what is drawn while one is on its way goes with the next.
  */
 
-import type { LayerInfo, PaintEnd, PaintLimits } from "../messages";
+import type { LayerInfo, PaintEnd, PaintLimits, Symmetry } from "../messages";
 import { CommandError, type Link } from "../net/connection";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
@@ -32,6 +32,8 @@ export interface StrokeOptions {
   method: "auto" | "ttt" | "lift" | "fit";
   limits: PaintLimits;
   opacity: number;
+  /** Where it is mirrored; null: nowhere. */
+  mirror: Symmetry | null;
   /** As far as it is shown; the server keeps to it. */
   selection: Mask | null;
 }
@@ -59,7 +61,7 @@ export class Stroke {
   private failure: unknown = null;
 
   constructor(private readonly options: StrokeOptions) {
-    const { camera, kind, layer, link } = options;
+    const { camera, kind, layer, link, mirror } = options;
     this.name = options.name;
     this.mask = emptyMask(camera.width, camera.height);
     this.ready = options.base.then((pixels) => {
@@ -67,7 +69,7 @@ export class Stroke {
       this.paint();
     });
     this.id = Promise.all([this.ready, options.after])
-      .then(() => link.do("paint.begin", { camera, kind, layer }))
+      .then(() => link.do("paint.begin", { camera, kind, layer, mirror }))
       .then((answer) => answer.stroke);
     this.id.catch(() => {});
   }

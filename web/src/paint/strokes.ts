@@ -27,6 +27,7 @@ import type { Pixels } from "./flood";
 import { limitsToSend } from "./limits";
 import { selection, selectionSent } from "./selection";
 import { Stroke, type StrokeTarget } from "./stroke";
+import { mirrorOfStroke } from "./symmetry";
 
 /** Tools whose paint can go on over the material that it lies on. */
 export const SPREADING_TOOLS: readonly string[] = ["brush", "line", "fill"];
@@ -155,6 +156,7 @@ export function beginStroke(
     method: method.value,
     limits: limitsToSend(limits.value),
     opacity,
+    mirror: target?.placed ? null : mirrorOfStroke(kind),
     selection: selection.value,
   });
   frozen.value++;

@@ -12,6 +12,8 @@ import { SurfaceView } from "./surface-view";
 export const viewSurface = signal<SurfaceView | null>(null);
 /** Whether texts and pictures are laid on the surface, and by how many degrees that may turn away; 180: no limit. */
 export const wrapping = signal({ on: true, limit: 180 });
+/** Whether the mirrored brush is shown. */
+export const mirroring = signal(false);
 const BRUSHES = ["brush", "erase", "line", "clone", "heal"];
 const LAYING = ["text", "stamp"];
 const REST_MS = 120;
@@ -43,7 +45,8 @@ export function followSurface(): void {
     const [view, now] = [camera.value, state.value];
     const { unit, follow } = engine.value;
     const lays = LAYING.includes(tool.value) && wrapping.value.on;
-    const needed = lays || (BRUSHES.includes(tool.value) && (unit === "world" || follow));
+    const brushes = BRUSHES.includes(tool.value) && (unit === "world" || follow || mirroring.value);
+    const needed = lays || brushes;
     clearTimeout(timer);
     if (!view || !now || !needed) return;
     // paint changes what is seen, but hardly where the surface is: layers that hide something do

@@ -32,6 +32,7 @@ import {
 import { presets } from "../state/remembered";
 import { brush, toast } from "../state/store";
 import { report } from "../state/studio";
+import { SymmetryPanel } from "./symmetry";
 import { Button, Check, Choice, FileButton, Percent, Slider } from "./parts";
 
 const naming = signal("");
@@ -289,6 +290,7 @@ export function BrushPanel() {
           <Amount label="Depth" name="textureDepth" />
         </>
       )}
+      <SymmetryPanel />
       <h3>Hand</h3>
       <Amount label="Steady" name="stabiliser" />
       <Check

@@ -31,6 +31,7 @@ import {
 } from "../state/store";
 import { report } from "../state/studio";
 import { BrushSize, KeepShading } from "./brush-size";
+import { SymmetryButton } from "./symmetry";
 import { fonts, loadFont, systemFonts } from "./fonts";
 import { Button, Check, Choice, FileButton, Percent, Slider } from "./parts";
 
@@ -102,6 +103,7 @@ function Round() {
       <Percent label="Opacity" value={b.opacity} min={0.01} onInput={(v) => set({ opacity: v })} />
       <Percent label="Flow" value={b.flow} min={0.01} onInput={(v) => set({ flow: v })} />
       {shadingApplies() && <KeepShading />}
+      {tool.value !== "heal" && <SymmetryButton />}
       <Button
         label="Tip, dabs, texture and hand of the brush"
         icon="brush"

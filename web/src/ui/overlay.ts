@@ -5,6 +5,8 @@ import { effect, signal } from "@preact/signals";
 import { BRUSH_TOOLS, cursorFrame } from "../paint/brush";
 import { viewScale } from "../paint/brush-settings";
 import { meanRadius, type Frame } from "../paint/dabs";
+import { outlineOf } from "../paint/mirror";
+import { mirroredPixel, mirrorPlane } from "../paint/symmetry";
 import { pulled } from "../paint/freehand";
 import { cloneFrom } from "../paint/strokes";
 import { boxHandles, handleAt } from "../paint/crop-box";
@@ -13,7 +15,7 @@ import { draft } from "../paint/point-tools";
 import { outline } from "../paint/select";
 import type { Mask } from "../paint/raster";
 import { cropBox, selection, tinted } from "../paint/selection";
-import { brush, camera, selecting, tool } from "../state/store";
+import { brush, camera, selecting, state, tool } from "../state/store";
 import { project, type CameraJson, type Vec3 } from "../view/camera";
 
 /** Pen over the view, view pixels; null: elsewhere. */
@@ -94,6 +96,19 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
     if (from && (current === "clone" || current === "heal")) {
       const [x, y] = from.offset && at ? [at.x - from.offset[0], at.y - from.offset[1]] : [from.x, from.y];
       two(cross(x, y, 7 / k));
+    }
+    const plane = mirrorPlane.value;
+    if (plane && now && BRUSH_TOOLS.includes(current) && !placed) {
+      const { center, radius } = state.value!.asset;
+      const points = outlineOf(plane, center as Vec3, 1.05 * radius).map((point) => project(now, point));
+      if (points.every(([, , depth]) => depth > 0)) {
+        const path = polyline(points.flatMap(([x, y]) => [x, y]));
+        context.fillStyle = "rgba(120,190,255,.07)";
+        context.fill(path);
+        two(path, [6, 5]);
+      }
+      const other = at && mirroredPixel(now, at.x, at.y);
+      if (other) two(ellipse(other.x, other.y, cursorFrame(at.x, at.y)), other.hidden ? [2, 4] : []);
     }
     const string = pulled.value;
     if (string && at) two(segments([string.x, string.y, at.x, at.y]));

@@ -28,8 +28,10 @@ from splatpainter.server.commands.context import (
     naming_errors,
     progress,
     python_line,
+    render_alpha,
     render_display,
 )
+from splatpainter.server.mirrored_stroke import MirroredStroke, merged
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
     Answer,
@@ -44,6 +46,7 @@ from splatpainter.server.protocol import (
     Name,
     PaintLimits,
     Placed,
+    Point,
     Previewed,
     Unit,
 )
@@ -52,12 +55,28 @@ from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
 from splatpainter.session.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Kind
+from splatpainter.session.mirror_plane import mirrored_camera, parsed_plane
 from splatpainter.sources.edit_files import FileEdit, unmultiplied
 from splatpainter.sources.picture_reader import read_picture
+
+MIN_MIRRORED_ALPHA = 0.5
+"""The asset's, somewhere under the mirrored half of a stroke; else there is nothing to paint on."""
 
 
 class StrokeStarted(Answer):
     stroke: str
+
+
+class Symmetry(Message):
+    """A plane of symmetry: what is painted on the one side comes to the other."""
+
+    normal: Point
+    """World axes; need not be unit."""
+    offset: float
+    """normal x = offset of its points."""
+    keep: Unit = 0.0
+    """How far the stroke's colours are those below with a difference, which then goes to what is below on the other
+    side: paint that keeps shading."""
 
 
 class PaintBegin(Command):
@@ -72,6 +91,8 @@ class PaintBegin(Command):
     names: black hides it, white shows it, alpha is how far; there are no previews."""
     layer: str | None = None
     """Of an eraser: the paint layer whose paint it takes away; None: back to the original."""
+    mirror: Symmetry | None = None
+    """Paint on the mirrored view, too (not of masks)."""
 
 
 @command(PaintBegin)
@@ -87,7 +108,14 @@ def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     context.studio.prepare_edit(camera)  # ready when the pen goes up
     context.clear_preview = True
     name = secrets.token_hex(6)
-    context.page.strokes = {name: stroke}
+    context.page.strokes, context.page.mirrored = {name: stroke}, {}
+    if request.mirror is not None and not stroke.masks:
+        plane = parsed_plane(request.mirror.normal, request.mirror.offset)
+        other = mirrored_camera(camera, plane)
+        half = MirroredStroke(other, stroke.erase, session, beneath, context.studio.selection.view(other))
+        half.keep = 0.0 if stroke.erase else request.mirror.keep
+        half.prepare(now.splats, session.original, now.version)
+        context.page.mirrored = {name: half}
     return StrokeStarted(stroke=name)
 
 
@@ -120,6 +148,10 @@ def dab(context: CommandContext, request: PaintDab) -> Previewed:
         return Previewed(gaussians=0)
     now = session.snapshot
     ids, sh = stroke.preview(now.splats, session.original, now.version, box)
+    half = context.page.mirrored.get(request.stroke)
+    if half is not None:
+        there = half.follow(stroke, box, now.splats, session.original, now.version)
+        ids, sh = merged((ids, sh), half.preview(now.splats, session.original, now.version, there))
     if len(ids):
         context.preview = frames.preview_colors(sh, ids, len(now.splats), now.version)
         context.previewed_ids = ids
@@ -185,9 +217,14 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         else:
             picture = stroke.over(render_display(splats, stroke.camera))
         image = from_display(picture.astype(np.float32), splats.color_space)
-        edit = Edit(image, stroke.camera, stroke.mask, request.name)
-        layer, line = _committed(context, request, edit, kind, parameters)
+        edits = [Edit(image, stroke.camera, stroke.mask, request.name)]
+        half = context.page.mirrored.get(request.stroke) if request.spread is None else None  # it goes all around
+        if half is not None and (half.mask & (render_alpha(splats, half.camera) > MIN_MIRRORED_ALPHA)).any():
+            image = half.over(render_display(splats, half.camera)).astype(np.float32)
+            edits.append(Edit(from_display(image, splats.color_space), half.camera, half.mask, request.name))
+        layer, line = _committed(context, request, edits, kind, parameters)
     context.page.strokes.pop(request.stroke, None)
+    context.page.mirrored.pop(request.stroke, None)
     context.clear_preview = True
     return layer_made(context, layer, line)
 
@@ -205,10 +242,11 @@ def _masked(context: CommandContext, request: PaintEnd, stroke: Stroke) -> Layer
 
 
 def _committed(
-    context: CommandContext, request: PaintEnd, edit: Edit, kind: Kind, parameters: dict[str, Any]
+    context: CommandContext, request: PaintEnd, edits: list[Edit], kind: Kind, parameters: dict[str, Any]
 ) -> tuple[str, str]:
     """(id of the layer that a stroke is in now, the Python line)."""
-    session, words = context.studio.session, [RawExpr("sp.Edit(picture, camera, mask)")]
+    session = context.studio.session
+    words = [RawExpr(f"sp.Edit(picture{k or ''}, camera{k or ''}, mask{k or ''})") for k in range(len(edits))]
     attached: list[bytes] = []
     if request.placed is not None:
         if request.placed.image is not None:
@@ -216,19 +254,17 @@ def _committed(
         parameters = {**parameters, PLACED: request.placed.model_dump()}
     if request.replaces is not None:
         options: dict[str, Any] = {"name": request.name, "parameters": parameters}
-        layer = session.replace_views(
-            request.replaces, [edit], **options, gesture=request.gesture, attached=attached
-        ).id
+        layer = session.replace_views(request.replaces, edits, **options, gesture=request.gesture, attached=attached).id
         return layer, python_line("session.replace_views", layer, words, **options)
     if request.layer is not None or request.into_new is not None:
         options = {"name": request.name, "kind": kind, "method": request.method}
         options |= {"parameters": parameters} if parameters else {}
         layer, line = request.layer, ""
         if layer is None:
-            layer = session.first_stroke(request.into_new, [edit], **options).id
+            layer = session.first_stroke(request.into_new, edits, **options).id
             line = f"layer = session.new_layer({request.into_new!r}); "
         else:
-            session.paint(layer, [edit], **options)
+            session.paint(layer, edits, **options)
         return layer, line + python_line("session.paint", layer, words, **options)
     options = {"name": request.name, "method": request.method, "opacity": request.opacity, "blend": request.blend}
     if request.spread is not None:
@@ -238,9 +274,7 @@ def _committed(
             parameters[SELECTION] = stored[0]
             attached.append(stored[1])
     options |= {"parameters": parameters} if parameters else {}
-    return session.add(kind, [edit], **options, attached=attached).id, python_line(
-        "session.add", kind, words, **options
-    )
+    return session.add(kind, edits, **options, attached=attached).id, python_line("session.add", kind, words, **options)
 
 
 class PaintCancel(Command):
@@ -253,6 +287,7 @@ class PaintCancel(Command):
 @command(PaintCancel)
 def cancel(context: CommandContext, request: PaintCancel) -> Answer:
     context.page.strokes.pop(request.stroke, None)
+    context.page.mirrored.pop(request.stroke, None)
     context.clear_preview = True
     return Answer()
 

@@ -7,8 +7,10 @@ import base64
 from pydantic import Field
 
 from splatpainter.server.commands.context import CommandContext, command
+from splatpainter.server.describe import up_axis
 from splatpainter.server.palette import MAX_COLORS, main_colors
-from splatpainter.server.protocol import Answer, CameraInfo, Command, Rgb
+from splatpainter.server.protocol import Answer, CameraInfo, Command, Point, Rgb, Unit
+from splatpainter.session.mirror_plane import find_mirror_plane
 
 
 class SurfaceSeen(Answer):
@@ -54,3 +56,26 @@ class AssetPalette(Command):
 def asset_palette(context: CommandContext, request: AssetPalette) -> Palette:
     colors = main_colors(context.studio.session.splats, request.count)
     return Palette(colors=[[round(float(value), 4) for value in color] for color in colors])
+
+
+class SymmetryPlane(Answer):
+    normal: Point
+    """Unit."""
+    offset: float
+    """normal x = offset, world units."""
+    agreement: Unit
+    """Of the asset with its mirror image, 1: they are the same."""
+
+
+class SymmetryFind(Command):
+    """The plane in which the original is most nearly its own mirror image."""
+
+    NAME = "symmetry.find"
+    ANSWER = SymmetryPlane
+
+
+@command(SymmetryFind)
+def find_symmetry(context: CommandContext, request: SymmetryFind) -> SymmetryPlane:
+    session = context.studio.session
+    plane = find_mirror_plane(session.original, up_axis(session))
+    return SymmetryPlane(normal=list(plane.normal), offset=plane.offset, agreement=plane.agreement)

@@ -1,0 +1,88 @@
+/** Settings of mirrored strokes. */
+
+import { assetPlane, symmetry, toggleSymmetry, type PlaneChoice } from "../paint/symmetry";
+import { readOnly, state } from "../state/store";
+import { Button, Check, Choice, Slider } from "./parts";
+
+const PLANES: readonly (readonly [PlaneChoice, string])[] = [
+  ["found", "Of the asset"],
+  ["x", "X"],
+  ["y", "Y"],
+  ["z", "Z"],
+];
+const POOR = 0.6;
+
+export function SymmetryButton() {
+  const { on } = symmetry.value;
+  return (
+    <Button
+      label={on ? "Paint on this side only" : "Mirror strokes to the other side of the asset"}
+      icon="compare"
+      text="Symmetry"
+      pressed={on}
+      disabled={readOnly.value || !state.value}
+      onClick={() => void toggleSymmetry(!on)}
+    />
+  );
+}
+
+export function SymmetryPanel() {
+  const s = symmetry.value;
+  const set = (part: Partial<typeof s>) => (symmetry.value = { ...symmetry.value, ...part });
+  const measured = assetPlane.value?.session === state.value?.session ? assetPlane.value : null;
+  const choose = (plane: PlaneChoice) => {
+    set({ plane, shift: 0, angle: 0, lean: 0 });
+    void toggleSymmetry(true);
+  };
+  return (
+    <>
+      <h3>Symmetry</h3>
+      <Check label="Mirror strokes" value={s.on} disabled={readOnly.value} onChange={(on) => void toggleSymmetry(on)} />
+      {s.on && (
+        <>
+          <Choice label="Plane" value={s.plane} options={PLANES} onChange={choose} />
+          {s.plane === "found" && measured && (
+            <p class="quiet">
+              {measured.agreement < POOR
+                ? "The asset is hardly symmetric: look where strokes arrive."
+                : `The asset meets its mirror image by ${Math.round(100 * measured.agreement)} %.`}
+            </p>
+          )}
+          <Slider
+            label="Shift"
+            value={s.shift * 100}
+            min={-60}
+            max={60}
+            step={0.2}
+            digits={1}
+            unit=" %"
+            reset={0}
+            onInput={(v) => set({ shift: v / 100 })}
+          />
+          <Slider
+            label="Turn"
+            value={s.angle}
+            min={-90}
+            max={90}
+            step={0.5}
+            digits={1}
+            unit="°"
+            reset={0}
+            onInput={(angle) => set({ angle })}
+          />
+          <Slider
+            label="Lean"
+            value={s.lean}
+            min={-90}
+            max={90}
+            step={0.5}
+            digits={1}
+            unit="°"
+            reset={0}
+            onInput={(lean) => set({ lean })}
+          />
+        </>
+      )}
+    </>
+  );
+}
