@@ -280,9 +280,9 @@ def work(ready: Callable[[], None] | None = None) -> None:
 
 def load_kernels() -> None:
     """Load the compiled kernels of the renderer and the lift."""
-    from splatpainter.kernels.compile import run_group
+    from splatpainter.kernels import compile as kernels
 
-    run_group(0, 1)
+    kernels.load()
 
 
 def _maker(values: dict[str, Any]) -> Callable[[dict[str, Any]], str]:

@@ -238,10 +238,11 @@ def _compile(cache: Path) -> tuple[float, float]:
     from splatpainter.kernels.compile import WARMUPS
 
     count = min(2, cpus(), len(WARMUPS))
-    task = "splatpainter.kernels.compile:run_group"
-    variables = {"NUMBA_CACHE_DIR": str(cache)}
+    task = "splatpainter.kernels.compile:run_warmups"
+    variables, taken = {"NUMBA_CACHE_DIR": str(cache)}, cache / "taken"
+    taken.mkdir(parents=True)
     start = time.perf_counter()
     with ThreadPoolExecutor(count) as pool:
-        jobs = [pool.submit(in_fresh_process, task, {"index": k, "count": count}, variables) for k in range(count)]
+        jobs = [pool.submit(in_fresh_process, task, {"folder": str(taken)}, variables) for _ in range(count)]
         peaks = [job.result().peak_mib for job in jobs]
     return time.perf_counter() - start, max(peaks)

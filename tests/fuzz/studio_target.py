@@ -17,7 +17,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from splatpainter.kernels.compile import ensure_compiled, run_group
+from splatpainter.kernels import compile as kernels
 from splatpainter.server.app import create_app
 from splatpainter.server.client import protocol_hash
 from splatpainter.server.commands import COMMANDS
@@ -63,8 +63,9 @@ class StudioTarget(Target):
         self.camera = json.loads(camera(24).to_json())
 
     def warm_up(self) -> None:
-        ensure_compiled(progress=False)  # a command that compiles takes ten seconds of CPU, on a busy machine a minute
-        run_group(0, 1)
+        # A command that compiles takes ten seconds of CPU, on a busy machine a minute.
+        kernels.ensure_compiled(progress=False)
+        kernels.load()
 
     # ---- making scripts
 

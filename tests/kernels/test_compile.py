@@ -78,7 +78,7 @@ def test_a_folder_that_cannot_be_written(package, monkeypatch, tmp_path):
 
 
 def test_failure_is_one_line_and_is_not_remembered(package, monkeypatch):
-    monkeypatch.setattr(warmup, "COMMAND", "raise ValueError('no such kernel')  # {} {}")
+    monkeypatch.setattr(warmup, "COMMAND", "raise ValueError('no such kernel')  # {!r}")
     for _ in range(2):
         with pytest.raises(RuntimeError, match="compiling CPU kernels failed: ValueError: no such kernel"):
             warmup.ensure_compiled(progress=False)

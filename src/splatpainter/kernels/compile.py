@@ -8,6 +8,7 @@ imports neither numba nor torch when there is nothing to do.
 from __future__ import annotations
 
 import contextlib
+import gc
 import hashlib
 import importlib
 import importlib.util
@@ -24,22 +25,23 @@ from splatpainter.kernels.parallel import cpus
 from splatpainter.user_folders import cache_folder
 
 WARMUPS: dict[str, tuple[str, ...]] = {
-    "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
     "splatpainter.rendering.cpu.warm:warm_projection": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
+    "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
+    "splatpainter.surface.warm:warm": ("surface", "rendering/cpu/geometry.py", "kernels/search.py"),
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
-    "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py", "kernels/search.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
     "splatpainter.lighting:warm": ("lighting.py",),
     "splatpainter.spread.warm:warm": ("spread",),
-    "splatpainter.surface.warm:warm": ("surface", "rendering/cpu/geometry.py", "kernels/search.py"),
+    "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py", "kernels/search.py"),
 }
 """Registry. "module:function" that calls every kernel of its package once with float32 arrays -> files and folders
-(relative to the package) whose edits make its compiled kernels stale. Entries are shared out between two processes in
-turn, so list them in an order that balances. A package listed here calls `drop_stale()` before it loads kernels."""
+(relative to the package) whose edits make its compiled kernels stale. Two processes take entries from the front: those
+whose kernels others call come first, and long ones before short ones. A package listed here calls `drop_stale()` before
+it loads kernels."""
 
 PACKAGE = Path(__file__).resolve().parents[1]
 STAMP = "splatpainter-kernels.json"
-COMMAND = "from splatpainter.kernels.compile import run_group; run_group({}, {})"
+COMMAND = "from splatpainter.kernels.compile import run_warmups; run_warmups({!r})"
 
 
 def ensure_compiled(progress: bool = True) -> None:
@@ -81,22 +83,42 @@ def drop_stale() -> None:
     _write_stamp({**_read_stamp(), "sources": now})
 
 
-def run_group(index: int, count: int) -> None:
-    """Every count-th warm-up from the index-th on, in this process."""
-    for entry in list(WARMUPS)[index::count]:
-        module, function = entry.split(":")
-        getattr(importlib.import_module(module), function)()
+def load() -> None:
+    """Load every kernel in this process (and compile those that are in no cache)."""
+    for entry in WARMUPS:
+        _run(entry)
+
+
+def run_warmups(folder: str) -> None:
+    """Run the warm-ups that no other process took: each is taken by a file of its number in `folder`.
+
+    Without the garbage collector: numba's intermediate code is many small objects that live as long as they are needed,
+    and to walk through them again and again is a quarter of the time of compiling. This process ends soon."""
+    gc.disable()
+    for number, entry in enumerate(WARMUPS):
+        try:
+            Path(folder, str(number)).touch(exist_ok=False)
+        except FileExistsError:
+            continue
+        _run(entry)
+
+
+def _run(entry: str) -> None:
+    module, function = entry.split(":")
+    getattr(importlib.import_module(module), function)()
 
 
 def _compile(processes: int) -> None:
     import subprocess  # costs 10 ms, needed once
+    import tempfile
 
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), *filter(None, sys.path)])}
     pipes: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": environment}
     with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="splatpainter-"))
         children = []
-        for index in range(processes):
-            child = subprocess.Popen([sys.executable, "-c", COMMAND.format(index, processes)], **pipes)
+        for _ in range(processes):
+            child = subprocess.Popen([sys.executable, "-c", COMMAND.format(folder)], **pipes)
             children.append(stack.enter_context(child))
             stack.callback(child.kill)  # on Ctrl-C, and when the other one fails; after its end this does nothing
         for child in children:

@@ -72,11 +72,11 @@ def address(access: Access, bound: socket.socket) -> str:
 def warm() -> threading.Thread:
     """Load the compiled kernels beside everything else, so that the first stroke need not wait a second for them. To be
     joined before the process ends."""
-    from splatpainter.kernels.compile import ensure_compiled, run_group
+    from splatpainter.kernels import compile as kernels
 
     def load() -> None:
-        ensure_compiled(progress=False)
-        run_group(0, 1)
+        kernels.ensure_compiled(progress=False)
+        kernels.load()
 
     thread = threading.Thread(target=load, name="splatpainter-warm")
     thread.start()
