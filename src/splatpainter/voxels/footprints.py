@@ -25,6 +25,8 @@ FIXED_POINT_UNIT = float(1 << 20)
 """Fixed-point steps per unit of optical thickness."""
 MAX_VOLUMES = 4
 """Threads that sum at once, each into a volume of its own."""
+MIN_GAUSSIANS_PER_VOLUME = 2000
+"""To clear and add a volume takes as long as to put this many Gaussians into it."""
 MAX_SAMPLE_THICKNESS = 1e4
 """Cap of one sample's thickness, so that sums over a hundred million Gaussians stay below 2^63."""
 
@@ -38,10 +40,14 @@ def density(
     """[R, R, R] float32 optical thickness per voxel length that the given Gaussians ([M], all drawable) put into the
     cube of resolution^3 voxels at `min_corner`. A ray along the shortest axis of one, through its middle, picks up
     about its opacity; 3DGS knows no thickness along the others, where this errs to the opaque side."""
-    totals = np.zeros((min(parallel.threads(), MAX_VOLUMES), resolution**3), np.int64)
+    volumes = max(1, min(parallel.threads(), MAX_VOLUMES, len(gaussian_ids) // MIN_GAUSSIANS_PER_VOLUME))
+    totals = np.zeros((volumes, resolution**3), np.int64)
     args = (gaussian_ids.astype(np.int64), min_corner.astype(np.float64), float(voxel), resolution, totals)
     parallel.run(_deposit, *_arrays(splats), *args)
-    return (totals.sum(0) / FIXED_POINT_UNIT).astype(np.float32).reshape((resolution,) * 3)
+    result = np.empty(resolution**3, np.float32)
+    total = totals[0] if volumes == 1 else totals.sum(0)
+    np.divide(total, FIXED_POINT_UNIT, out=result, dtype=np.float64, casting="same_kind")  # without a float64 volume
+    return result.reshape((resolution,) * 3)
 
 
 def touching(

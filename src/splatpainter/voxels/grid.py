@@ -107,7 +107,7 @@ def voxelize(splats: Splats, resolution: int = RESOLUTION) -> VoxelGrid:
         keys=grouped[first],
         starts=np.append(first, len(grouped)),
         density=density,
-        occupancy=(density > MIN_OCCUPIED_DENSITY * min(1.0, typical)).astype(np.uint8),
+        occupancy=(density > MIN_OCCUPIED_DENSITY * min(1.0, typical)).view(np.uint8),
     )
 
 
