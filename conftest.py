@@ -13,12 +13,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from _pytest.pathlib import import_path
 
 SHARED = Path(os.environ.get("SPLATPAINTER_SHARED", Path(__file__).resolve().parents[1] / "shared"))
 
 MEMORY_DISK = Path("/dev/shm")
 MIN_FREE_BYTES = 8 << 30
 """Of the memory disk, for the tests' files to lie there."""
+GARBAGE_OBJECTS = 50_000
+"""Made since the last collection, after which the garbage collector looks at the young ones."""
 
 
 def pytest_configure() -> None:
@@ -52,15 +55,31 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Iterator[None]:
+def pytest_collection(session: pytest.Session) -> Iterator[None]:
     """What is imported while tests are collected stays: the garbage collector need not walk through torch for it, and
-    not again in every test."""
+    not again in every test. In tests it comes after many objects, not after 700: kernels and networks are made of many.
+
+    The second of two workers imports test files from the last one on: each file is rewritten by one of them, and the
+    other finds its bytecode."""
     gc.disable()
     try:
+        if os.environ.get("PYTEST_XDIST_WORKER") == "gw1":
+            _import_backwards(session)
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(GARBAGE_OBJECTS, 20, 20)
         gc.enable()
+
+
+def _import_backwards(session: pytest.Session) -> None:
+    """Import the test files of the folders that were asked for as pytest will, in the reverse of its order. A file that
+    cannot be imported is for its collection to show."""
+    folders = [session.config.invocation_params.dir / word.split("::")[0] for word in session.config.args]
+    files = {file for folder in folders if folder.is_dir() for file in folder.rglob("test_*.py")}
+    for file in sorted(files, reverse=True):
+        with contextlib.suppress(Exception):
+            import_path(file, mode="importlib", root=session.config.rootpath, consider_namespace_packages=False)
 
 
 @pytest.fixture(scope="session")

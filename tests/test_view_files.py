@@ -24,7 +24,7 @@ from splatpainter.sources.picture_reader import read_picture
 from splatpainter.splats import Splats
 from splatpainter.view_files import PictureOptions, draw_passes, normals_of, view_files
 from tests.support.cli_scenes import BOX, Capture, ball, run, saved
-from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_gaussians
+from tests.support.render_scenes import cameras, opaque_stack, scene, single, with_odd_gaussians
 
 deep = pytest.mark.skipif(not image_files.can_do_deep(), reason="OpenImageIO is not installed (extra pictures)")
 SCENES = {
@@ -68,6 +68,7 @@ def reference_free(splats: Splats, camera: Camera) -> tuple[torch.Tensor, torch.
 @pytest.mark.parametrize("name", SCENES)
 def test_the_row_with_the_largest_weight(name: str, profile: str) -> None:
     splats, views = SCENES[name]
+    splats = single(splats)
     for camera in views:
         weight, rows = weights(splats, camera, profile)
         ids = project(splats, camera).heaviest_gaussians(profile)  # type: ignore[arg-type]
@@ -81,12 +82,13 @@ def test_the_row_with_the_largest_weight(name: str, profile: str) -> None:
         position = np.full(len(splats) + 1, -1)
         position[rows] = np.arange(len(rows))
         drawn = np.flatnonzero(flat >= 0)
-        assert np.allclose(weight[position[flat[drawn]], drawn], top[drawn], rtol=1e-9, atol=1e-12)
+        assert np.allclose(weight[position[flat[drawn]], drawn], top[drawn], rtol=1e-5, atol=1e-7)
 
 
 def test_passes_are_weighted_means() -> None:
     """Depth, normals and coverage by their definition, from the reference's weights."""
     splats, (camera, *_) = SCENES["odd Gaussians"]
+    splats = single(splats)
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(len(splats), 3))
     kinds = rng.integers(0, 3, len(splats))
@@ -94,7 +96,7 @@ def test_passes_are_weighted_means() -> None:
     passes = draw_passes(splats, camera, everything, normals=normals, coverage=(kinds == 1, kinds == 2))
     weight, rows = weights(splats, camera, "inria")
     shape = (camera.height, camera.width)
-    assert np.allclose(passes.alpha, weight.sum(0).reshape(shape), atol=1e-9)
+    assert np.allclose(passes.alpha, weight.sum(0).reshape(shape), atol=1e-6)
     summed = (weight.T @ normals[rows]).reshape(*shape, 3)
     length = np.linalg.norm(summed, axis=-1)
     assert passes.normal is not None and passes.coverage is not None

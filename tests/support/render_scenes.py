@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
-from splatpainter.splats import Splats
+from splatpainter.splats import ATTRIBUTES, Splats
 
 
 def scene(
@@ -74,3 +75,9 @@ def cameras(width: int, height: int, count: int = 1, fov: float = 50) -> list[Ca
         view = look_at(eye, [0, 0, 0], width=width, height=height, fov=fov, background=(0.1 * i, 0.2, 0.3))
         out.append(view if i == 0 else replace(view, cx=view.cx + 2.3, fy=view.fy * 1.1))
     return out
+
+
+def single(splats: Splats) -> Splats:
+    """The same in float32, as files are."""
+    values: dict[str, Any] = {name: getattr(splats, name).astype(np.float32) for name in ATTRIBUTES}
+    return replace(splats, **values)
