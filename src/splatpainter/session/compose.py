@@ -62,6 +62,7 @@ from splatpainter.session.layer_state import (
 )
 from splatpainter.session.mask_weights import MaskWeights
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
+from splatpainter.session.relief import COPY, Relief
 from splatpainter.session.selection import Selection
 from splatpainter.session.strokes import (
     MIN_LATEST,
@@ -492,6 +493,8 @@ class Replay:
         splats = below.splats
         if layer.kind == "erase":
             return LayerResult(self._erased(splats, self.original, layer))
+        if layer.kind == "clone" and COPY in layer.parameters and not layer.views:
+            return LayerResult(Relief.parse(layer.parameters).delta(splats))
         if layer.kind == "hide":
             weights = self._selected(layer, splats)
             faded = (splats.opacities * (1 - weights)).astype(np.float32)

@@ -60,6 +60,7 @@ from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.layer_factory import limits_of, new_layer, spread_options_of
 from splatpainter.session.project_file import Project, Step, Transaction
+from splatpainter.session.relief import Relief
 from splatpainter.session.scratch import ScratchFolder
 from splatpainter.session.selection import Selection
 from splatpainter.session.stroke_commands import StrokeCommands
@@ -523,6 +524,15 @@ class Session(StrokeCommands, Annotations):
         with self._command():
             self._transaction.blobs = {files.sha256(data): data}
             made = Layer("", name, "hide", parameters={SELECTION: files.sha256(data)}, method="lift")
+            document, layer = add_layer(self._snapshot.document, made, index)
+            self._commit(f"add {layer.name}", document, strict=layer.id)
+            return layer
+
+    def copy(self, relief: Relief, name: str = "Copy", *, index: int | None = None) -> Layer:
+        """A layer of Gaussians that are copied with their relief from one place of the surface to another (relief.py).
+        Raises ValueError where there is nothing to copy, or too much."""
+        with self._command():
+            made = Layer("", name, "clone", mode="global", parameters=relief.parameters(), method="lift")
             document, layer = add_layer(self._snapshot.document, made, index)
             self._commit(f"add {layer.name}", document, strict=layer.id)
             return layer

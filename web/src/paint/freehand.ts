@@ -22,6 +22,7 @@ import { limit, picture, shifted, solid } from "./patch";
 import { union, type Mask, type Point, type Rect } from "./raster";
 import { selection } from "./selection";
 import type { Stroke } from "./stroke";
+import { withRelief } from "./relief";
 import { sourceNear } from "./surroundings";
 import type { Pen, ToolHandler } from "./tool";
 
@@ -127,7 +128,10 @@ function fromSource(pen: Pen, name: string): Stroke | null {
   return stroke;
 }
 
-export const clone = sampling(along((pen) => fromSource(pen, "Clone"), undefined, true));
+export const clone = withRelief(
+  sampling(along((pen) => fromSource(pen, "Clone"), undefined, true)),
+  () => choosingSource.value,
+);
 
 /** Pixels that show the background and nothing else. */
 function emptyPixels(pixels: Pixels): (at: number) => boolean {

@@ -8,6 +8,7 @@ import { choosingSource } from "../paint/freehand";
 import { commitPlacement, discardPlacement, editedLayer, placement, startStamp } from "../paint/placement";
 import { LIMITED_TOOLS, MAX_ANGLE_DEGREES, MAX_DEPTH_EDGE_PX } from "../paint/limits";
 import { setColor } from "../paint/point-tools";
+import { relief } from "../paint/relief";
 import type { Combine } from "../paint/select";
 import { wrapping } from "../paint/view-surface";
 import {
@@ -66,6 +67,7 @@ export function Options() {
           onClick={() => (choosingSource.value = !choosingSource.value)}
         />
       )}
+      {current === "clone" && <Check label="With relief" value={relief.value} onChange={(on) => (relief.value = on)} />}
       {current === "select" && <Select />}
       {current === "orbit" && (
         <span class="hint">

@@ -1,0 +1,61 @@
+"""The clone stamp with relief: Gaussians copied from one place of the surface to another."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from splatpainter.cameras import Camera
+from splatpainter.server import picking
+from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
+from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
+from splatpainter.session import Session
+from splatpainter.session.relief import Relief, SurfacePoint
+
+
+class ReliefStamp(Command):
+    """Copy what lies within the brush at one pixel, with its relief, to another pixel, as a layer. What is there fades
+    under it."""
+
+    NAME = "clone.relief"
+    ANSWER = LayerMade
+    source_camera: CameraInfo
+    source_x: float
+    """Pixels of its view; the first pixel's centre is 0.5."""
+    source_y: float
+    camera: CameraInfo
+    x: float
+    y: float
+    radius: float = Field(gt=0, le=16384)
+    """Of the brush, pixels of `camera`'s view at the target."""
+    name: Name = "Clone with relief"
+
+
+@command(ReliefStamp, writes=True)
+def stamp(context: CommandContext, request: ReliefStamp) -> LayerMade:
+    session, camera = context.studio.session, request.camera.to_camera()
+    source, _ = surface_point(session, request.source_camera.to_camera(), request.source_x, request.source_y, "source")
+    target, depth = surface_point(session, camera, request.x, request.y, "target")
+    relief = Relief(source, target, request.radius * depth / camera.fx)
+    with progress(context, request.name):
+        layer = session.copy(relief, request.name)
+    line = python_line("session.copy", RawExpr(f"Relief(source, target, {relief.radius:.4g})"), request.name)
+    return layer_made(context, layer.id, line)
+
+
+def surface_point(session: Session, camera: Camera, x: float, y: float, what: str) -> tuple[SurfacePoint, float]:
+    """(the place of the surface that a pixel shows, its depth). Where no surface is trusted it is where the Gaussian is
+    that gives the pixel most of its colour, and faces the camera. Its first tangent is the view's x axis. Raises
+    ValueError where the asset does not cover the pixel."""
+    splats = session.splats
+    _, hit = picking.pick(splats, camera, x, y)
+    if hit is None:
+        raise ValueError(f"copy: there is nothing of the asset at the {what}; click on the asset")
+    table, block = session.surface_blocks(camera)
+    seen = table[min(int(y / block), len(table) - 1), min(int(x / block), table.shape[1] - 1)]
+    ray = np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0])
+    trusted = seen[0] > 0
+    depth = float(seen[0]) if trusted else float(camera.to_camera(splats.means[hit.gaussian_id])[2])
+    normal = seen[1:].astype(float) if trusted else -ray
+    rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    return SurfacePoint.of(rotation.T @ (depth * ray - translation), normal @ rotation, rotation[0]), depth
