@@ -11,7 +11,7 @@ import pytest
 from splatpainter.cameras import look_at
 from splatpainter.rendering import render
 from splatpainter.session import Session
-from splatpainter.session.relief import COPY, Relief, SurfacePoint
+from splatpainter.session.relief import COPY, CopyAnchor, Relief
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -39,8 +39,8 @@ RIVET = slice(861, 921)
 
 
 def relief(to: tuple[float, float, float] = (1.0, 0.0, 0.0), normal: np.ndarray = FRONT, radius: float = 0.4) -> Relief:
-    source = SurfacePoint.of(np.array([-1.0, 0, 0]), FRONT, np.array([1.0, 0, 0]))
-    return Relief(source, SurfacePoint.of(np.array(to), normal, np.array([1.0, 0, 0])), radius)
+    source = CopyAnchor.of(np.array([-1.0, 0, 0]), FRONT, np.array([1.0, 0, 0]))
+    return Relief(source, CopyAnchor.of(np.array(to), normal, np.array([1.0, 0, 0])), radius)
 
 
 def test_a_copy_is_the_rivet_elsewhere_and_can_be_taken_back(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_both_edges_are_soft_and_fade_alike() -> None:
 
 def test_what_cannot_be_copied_is_one_line(tmp_path: Path) -> None:
     with Session(board(), tmp_path / "a.splatproj") as session:
-        far = replace(relief(), source=SurfacePoint.of(np.array([50.0, 0, 0]), FRONT, np.array([1.0, 0, 0])))
+        far = replace(relief(), source=CopyAnchor.of(np.array([50.0, 0, 0]), FRONT, np.array([1.0, 0, 0])))
         with pytest.raises(ValueError, match="nothing within the brush"):
             session.copy(far)
         assert session.layers == ()

@@ -31,7 +31,7 @@ HEIGHT_SHARE = 1.0
 
 
 @dataclass(frozen=True)
-class SurfacePoint:
+class CopyAnchor:
     """A point of the surface and its axes."""
 
     point: np.ndarray
@@ -40,14 +40,14 @@ class SurfacePoint:
     """[3, 3] rotation whose columns are two tangents and the outward normal."""
 
     @staticmethod
-    def of(point: np.ndarray, normal: np.ndarray, along: np.ndarray) -> SurfacePoint:
+    def of(point: np.ndarray, normal: np.ndarray, along: np.ndarray) -> CopyAnchor:
         """along: [3] the first tangent, as far as it is one."""
         up = np.asarray(normal, float) / np.linalg.norm(normal)
         side = along - (along @ up) * up
         if np.linalg.norm(side) < 1e-6 * np.linalg.norm(along):
             side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
         side = side / np.linalg.norm(side)
-        return SurfacePoint(np.asarray(point, float), np.stack([side, np.cross(up, side), up], 1))
+        return CopyAnchor(np.asarray(point, float), np.stack([side, np.cross(up, side), up], 1))
 
     def local(self, points: np.ndarray) -> np.ndarray:
         """[N, 3] along the tangents and above the surface."""
@@ -57,7 +57,7 @@ class SurfacePoint:
         return {"point": self.point.tolist(), "axes": self.axes.tolist()}
 
     @staticmethod
-    def parse(data: Any) -> SurfacePoint:
+    def parse(data: Any) -> CopyAnchor:
         """Raises ValueError."""
         try:
             point, axes = np.array(data["point"], np.float64), np.array(data["axes"], np.float64)
@@ -66,15 +66,15 @@ class SurfacePoint:
         turned = point.shape == (3,) and axes.shape == (3, 3) and np.isfinite(point).all() and np.isfinite(axes).all()
         if not turned or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6 or np.linalg.det(axes) < 0:
             raise ValueError("copy: expected a finite point [3] and a rotation [3, 3] as axes")
-        return SurfacePoint(point, axes)
+        return CopyAnchor(point, axes)
 
 
 @dataclass(frozen=True)
 class Relief:
     """One copy. Raises ValueError where the radius is none."""
 
-    source: SurfacePoint
-    target: SurfacePoint
+    source: CopyAnchor
+    target: CopyAnchor
     radius: float
     """Of both discs, world units."""
 
@@ -91,11 +91,9 @@ class Relief:
         data = parameters.get(COPY)
         if not isinstance(data, dict) or type(data.get("radius")) not in (int, float):
             raise ValueError(f"copy: expected source, target and radius, got {brief(data)}")
-        return Relief(
-            SurfacePoint.parse(data.get("source")), SurfacePoint.parse(data.get("target")), float(data["radius"])
-        )
+        return Relief(CopyAnchor.parse(data.get("source")), CopyAnchor.parse(data.get("target")), float(data["radius"]))
 
-    def weights(self, anchor: SurfacePoint, splats: Splats) -> np.ndarray:
+    def weights(self, anchor: CopyAnchor, splats: Splats) -> np.ndarray:
         """[N] float64 how much of each Gaussian is in the disc, 0..1."""
         local = anchor.local(np.where(splats.drawable[:, None], splats.means, 1e30))
         with np.errstate(over="ignore"):

@@ -10,7 +10,7 @@ from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
 from splatpainter.session import Session
-from splatpainter.session.relief import Relief, SurfacePoint
+from splatpainter.session.relief import CopyAnchor, Relief
 
 
 class ReliefStamp(Command):
@@ -43,7 +43,7 @@ def stamp(context: CommandContext, request: ReliefStamp) -> LayerMade:
     return layer_made(context, layer.id, line)
 
 
-def surface_point(session: Session, camera: Camera, x: float, y: float, what: str) -> tuple[SurfacePoint, float]:
+def surface_point(session: Session, camera: Camera, x: float, y: float, what: str) -> tuple[CopyAnchor, float]:
     """(the place of the surface that a pixel shows, its depth). Where no surface is trusted it is where the Gaussian is
     that gives the pixel most of its colour, and faces the camera. Its first tangent is the view's x axis. Raises
     ValueError where the asset does not cover the pixel."""
@@ -58,4 +58,4 @@ def surface_point(session: Session, camera: Camera, x: float, y: float, what: st
     depth = float(seen[0]) if trusted else float(camera.to_camera(splats.means[hit.gaussian_id])[2])
     normal = seen[1:].astype(float) if trusted else -ray
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return SurfacePoint.of(rotation.T @ (depth * ray - translation), normal @ rotation, rotation[0]), depth
+    return CopyAnchor.of(rotation.T @ (depth * ray - translation), normal @ rotation, rotation[0]), depth
