@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from splatpainter.cameras import orbit_cameras
-from splatpainter.painter import Painter
+from splatpainter.painter import Edit, Painter
 from splatpainter.receipts import Receipt, changed_rows
 from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
 from splatpainter.source_edits.edit import cover, edit_with_source, refine
-from splatpainter.source_edits.turns import ask_in_turn
+from splatpainter.source_edits.turns import ask_in_turn, is_restyled
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
 from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
@@ -259,3 +259,25 @@ def test_a_view_that_cannot_be_painted_is_noted() -> None:
     turns = ask_in_turn(splats, FunctionSource(exchanged), SourceBrief("x"), plan, paint=paint, **quiet)
     assert turns.edits == tuple(painted) and len(painted) == 2
     assert turns.notes == ("function view 1: not painted (edit: reaches no Gaussian)",)
+
+
+def test_a_whole_asset_made_anew_is_split_and_a_part_of_it_gets_sheets() -> None:
+    splats = patterned(600)
+    truth = replace(splats, sh=(splats.sh @ EXCHANGE.T).astype(np.float32))
+    whole = edit(splats, FunctionSource(exchanged))
+    assert whole.receipt is not None and "made anew as a whole" in whole.receipt.note
+    (camera,) = orbit_cameras(splats, 1, size=128, azimuth=20, background=GREY)
+    solid = displayed(splats, camera)[1] > 0.95
+    error = np.abs(displayed(whole.splats, camera)[0] - displayed(truth, camera)[0]).max(-1)[solid]
+    (front,) = orbit_cameras(splats, 1, size=128, background=GREY)
+    changed = np.ones((128, 128), bool)
+    sheets = LIFT.apply(LIFT.encode(splats), [Edit(displayed(truth, front)[0], front, changed)]).splats
+    before = np.abs(displayed(sheets, camera)[0] - displayed(truth, camera)[0]).max(-1)[solid]
+    assert error.mean() < 0.7 * before.mean()
+    mask = np.zeros((128, 128), np.float32)
+    mask[50:80, 50:80] = 1
+    part = edit(splats, FunctionSource(exchanged), mask=mask)
+    assert part.receipt is not None and "as a whole" not in part.receipt.note
+    near = orbit_cameras(splats, 1, size=128, distance=1.6, background=GREY)[0]
+    assert is_restyled(splats, front, 0.9) and not is_restyled(splats, front, 0.4)
+    assert not is_restyled(splats, near.cropped(40, 40, 48, 48), 0.9)
