@@ -9,7 +9,16 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from splatpainter.transforms import fibonacci_sphere, matrix_to_quat, quat_to_matrix, sh_basis, sh_rotations, snapped
+from splatpainter.transforms import (
+    fibonacci_sphere,
+    matrix_to_quat,
+    quat_to_matrix,
+    row_max,
+    sh_basis,
+    sh_rotations,
+    snapped,
+    turned,
+)
 
 HALF_TURNS = [np.diag(signs) for signs in ([1.0, 1, 1], [1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
 
@@ -99,3 +108,17 @@ def test_coefficients_turn_with_the_world() -> None:
 
 def test_noise_around_whole_numbers_is_removed() -> None:
     np.testing.assert_array_equal(snapped(np.array([1 + 1e-14, -1e-13, 0.5, 1e-9])), [1, 0, 0.5, 1e-9])
+
+
+def test_turned_rotations_and_the_largest_of_short_rows() -> None:
+    rng = np.random.default_rng(3)
+    for dtype in (np.float32, np.float64):
+        matrix, rotations = rng.normal(size=(3, 3)).astype(dtype), rng.normal(size=(50, 3, 3)).astype(dtype)
+        out = turned(matrix, rotations)
+        assert out.dtype == dtype
+        np.testing.assert_allclose(out, matrix @ rotations, rtol=0, atol=32 * float(np.finfo(dtype).eps))
+    values = rng.normal(size=(40, 3))
+    values[5, 1] = np.nan
+    for count in (1, 2, 3):
+        np.testing.assert_array_equal(row_max(values[:, :count]), values[:, :count].max(1))
+    assert row_max(np.zeros((0, 2))).shape == (0,)

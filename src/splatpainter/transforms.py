@@ -31,6 +31,23 @@ def quat_to_matrix(quats: Array) -> Array:
     return _stacked(entries, quats).reshape(-1, 3, 3)
 
 
+def turned(matrix: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """[N, 3, 3] products of a matrix [3, 3] with each of some rotations [N, 3, 3]. Row by row, and each sum from the
+    first term to the last: the bits of einsum in a third of its time, and of no BLAS."""
+    first, second, third = (rotations[:, j] for j in range(3))
+    rows = [row[0] * first + row[1] * second + row[2] * third for row in matrix]
+    return np.stack(rows, 1)
+
+
+def row_max(values: np.ndarray) -> np.ndarray:
+    """[N, C] of few columns -> [N] the largest of each row; NaN where there is one. numpy's own reduction along so
+    short an axis takes several times longer."""
+    out = values[:, 0]
+    for column in values.T[1:]:
+        out = np.maximum(out, column)
+    return out
+
+
 def matrix_to_quat(matrices: np.ndarray) -> np.ndarray:
     """[N, 3, 3] rotation matrices -> [N, 4] unit quaternions whose largest component is positive.
 

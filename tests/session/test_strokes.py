@@ -340,3 +340,17 @@ def test_results_of_old_strokes_become_one_where_they_take_much_room(
         again = print_of(session)
     with load(path) as session:
         assert print_of(session) == again and calls(session) == 0
+
+
+def test_folding_gives_room_back(path: Path) -> None:
+    with flat(project=path) as session:
+        painted(session, 3)
+        project = session._project
+        project.set_fact("large", "x" * (1 << 20))
+        project.delete_fact("large")
+        assert project.rows("PRAGMA freelist_count")[0][0] > 100
+        first, second, _ = [key for (key,) in project.rows("SELECT key FROM results ORDER BY rowid")]
+        result = project.result(first)
+        assert result is not None
+        project.fold([], first, result, second)
+        assert project.rows("PRAGMA freelist_count")[0][0] == 0

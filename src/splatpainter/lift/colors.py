@@ -20,6 +20,7 @@ from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.transforms import row_max
 
 MAX_COLOR = 1.3
 """Upper bound of a lifted colour; the lower one is the renderer's clamp at 0, without which Gaussians compensate for
@@ -73,7 +74,7 @@ def painted_sh(
     in `recolor`."""
     colors = lift_colors(view, target, np.ones(target.shape[:2], np.float32), editable, rounds, hold)
     before = view.unclamped_colors
-    moved = editable & (np.abs(colors - np.maximum(before, 0)).max(1) > MIN_CHANGE)
+    moved = editable & (row_max(np.abs(colors - np.maximum(before, 0))) > MIN_CHANGE)
     if not moved.any():
         return sh
     out, ids = sh.copy(), view.gaussian_ids[moved]
@@ -89,7 +90,7 @@ def recolor(
 
     One view cannot know view dependence: bands above the first are kept, but scaled down to `damping` as the change
     approaches `full_change` (0..1), so that a repainted highlight does not shine through the paint from other sides."""
-    change = np.abs(target - before).max(1)  # [M]
+    change = row_max(np.abs(target - before))  # [M]
     keep = (1 - (1 - damping) * np.clip(change / full_change, 0, 1))[:, None]  # [M, 1]
     constant = SH_C0 * sh[:, 0]
     varying = before - 0.5 - constant  # what bands >= 1 add towards this view

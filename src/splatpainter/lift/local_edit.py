@@ -15,6 +15,7 @@ from splatpainter.lift.patch import LARGE_WIDTH_GOALS, MIN_INSIDE_LARGE, MIN_PIX
 from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.rendering.cpu.projected_view import Backprojection, ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.transforms import row_max
 
 MIN_VISIBLE_SHARE = 0.05
 """Mean share of a Gaussian that must reach the camera inside the mask (weight / alpha), or it is behind the surface."""
@@ -139,7 +140,7 @@ def _hopeless(
         & (inside.weight < MIN_INSIDE_LARGE * everywhere)
     )
     sizes = projected_sizes(splats.geometry(ids[faint]), view.camera)
-    faint[faint] = sizes.max(1) > LARGE_WIDTH_GOALS * options.goal_px
+    faint[faint] = row_max(sizes) > LARGE_WIDTH_GOALS * options.goal_px
     out = np.zeros(len(splats), bool)
     out[ids[faint]] = True
     return out if (reached & ~out).any() else np.zeros(len(splats), bool)

@@ -19,6 +19,7 @@ from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.split import Lattice
 from splatpainter.rendering.cpu.projected_view import TILE, ProjectedView, project
 from splatpainter.splats import Splats
+from splatpainter.transforms import row_max
 
 MIN_PIXEL_SHARE = 0.004
 """A Gaussian whose largest share of any masked pixel is below this is not written (1/255)."""
@@ -83,7 +84,7 @@ class Patch:
         ids, evidence = self.view.gaussian_ids, self.evidence
         coarse = self.editable[ids] & (evidence.peak > MIN_PIXEL_SHARE) & (evidence.spread > options.tolerance**2)
         coarse &= self.share[ids] > options.min_share
-        coarse &= self.lattice.widths.max(1)[ids] > MAX_WIDTH_GOALS * options.goal_px
+        coarse &= row_max(self.lattice.widths)[ids] > MAX_WIDTH_GOALS * options.goal_px
         left = options.max_appended - int((~self.lattice.slot).sum())
         count = max(left // ADDED_PER_SPLIT, 0)
         if coarse.sum() > count:  # those with most to gain
@@ -116,7 +117,7 @@ class Patch:
         ids, evidence = self.view.gaussian_ids, self.evidence
         movable = self.editable[ids] & (evidence.peak > MIN_PIXEL_SHARE)
         large = np.zeros(len(ids), bool)
-        large[movable] = self.lattice.widths.max(1)[ids[movable]] > LARGE_WIDTH_GOALS * options.goal_px
+        large[movable] = row_max(self.lattice.widths)[ids[movable]] > LARGE_WIDTH_GOALS * options.goal_px
         return movable & (evidence.inside > np.where(large, MIN_INSIDE_LARGE, MIN_INSIDE_SMALL) * evidence.visible)
 
     def painted(self, options: LocalOptions) -> Splats:
@@ -134,7 +135,8 @@ class Patch:
         camera = self.view.camera
         view = project(painted, camera, tiles=self.view.tiles)
         image, alpha, _ = view.rasterize()
-        wrong = np.abs(self.target - np.clip(image, 0, 1)).max(-1) > options.max_error
+        difference = np.abs(self.target - np.clip(image, 0, 1))
+        wrong = row_max(difference.reshape(-1, 3)).reshape(alpha.shape) > options.max_error
         drawn = np.kron(view.tiles, np.ones((TILE, TILE), bool))[: alpha.shape[0], : alpha.shape[1]]
         beside = dilated((alpha < 0.5) & drawn, SILHOUETTE_MARGIN_PX)
         pixels = wrong & dilated(self.mask, options.rim_px) & (alpha > MIN_DETAIL_ALPHA) & ~beside

@@ -22,7 +22,7 @@ from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
-from splatpainter.transforms import quat_to_matrix
+from splatpainter.transforms import quat_to_matrix, row_max, turned
 
 MIN_COVER = 0.6
 """Alpha of a pixel below which no sheet lies there."""
@@ -121,7 +121,7 @@ def resurface(
     sheet, hosts = _sheet(rest, gone, geometry, cells, target, tiles, camera)
     remaining = np.flatnonzero(~gone)
     goal = np.where(covered[..., None], target, project(patch, camera, tiles=tiles).rasterize()[0])
-    split = lattice.level[remaining].max(1) > 0
+    split = row_max(lattice.level[remaining]) > 0
     joined = _painted(rest.take(remaining).append(sheet), split, camera, tiles, goal, covered, options)
     return _assemble(splats, ids, lattice, gone, joined, hosts, covered, first_appended)
 
@@ -142,7 +142,7 @@ def _is_clear(splats: Splats, view: ProjectedView, near: NearSurface, covered: n
     share = sums.alpha / np.maximum(view.backproject(zeros, np.ones_like(inside)).alpha, 1e-9)
     handled = sums.weight > 0
     unsure = np.flatnonzero(handled & (share <= INSIDE))
-    handled[unsure] = projected_sizes(splats.geometry(ids[unsure]), view.camera).max(1) < MAX_CUT_PX
+    handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < MAX_CUT_PX
     handled[handled] = near.touches(splats.geometry(ids[handled]))
     # One channel for their light, one for what nothing stops.
     red = view.camera.background[0]
@@ -183,7 +183,7 @@ class NearSurface:
         py, px = np.divmod(pixel, camera.width)
         point = camera.to_camera(camera.unproject(self.surface.depth[at], np.stack([px, py], 1) + 0.5))
         turn, normal = camera.world_to_camera[:3, :3], self.surface.normals[at]
-        axes = np.einsum("ij,njk->nik", turn, quat_to_matrix(splats.quats.astype(np.float64)))
+        axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)))
         extent = np.sqrt(((np.einsum("nik,ni->nk", axes, normal) * splats.scales) ** 2).sum(1))
         height = ((camera.to_camera(splats.means.astype(np.float64)) - point) * normal).sum(1)
         limit = NORMAL_SIGMAS * extent + SURFACE_WINDOWS * self.surface.windows[at] + 2 * self.surface.residuals[at]
@@ -213,7 +213,7 @@ def _cut(
         chosen = np.flatnonzero(active & (share > OUTSIDE))
         touching[chosen] = near.touches(splats.geometry(chosen))
         across = touching & (share < INSIDE)
-        wide = across & seen[lattice.parent] & (lattice.widths.max(1) > RIM_GOAL_PX)
+        wide = across & seen[lattice.parent] & (row_max(lattice.widths) > RIM_GOAL_PX)
         if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:
             break
         lattice, source = lattice.halved(wide, RIM_GOAL_PX)
@@ -277,7 +277,7 @@ def _painted(
     editable = added | piece | hanging
     lifted = lift_colors(view, goal, everywhere, editable, options.sheet_rounds)
     before = view.unclamped_colors
-    moved = editable & (np.abs(lifted - np.maximum(before, 0)).max(1) > MIN_CHANGE)
+    moved = editable & (row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE)
     sh = joined.sh.copy()
     for chosen, damping in ((moved & added, 1.0), (moved & ~added, options.damping)):
         ids = view.gaussian_ids[chosen]

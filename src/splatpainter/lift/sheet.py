@@ -86,7 +86,8 @@ def _cells_of_window(target: np.ndarray, covered: np.ndarray, depth: np.ndarray,
     while size > 1:
         half = size // 2
         low, high = ranges[half]
-        span = (_around(high, np.maximum) - _around(low, np.minimum)).max(-1)
+        difference = _around(high, np.maximum) - _around(low, np.minimum)
+        span = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2])
         full = _around(_block(solid, half, np.all)[..., None], np.minimum)[..., 0]
         unused = _block(left, size, np.all)
         flat = unused & full & (span < FLAT_RANGE) & _is_plane(inverse, size, fx)

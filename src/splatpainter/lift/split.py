@@ -20,7 +20,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
-from splatpainter.transforms import quat_to_matrix
+from splatpainter.transforms import quat_to_matrix, turned
 
 SPACING = 1.75
 """Distance between the sites of a level / the width (standard deviation) of its Gaussians."""
@@ -63,8 +63,7 @@ def projected_sizes(splats: Splats, camera: Camera) -> np.ndarray:
     turn = camera.world_to_camera[:3, :3].astype(np.float32)
     x, y, z = (splats.means @ turn.T + camera.world_to_camera[:3, 3].astype(np.float32)).T
     z = np.maximum(z, 1e-6)
-    turned = np.einsum("ij,njk->nik", turn, quat_to_matrix(splats.quats))
-    axes = turned * splats.scales[:, None, :]  # [N, camera xyz, axis]
+    axes = turned(turn, quat_to_matrix(splats.quats)) * splats.scales[:, None, :]  # [N, camera xyz, axis]
     u = camera.fx * (axes[:, 0] - (x / z)[:, None] * axes[:, 2]) / z[:, None]
     v = camera.fy * (axes[:, 1] - (y / z)[:, None] * axes[:, 2]) / z[:, None]
     return np.hypot(u, v)

@@ -144,7 +144,7 @@ class Project:
                 with contextlib.suppress(sqlite3.Error):
                     self._database.start()
                     self._db.execute("PRAGMA busy_timeout=0").fetchall()
-                    self._db.execute("PRAGMA incremental_vacuum").fetchall()
+                    self._db.executescript("PRAGMA incremental_vacuum")  # execute() would free one page
                     self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
                     self._db.execute("PRAGMA journal_mode=DELETE").fetchall()
             self._db.close()
@@ -351,7 +351,7 @@ class Project:
             removed = _sweep(db).union(keys)
         with self._mutex, contextlib.suppress(sqlite3.Error):  # a full disk: the room is free within the file
             self._database.start()
-            self._db.execute("PRAGMA incremental_vacuum").fetchall()
+            self._db.executescript("PRAGMA incremental_vacuum")  # execute() would free one page
         return removed
 
     def add_bookmark(self, name: str, camera: Camera) -> str:

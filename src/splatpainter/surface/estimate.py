@@ -191,6 +191,7 @@ def _estimate(
     near = np.empty(MAX_NEIGHBOURS, np.int64)
     mass = np.empty(MAX_NEIGHBOURS)
     rows = np.empty((MAX_NEIGHBOURS, COLUMNS))
+    terms = np.empty((8, MAX_NEIGHBOURS))
     point, n, eigen = np.empty(3), np.empty(3), np.empty(3)
     for start in range(thread * QUERY_BLOCK, points.shape[0], threads * QUERY_BLOCK):
         for q in range(start, min(start + QUERY_BLOCK, points.shape[0])):
@@ -210,8 +211,8 @@ def _estimate(
                     h /= GROWTH
                     continue
                 total, squares, largest = 0.0, 0.0, 0.0
+                _masses(near, count, means, axes, scales, opacities, point, h, terms, mass)
                 for k in range(count):
-                    mass[k] = _mass(near[k], means, axes, scales, opacities, point, h)
                     total += mass[k]
                     squares += mass[k] * mass[k]
                     largest = max(largest, mass[k])
@@ -241,7 +242,7 @@ def _estimate(
                 n[j] *= scale
             tau, residual, thickness, agreement = FIRST_TAU, 1.0, 1.0, 0.0
             height, left, effective, s0 = 0.0, 0.0, 0.0, 0.0
-            for _ in range(ROUNDS):
+            for turn in range(ROUNDS):
                 s0, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
                 xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 mx, my, mz, offsets, squares, rr, tt, agree = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -263,7 +264,6 @@ def _estimate(
                     w = row[MASS] * math.exp(-0.5 * r * r)
                     w *= 1.0 - flat + flat * math.exp((cosine - 1.0) / 0.3)
                     s0 += w
-                    squares += w * w
                     sx += w * ux
                     sy += w * uy
                     sz += w * uz
@@ -274,17 +274,20 @@ def _estimate(
                     yy += w * uy * uy + c * (1.0 - row[MYY])
                     yz += w * uy * uz - c * row[MYZ]
                     zz += w * uz * uz + c * (1.0 - row[MZZ])
-                    along = row[MXX] * n[0] * n[0] + row[MYY] * n[1] * n[1] + row[MZZ] * n[2] * n[2]
-                    along += 2.0 * (row[MXY] * n[0] * n[1] + row[MXZ] * n[0] * n[2] + row[MYZ] * n[1] * n[2])
-                    tt += c * (1.0 - along)
                     f = w * flat
                     mx += f * nx
                     my += f * ny
                     mz += f * nz
-                    agree += w * cosine
                     # Offset along the mean of both normals, as far as the patch has one.
                     offsets += w * plane + 0.5 * f * (ux * nx + uy * ny + uz * nz - plane)
                     rr += w * plane * plane
+                    if turn < ROUNDS - 1:
+                        continue
+                    squares += w * w
+                    along = row[MXX] * n[0] * n[0] + row[MYY] * n[1] * n[1] + row[MZZ] * n[2] * n[2]
+                    along += 2.0 * (row[MXY] * n[0] * n[1] + row[MXZ] * n[0] * n[2] + row[MYZ] * n[1] * n[2])
+                    tt += c * (1.0 - along)
+                    agree += w * cosine
                 if not s0 > 0.0:
                     break
                 effective = s0 * s0 / squares
@@ -394,17 +397,28 @@ def _front_height(near, count, means, axes, scales, opacities, point, n, h, rows
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _mass(i, means, axes, scales, opacities, point, h):
-    """What patch i weighs in the window h around a point."""
-    exponent, area = 0.0, float(opacities[i])
+def _masses(near, count, means, axes, scales, opacities, point, h, terms, mass):
+    """What the patches near[:count] weigh in the window h around a point, into `mass`. terms: [8, >= count] to write
+    on; what is costly (roots and divisions) runs over it in vector instructions."""
+    px, py, pz, squared = point[0], point[1], point[2], h * h
+    for k in range(count):
+        i = near[k]
+        x, y, z = means[i, 0] - px, means[i, 1] - py, means[i, 2] - pz
+        for a in range(3):
+            d = axes[i, a, 0] * x + axes[i, a, 1] * y
+            d += axes[i, a, 2] * z
+            terms[a, k] = d
+            terms[4 + a, k] = float(scales[i, a]) ** 2
+        terms[7, k] = opacities[i]
     for a in range(3):
-        d = axes[i, a, 0] * (means[i, 0] - point[0]) + axes[i, a, 1] * (means[i, 1] - point[1])
-        d += axes[i, a, 2] * (means[i, 2] - point[2])
-        v = float(scales[i, a]) ** 2
-        t = v + h * h
-        exponent += d * d / t
-        area *= math.sqrt(v / t) if a < 2 else h / math.sqrt(t)
-    return area * math.exp(-0.5 * exponent)
+        d, v = terms[a], terms[4 + a]
+        for k in range(count):
+            t = v[k] + squared
+            d[k] = d[k] * d[k] / t
+            v[k] = math.sqrt(v[k] / t) if a < 2 else h / math.sqrt(t)
+    for k in range(count):
+        area = terms[7, k] * terms[4, k] * terms[5, k] * terms[6, k]
+        mass[k] = area * math.exp(-0.5 * (terms[0, k] + terms[1, k] + terms[2, k]))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -25,7 +25,7 @@ from splatpainter.rendering.cpu.geometry import (
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
-from splatpainter.transforms import quat_to_matrix
+from splatpainter.transforms import quat_to_matrix, turned
 
 STOPPED_LIGHT = 0.5
 """A line of sight meets the surface where this much of its light has been stopped."""
@@ -153,7 +153,7 @@ def _front_depths(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.
     """([Q] z-depth at which each Gaussian is densest along its ray, [Q] its width sqrt(s1 s2), world units)."""
     turn = camera.world_to_camera[:3, :3]
     mean = splats.means.astype(np.float64) @ turn.T + camera.world_to_camera[:3, 3]
-    axes = np.einsum("ij,njk->nik", turn, quat_to_matrix(splats.quats.astype(np.float64)))  # columns
+    axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)))  # columns
     scales = splats.scales.astype(np.float64)
     scales = np.maximum(scales, 1e-3 * scales.max(1, keepdims=True))
     along = np.einsum("nik,ni->nk", axes, rays) / scales
