@@ -72,3 +72,21 @@ def test_commands_answer_with_them(tmp_path: Path) -> None:
     with studio_scenes.live(studio_scenes.make_studio(tmp_path, in_colors([(0.2, 0.5, 0.7)], [300]))) as live:
         assert np.allclose(live.post("asset.palette")["colors"], [[0.2, 0.5, 0.7]], atol=2e-3)
         assert live.studio.state.asset.fine_detail is False
+
+
+def test_the_latest_stroke_is_scored_from_the_side(tmp_path: Path) -> None:
+    with studio_scenes.live(studio_scenes.make_studio(tmp_path, surface_shapes.sphere(1500))) as live:
+        camera = CameraInfo.of(view()).model_dump()
+        rgba = base64.b64encode(bytes([220, 40, 30, 255]) * 400).decode()
+        for x in (30, 46):
+            stroke = live.post("paint.begin", camera=camera)["stroke"]
+            live.post("paint.dab", stroke=stroke, x=x, y=38, width=20, height=20, rgba=rgba)
+            layers = live.studio.session.layers
+            target = {"layer": layers[0].id} if layers else {"into_new": "Paint"}
+            layer = live.post("paint.end", stroke=stroke, **target)["layer"]["id"]
+        answer = live.post("aside", layer=layer)
+        assert answer["psnr"] > 15 and answer["low"] is False
+        (score,) = live.studio.session.aside(layer)
+        assert score.psnr == answer["psnr"] and score.covered > 0.5
+        empty = live.post("layer.new")["layer"]["id"]
+        assert live.post("aside", layer=empty)["psnr"] is None

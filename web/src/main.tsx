@@ -6,6 +6,7 @@ import "./style/base.css";
 import "./style/controls.css";
 import "./style/panels.css";
 import { parseFrame } from "./net/frames";
+import { followAside } from "./state/aside";
 import { camera, pose, state } from "./state/store";
 import { cursorFrame } from "./paint/brush";
 import { meanRadius } from "./paint/dabs";
@@ -22,6 +23,7 @@ try {
   render(<App canvas={canvas} />, root);
   listen();
   followSurface();
+  followAside();
   const brushRadius = (x: number, y: number) =>
     meanRadius(cursorFrame(x * camera.value!.width, y * camera.value!.height));
   const surface = (x = 0.5, y = 0.5) =>

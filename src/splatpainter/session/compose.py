@@ -581,6 +581,10 @@ class Replay:
             image = np.where(self.mask(view)[..., None], image, picture_of(below, view.camera))
         return Edit(image, view.camera, None if view.mask is None else self.mask(view), layer.name)
 
+    def edit_of(self, view: View, layer: Layer) -> Edit:
+        """A view of a layer, or of a stroke, as it was given."""
+        return self._edit(view, layer)
+
     def mask(self, view: View) -> np.ndarray:
         """[H, W] bool mask of a view; all of it where it has none."""
         if view.mask is None:

@@ -25,6 +25,7 @@ from splatpainter.session.project_file import Transaction
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
+    from splatpainter.lift.aside import AsideScore
     from splatpainter.sources.decals import Decal, LaidDecal
 
 
@@ -145,6 +146,29 @@ class StrokeCommands(ABC):
             document = self._document
             layers = document.layers[: document.index(layer)]
             return self._replay.compose(replace(document, layers=layers)).splats
+
+    def aside(self, layer: str) -> list[AsideScore]:
+        """How the latest stroke of a layer, or its edited pictures, look from the side (lift/aside.py), one score
+        per view; without the layer's opacity. Empty for layers that paint nothing or erase."""
+        from splatpainter.lift.aside import aside_score
+        from splatpainter.lift.edit_views import edit_views
+
+        with self._commands:
+            document, target = self._document, self.layer(layer)
+            latest = target.strokes[-1] if target.strokes else target
+            if latest.kind not in ("paint", "picture", "clone") or latest.mode != "local" or not target.visible:
+                return []
+            if target.strokes:
+                earlier = change_layer(document, layer, strokes=target.strokes[:-1])
+                before, after = self._replay.painted_on(earlier, layer), self._replay.painted_on(document, layer)
+            else:
+                full = change_layer(document, layer, opacity=1.0, blend="normal", mask=None)
+                layers = full.layers[: full.index(layer) + 1]
+                before, after = self.below(layer), self._replay.compose(replace(full, layers=layers)).splats
+            edits = [self._replay.edit_of(view, latest) for view in latest.views if view.picture is not None]
+        masks = [np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask for edit in edits]
+        views = edit_views(bare(before), [edit.camera for edit in edits], [edit.image for edit in edits], masks)
+        return [aside_score(bare(before), bare(after), view) for view in views]
 
     def laid(self, decal: Decal, *, replaces: str | None = None) -> LaidDecal:
         """A decal on the asset as it is now, or on what is below a layer: its edits, for `add("paint", laid.edits)` or

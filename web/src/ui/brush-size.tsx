@@ -39,7 +39,7 @@ function choose(unit: "screen" | "world"): void {
 export function BrushSize() {
   const { unit, worldSize } = engine.value;
   const radius = state.value?.asset.radius ?? 1;
-  const digits = Math.max(0, Math.min(6, 3 - Math.floor(Math.log10(radius))));
+  const digits = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(radius))));
   return (
     <>
       {unit === "screen" ? (

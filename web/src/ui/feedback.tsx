@@ -1,6 +1,7 @@
 /** Messages of the studio: toasts, progress, the status line, the sheet of shortcuts. */
 
 import { dismiss, jobs, pythonLog, refusal, state, status, stopped, toast, toasts } from "../state/store";
+import { aside } from "../state/aside";
 import { Button } from "./parts";
 
 export function Toasts() {
@@ -51,6 +52,7 @@ export function StatusLine() {
   const now = state.value;
   const edit = now?.latest_edit;
   const refused = refusal.value;
+  const seen = aside.value?.layer === edit?.layer && aside.value?.version === now?.version ? aside.value : null;
   const line = pythonLog.value.at(-1);
   return (
     <footer class="status">
@@ -65,6 +67,19 @@ export function StatusLine() {
             `, inside ${edit.psnr_before !== null ? `${decibels(edit.psnr_before)} → ` : ""}${decibels(edit.psnr_after)}`}
           {edit.psnr_outside !== null && `, outside ${decibels(edit.psnr_outside)}`}, {edit.gaussians.toLocaleString()}{" "}
           Gaussians
+          {seen && seen.psnr !== null && (
+            <span
+              class={seen.low ? "aside low" : "aside"}
+              title={
+                seen.low
+                  ? "Seen 35° from the side the paint differs from the picture: look at it from other views"
+                  : "How near the paint comes to the picture, seen 35° from the side"
+              }
+            >
+              , aside {decibels(seen.psnr)}
+              {seen.low && " – look from the side"}
+            </span>
+          )}
         </span>
       )}
       {refused && (

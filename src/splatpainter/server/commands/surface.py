@@ -6,6 +6,7 @@ import base64
 
 from pydantic import Field
 
+from splatpainter.painter import LOW_ASIDE_DB, MIN_ASIDE_COVERED
 from splatpainter.server.commands.context import CommandContext, command
 from splatpainter.server.describe import up_axis
 from splatpainter.server.palette import MAX_COLORS, main_colors
@@ -79,3 +80,26 @@ def find_symmetry(context: CommandContext, request: SymmetryFind) -> SymmetryPla
     session = context.studio.session
     plane = find_mirror_plane(session.original, up_axis(session))
     return SymmetryPlane(normal=list(plane.normal), offset=plane.offset, agreement=plane.agreement)
+
+
+class AsideSeen(Answer):
+    psnr: float | None
+    """dB against the painted picture moved to the sides, of the view that is worst; None: nothing could be compared."""
+    low: bool
+    """Whether it is so low that one should look from other views."""
+
+
+class AsideScored(Command):
+    """How a layer's latest stroke, or its edited pictures, look 35 degrees from the side."""
+
+    NAME = "aside"
+    ANSWER = AsideSeen
+    layer: str
+
+
+@command(AsideScored, background=True)
+def score_aside(context: CommandContext, request: AsideScored) -> AsideSeen:
+    scores = context.studio.session.aside(request.layer)
+    values = [score.psnr for score in scores if score.psnr is not None and score.covered > MIN_ASIDE_COVERED]
+    worst = min(values, default=None)
+    return AsideSeen(psnr=worst, low=worst is not None and worst < LOW_ASIDE_DB)
