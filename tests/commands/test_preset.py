@@ -104,7 +104,7 @@ def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, cap
     copy = save(tmp_path / "copy", COPY)
     cases = [
         (["--preset", "compact"], "preset 'compact': no trained weights"),
-        (["--preset", "tiny"], "expected one of auto, lift, paper, compact, or a folder of weights, got 'tiny'"),
+        (["--preset", "tiny"], "expected one of auto, lift, paper, compact, rows, or a folder of weights, got 'tiny'"),
         (["--preset", "paper"], "these are of preset 'compact'"),
         (["--preset", newer], "newer SplatPainter"),
         (["--preset", here], "no weights there"),

@@ -30,6 +30,8 @@ CARRYING = with_refine(
     SMALL, inputs="normalised", answers="teachers", facts=True, picture_tokens=False, row_tokens=64, detail=False
 )
 """A tiny Stage II that only shown Gaussians teach."""
+MIN_MOVED = 0.2
+"""Of the rms of added colours, by which they differ without adaptation and after another edit."""
 MIN_SHARE = 0.1
 """Of the power of Stage II's numbers that differs between Gaussians."""
 
@@ -231,3 +233,37 @@ def test_gaussians_differ_in_what_the_shipped_stage_two_reads(inputs: str, repai
             shares += [between(values)]
     shares.pop()  # nothing asks a memory with what the last block gives
     assert (min(shares) >= MIN_SHARE) == repaired, shares
+
+
+def test_adaptation_of_the_shipped_stage_two_moves_what_it_adds(float32: None) -> None:
+    """Of preset "rows": without adaptation, and after another edit, the added colours are others."""
+    made = weights.load("rows")
+    assert made.config.carries and made.config.refine.inputs == "normalised"
+    _, splats = shipped()
+    with torch.no_grad():
+        encoded = encode_asset(made, splats)
+    normals = outward_normals(splats)
+    transfer = prt_transfer(splats.means, normals)
+    gaussians = EncodedGaussians.of(made, encoded.latents, encoded.latent_ids, splats, normals, transfer)
+    lift = torch.cat([gaussians.colors, gaussians.colors, torch.zeros(len(splats), 1)], 1)
+    lift = torch.cat([lift, gaussians.colors, gaussians.normals], 1)
+    inputs = GaussianInputs(lift, None, gaussians.means, gaussians.facts)
+    with torch.no_grad():
+        values, shares = made.prepared(encoded.latents, encoded.latent_ids, inputs), []
+        for block, memory in zip(made.refiner.blocks, made.initial_state().blocks, strict=True):
+            queries = block.mixer.ttt.queries["voxel"](block.norm_rows(values))  # type: ignore[union-attr]
+            shares += [between(values), between(queries)]
+            values = block.read(memory, values)  # type: ignore[operator]
+    assert min(shares) >= MIN_SHARE, shares
+    seen = torch.from_numpy(np.flatnonzero(normals[:, 2] > 0))
+    hidden = torch.from_numpy(np.flatnonzero(normals[:, 2] <= 0))
+    answers = []
+    for light, strength in (((0.3, 0.9, 0.3), None), ((0.3, 0.9, 0.3), 0.0), ((-0.9, -0.3, 0.3), None)):
+        lit = torch.from_numpy(normals @ np.array(light, np.float32)).clamp_min(0)[:, None]
+        change = gaussians.colors * (0.3 + lit * torch.tensor([1.2, 1.0, 0.8])) - gaussians.colors
+        pixels = torch.full((len(splats),), 9.0)
+        with torch.no_grad():
+            answers.append(carry(made, gaussians, change, pixels, seen, hidden, strength))
+    for other in answers[1:]:
+        share = float((other - answers[0]).square().mean().sqrt() / answers[0].square().mean().sqrt())
+        assert share >= MIN_MOVED, share

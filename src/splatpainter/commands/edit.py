@@ -80,7 +80,8 @@ class Config:
     """How: lift (analytic, under a second), fit (the lift, then some seconds of optimisation: nearer to the picture,
     local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else lift."""
     preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
-    """Weights: compact, paper, a folder of weights, or lift (none); auto: compact where its weights are, else lift."""
+    """Weights: compact, rows, paper, a folder of weights, or lift (none); auto: compact where its weights are, else
+    lift."""
     precision: Precision = "auto"
     """Arithmetic of the networks; auto: what SPLATPAINTER_PRECISION says, else bfloat16 where the machine has it."""
     angle_limit: float = LOCAL_DEFAULTS.angle_limit

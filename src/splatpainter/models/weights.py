@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 VARIABLE = "SPLATPAINTER_WEIGHTS"
 """Environment variable: a folder with one folder of weights per preset, looked into before the package."""
+NAMES = (*PRESETS, "rows")
+"""Names under which weights are found: the presets, and "rows": `compact` with a Stage II that learnt without pictures
+and is the only carrier of global edits (models/carry.py), as the paper has it."""
 PACKAGED = Path(__file__).parents[1] / "weights"
 """The same for weights that come with the package."""
 
@@ -67,7 +70,7 @@ def load(preset: str) -> SplatPainterModel:
 
     Raises ValueError: neither a preset nor a folder, no weights there, weights of another preset than the name says,
     and as SplatPainterModel.load."""
-    if preset in PRESETS:
+    if preset in NAMES:
         folder = find(preset)
         if folder is None:
             root = os.environ.get(VARIABLE) or f"a folder that {VARIABLE} names"
@@ -76,8 +79,8 @@ def load(preset: str) -> SplatPainterModel:
     else:
         folder = Path(preset)
         if not folder.is_dir():
-            choices = ", ".join(["auto", "lift", *PRESETS])
+            choices = ", ".join(["auto", "lift", *NAMES])
             raise ValueError(f"preset: expected one of {choices}, or a folder of weights, got {preset!r}")
     from splatpainter.models.model import SplatPainterModel
 
-    return SplatPainterModel.load(folder, preset if preset in PRESETS else None)
+    return SplatPainterModel.load(folder, preset if preset in NAMES else None)
