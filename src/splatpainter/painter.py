@@ -198,8 +198,8 @@ class Painter:
         cache: bool = True,
         precision: Precision = "auto",
     ) -> Painter:
-        """The painter of a preset: "lift", "compact", "rows", "paper", or a folder of weights; "auto" is "compact" where
-        its weights are there, else "lift". Its weights are read when an edit first needs them: with method "ttt", or
+        """The painter of a preset: "lift", "compact", "rows", "paper", or a folder of weights; "auto" is "compact"
+        where its weights are there, else "lift". Its weights are read when an edit first needs them: with method "ttt", or
         "auto" where they beat the lift (`choose`) in one of the modes that will be asked for. polish, cache, precision:
         as the fields.
 
