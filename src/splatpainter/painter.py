@@ -199,9 +199,9 @@ class Painter:
         precision: Precision = "auto",
     ) -> Painter:
         """The painter of a preset: "lift", "compact", "rows", "paper", or a folder of weights; "auto" is "compact"
-        where its weights are there, else "lift". Its weights are read when an edit first needs them: with method "ttt", or
-        "auto" where they beat the lift (`choose`) in one of the modes that will be asked for. polish, cache, precision:
-        as the fields.
+        where its weights are there, else "lift". Its weights are read when an edit first needs them: with method "ttt",
+        or "auto" where they beat the lift (`choose`) in one of the modes that will be asked for. polish, cache,
+        precision: as the fields.
 
         Raises ValueError for a preset that is not known, or has no weights or wrong ones, and for a precision that is
         not known, here or in SPLATPAINTER_PRECISION."""
