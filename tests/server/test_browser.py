@@ -320,7 +320,7 @@ def test_nothing_serious_for_those_who_cannot_see_or_point(opened: tuple[studio_
     page.drag((0.45, 0.5), (0.55, 0.5))
     page.wait("the layer", lambda: page.names() == ["Paint"])
     page.ask(axe.read_text(encoding="utf-8"))
-    for name in ("History", "Adjust", "Pictures", "Views", "Receipt"):
+    for name in ("Brush", "Colours", "History", "Adjust", "Pictures", "Views", "Receipt"):
         page.tab.get_by_role("tab", name=name).click()
         violations = page.ask("axe.run().then((result) => result.violations)")
         serious = [
