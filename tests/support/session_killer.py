@@ -7,6 +7,7 @@ the shown rows. The parent kills it (SIGKILL) at a random moment, opens the proj
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import random
@@ -70,6 +71,7 @@ def main(folder: Path, rounds: int, seed: int) -> dict[str, Any]:
     with flat(asset(8)) as session:  # what is imported here need not be imported by each writer
         session.add("paint", [dab(RED, radius=6)])
         session.undo()
+    gc.freeze()  # nor need its garbage collector walk through it, which copies every page of it
     rng = random.Random(seed)
     out: dict[str, Any] = {"kills": 0, "acknowledged": 0, "silent": 0, "ahead": 0, "unmade": 0, "wrong": None}
 
