@@ -109,7 +109,7 @@ function Round() {
       <Button
         label="Tip, dabs, texture and hand of the brush"
         icon="brush"
-        text="Brush"
+        text="Tip"
         pressed={tab.value === "brush"}
         onClick={() => (tab.value = "brush")}
       />
