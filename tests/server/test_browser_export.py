@@ -42,15 +42,15 @@ def test_every_format_says_its_size_before_it_is_written(opened: tuple[studio_sc
     page.tab.keyboard.press("Control+s")
     rows = page.tab.locator(".formats label")
     page.wait("sizes", lambda: all("about" in text for text in rows.all_inner_texts()))
-    told = {}
+    estimates = {}
     for text in rows.all_inner_texts():
         name, number, unit = re.search(r"^(.+?)\n.*about ([\d.]+) (kB|MB)", text, re.S).groups()  # type: ignore[union-attr]
-        told[name.strip()] = float(number) * {"kB": 1e3, "MB": 1e6}[unit]
+        estimates[name.strip()] = float(number) * {"kB": 1e3, "MB": 1e6}[unit]
     for name, start in (("PLY", b"ply"), ("SPZ", b"NGSP"), ("SOG", b"PK"), ("Web page", b"<!doctype html>")):
         page.tab.locator(".formats label", has=page.tab.get_by_text(name, exact=True)).click()
         file, data = downloaded(page, "Export")
         assert data.startswith(start) or start == b"NGSP", file
-        assert abs(told[name] - len(data)) <= 0.08 * len(data) + 500, (name, told[name], len(data))
+        assert abs(estimates[name] - len(data)) <= 0.08 * len(data) + 500, (name, estimates[name], len(data))
     assert file == "ball.html" and b"</html>" in data[-20:]
 
 

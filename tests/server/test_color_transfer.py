@@ -51,8 +51,8 @@ def test_each_kind_is_previewed_committed_and_the_same_as_on_the_command_line(
     ]
     with studio.greeted() as browser:
         for transfer, look, name in cases:
-            shown = browser.do("look.preview", transfer=transfer)
-            assert shown["gaussians"] == len(original) and browser.mirror.previews
+            answer = browser.do("look.preview", transfer=transfer)
+            assert answer["gaussians"] == len(original) and browser.mirror.previews
             made = browser.do("look.commit", transfer=transfer, name=name)["layer"]
             assert made["parameters"]["name"] == name and made["kind"] == "look"
             expected = grade(original, look, strength=transfer.get("strength", 1.0)).splats

@@ -45,8 +45,8 @@ def test_a_stroke_that_spreads_is_a_layer_with_a_threshold(studio: Live) -> None
     assert made["mode"] == "spread" and made["parameters"]["spread_threshold"] == 0.5 and made["strokes"] is None
     count = behind(studio)
     assert count > 250
-    shown = studio.post("spread.show", camera=wire(CAMERA), layer=made["id"])["picture"]
-    picture = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{shown}").content)))
+    blob = studio.post("spread.show", camera=wire(CAMERA), layer=made["id"])["picture"]
+    picture = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{blob}").content)))
     assert picture.shape == (72, 72, 4) and picture[36, 20, 3] > 150 > 60 > picture[36, 60, 3]
     parameters = {**made["parameters"], "spread_threshold": 1.0}
     studio.post("layer.set", layer=made["id"], parameters=parameters)

@@ -155,14 +155,14 @@ def test_another_opacity_is_previewed_while_it_is_computed() -> None:
         assert session.blend_preview(layer, opacity=1.0) is None  # nothing is mixed
         preview = session.blend_preview(layer, opacity=0.5)
         assert preview is not None and print_of(session) == last
-        ids, shown = preview
-        assert (np.diff(ids) > 0).all() and len(shown) == len(ids)
+        ids, preview_splats = preview
+        assert (np.diff(ids) > 0).all() and len(preview_splats) == len(ids)
         session.set(layer, opacity=0.5)
-        exact, others = session.splats.take(ids), np.setdiff1d(np.arange(len(full)), ids)
+        exact, unchanged = session.splats.take(ids), np.setdiff1d(np.arange(len(full)), ids)
         for name in ("means", "quats", "scales", "opacities"):
-            np.testing.assert_array_equal(getattr(shown, name), getattr(exact, name))
-        assert np.abs(shown.sh - exact.sh).mean() < 0.25 * np.abs(full.sh[ids] - exact.sh).mean()
-        assert rows_sha256(session.splats, others) == rows_sha256(full, others)
+            np.testing.assert_array_equal(getattr(preview_splats, name), getattr(exact, name))
+        assert np.abs(preview_splats.sh - exact.sh).mean() < 0.25 * np.abs(full.sh[ids] - exact.sh).mean()
+        assert rows_sha256(session.splats, unchanged) == rows_sha256(full, unchanged)
         assert session.blend_preview(layer, opacity=0.25) is None  # what it needs is there now
         session.undo()
         session.set(layer, visible=False)

@@ -264,11 +264,11 @@ def test_a_view_that_cannot_be_painted_is_noted() -> None:
 def test_a_whole_asset_made_anew_is_split_and_a_part_of_it_gets_sheets() -> None:
     splats = patterned(600)
     truth = replace(splats, sh=(splats.sh @ EXCHANGE.T).astype(np.float32))
-    whole = edit(splats, FunctionSource(exchanged))
-    assert whole.receipt is not None and "made anew as a whole" in whole.receipt.note
+    remade = edit(splats, FunctionSource(exchanged))
+    assert remade.receipt is not None and "made anew as a whole" in remade.receipt.note
     (camera,) = orbit_cameras(splats, 1, size=128, azimuth=20, background=GREY)
     solid = displayed(splats, camera)[1] > 0.95
-    error = np.abs(displayed(whole.splats, camera)[0] - displayed(truth, camera)[0]).max(-1)[solid]
+    error = np.abs(displayed(remade.splats, camera)[0] - displayed(truth, camera)[0]).max(-1)[solid]
     (front,) = orbit_cameras(splats, 1, size=128, background=GREY)
     changed = np.ones((128, 128), bool)
     sheets = LIFT.apply(LIFT.encode(splats), [Edit(displayed(truth, front)[0], front, changed)]).splats

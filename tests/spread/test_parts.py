@@ -21,10 +21,10 @@ def test_neighbours_are_the_nearest_points() -> None:
     near = neighbours(points.astype(np.float32))
     square = ((points[:, None] - points) ** 2).sum(2)
     expected = np.sort(square, axis=1)[:, :COUNT]
-    found = np.take_along_axis(square, near.astype(np.int64), 1)
+    result = np.take_along_axis(square, near.astype(np.int64), 1)
     np.testing.assert_array_equal(near[:, 0], np.arange(400))
-    assert (np.abs(found - expected) < 1e-6).mean() > 0.97  # strays see only MAX_RINGS cubes far
-    assert (np.diff(found[:, 1:], axis=1) >= 0)[(near[:, 1:] != near[:, :1]).all(1)].all()
+    assert (np.abs(result - expected) < 1e-6).mean() > 0.97  # strays see only MAX_RINGS cubes far
+    assert (np.diff(result[:, 1:], axis=1) >= 0)[(near[:, 1:] != near[:, :1]).all(1)].all()
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])
@@ -52,8 +52,8 @@ def test_smoothing_ends_at_the_solution_of_its_linear_system() -> None:
     matrix = np.zeros((30, 30))
     np.add.at(matrix, (np.arange(30)[:, None], near), links)
     expected = np.linalg.solve(np.eye(30) - 0.7 * matrix, 0.3 * target)
-    found = smoothed(np.zeros(30), target, hold, links, near, 80)
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+    result = smoothed(np.zeros(30), target, hold, links, near, 80)
+    np.testing.assert_allclose(result, expected, atol=1e-5)
 
 
 def test_features_are_cosines_whose_products_are_a_gaussian_kernel() -> None:

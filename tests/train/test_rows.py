@@ -102,9 +102,9 @@ def test_the_memory_of_another_edit_gives_another_answer() -> None:
     torch.nn.init.normal_(made.model.head.linear.weight, std=0.1)
     other = RowEdit(sample.item, sample.kind, sample.views, -sample.change, sample.weight, sample.counts)
     with torch.no_grad():
-        own, swapped = made.answer(sample), made.answer(sample, evidence=other)
+        answer, swapped = made.answer(sample), made.answer(sample, evidence=other)
         fixed = [made.answer(sample, 0.0, edit) for edit in (sample, other)]
-    assert float((own - swapped).abs().max()) > 1e-4
+    assert float((answer - swapped).abs().max()) > 1e-4
     torch.testing.assert_close(*fixed, atol=0, rtol=0)
 
 

@@ -97,11 +97,13 @@ def test_a_webp_loops_at_its_rate_and_can_be_transparent() -> None:
         data = turntable_bytes(splats, cameras, TurntableOptions("webp", fps=30, transparent=clear, quality=95))
         film = Image.open(io.BytesIO(data))
         assert (film.n_frames, film.size, film.info["loop"]) == (7, (48, 40), 0)  # type: ignore[attr-defined]
-        shown = np.asarray(film.convert("RGBA")) / 255
+        pixels = np.asarray(film.convert("RGBA")) / 255
         drawn = render(splats, replace(cameras[0], background=(0, 0, 0)) if clear else cameras[0])
         alpha = drawn.alphas[0]
-        assert np.abs(shown[..., :3] * (shown[..., 3:] if clear else 1) - np.clip(drawn.colors[0], 0, 1)).mean() < 0.02
-        assert np.abs(shown[..., 3:] - alpha).max() < 0.03 if clear else shown[..., 3].min() == 1
+        assert (
+            np.abs(pixels[..., :3] * (pixels[..., 3:] if clear else 1) - np.clip(drawn.colors[0], 0, 1)).mean() < 0.02
+        )
+        assert np.abs(pixels[..., 3:] - alpha).max() < 0.03 if clear else pixels[..., 3].min() == 1
         ends = 0
         for k in range(7):
             film.seek(k)

@@ -58,11 +58,11 @@ export function heal(
   const reach = Math.round(
     Math.max(MIN_TEXTURE_PX, Math.min(MAX_TEXTURE_PX, TEXTURE_SHARE * Math.min(rect.width, rect.height))),
   );
-  const shown = Float32Array.from(from, (at) => (at < 0 || isEmpty(at) ? 0 : 1));
-  const weights = blurred(shown, w, h, reach);
+  const covered = Float32Array.from(from, (at) => (at < 0 || isEmpty(at) ? 0 : 1));
+  const weights = blurred(covered, w, h, reach);
   const bases = [0, 1, 2].map((c) => {
     const sums = blurred(
-      Float32Array.from(from, (at, k) => (shown[k] ? target.data[at + c] : 0)),
+      Float32Array.from(from, (at, k) => (covered[k] ? target.data[at + c] : 0)),
       w,
       h,
       reach,
@@ -71,7 +71,7 @@ export function heal(
   });
   const out = new Uint8ClampedArray(size * 4).fill(255);
   for (let k = 0; k < size; k++) {
-    const textured = shown[k] > 0;
+    const textured = covered[k] > 0;
     const detail = textured ? luminance((c) => target.data[from[k] + c] - bases[c][k]) : 0;
     const base = luminance((c) => bases[c][k]);
     for (let c = 0; c < 3; c++) {

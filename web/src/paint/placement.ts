@@ -130,8 +130,8 @@ function drawOnSurface(
   const size: [number, number] = [p.image.width * anchor.unit, p.image.height * anchor.unit];
   const part = decalBounds(view, map.map, 0.6 * size[0], 0.6 * size[1]);
   if (!part) return;
-  const shown = (size[0] * view.camera.fx) / Math.max(anchorPixel(view.camera, anchor).depth, 1e-9);
-  const pixels = drawDecal(view, map.map, imagePixels(p.image, shown), size, part);
+  const widthPx = (size[0] * view.camera.fx) / Math.max(anchorPixel(view.camera, anchor).depth, 1e-9);
+  const pixels = drawDecal(view, map.map, imagePixels(p.image, widthPx), size, part);
   const canvas = new OffscreenCanvas(part.width, part.height);
   canvas.getContext("2d")!.putImageData(new ImageData(pixels, part.width, part.height), 0, 0);
   context.drawImage(canvas, part.x, part.y);
@@ -373,9 +373,9 @@ async function lay(p: Placement, anchor: Anchor, placed: Placed, name: string): 
 
 /** Make it a layer, or the layer that it was again. */
 export async function commitPlacement(): Promise<void> {
-  const shown = placement.value;
-  if (!shown || laying.value) return;
-  const p = shown.anchor ? fromAnchor(shown, shown.anchor) : shown; // the view may have turned since
+  const current = placement.value;
+  if (!current || laying.value) return;
+  const p = current.anchor ? fromAnchor(current, current.anchor) : current; // the view may have turned since
   const edited = editedLayer.value;
   const placed = await placedInfo(p).catch((error) => void report(error));
   if (!placed) return;

@@ -24,17 +24,17 @@ export const surfaceOf = (view: CameraJson | null): SurfaceView | null =>
 /** The same view comes back as another object when one goes away and returns. */
 const same = (one: CameraJson, other: CameraJson): boolean => one === other || sameView(one, other);
 
-let asked = "";
+let requestedKey = "";
 
 async function ask(view: CameraJson, key: string): Promise<void> {
-  asked = key;
+  requestedKey = key;
   try {
     const { block, columns, rows, data } = await link.do("view.surface", { camera: view });
     if (!camera.value || !same(camera.value, view)) return;
     const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
     viewSurface.value = new SurfaceView(view, block, columns, rows, new Float32Array(bytes.buffer));
   } catch {
-    asked = ""; // the tools go on without it; a lost connection is said elsewhere
+    requestedKey = ""; // the tools go on without it; a lost connection is said elsewhere
   }
 }
 
@@ -52,6 +52,6 @@ export function followSurface(): void {
     // paint changes what is seen, but hardly where the surface is: layers that hide something do
     const hidden = now.layers.filter((layer) => layer.kind === "hide").map((layer) => `${layer.id}${layer.visible}`);
     const key = JSON.stringify([now.session, view, hidden]);
-    if (key !== asked) timer = setTimeout(() => void ask(view, key), REST_MS);
+    if (key !== requestedKey) timer = setTimeout(() => void ask(view, key), REST_MS);
   });
 }

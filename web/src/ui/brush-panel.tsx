@@ -43,7 +43,7 @@ function sampleOf({ size, hardness, flow, engine: e }: Preset, canvas: HTMLCanva
   const { width, height } = SAMPLE;
   const mask = emptyMask(width, height);
   const radius = Math.max(1.2, Math.min(size / 2, 4 + size / 11, 11));
-  const shown: Brush = {
+  const sample: Brush = {
     ...e,
     hardness,
     flow,
@@ -60,7 +60,7 @@ function sampleOf({ size, hardness, flow, engine: e }: Preset, canvas: HTMLCanva
     pressureFlow: false,
     seed: 1,
   };
-  const path = new DabPath(mask, shown);
+  const path = new DabPath(mask, sample);
   const at = (t: number) => ({
     x: 12 + t * (width - 24),
     y: height / 2 - 7 * Math.sin(t * 2 * Math.PI),
@@ -89,9 +89,9 @@ function TipPicture({ name }: { name: BuiltInTip }) {
   useEffect(() => {
     const mask = emptyMask(32, 32);
     const plain = { ...currentPreset("").engine, angle: 0, roundness: 1, sizeJitter: 0, angleJitter: 0, scatter: 0 };
-    const shown = { ...plain, opacityJitter: 0, alongPath: false, hardness: 0.6, flow: 1, pressureSize: false };
+    const preview = { ...plain, opacityJitter: 0, alongPath: false, hardness: 0.6, flow: 1, pressureSize: false };
     const tip = builtInTip(name);
-    new DabPath(mask, { ...shown, pressureFlow: false, tip, frame: () => roundFrame(14), seed: 1 }).down({
+    new DabPath(mask, { ...preview, pressureFlow: false, tip, frame: () => roundFrame(14), seed: 1 }).down({
       x: 16,
       y: 16,
       pressure: 1,

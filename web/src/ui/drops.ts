@@ -26,8 +26,8 @@ async function filesOf(transfer: DataTransfer): Promise<File[]> {
   const files = [...transfer.files];
   const address = addressIn(transfer.getData(LINK));
   if (files.length || !address) return files;
-  const own = /^(data|blob):/.test(address) || new URL(address, location.href).origin === location.origin;
-  const answer = own ? await fetch(address).catch(() => null) : null;
+  const readable = /^(data|blob):/.test(address) || new URL(address, location.href).origin === location.origin;
+  const answer = readable ? await fetch(address).catch(() => null) : null;
   if (answer?.ok) return [new File([await answer.blob()], nameIn(address))];
   toast("warning", `${nameIn(address)} is a link.`, "Save it as a file, then drop the file here.");
   return [];

@@ -81,8 +81,8 @@ export function Tour() {
   const now = state.value;
   const ready = now !== null;
   useEffect(() => {
-    const asked = new URLSearchParams(location.search).has("tour");
-    if (ready && (asked || (isFirst() && state.peek()!.earlier.length === 0))) startTour();
+    const requested = new URLSearchParams(location.search).has("tour");
+    if (ready && (requested || (isFirst() && state.peek()!.earlier.length === 0))) startTour();
   }, [ready]);
   if (step.value === null || !ready) return null;
   return <Card key={step.value} at={step.value} />;
