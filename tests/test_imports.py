@@ -37,6 +37,7 @@ ORDER = (
     ("models",),
     ("painter", "comparison", "receipts"),
     ("sources",),
+    ("scene",),
     ("view_files",),
     ("video",),
     ("source_edits",),

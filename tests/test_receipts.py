@@ -156,6 +156,7 @@ def strict(text: str) -> dict:
         {"views": (), "seconds": {}, "note": ""},
         {"precision": "bfloat16"},
         {"replaced": np.array([0, 2]), "removed": np.array([7, 9]), "limited_px": (2.5, 0.0)},
+        {"merge": {"sources": [{"name": "a.ply", "rows": 5}]}, "merge_touched": np.array([1, 4])},
     ],
 )
 def test_json_and_back_is_the_same(fields):
@@ -164,7 +165,7 @@ def test_json_and_back_is_the_same(fields):
     back = Receipt.from_json(text)
     assert back.to_json() == text
     given_, found = vars(receipt(**fields)).copy(), vars(back).copy()
-    for name in ("touched", "replaced", "removed"):
+    for name in ("touched", "replaced", "removed", "merge_touched"):
         np.testing.assert_array_equal(found.pop(name), given_.pop(name))
     rounded = {"views", "seconds"}  # and infinity is 999
     assert {k: v for k, v in found.items() if k not in rounded} == {k: v for k, v in given_.items() if k not in rounded}

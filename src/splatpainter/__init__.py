@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from splatpainter.receipts import verify as verify
     from splatpainter.rendering import Render as Render
     from splatpainter.rendering import render as render
+    from splatpainter.scene.merge import merge as merge
+    from splatpainter.scene.merge import verify_merge as verify_merge
+    from splatpainter.scene.placement import Placement as Placement
     from splatpainter.server.launch import studio as studio
     from splatpainter.session import Session as Session
     from splatpainter.source_edits.edit import edit_with_source as edit_with_source
@@ -59,6 +62,9 @@ _HOME = {
     "read_cube": "sources.cube_lut",
     "Session": "session",
     "Receipt": "receipts",
+    "merge": "scene.merge",
+    "verify_merge": "scene.merge",
+    "Placement": "scene.placement",
     "verify": "receipts",
     "studio": "server.launch",
 }
@@ -70,6 +76,7 @@ __all__ = [
     "Edit",
     "GradeSettings",
     "Painter",
+    "Placement",
     "Receipt",
     "Recolor",
     "Region",
@@ -79,6 +86,7 @@ __all__ = [
     "edit_with_source",
     "grade",
     "look_at",
+    "merge",
     "orbit",
     "read",
     "read_cube",
@@ -86,6 +94,7 @@ __all__ = [
     "render",
     "studio",
     "verify",
+    "verify_merge",
     "write",
 ]
 

@@ -92,6 +92,12 @@ class Receipt:
     """Of an edit by a picture source (source_edits/edit.py): its name, prompt and strictness, and per view its model,
     seed, cost, SHA-256 of the pictures sent and received, and what was corrected. None: pictures were given."""
 
+    merge: dict[str, Any] | None = None
+    """Of an asset that several files were merged into, and of its edits: sources, one object per file (name, sha256,
+    format, rows, first: the row that it begins at, placement, seam), and notes (scene/merge.py)."""
+    merge_touched: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    """[M] int64 ascending: rows that edits of the merged asset touched before this one."""
+
     @property
     def untouched_rows(self) -> int:
         return self.asset_rows - len(self.touched)
@@ -124,8 +130,13 @@ class Receipt:
             record["dropped"] = self.dropped
         if self.source is not None:
             record["source"] = self.source
+        if self.merge is not None:
+            record["merge"] = self.merge
+            if len(self.merge_touched):
+                record["merge_touched_rows"] = len(self.merge_touched)
         text = json.dumps(record, indent=2).removesuffix("\n}")
-        for name, rows in (("touched", self.touched), ("replaced", self.replaced), ("removed", self.removed)):
+        for name in ("touched", "replaced", "removed", "merge_touched"):
+            rows = getattr(self, name)
             if name == "touched" or len(rows):
                 runs = json.dumps(to_runs(rows).tolist(), separators=(",", ":"))
                 text += f',\n  "{name}_runs": {runs}'
@@ -161,6 +172,8 @@ class Receipt:
                 _text(data.get("precision", "")),
                 None if data.get("dropped") is None else dict(_plain(data["dropped"])),
                 None if data.get("source") is None else dict(_plain(data["source"])),
+                None if data.get("merge") is None else dict(_plain(data["merge"])),
+                _rows(data, "merge_touched"),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             reason = " ".join(repr(error).split())

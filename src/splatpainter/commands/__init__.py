@@ -14,6 +14,7 @@ SUMMARIES = {
     "demo": "paint on the bundled asset: before, edited picture, after, turntable, receipt",
     "info": "what a splat file holds, and what is odd about it",
     "convert": "from one splat format to another",
+    "merge": "several assets in one file, each in its own range of rows",
     "render": "pictures of an asset that carry their camera",
     "turntable": "a film of a turn around an asset: MP4 or animated WebP",
     "compare": "pictures of two assets side by side, their difference, dB per view",

@@ -12,9 +12,11 @@ from pathlib import Path
 from splatpainter.atomic import clash
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import Stages
+from splatpainter.commands.verify import read_receipt, receipt_of
 from splatpainter.io import files, write
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, Verification, prove
+from splatpainter.scene.merge import carried
 from splatpainter.splats import Frame, Splats
 
 
@@ -42,11 +44,23 @@ def write_proved(
         bar.enter("verifying")
         receipt, verification = prove(original, partial, edited.receipt, out_frame)
         laps = {"write": written - clock, "verify": time.perf_counter() - written}
+        receipt = carried(receipt, _receipt_beside(original))
         receipt = replace(receipt, seconds={"read": read_seconds, **receipt.seconds, **laps})
         file.write(receipt.to_json().encode())
         file.flush()
         os.fsync(file.fileno())
     return receipt, verification
+
+
+def _receipt_beside(original: Splats) -> Receipt | None:
+    """The receipt of the asset that is edited; None where there is none that can be read."""
+    if original.source is None:
+        return None
+    path = receipt_of(Path(original.source.path))
+    try:
+        return read_receipt(path) if path.is_file() else None
+    except (ValueError, OSError):
+        return None
 
 
 def proved_record(out: Path, receipt_path: Path, receipt: Receipt, verification: Verification) -> dict:

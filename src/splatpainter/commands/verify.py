@@ -17,6 +17,8 @@ from splatpainter.io import files
 from splatpainter.receipts import Receipt, Verification, verify
 
 MAX_RECEIPT_BYTES = 256 << 20
+RANGE_WORDS = {"bytes": "byte-identical", "values": "as converted", "transformed": "as transformed"}
+"""How a range holds its source (scene/merge.py) -> what its rows are."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +29,20 @@ class Config:
     other properties and elements, trailing bytes). 1: something else differs or is missing, or the files are not those
     of the receipt. Without a receipt rows whose Gaussians differ are counted, not judged.
 
+    With --against: a merged asset (`splatpainter merge`), also after edits of it, whose every range is compared with
+    its own file.
+
     example:
       splatpainter verify vase.ply painted.ply
+      splatpainter verify scene.ply --against table.ply vase.ply
     """
 
     original: Annotated[Positional[Path], arg(metavar="ORIGINAL")]
-    """The asset before the edit."""
-    edited: Annotated[Positional[Path], arg(metavar="EDITED")]
+    """The asset before the edit; with --against the merged asset."""
+    edited: Annotated[Positional[Path | None], arg(metavar="EDITED", help_behavior_hint="")] = None
     """The asset after it."""
+    against: Annotated[tuple[Path, ...], arg(metavar="ASSET ...", help_behavior_hint="")] = ()
+    """The files that a merged asset was made of, in any order."""
     receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
     """The receipt; default: EDITED.receipt.json where it exists."""
     frame: FrameOption = "auto"
@@ -47,14 +55,21 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Read both files and the receipt."""
+    if config.against:
+        return _against(config)
+    edited = config.edited
+    if edited is None:
+        raise ValueError(
+            f"splatpainter verify: expected ORIGINAL and EDITED, or --against, got {config.original} alone"
+        )
     path = config.receipt
-    if path is None and receipt_of(config.edited).exists():
-        path = receipt_of(config.edited)
+    if path is None and receipt_of(edited).exists():
+        path = receipt_of(edited)
     receipt = read_receipt(path) if path is not None else None
     with stages(1) as bar:
         bar.enter("comparing")
-        verification = verify(config.original, config.edited, receipt, frame=config.frame, out_frame=config.out_frame)
-    record = {"original": config.original, "edited": config.edited, "receipt": path, **asdict(verification)}
+        verification = verify(config.original, edited, receipt, frame=config.frame, out_frame=config.out_frame)
+    record = {"original": config.original, "edited": edited, "receipt": path, **asdict(verification)}
     lines = [
         f"{verification.same:,} of {count(verification.rows, 'row')} {same_words(verification)}; "
         f"{verification.changed:,} changed, {verification.appended:,} appended",
@@ -66,6 +81,37 @@ def run(config: Config) -> Outcome:
         *(f"wrong: {problem}" for problem in verification.problems),
         "verified" if verification.ok else "NOT verified",
     ]
+    return Outcome(record, lines, 0 if verification.ok else 1)
+
+
+def _against(config: Config) -> Outcome:
+    """Every range of a merged asset."""
+    from splatpainter.scene.merge import verify_merge  # seams need numba
+
+    merged = config.original
+    if config.edited is not None:
+        raise ValueError(f"{config.edited}: with --against one merged asset is expected, and its sources behind it")
+    if (config.frame, config.out_frame) != ("auto", "auto"):
+        raise ValueError("splatpainter verify: --frame and --out-frame do not go with --against")
+    path = config.receipt or receipt_of(merged)
+    if config.receipt is None and not path.exists():
+        raise ValueError(f"{merged}: has no receipt {path.name} that says where its sources lie; name one by --receipt")
+    receipt = read_receipt(path)
+    with stages(1) as bar:
+        bar.enter("comparing")
+        verification = verify_merge(merged, config.against, receipt)
+    lines = [
+        *(
+            f"{one.file}: rows {one.first:,} to {one.first + one.rows - 1:,}: {one.same:,} of {one.rows:,} "
+            f"{RANGE_WORDS[one.how]}; {one.changed:,} changed by edits"
+            for one in verification.ranges
+        ),
+        *([f"{verification.appended:,} rows appended by edits"] if verification.appended else []),
+        f"receipt: {path}",
+        *(f"wrong: {problem}" for problem in verification.problems),
+        "verified" if verification.ok else "NOT verified",
+    ]
+    record = {"merged": merged, "against": config.against, "receipt": path, **asdict(verification)}
     return Outcome(record, lines, 0 if verification.ok else 1)
 
 

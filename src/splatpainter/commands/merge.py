@@ -1,0 +1,132 @@
+"""`splatpainter merge`: several assets in one file, each in its own range of rows."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatpainter.commands import Outcome
+from splatpainter.commands.targets import check_target, placed, splat_format
+from splatpainter.commands.terminal import count, seconds, stages
+from splatpainter.commands.verify import receipt_of
+from splatpainter.io import files, read
+from splatpainter.scene.merge import MergeVerification, Part, parts_of, write_merged
+from splatpainter.scene.placement import Placement, beside
+from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class Config:
+    """Merge splat files into one: the first one's rows, then the second one's, and so on; the name of OUT says the
+    format. Rows of a .ply or .splat that are neither moved nor recoloured keep their bytes. The receipt says where
+    each file lies and what was done to it: `splatpainter verify OUT --against ASSET ...` proves it, also after edits.
+
+    TRANSFORM is move=X,Y,Z (world units), turn=X,Y,Z (degrees about x, then y, then z) and scale=S, joined by `:`, or
+    none; the order is always scale, turn, move. Axes: x right, y down, z forward.
+
+    example:
+      splatpainter merge table.ply vase.ply --transform none move=0,-0.4,0:turn=0,30,0 --out scene.ply
+      splatpainter merge left.ply right.spz --match-seam --out room.ply
+      splatpainter verify scene.ply --against table.ply vase.ply
+    """
+
+    assets: Annotated[Positional[tuple[Path, ...]], arg(metavar="ASSET ASSET ...")]
+    """The files to merge, of any formats; they are not changed."""
+    out: Annotated[Path, arg(metavar="OUT")]
+    """The file to write."""
+    transform: Annotated[tuple[str, ...], arg(metavar="TRANSFORM ...", help_behavior_hint="")] = ()
+    """One for each asset, in order; default: all as they are."""
+    side_by_side: bool = False
+    """Set each asset to the right of the one before it, after its transform."""
+    match_seam: bool = False
+    """Match the colours of every asset to the first one, where they are near to each other: a gain and an offset of
+    linear light."""
+    seam_falloff: float = 0.0
+    """World units from the seam over which the match fades out; 0: it holds for all of the asset."""
+    lenient: bool = False
+    """Also open files that were cut off behind their last whole row."""
+    receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
+    """Where the receipt goes; default: OUT.receipt.json."""
+    overwrite: bool = False
+    """Replace OUT and the receipt if they exist."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+def run(config: Config) -> Outcome:
+    """Read, place, write, and prove every range."""
+    receipt_path = config.receipt or receipt_of(config.out)
+    splat_format(config.out)
+    check_target(config.out, config.overwrite, untouchable=config.assets)
+    check_target(receipt_path, config.overwrite, untouchable=config.assets)
+    if config.seam_falloff and not config.match_seam:
+        raise ValueError("splatpainter merge: expected --match-seam with --seam-falloff")
+    transforms = [Placement.parse(text) for text in config.transform] or None
+    clock = time.perf_counter()
+    with stages(3) as bar:
+        bar.enter("reading")
+        assets = [read(path, lenient=config.lenient) for path in config.assets]
+        laps = {"read": time.perf_counter() - clock}
+        if config.side_by_side and 2 <= len(assets) and len(transforms or assets) == len(assets):
+            transforms = side_by_side(assets, transforms or [Placement()] * len(assets))
+        bar.enter("placing")
+        parts = parts_of(assets, transforms, config.match_seam, config.seam_falloff)
+        placing = time.perf_counter()
+        with files.writing(receipt_path) as file, placed(config.out) as partial:
+            bar.enter("writing")
+            receipt, verification = write_merged(partial, parts)
+            laps["write"] = time.perf_counter() - placing
+            receipt = replace(receipt, seconds=laps)
+            file.write(receipt.to_json().encode())
+            file.flush()
+            os.fsync(file.fileno())
+    record = {
+        "out": config.out,
+        "receipt_file": receipt_path,
+        "verified": verification.ok,
+        "ranges": [asdict(one) for one in verification.ranges],
+        "receipt": json.loads(receipt.to_json()),
+    }
+    lines = [
+        f"{config.out}: {count(receipt.output_rows, 'row')} of {len(parts)} assets",
+        *part_lines(parts, verification),
+        *([f"note: {receipt.note}"] if receipt.note else []),
+        f"receipt: {receipt_path}",
+        seconds(laps),
+        "verified",
+    ]
+    return Outcome(record, lines)
+
+
+def part_lines(parts: Sequence[Part], verification: MergeVerification) -> list[str]:
+    """One line for each asset."""
+    lines = []
+    for part, one in zip(parts, verification.ranges, strict=True):
+        seam = "" if part.seam is None else f"; colours: {part.seam.text}"
+        words = {"bytes": "every byte unchanged", "values": "converted", "transformed": part.placement.text}[one.how]
+        lines.append(f"  rows {one.first:,} to {one.first + one.rows - 1:,}: {one.file}, {words}{seam}")
+    return lines
+
+
+def side_by_side(assets: Sequence[Splats], transforms: Sequence[Placement]) -> list[Placement]:
+    """Each asset moved along x to the right of the one before it."""
+    out = [transforms[0]]
+    left = transforms[0].points(_visible(assets[0]).means)
+    for splats, transform in zip(assets[1:], transforms[1:], strict=True):
+        points = transform.points(_visible(splats).means)
+        shift = beside(left, points)[0]
+        x, y, z = transform.move
+        out.append(replace(transform, move=(x + shift, y, z)))
+        left = out[-1].points(_visible(splats).means)
+    return out
+
+
+def _visible(splats: Splats) -> Splats:
+    return splats.take(splats.drawable) if splats.drawable.any() else splats.take(slice(0, 1))

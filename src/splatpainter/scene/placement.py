@@ -1,0 +1,213 @@
+"""Where an asset stands in a scene: scaled, turned, moved, in this order, about the origin of the asset's own axes.
+
+    p' = scale * R p + move
+
+The axes are those of every asset in memory (x right, y down, z forward: right-down-front). What is not moved keeps its
+bits: a placement without a turn leaves rotations and SH alone, one without a scale the scales, and the identity all.
+Sums are written out, and the matrices of the SH bands rounded to SH_DECIMALS, so that every machine gives equal bits.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.splats import Splats
+from splatpainter.transforms import quat_to_matrix, sh_rotations, snapped
+
+MAX_MOVE = 1e9
+"""World units along each axis."""
+MIN_SCALE, MAX_SCALE = 1e-6, 1e6
+MAX_DEGREES = 36_000.0
+SH_DECIMALS = 10
+"""Of the matrices that turn SH bands: beyond what float32 holds, and short of what libraries of linear algebra differ
+in."""
+NONE = "none"
+EXPECTED = "move=X,Y,Z, turn=X,Y,Z (degrees about x, then y, then z) and scale=S, joined by ':', or none"
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?"
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A similarity transform."""
+
+    move: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """World units."""
+    quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    """Rotation w, x, y, z of unit length."""
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, values, limit in (("move", self.move, MAX_MOVE), ("quat", self.quat, 1.0 + 1e-6)):
+            if not all(math.isfinite(value) and abs(value) <= limit for value in values):
+                raise ValueError(f"transform: expected {name} within {limit:g}, got {_listed(values)}")
+        if abs(math.sqrt(sum(value * value for value in self.quat)) - 1) > 1e-6:
+            raise ValueError(f"transform: expected a quaternion of length 1, got {_listed(self.quat)}")
+        if not MIN_SCALE <= self.scale <= MAX_SCALE:
+            raise ValueError(f"transform: expected a scale of {MIN_SCALE:g} to {MAX_SCALE:g}, got {self.scale:g}")
+
+    @staticmethod
+    def of(
+        move: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        turn: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        scale: float = 1.0,
+    ) -> Placement:
+        """turn: degrees about the x, then the y, then the z axis of the scene. Raises ValueError."""
+        if not all(math.isfinite(angle) and abs(angle) <= MAX_DEGREES for angle in turn):
+            raise ValueError(f"transform: expected angles within {MAX_DEGREES:g} degrees, got {_listed(turn)}")
+        quat = (1.0, 0.0, 0.0, 0.0)
+        for axis, degrees in enumerate(turn):
+            half = math.radians(math.remainder(degrees, 720.0)) / 2
+            step = [math.cos(half), 0.0, 0.0, 0.0]
+            step[1 + axis] = math.sin(half)
+            quat = _product((step[0], step[1], step[2], step[3]), quat)
+        w, x, y, z = (float(value) for value in snapped(np.array(quat)))
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        return Placement((move[0], move[1], move[2]), (w / norm, x / norm, y / norm, z / norm), scale)
+
+    @staticmethod
+    def parse(text: str, where: str = "--transform") -> Placement:
+        """`move=1,0,0:turn=0,90,0:scale=2`, each part at most once and in any order, or `none`. Raises ValueError."""
+        parts = {} if text.strip() == NONE else _parts(text, where)
+        try:
+            move, turn = (parts.get(name, (0.0, 0.0, 0.0)) for name in ("move", "turn"))
+            (scale,) = parts.get("scale", (1.0,))
+            return Placement.of((move[0], move[1], move[2]), (turn[0], turn[1], turn[2]), scale)
+        except ValueError as error:
+            raise ValueError(str(error).replace("transform:", f"{where} {text[:60]!r}:", 1)) from None
+
+    def record(self) -> dict[str, Any]:
+        """JSON object of all fields."""
+        return {"move": list(self.move), "quat": list(self.quat), "scale": self.scale}
+
+    @staticmethod
+    def from_record(data: Any) -> Placement:
+        """The inverse of `record`. Raises ValueError."""
+        try:
+            move, quat = ([_number(value) for value in data[name]] for name in ("move", "quat"))
+            if (len(move), len(quat)) != (3, 4):
+                raise ValueError("transform: expected three numbers as move and four as quat")
+            return Placement((move[0], move[1], move[2]), (quat[0], quat[1], quat[2], quat[3]), _number(data["scale"]))
+        except (KeyError, TypeError, OverflowError) as error:
+            raise ValueError(f"transform: expected move, quat and scale ({error!r:.60})") from None
+
+    @property
+    def is_identity(self) -> bool:
+        return self.move == (0, 0, 0) and not self.turns and self.scale == 1
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is more than a move and a scale."""
+        return abs(self.quat[0]) != 1
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """[3, 3] float64 the rotation."""
+        return snapped(quat_to_matrix(np.array([self.quat]))[0])
+
+    @property
+    def text(self) -> str:
+        """For people: the parts that do something."""
+        parts = []
+        if self.move != (0, 0, 0):
+            parts.append(f"moved by {_listed(self.move)}")
+        if self.turns:
+            angle = math.degrees(2 * math.acos(min(abs(self.quat[0]), 1.0)))
+            parts.append(f"turned by {angle:.4g} degrees")
+        if self.scale != 1:
+            parts.append(f"scaled by {self.scale:.6g}")
+        return ", ".join(parts) or "as it is"
+
+    def apply(self, splats: Splats) -> Splats:
+        """The Gaussians in the scene (numpy); `source` and `origin` stay, so that what does not change keeps its bytes.
+        float64 inside."""
+        values: dict[str, np.ndarray] = {}
+        with np.errstate(all="ignore"):  # Gaussians that cannot be drawn
+            if not self.is_identity:
+                values["means"] = self.points(splats.means).astype(np.float32)
+            if self.scale != 1:
+                values["scales"] = (splats.scales.astype(np.float64) * self.scale).astype(np.float32)
+            if self.turns:
+                columns = _product(self.quat, tuple(splats.quats.astype(np.float64).T))
+                values["quats"] = np.stack(columns, 1).astype(np.float32)
+                values["sh"] = self._turned_sh(splats.sh)
+        return replace(splats, **values)
+
+    def points(self, points: np.ndarray) -> np.ndarray:
+        """[N, 3] float64 points of the asset -> the same in the scene."""
+        x, y, z = np.asarray(points, np.float64).T
+        rows = zip(self.matrix, self.move, strict=True)
+        return np.stack([self.scale * (row[0] * x + row[1] * y + row[2] * z) + shift for row, shift in rows], 1)
+
+    def camera(self, camera: Camera) -> Camera:
+        """A camera of the scene as one of the asset's own space, which shows the asset there as this one shows it here.
+        Depths are divided by the scale."""
+        if self.is_identity:
+            return camera
+        view = np.asarray(camera.world_to_camera, np.float64)
+        inside = np.eye(4)
+        inside[:3, :3] = view[:3, :3] @ self.matrix
+        inside[:3, 3] = (view[:3, :3] @ np.array(self.move) + view[:3, 3]) / self.scale
+        return replace(camera, world_to_camera=inside)
+
+    def _turned_sh(self, sh: np.ndarray) -> np.ndarray:
+        """[N, K, 3] float32; the constant band keeps its bits."""
+        out = sh.copy()
+        degree = math.isqrt(sh.shape[1]) - 1
+        for l, exact in enumerate(sh_rotations(self.matrix, degree)[1:], 1):
+            band = sh[:, l * l : (l + 1) * (l + 1)].astype(np.float64)
+            for a, row in enumerate(np.round(exact, SH_DECIMALS)):
+                total = row[0] * band[:, 0]
+                for b in range(1, len(row)):
+                    total = total + row[b] * band[:, b]
+                out[:, l * l + a] = total
+        return out
+
+
+def beside(fixed: np.ndarray, moving: np.ndarray, gap: float = 0.1) -> tuple[float, float, float]:
+    """The move along x that sets some points to the right of others. fixed, moving: [P, 3], [Q, 3]; gap: share of the
+    wider one's width between them. Strays (1 % at either end) do not count."""
+    low, high = (np.quantile(points[:, 0], (0.01, 0.99)) for points in (fixed, moving))
+    width = max(low[1] - low[0], high[1] - high[0])
+    return (float(np.float32(low[1] + gap * width - high[0])), 0.0, 0.0)
+
+
+def _product(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:
+    """Hamilton product of quaternions (w, x, y, z), numbers or columns."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def _parts(text: str, where: str) -> dict[str, tuple[float, ...]]:
+    parts: dict[str, tuple[float, ...]] = {}
+    for part in re.split(r"[:\s]+", text.strip()):
+        name, _, numbers = part.partition("=")
+        words = numbers.split(",")
+        count = {"move": 3, "turn": 3, "scale": 1}.get(name)
+        if count is None or name in parts or len(words) != count:
+            raise ValueError(f"{where}: expected {EXPECTED}, got {text[:60]!r}")
+        if not all(re.fullmatch(_NUMBER, word) for word in words):
+            raise ValueError(f"{where}: expected numbers as {name}, got {numbers[:60]!r}")
+        parts[name] = tuple(float(word) for word in words)
+    return parts
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"transform: expected numbers, got {value!r:.40}")
+    return float(value)
+
+
+def _listed(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{value:.6g}" for value in values)
