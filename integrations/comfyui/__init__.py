@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
-
 from .nodes import NODES
-from .schemas import v1_class, v3_extension
+from .schemas import has_v3, v1_class, v3_extension
 
-if importlib.util.find_spec("comfy_api") is not None:
+if has_v3():
     # ComfyUI asks for the old names first, so a pack offers one of both.
     async def comfy_entrypoint():
         """The nodes, by the schema of `comfy_api.latest`."""

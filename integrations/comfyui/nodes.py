@@ -13,6 +13,8 @@ from .operations import (
     next_view,
     render_view,
     save_splat,
+    saved_files,
+    splat_file_state,
 )
 from .schemas import Node, Slot
 
@@ -140,6 +142,7 @@ NODES = (
         (_text("file", "vase.ply", "Name in the input folder."),),
         (Slot("splat", "SPLAT"),),
         load_splat,
+        state=splat_file_state,
     ),
     Node(
         "SplatPainterSave",
@@ -153,5 +156,6 @@ NODES = (
         (Slot("path", "STRING"),),
         save_splat,
         is_output=True,
+        history_entry=saved_files,
     ),
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,16 +12,21 @@ from typing import Any
 import numpy as np
 import torch
 
+from splatpainter.atomic import write_text
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
 from splatpainter.color import from_display
+from splatpainter.commands.proved import write_proved
+from splatpainter.commands.terminal import stages
+from splatpainter.commands.verify import receipt_of
 from splatpainter.io import read, write
 from splatpainter.lift.options import LOCAL_DEFAULTS
-from splatpainter.painter import Edit, Mode, Painter
+from splatpainter.painter import Asset, Edit, Mode, Painter
 from splatpainter.sources.gatekeeper import admit
 from splatpainter.sources.picture_source import PictureRequest
 from splatpainter.splats import Splats
 
-from .values import camera_info_of, camera_of, image_of, mask_of, picture_of, splat_like, splats_of
+from .lineage import Lineage, asset_of, with_lineage
+from .values import camera_info_of, camera_of, image_of, mask_of, picture_of, splat_class
 
 FOV = 40.0
 """Degrees, of the views that are proposed."""
@@ -31,7 +38,7 @@ MAX_VIEWS = 64
 
 def render_view(splat: Any, camera_info: dict, width: int, height: int, background: str = "#000000") -> tuple:
     """(IMAGE, MASK): what a view shows, exactly as edits are compared with it, and the alpha of the splat."""
-    splats, camera = splats_of(splat), camera_of(camera_info, width, height)
+    splats, camera = asset_of(splat)[0].splats, camera_of(camera_info, width, height)
     image, alpha = displayed(splats, replace(camera, background=_color(background)))
     return image_of(image), image_of(alpha)
 
@@ -46,17 +53,17 @@ def lift_picture(
     before: torch.Tensor | None = None,
 ) -> tuple:
     """(SPLAT, STRING): the splat with the edited picture on it, and the receipt as JSON."""
-    splats, picture = splats_of(splat), picture_of(image)
+    picture = picture_of(image)
     camera = camera_of(camera_info, picture.shape[1], picture.shape[0])
-    edit = _edit(splats, camera, picture, gatekeeper, mask, before)
+    edit = _edit(asset_of(splat)[0].splats, camera, picture, gatekeeper, mask, before)
     options = replace(LOCAL_DEFAULTS, angle_limit=angle_limit)
     painter = replace(Painter.load(modes=["local"]), local_options=options, aside=True)
-    return _painted(painter, splat, splats, [edit], "local")
+    return _painted(painter, splat, [edit], "local")
 
 
 def global_look(splat: Any, image: torch.Tensor, camera_info: dict, **more: Any) -> tuple:
     """(SPLAT, STRING): the splat as regraded or relit pictures of it show it, unseen sides too, and the receipt."""
-    splats, edits = splats_of(splat), []
+    splats, edits = asset_of(splat)[0].splats, []
     pairs = [(image, camera_info, more.get("before"), "image")]
     for k in (2, 3, 4):
         picture, info = more.get(f"image_{k}"), more.get(f"camera_info_{k}")
@@ -71,7 +78,7 @@ def global_look(splat: Any, image: torch.Tensor, camera_info: dict, **more: Any)
             displayed_image, _ = displayed(splats, camera)
             picture = np.clip(displayed_image + picture - _of_size(before, picture, "before"), 0, 1)
         edits.append(Edit(from_display(picture, splats.color_space), camera, name=name))
-    return _painted(Painter.load(modes=["global"]), splat, splats, edits, "global")
+    return _painted(Painter.load(modes=["global"]), splat, edits, "global")
 
 
 def next_view(splat: Any, size: int = 1024, background: str = "#000000", views: list | None = None) -> tuple:
@@ -80,7 +87,7 @@ def next_view(splat: Any, size: int = 1024, background: str = "#000000", views: 
     from splatpainter.source_edits.coverage import SurfaceView, unreached
     from splatpainter.view_files import normals_of
 
-    splats = splats_of(splat)
+    splats = asset_of(splat)[0].splats
     center, radius = bounding_sphere(splats)
     distance = FRAME_MARGIN * radius / np.sin(np.radians(FOV / 2))
     normals = normals_of(splats)
@@ -106,7 +113,7 @@ def coverage(splat: Any, views: list, camera_info: dict, width: int, height: int
     from splatpainter.source_edits.coverage import SurfaceView, unreached
     from splatpainter.view_files import normals_of
 
-    splats = splats_of(splat)
+    splats = asset_of(splat)[0].splats
     normals = normals_of(splats)
     view = SurfaceView.of(splats, camera_of(camera_info, width, height), normals)
     earlier = _surface_views(splats, normals, views)
@@ -124,29 +131,44 @@ def add_view(camera_info: dict, width: int, height: int, views: list | None = No
 
 def load_splat(file: str) -> tuple:
     """(SPLAT,): a splat file of ComfyUI's input folder, in any format that SplatPainter reads."""
-    import importlib
+    splats = read(_input_file(file))
+    return (with_lineage(splats, Lineage(splats, Asset(splats)), splat_class()),)
 
-    folders = importlib.import_module("folder_paths")
-    path = _inside(Path(folders.get_input_directory()), file)
-    splats = read(path).numpy()
-    kind = importlib.import_module("comfy_api.latest").Types.SPLAT
-    arrays = (splats.means, splats.scales, splats.quats, splats.opacities[:, None], splats.sh)
-    return (kind(*(torch.from_numpy(np.array(values, np.float32))[None] for values in arrays)),)
+
+def splat_file_state(file: str) -> str:
+    """Changes when the file does, so that ComfyUI reads it again and does not give the splat of an earlier run."""
+    with contextlib.suppress(OSError, ValueError):
+        entry = _input_file(file).stat()
+        return f"{entry.st_mtime_ns} {entry.st_size}"
+    return ""
 
 
 def save_splat(splat: Any, file: str, receipt: str = "") -> tuple:
-    """(STRING,): writes the splat, in the format that the name says, and the receipt beside it; gives its path."""
-    import importlib
+    """(STRING,): writes the splat, in the format that the name says, and the receipt beside it; gives its path.
 
-    from splatpainter.atomic import write_text
-
-    folders = importlib.import_module("folder_paths")
-    path = _inside(Path(folders.get_output_directory()), file)
+    A splat that these nodes loaded and edited is proved against its file before it is there, and its receipt is of all
+    edits together; of others the text `receipt` is written as it is."""
+    path = _inside(_folder("output"), file)
+    asset, lineage = asset_of(splat)
+    beside = receipt_of(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write(path, splats_of(splat), overwrite=True)
-    if receipt.strip():
-        write_text(path.with_name(path.name + ".receipt.json"), receipt)
+    if lineage is not None and lineage.receipts:
+        with stages(2) as bar:
+            write_proved(lineage.file, replace(asset, receipt=lineage.receipt), path, beside, "auto", bar, 0.0)
+    else:
+        write(path, asset.splats, overwrite=True)
+        if receipt.strip():
+            write_text(beside, receipt)
+        else:
+            beside.unlink(missing_ok=True)  # of a file that is gone
     return (str(path),)
+
+
+def saved_files(result: tuple) -> dict[str, list[dict[str, str]]]:
+    """What `save_splat` wrote, as the history of a run lists files (GET /view gives them)."""
+    path = Path(result[0]).relative_to(_folder("output").resolve())
+    subfolder = path.parent.as_posix().removeprefix(".")
+    return {"3d": [{"filename": path.name, "subfolder": subfolder, "type": "output"}]}
 
 
 def displayed(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -192,10 +214,14 @@ def _edit(
     return Edit(from_display(np.clip(mixed, 0, 1), splats.color_space), camera, changed, "image")
 
 
-def _painted(painter: Painter, splat: Any, splats: Splats, edits: list[Edit], mode: Mode) -> tuple:
-    result = painter.apply(painter.encode(splats, modes=[mode]), edits, mode)
+def _painted(painter: Painter, splat: Any, edits: list[Edit], mode: Mode) -> tuple:
+    asset, lineage = asset_of(splat)
+    if lineage is None or not lineage.receipts:
+        asset = painter.encode(asset.splats, modes=[mode])
+    result = painter.apply(asset, edits, mode)
     assert result.receipt is not None
-    return splat_like(splat, result.splats), result.receipt.to_json()
+    line = None if lineage is None else lineage.edited(result)
+    return with_lineage(result.splats, line, type(splat), splat.positions.device), result.receipt.to_json()
 
 
 def _of_size(image: torch.Tensor, like: np.ndarray, what: str) -> np.ndarray:
@@ -227,6 +253,20 @@ def _views(views: list | None) -> list:
 
 def _view(camera_info: dict, width: int, height: int) -> dict:
     return {"camera_info": json.loads(json.dumps(camera_info)), "width": int(width), "height": int(height)}
+
+
+def _folder(kind: str) -> Path:
+    """ComfyUI's folder for input or output."""
+    return Path(getattr(importlib.import_module("folder_paths"), f"get_{kind}_directory")())
+
+
+def _input_file(name: str) -> Path:
+    """Raises ValueError: outside of the input folder, not there."""
+    folder = _folder("input")
+    path = _inside(folder, name)
+    if not path.is_file():
+        raise ValueError(f"file: no {name.strip()!r:.80} in {folder}; put the splat there, or in a folder below it")
+    return path
 
 
 def _inside(folder: Path, name: str) -> Path:

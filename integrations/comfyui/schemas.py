@@ -53,6 +53,10 @@ class Node:
     """Takes the inputs by their ids, gives a tuple in the order of the outputs."""
     is_output: bool = False
     """Whether it is run for what it does (writes a file)."""
+    state: Callable[..., str] | None = None
+    """Takes the inputs that are no links; what it gives changes when the node is to run again although they did not."""
+    history_entry: Callable[[tuple], dict] | None = None
+    """What the history of a run lists, of the outputs."""
 
 
 def v1_class(node: Node) -> type:
@@ -67,8 +71,9 @@ def v1_class(node: Node) -> type:
             out["optional" if slot.optional else "required"][slot.id] = (kind, options)
         return out
 
-    def execute(_: object, **inputs: Any) -> tuple:
-        return node.function(**inputs)
+    def execute(_: object, **inputs: Any) -> Any:
+        result = node.function(**inputs)
+        return result if node.history_entry is None else {"ui": node.history_entry(result), "result": result}
 
     values = {
         "INPUT_TYPES": classmethod(input_types),
@@ -81,6 +86,8 @@ def v1_class(node: Node) -> type:
         "OUTPUT_NODE": node.is_output,
         "execute": execute,
     }
+    if node.state is not None:
+        values["IS_CHANGED"] = classmethod(_state(node.state))
     return type(node.id, (), values)
 
 
@@ -102,10 +109,17 @@ def v3_class(node: Node) -> type:
         )
 
     def execute(_: type, **inputs: Any) -> Any:
-        return io.NodeOutput(*node.function(**inputs))
+        result = node.function(**inputs)
+        return io.NodeOutput(*result) if node.history_entry is None else io.NodeOutput(*result, ui=node.history_entry(result))
 
     methods = {"define_schema": classmethod(define_schema), "execute": classmethod(execute)}
+    if node.state is not None:
+        methods["fingerprint_inputs"] = classmethod(_state(node.state))
     return type(node.id, (io.ComfyNode,), methods)
+
+
+def _state(function: Callable[..., str]) -> Callable[..., str]:
+    return lambda _, **inputs: function(**inputs)
 
 
 def v3_extension(nodes: Sequence[Node]) -> Any:
@@ -127,5 +141,13 @@ def _v3_input(io: Any, slot: Slot) -> Any:
 
 
 def _v3_type(io: Any, name: str) -> Any:
-    known = getattr(io, V3_NAMES.get(name, ""), None)
-    return known if known is not None else io.Custom(name)
+    named = getattr(io, V3_NAMES.get(name, ""), None)
+    return named if named is not None else io.Custom(name)
+
+
+def has_v3() -> bool:
+    """Whether this ComfyUI loads nodes of the newer schema."""
+    try:
+        return hasattr(importlib.import_module("comfy_api.latest"), "ComfyExtension")
+    except ImportError:
+        return False

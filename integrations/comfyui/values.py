@@ -4,7 +4,7 @@ SPLAT (comfy_api/latest/_util/geometry_types.py) is a batch of activated Gaussia
 scales (standard deviations), rotations (w, x, y, z), opacities [B, N, 1], sh [B, N, K, 3] and counts [B] or None, in
 the axes of 3DGS files (y down), as here. camera_info is three.js's: right-handed, y up, looking down -z, so its points
 are ours turned half around x; fov spans the shorter side. IMAGE is [B, H, W, 3], MASK [B, H, W], floats 0..1; a mask
-is 1 where something is to change.
+is 1 where something is to change. Versions before 2026 have no class for SPLAT: there `SplatBatch` stands for it.
 
 ComfyUI's RenderSplat evaluates pixel j at j, not at j + 0.5; cameras made here say so in their principal point, so that
 pictures of both lie over each other.
@@ -12,7 +12,9 @@ pictures of both lie over each other.
 
 from __future__ import annotations
 
+import importlib
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,27 @@ PIXEL_SHIFT = 0.5
 """Of the principal point, see above."""
 
 
+@dataclass
+class SplatBatch:
+    """A SPLAT of ComfyUI versions that have none in their core: the same names, the same tensors."""
+
+    positions: torch.Tensor
+    scales: torch.Tensor
+    rotations: torch.Tensor
+    opacities: torch.Tensor
+    sh: torch.Tensor
+    counts: torch.Tensor | None = None
+
+
+def splat_class() -> Any:
+    """The core's class of SPLAT, or SplatBatch where this ComfyUI has none."""
+    try:
+        types = importlib.import_module("comfy_api.latest").Types
+    except (ImportError, AttributeError):
+        return SplatBatch
+    return getattr(types, "SPLAT", SplatBatch)
+
+
 def splats_of(splat: Any) -> Splats:
     """The Gaussians of a SPLAT of one item. Raises ValueError for a batch of several."""
     count = int(splat.positions.shape[0])
@@ -46,15 +69,14 @@ def splats_of(splat: Any) -> Splats:
     return Splats(array(splat.positions), array(splat.rotations), array(splat.scales), opacities, array(splat.sh))
 
 
-def splat_like(splat: Any, splats: Splats) -> Any:
-    """A SPLAT of the class and on the device of another one."""
-    device = splat.positions.device
+def splat_of(splats: Splats, kind: Any, device: Any = "cpu") -> Any:
+    """A SPLAT of one item, of a class that takes the tensors in their order."""
     arrays = splats.numpy()
 
     def tensor(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.array(values, np.float32))[None].to(device)
 
-    return type(splat)(
+    return kind(
         tensor(arrays.means),
         tensor(arrays.scales),
         tensor(arrays.quats),

@@ -9,6 +9,7 @@ import json
 import math
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import torch
 
 from splatpainter.cameras import look_at
 from splatpainter.io import read
-from splatpainter.receipts import Receipt
+from splatpainter.receipts import Receipt, verify
 from splatpainter.splats import Splats
 from tests.support.cli_scenes import ball, saved
 from tests.support.comfyui_types import SPLAT, comfy_api
@@ -253,24 +254,80 @@ def test_next_views_show_what_earlier_ones_have_not(ops: Any, splat: SPLAT) -> N
     assert share < 0.6 and painted_mask.shape == (1, 96, 96)
 
 
+@pytest.fixture
+def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """ComfyUI's input and output folders, with vase.ply, and a ComfyUI whose core has no SPLAT."""
+    module = types.ModuleType("folder_paths")
+    module.get_input_directory = lambda: str(tmp_path / "input")  # type: ignore[attr-defined]
+    module.get_output_directory = lambda: str(tmp_path / "output")  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "folder_paths", module)
+    for name, loaded in comfy_api(named=("Load3DCamera",)).items():
+        monkeypatch.setitem(sys.modules, name, loaded)
+    (tmp_path / "input").mkdir()
+    saved(tmp_path / "input" / "vase.ply", replace(ball(900), antialiased=True))
+    return tmp_path
+
+
 def test_files_come_from_the_input_folder_and_go_to_the_output_folder(
-    ops: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ops: Any, folders: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, loaded in comfy_api().items():
         monkeypatch.setitem(sys.modules, name, loaded)
-    folders = types.ModuleType("folder_paths")
-    folders.get_input_directory = lambda: str(tmp_path / "input")  # type: ignore[attr-defined]
-    folders.get_output_directory = lambda: str(tmp_path / "output")  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "folder_paths", folders)
-    (tmp_path / "input").mkdir()
-    saved(tmp_path / "input" / "ball.ply", ball(300))
+    saved(folders / "input" / "ball.ply", ball(300))
     (splat,) = ops.load_splat("ball.ply")
+    assert isinstance(splat, SPLAT)
     (path,) = ops.save_splat(splat, "shelf/ball.spz", '{"a": 1}')
-    assert Path(path) == tmp_path / "output" / "shelf" / "ball.spz" and len(read(path)) == 300
-    assert (tmp_path / "output" / "shelf" / "ball.spz.receipt.json").read_text() == '{"a": 1}'
+    assert Path(path) == folders / "output" / "shelf" / "ball.spz" and len(read(path)) == 300
+    assert (folders / "output" / "shelf" / "ball.spz.receipt.json").read_text() == '{"a": 1}'
     for name in ("../ball.ply", "/etc/passwd", ""):
         with pytest.raises(ValueError, match="^file: expected a name inside "):
             ops.load_splat(name)
+
+
+def test_what_is_saved_is_proved_against_the_file_that_was_loaded(ops: Any, folders: Path) -> None:
+    (splat,) = ops.load_splat("vase.ply")
+    assert type(splat).__name__ == "SplatBatch"
+    boxes, texts = [(30, 40), (52, 60)], []
+    for left, top in boxes:
+        picture = ops.render_view(splat, CAMERA, 96, 96)[0]
+        picture[0, top : top + 8, left : left + 12] = torch.tensor([0.1, 0.6, 0.2])
+        splat, text = ops.lift_picture(splat, CAMERA, picture)
+        texts.append(text)
+    (path,) = ops.save_splat(splat, "painted.ply", texts[-1])
+    receipt = Receipt.from_json((folders / "output" / "painted.ply.receipt.json").read_text())
+    assert len(receipt.views) == 2 and len(receipt.touched) > len(Receipt.from_json(texts[0]).touched)
+    assert verify(folders / "input" / "vase.ply", path, receipt).ok and read(path).antialiased
+    assert ops.saved_files((path,)) == {"3d": [{"filename": "painted.ply", "subfolder": "", "type": "output"}]}
+
+
+def test_a_splat_that_another_node_changed_is_saved_with_the_receipt_it_is_given(ops: Any, folders: Path) -> None:
+    (splat,) = ops.load_splat("vase.ply")
+    splat, text = ops.lift_picture(splat, CAMERA, painted(ops.render_view(splat, CAMERA, 96, 96)[0])[0])
+    splat.positions = splat.positions + 1
+    (path,) = ops.save_splat(splat, "moved.ply", text)
+    assert (folders / "output" / "moved.ply.receipt.json").read_text() == text
+    ops.save_splat(splat, "moved.ply")
+    assert not (folders / "output" / "moved.ply.receipt.json").exists()  # it was of the file before
+    assert (read(path).means[:900] > ball(900).means).all()
+
+
+def test_a_file_that_changed_runs_again(pack: types.ModuleType, ops: Any, folders: Path) -> None:
+    load = sys.modules["comfyui_pack"].NODE_CLASS_MAPPINGS["SplatPainterLoad"]
+    newer = sys.modules["comfyui_pack.schemas"].v3_class(next(n for n in pack.NODES if n.id == "SplatPainterLoad"))
+    before = load.IS_CHANGED(file="vase.ply")
+    assert before == newer.fingerprint_inputs(file="vase.ply") == load.IS_CHANGED(file="vase.ply")
+    saved(folders / "input" / "vase.ply", ball(800))
+    assert load.IS_CHANGED(file="vase.ply") != before
+    with pytest.raises(ValueError, match="^file: no 'gone.ply' in .*; put the splat there"):
+        ops.load_splat("gone.ply")
+
+
+def test_an_api_package_without_the_newer_schema_gets_the_old_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    modules = comfy_api()
+    del modules["comfy_api.latest"].ComfyExtension  # type: ignore[attr-defined]
+    for name, loaded in modules.items():
+        monkeypatch.setitem(sys.modules, name, loaded)
+    assert len(load_pack("comfyui_pack_between").NODE_CLASS_MAPPINGS) == 8
 
 
 # Workflows

@@ -69,8 +69,8 @@ class ComfyNode:
 
 
 class NodeOutput:
-    def __init__(self, *results: Any) -> None:
-        self.result = results
+    def __init__(self, *results: Any, ui: dict[str, Any] | None = None) -> None:
+        self.result, self.ui = results, ui
 
 
 class ComfyExtension:
@@ -101,5 +101,5 @@ def comfy_api(named: tuple[str, ...] = ("Splat", "Load3DCamera")) -> dict[str, t
     package.__path__ = []  # type: ignore[attr-defined]
     package.__spec__ = latest.__spec__ = types.SimpleNamespace()  # type: ignore[assignment]
     latest.io, latest.ComfyExtension = io, ComfyExtension  # type: ignore[attr-defined]
-    latest.Types = types.SimpleNamespace(SPLAT=SPLAT)  # type: ignore[attr-defined]
+    latest.Types = types.SimpleNamespace(**({"SPLAT": SPLAT} if "Splat" in named else {}))  # type: ignore[attr-defined]
     return {"comfy_api": package, "comfy_api.latest": latest}

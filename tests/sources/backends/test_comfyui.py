@@ -39,8 +39,20 @@ def graph() -> dict[str, Any]:
     }
 
 
+FAILURE = {"node_id": "6", "node_type": "KSampler", "executed": [], "exception_message": "out of\nmemory\n"}
+INTERRUPTION = {"node_id": "6", "node_type": "KSampler", "executed": []}
+
+
+def invalid(outputs: list[str]) -> dict[str, Any]:
+    """node_errors of a KSampler without its sampler, by which these outputs are not made."""
+    details = "sampler_name: 'x' not in ['euler']"
+    error = {"type": "value_not_in_list", "message": "Value not in list", "details": details, "extra_info": {}}
+    return {"6": {"errors": [error], "dependent_outputs": outputs, "class_type": "KSampler"}}
+
+
 class FakeComfyUI:
-    """A server with a queue of one; `mode` says how a run goes."""
+    """A server with a queue of one, which says what ComfyUI 0.3.64 said in tests/integrations/test_real_comfyui.py;
+    `mode` says how a run goes."""
 
     def __init__(self, mode: str = "") -> None:
         self.mode = mode
@@ -59,17 +71,18 @@ class FakeComfyUI:
             return Reply({"name": name, "subfolder": "today", "type": "input"})
         if path == "/prompt":
             if self.mode == "reject":
-                errors = [{"message": "Value not in list", "details": "ckpt_name: 'x' not in []"}]
-                return Reply(
-                    {
-                        "error": {"message": "Prompt outputs failed validation"},
-                        "node_errors": {"6": {"errors": errors, "class_type": "KSampler"}},
-                    },
-                    400,
-                )
+                message = "Prompt outputs failed validation"
+                error = {"type": "prompt_outputs_failed_validation", "message": message, "details": ""}
+                return Reply({"error": {**error, "extra_info": {}}, "node_errors": invalid(["7", "8"])}, 400)
+            if self.mode == "no such node":
+                message = "Cannot execute because node Rusty does not exist."
+                error = {"type": "invalid_prompt", "message": message, "details": "Node ID '#6'", "extra_info": {}}
+                return Reply({"error": error, "node_errors": {}}, 400)
             self.prompt = call.json()
             self.queued.set()
-            return Reply({"prompt_id": ID, "number": 1, "node_errors": {}})
+            parts = {"other part": ["8"], "our part": ["7"]}
+            errors = invalid(parts[self.mode]) if self.mode in parts else {}
+            return Reply({"prompt_id": ID, "number": 1, "node_errors": errors})
         if path == f"/history/{ID}":
             return Reply({ID: self.history()} if self.mode != "hang" else {})
         if path == "/view":
@@ -81,26 +94,49 @@ class FakeComfyUI:
         return Reply(b"")
 
     def history(self) -> dict[str, Any]:
+        messages: list[Any] = [["execution_start", {"prompt_id": ID}], ["execution_cached", {"nodes": ["1"]}]]
+        failed = {"status_str": "error", "completed": False}
         if self.mode == "error":
-            message = {"node_id": "6", "node_type": "KSampler", "exception_message": "out of memory\n"}
-            return {"outputs": {}, "status": {"status_str": "error", "messages": [["execution_error", message]]}}
+            return {"outputs": {}, "status": {**failed, "messages": [*messages, ["execution_error", FAILURE]]}}
+        if self.mode == "interrupted":
+            last = ["execution_interrupted", INTERRUPTION]
+            return {"outputs": {}, "status": {**failed, "messages": [*messages, last]}}
         files = [{"filename": name, "subfolder": "s p", "type": "output"} for name in ("a.png", "b.png")]
         images = [] if self.mode == "no picture" else files
-        return {"outputs": {"7": {"images": images}}, "status": {"status_str": "success", "completed": True}}
+        status = {"status_str": "success", "completed": True, "messages": [*messages, ["execution_success", {}]]}
+        return {"prompt": [1, ID, {}, {}, ["7"]], "outputs": {"7": {"images": images}}, "status": status, "meta": {}}
 
     def socket(self, call: Call, send: Callable[[Any], None]) -> None:
-        assert parse_qs(urlsplit(call.path).query)["clientId"]
+        """The messages of a run, in their order; those of a progress_state repeat what the others say."""
+        client = parse_qs(urlsplit(call.path).query)["clientId"][0]
+
+        def say(kind: str, **data: Any) -> None:
+            send({"type": kind, "data": data})
+
+        def node_runs(number: str) -> None:
+            say("progress_state", prompt_id=ID, nodes={number: {"value": 0.0, "max": 1.0, "state": "running"}})
+            say("executing", node=number, display_node=number, prompt_id=ID)
+
+        say("status", status={"exec_info": {"queue_remaining": 2}}, sid=client)
         assert self.queued.wait(10)
-        send({"type": "status", "data": {"status": {"exec_info": {"queue_remaining": 3}}}})
+        say("status", status={"exec_info": {"queue_remaining": 3}})
+        say("execution_start", prompt_id=ID, timestamp=1795421195679)
+        say("execution_cached", nodes=["1", "2", "3", "4"], prompt_id=ID, timestamp=1795421195681)
+        node_runs("5")
+        node_runs("6")
         send(b"\0\0\0\1preview")
-        send({"type": "executing", "data": {"node": "6", "prompt_id": ID}})
-        send({"type": "progress", "data": {"value": 5, "max": 20, "prompt_id": ID, "node": "6"}})
-        send({"type": "progress", "data": {"value": 9, "max": 10, "prompt_id": "another"}})
+        say("status", status={"exec_info": {"queue_remaining": 9}})
+        say("progress", value=5, max=20, prompt_id=ID, node="6")
+        say("progress", value=9, max=10, prompt_id="another", node="6")
         if self.mode == "socket error":
-            message = {"node_id": "6", "node_type": "KSampler", "exception_message": "out of memory"}
-            send({"type": "execution_error", "data": {"prompt_id": ID, **message}})
+            say("execution_error", prompt_id=ID, **FAILURE)
+        elif self.mode == "socket interrupted":
+            say("execution_interrupted", prompt_id=ID, **INTERRUPTION)
         elif self.mode != "hang":
-            send({"type": "executing", "data": {"node": None, "prompt_id": ID}})
+            say("executed", node="7", display_node="7", output={"images": []}, prompt_id=ID)
+            say("execution_success", prompt_id=ID, timestamp=1795421195919)
+            say("status", status={"exec_info": {"queue_remaining": 0}})
+            say("executing", node=None, prompt_id=ID)
         threading.Event().wait(0.3)
 
 
@@ -138,8 +174,13 @@ def test_there_and_back(server: tuple[FakeService, FakeComfyUI], workflow: Path)
     progress = Progressed()
     answer = edit(service, workflow, progress=progress)
     assert answer.image.shape == (48, 64, 3) and (answer.seed, answer.model) == (7, "ComfyUI workflow rust.json")
-    assert (0.25, "step 5 of 20") in progress.reports and (0.0, "KSampler") in progress.reports
-    assert (0.0, "3 in the queue") in progress.reports and not any(share == 0.9 for share, _ in progress.reports)
+    assert progress.reports[1:] == [
+        (0.0, "2 in the queue"),
+        (0.0, "3 in the queue"),
+        (4 / 8, "CLIPTextEncode"),
+        (5 / 8, "KSampler"),
+        (5.25 / 8, "step 5 of 20"),
+    ]
     sent = comfy.prompt["prompt"]
     assert sent["5"]["inputs"] == {"text": "rust", "clip": ["9", 1]}
     assert sent["6"]["inputs"] == {"seed": 7, "steps": 20, "positive": ["5", 0]}
@@ -167,8 +208,12 @@ def test_without_a_socket(server: tuple[FakeService, FakeComfyUI], workflow: Pat
     [
         (
             "reject",
-            "failed validation node 6 (KSampler): Value not in list (ckpt_name: 'x'",
+            "failed validation: node 6 (KSampler): Value not in list (sampler_name: 'x'",
         ),
+        ("no such node", "refused the request (400: Cannot execute because node Rusty does not exist. (Node ID '#6'))"),
+        ("our part", "did not take the workflow: node 6 (KSampler): Value not in list (sampler_name: 'x'"),
+        ("interrupted", "stopped: it was interrupted on the server"),
+        ("socket interrupted", "was interrupted on the server"),
         ("error", "stopped in node 6 (KSampler): out of memory"),
         ("socket error", "stopped in node 6 (KSampler): out of memory"),
         ("no picture", "ended without a picture from splatpainter:out (node 7, SaveImage); expected a node that saves"),
@@ -180,6 +225,17 @@ def test_runs_that_go_wrong(server: tuple[FakeService, FakeComfyUI], workflow: P
     with pytest.raises(SourceError) as error:
         edit(service, workflow)
     assert line in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_part_that_the_answer_does_not_need_may_fail(server: tuple[FakeService, FakeComfyUI], workflow: Path) -> None:
+    service, comfy = server
+    comfy.mode = "other part"
+    answer = edit(service, workflow)
+    assert answer.notes[0].startswith("the server left out a part of the workflow: node 6 (KSampler): Value not")
+    comfy.mode = "our part"
+    with pytest.raises(SourceError):
+        edit(service, workflow)
+    assert comfy.posts == [("/queue", {"delete": [ID]}), ("/interrupt", {"prompt_id": ID})]  # nothing runs on
 
 
 def test_a_server_that_is_another(workflow: Path) -> None:

@@ -124,6 +124,7 @@ class ComfyUISource:
         job = ComfyJob(Service("comfyui", self.url, headers, progress, KEYS), headers, progress)
         body = run(lambda: job.run(self.workflow, self.slots, request), "comfyui", self.options.timeout, cancel)
         image, notes = read_answer(body, "comfyui")
+        notes = (*notes, *job.notes)
         if key and is_open(self.url):
             notes = (
                 *notes,
@@ -209,6 +210,9 @@ class ComfyJob:
     def __init__(self, service: Service, headers: dict[str, str], progress: Progress) -> None:
         self.service, self._headers, self._progress = service, headers, progress
         self._prompt_id = ""
+        self._nodes, self._done, self._node = 1, 0, ""
+        self.notes: tuple[str, ...] = ()
+        """What the server complained of that the answer does not depend on."""
 
     async def run(self, workflow: dict[str, Any], slots: dict[str, list[str]], request: PictureRequest) -> bytes:
         """The picture file of the slot `out`."""
@@ -218,9 +222,8 @@ class ComfyJob:
             client = uuid.uuid4().hex
             async with self._socket(client) as socket:
                 answer = await self.service.json("POST", "/prompt", json={"prompt": graph, "client_id": client})
-                self._prompt_id = str(at(answer, "prompt_id") or "")
-                if not self._prompt_id or at(answer, "node_errors"):
-                    raise self.service.error(f"did not take the workflow: {node_errors(answer)}")
+                self._prompt_id, self._nodes = str(at(answer, "prompt_id") or ""), len(graph)
+                await self._check_taken(answer, slots["out"][0])
                 history = await self._finished(socket, graph)
         except asyncio.CancelledError:
             if self._prompt_id:
@@ -228,6 +231,22 @@ class ComfyJob:
                     await self._give_up()
             raise
         return await self._picture(history, slots["out"][0], graph)
+
+    async def _check_taken(self, answer: Any, out: str) -> None:
+        """A server runs what it can of a workflow: where only other outputs have errors, the answer comes all the same.
+        Raises SourceError: it did not take the part of `out`; the rest is taken back."""
+        errors = node_errors(answer)
+        entries = at(answer, "node_errors")
+        taken = self._prompt_id and not any(
+            number == out or out in (at(entry, "dependent_outputs") or [out])
+            for number, entry in (entries.items() if isinstance(entries, dict) else ())
+        )
+        if not taken:
+            if self._prompt_id:
+                await self._give_up()
+            raise self.service.error(f"did not take the workflow: {errors or 'it gave no number'}")
+        if errors:
+            self.notes = (f"the server left out a part of the workflow: {errors}",)
 
     async def _filled(
         self, workflow: dict[str, Any], slots: dict[str, list[str]], request: PictureRequest
@@ -331,18 +350,26 @@ class ComfyJob:
             raise self.service.error("was interrupted on the server")
         if kind == "execution_success" or (kind == "executing" and at(content, "node") is None):
             return at(content, "prompt_id") is not None
-        if kind == "progress":
+        if kind == "execution_cached":
+            cached = at(content, "nodes")
+            self._done = len(cached) if isinstance(cached, list) else 0
+        elif kind == "progress":
             value, most = at(content, "value"), at(content, "max")
             if isinstance(value, int | float) and isinstance(most, int | float) and most > 0:
-                self._progress(min(max(value / most, 0.0), 1.0), f"step {value:g} of {most:g}")
+                self._report(min(max(value / most, 0.0), 1.0), f"step {value:g} of {most:g}")
         elif kind == "executing":
-            node = graph.get(str(at(content, "node")), {})
-            self._progress(0.0, str(node.get("class_type", "working")))
-        elif kind == "status":
+            self._done += bool(self._node)
+            self._node = str(at(content, "node"))
+            self._report(0.0, str(graph.get(self._node, {}).get("class_type", "working")))
+        elif kind == "status" and not self._node:
             waiting = at(content, "status", "exec_info", "queue_remaining")
             if isinstance(waiting, int) and waiting > 1:
                 self._progress(0.0, f"{waiting} in the queue")
         return False
+
+    def _report(self, share: float, words: str) -> None:
+        """share: of the node that runs, 0..1; nodes count alike."""
+        self._progress(min((self._done + share) / self._nodes, 1.0), words)
 
     async def _picture(self, history: Any, number: str, graph: dict[str, Any]) -> bytes:
         pictures = at(history, "outputs", number, "images")
@@ -390,4 +417,6 @@ def _history_error(entry: Any) -> str:
     for message in messages if isinstance(messages, list) else ():
         if at(message, 0) == "execution_error":
             return _execution_error(at(message, 1))
+        if at(message, 0) == "execution_interrupted":
+            return ": it was interrupted on the server"
     return ""

@@ -35,8 +35,8 @@ MAX_TRIES = 5
 BUSY = {429: "too many requests", 503: "not available now", 529: "overloaded"}
 MAX_JSON_BYTES = 192 << 20
 MAX_FILE_BYTES = 256 << 20
-MAX_ERROR_BYTES = 1 << 16
-"""Of a body that explains an error."""
+MAX_ERROR_BYTES = 1 << 20
+"""Of a body that explains an error: ComfyUI's lists all models of its folder beside the one that is missing."""
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _T = TypeVar("_T")
 
@@ -312,8 +312,11 @@ def _message(body: bytes, kind: str) -> str:
         data = data[0]
     candidates = [at(data, "error", "message"), at(data, "error"), at(data, "detail"), at(data, "message")]
     text = next((text for text in candidates if isinstance(text, str) and text.strip()), "")
-    if nodes := node_errors(data):  # of ComfyUI
-        text = f"{text} {nodes}"
+    details = at(data, "error", "details")
+    if isinstance(details, str) and details.strip() and details != text:  # of ComfyUI
+        text = f"{text} ({details.strip()})"
+    if nodes := node_errors(data):
+        text = f"{text}: {nodes}"
     if not text and data is None:
         if "html" in kind or body.lstrip()[:1] == b"<":
             return f": a web page{_title(body)}"
