@@ -110,7 +110,8 @@ def v3_class(node: Node) -> type:
 
     def execute(_: type, **inputs: Any) -> Any:
         result = node.function(**inputs)
-        return io.NodeOutput(*result) if node.history_entry is None else io.NodeOutput(*result, ui=node.history_entry(result))
+        entry = None if node.history_entry is None else node.history_entry(result)
+        return io.NodeOutput(*result, ui=entry)
 
     methods = {"define_schema": classmethod(define_schema), "execute": classmethod(execute)}
     if node.state is not None:

@@ -136,12 +136,12 @@ def test_a_picture_that_was_painted_elsewhere_goes_back(comfy: RealComfyUI, capf
     assert history["status"]["status_str"] == "success", history["status"]["messages"][-1][1]["exception_message"]
     path = comfy.base / "output" / "shelf" / "patch.ply"
     assert verify(original, path, Receipt.from_json(path.with_name("patch.ply.receipt.json").read_text())).ok
-    listed = read(path)
-    green = listed.sh[:, 0, 1] - listed.sh[:, 0, 0]
+    painted = read(path)
+    green = painted.sh[:, 0, 1] - painted.sh[:, 0, 0]
     untouched = np.setdiff1d(
         np.arange(600), Receipt.from_json((path.parent / "patch.ply.receipt.json").read_text()).touched
     )
-    assert 300 < len(untouched) < 595 and (listed.means[untouched] == read(original).means[untouched]).all()
+    assert 300 < len(untouched) < 595 and (painted.means[untouched] == read(original).means[untouched]).all()
     assert (green > 1).sum() > 20
 
 
