@@ -128,11 +128,10 @@ class Hub:
             (client.page.client or client).show_preview(context.preview, context.previewed_ids, before)
         if handler.writes:
             self.mark_dirty()
-        if handler.writes and opened:
-            note = ToastEvent(level="info", message=f"Another window opened {self.studio.name}.")
-            for other in self.clients - {client}:
-                if other.greeted:
-                    other.send(note)
+        news = f"Another window opened {self.studio.name}." if handler.writes and opened else context.news
+        for other in self.clients - {client} if news else ():
+            if other.greeted:
+                other.send(ToastEvent(level="info", message=news))
         return answer.model_copy(update={"seconds": round(seconds, 4)})
 
     def _writer(self, loop: asyncio.AbstractEventLoop) -> Callable[[Callable[[], Any]], Any]:

@@ -51,6 +51,9 @@ class CommandContext:
     """Runs a function where commands that write run, and sends every client what it changed; for long commands of the
     background. Raises Cancelled where the studio is being closed."""
 
+    news: str = ""
+    """A line for the other windows, whose view changes without their doing."""
+
     def write(self, work: Callable[[], Result]) -> Result:
         """What `work` returns, or raises; run by `writer`, or here where there is none."""
         return work() if self.writer is None else self.writer(work)

@@ -249,8 +249,11 @@ class Undo(Command):
 def undo(context: CommandContext, request: Undo) -> Answer:
     if context.studio.selection.undo():
         return Answer()
+    session = context.studio.session
+    label = session.history[session.cursor].label
     with progress(context, "undo"):
-        context.studio.session.undo()
+        if session.undo():
+            context.news = f"Another window undid: {label}."
     context.studio.selection.follow()
     return Answer(python="session.undo()")
 
@@ -265,8 +268,10 @@ class Redo(Command):
 def redo(context: CommandContext, request: Redo) -> Answer:
     if context.studio.selection.redo():
         return Answer()
+    session = context.studio.session
     with progress(context, "redo"):
-        context.studio.session.redo()
+        if session.redo():
+            context.news = f"Another window redid: {session.history[session.cursor].label}."
     context.studio.selection.follow()
     return Answer(python="session.redo()")
 
@@ -280,8 +285,10 @@ class Jump(Command):
 
 @command(Jump, writes=True)
 def jump_in_history(context: CommandContext, request: Jump) -> Answer:
+    session = context.studio.session
     with progress(context, "history"):
-        context.studio.session.jump(request.cursor)
+        session.jump(request.cursor)
+    context.news = f"Another window went in the history to: {session.history[session.cursor].label}."
     context.studio.selection.follow()
     return Answer(python=python_line("session.jump", request.cursor))
 

@@ -169,7 +169,8 @@ class PaintEnd(Command):
     ANSWER = LayerMade
     stroke: str
     layer: str | None = None
-    """Paint layer that it goes into; None: a new layer."""
+    """Paint layer that it goes into; None: a new layer. Paint for one that is gone or hidden by now goes into a new
+    one."""
     into_new: Name | None = None
     """Name of a new paint layer on top that it is the first stroke of."""
     replaces: str | None = None
@@ -201,6 +202,7 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         raise ValueError("stroke: a text or a picture that can be changed is a layer of its own")
     if stroke.masks:
         return _masked(context, request, stroke)
+    request = _with_present_layer(session, request, stroke.erase)
     alone = (request.layer, request.into_new, request.replaces, request.placed) == (None,) * 4
     if request.spread is not None and (stroke.erase or not alone):
         raise ValueError("stroke: one that spreads is a new layer of its own")
@@ -229,6 +231,19 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     context.page.mirrored.pop(request.stroke, None)
     context.clear_preview = True
     return layer_made(context, layer, line)
+
+
+def _with_present_layer(session: Session, request: PaintEnd, erase: bool) -> PaintEnd:
+    """The request where another window took its layer away, or hid it, while the pen was down: paint goes into a new
+    layer, so that no stroke is lost. Raises ValueError for an eraser, which has nothing to erase then."""
+    present = {layer.id for layer in session.layers if layer.visible and layer.opacity > 0}
+    if request.layer is not None and request.layer not in present:
+        if erase:
+            raise ValueError("stroke: the layer that it erases in is gone or hidden; nothing is left to erase")
+        return request.model_copy(update={"layer": None, "into_new": "Paint"})
+    if request.replaces is not None and request.replaces not in {layer.id for layer in session.layers}:
+        return request.model_copy(update={"replaces": None, "gesture": None})
+    return request
 
 
 def _masked(context: CommandContext, request: PaintEnd, stroke: Stroke) -> LayerMade:
