@@ -17,6 +17,8 @@ from _pytest.pathlib import import_path
 
 SHARED = Path(os.environ.get("SPLATPAINTER_SHARED", Path(__file__).resolve().parents[1] / "shared"))
 
+CHILD_PROCESSES = Path(__file__).resolve().parent / "tests" / "support" / "child_processes"
+"""With a sitecustomize.py for the Python processes that tests start."""
 MEMORY_DISK = Path("/dev/shm")
 MIN_FREE_BYTES = 8 << 30
 """Of the memory disk, for the tests' files to lie there."""
@@ -36,6 +38,9 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    search_path = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    if str(CHILD_PROCESSES) not in search_path:
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(CHILD_PROCESSES), *search_path]))
     if "TMPDIR" not in os.environ and MEMORY_DISK.is_dir() and os.access(MEMORY_DISK, os.W_OK):
         if shutil.disk_usage(MEMORY_DISK).free >= MIN_FREE_BYTES:
             os.environ["TMPDIR"] = str(MEMORY_DISK)

@@ -127,6 +127,7 @@ def test_a_limit_of_the_system_on_file_size(view: Path) -> None:
     done = subprocess.run(
         command,
         cwd=folder,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},  # Python would leave the first half of bytecode files
         capture_output=True,
         text=True,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),

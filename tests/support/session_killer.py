@@ -122,7 +122,7 @@ def judge(path: Path, told: dict[str, Any] | None, out: dict[str, Any]) -> dict[
                 out["wrong"] = out["wrong"] or {"told": told, "found": now}
         if painter.calls:  # results are as durable as layers
             out["wrong"] = out["wrong"] or {"painted again": len(painter.calls)}
-        if len(session.history) > 40:
+        if len(session.history) > 12:
             session.jump(0)  # the next new step drops the rest: keep the rounds short
         return position(session)
 

@@ -7,6 +7,7 @@ imports neither numba nor torch when there is nothing to do.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import hashlib
@@ -30,6 +31,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.surface.warm:warm": ("surface", "rendering/cpu/geometry.py", "kernels/search.py"),
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
+    "splatpainter.lift.nearest:warm": ("lift/nearest.py",),
     "splatpainter.lighting:warm": ("lighting.py",),
     "splatpainter.spread.warm:warm": ("spread",),
     "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py", "kernels/search.py"),
@@ -95,6 +97,7 @@ def run_warmups(folder: str) -> None:
     Without the garbage collector: numba's intermediate code is many small objects that live as long as they are needed,
     and to walk through them again and again is a quarter of the time of compiling. This process ends soon."""
     gc.disable()
+    atexit.register(gc.freeze)  # nor at the end
     for number, entry in enumerate(WARMUPS):
         try:
             Path(folder, str(number)).touch(exist_ok=False)
