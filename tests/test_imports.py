@@ -31,6 +31,7 @@ ORDER = (
     ("voxels",),
     ("surface",),
     ("lift",),
+    ("holes",),
     ("spread",),
     ("fit",),
     ("nn",),

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from splatpainter.session import Session as Session
     from splatpainter.source_edits.edit import edit_with_source as edit_with_source
     from splatpainter.source_edits.edit import refine as refine
+    from splatpainter.source_edits.fill import fill as fill
     from splatpainter.sources.color_grading import GradeSettings as GradeSettings
     from splatpainter.sources.color_match import ColorMatch as ColorMatch
     from splatpainter.sources.color_match import Recolor as Recolor
@@ -54,6 +55,7 @@ _HOME = {
     "Decal": "sources.decals",
     "edit_with_source": "source_edits.edit",
     "refine": "source_edits.edit",
+    "fill": "source_edits.fill",
     "grade": "grading.grade",
     "GradeSettings": "sources.color_grading",
     "Region": "grading.region",
@@ -84,6 +86,7 @@ __all__ = [
     "Session",
     "Splats",
     "edit_with_source",
+    "fill",
     "grade",
     "look_at",
     "merge",

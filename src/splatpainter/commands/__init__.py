@@ -20,6 +20,7 @@ SUMMARIES = {
     "compare": "pictures of two assets side by side, their difference, dB per view",
     "edit": "write edited pictures of an asset onto the asset",
     "refine": "sharper where views are looked at closely: enlarged by a model, lifted together",
+    "fill": "remove a part and fill what it leaves, or fill a hole: surface, tone and texture go on",
     "grade": "new colours for an asset or a region of it: sliders, LUTs, a picture's colours",
     "batch": "the edits of a JOBS.yaml on many assets, in variants: resumable, with a page of all results",
     "watch": "lift every edited picture that is saved into a folder onto an asset",

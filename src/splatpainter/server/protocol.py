@@ -31,7 +31,7 @@ MatrixRow = Annotated[list[float], Field(min_length=4, max_length=4)]
 Mode = Literal["local", "global", "spread"]
 Method = Literal["auto", "ttt", "lift", "fit"]
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
-LayerKind = Literal["paint", "picture", "look", "clone", "erase", "hide", "merged"]
+LayerKind = Literal["paint", "picture", "look", "clone", "erase", "hide", "fill", "merged"]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 FileName = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\\\x00-\x1f:]+$")]
 """A plain name inside the studio's folder, never a path."""

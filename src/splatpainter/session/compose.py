@@ -34,6 +34,7 @@ from splatpainter.session.conflicts import EditedIds, policy_strength
 from splatpainter.session.delta import Delta, bare, between, no_delta
 from splatpainter.session.document import SELECTION, Document, Layer, View, digest
 from splatpainter.session.eraser import erase_delta, fade_delta
+from splatpainter.session.fill_layers import fading, fill_delta
 from splatpainter.session.fingerprint import SHEETS, fingerprint, lays_sheets
 from splatpainter.session.layer_blending import (
     AdjustmentFunction,
@@ -252,7 +253,10 @@ class Replay:
                 result = replace(result, delta=based)
                 self._store.put(result_key, result)
         mask = self._masks.weights(below, result.delta, layer, result_key)
-        delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength, mask)
+        if layer.kind == "fill":
+            delta = result.delta if layer.opacity == 1 and mask is None else fading(result.delta, layer.opacity, mask)
+        else:
+            delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength, mask)
         splats = delta.apply(below.splats)
         span = (len(below.splats), len(splats))
         confidence = None if result.confidence is None else _fit(result.confidence, len(splats))
@@ -499,6 +503,9 @@ class Replay:
             weights = self._selected(layer, splats)
             faded = (splats.opacities * (1 - weights)).astype(np.float32)
             return LayerResult(between(splats, replace(splats, opacities=faded)))
+        if layer.kind == "fill":
+            pictures = [(view.camera, self._edit(view, layer).image, self.mask(view)) for view in layer.views]
+            return LayerResult(*fill_delta(splats, self._selected(layer, splats), layer.parameters, pictures))
         if layer.kind == "look" and not any(view.picture for view in layer.views):
             parameters = {name: value for name, value in layer.parameters.items() if name != SELECTION}
             parameters = with_table(parameters, self._store.blob)

@@ -20,7 +20,7 @@ from splatpainter.painter import MAX_VIEWS, Method, Mode
 from splatpainter.session.layer_mask import LayerMask
 from splatpainter.sources.color_transfer import TABLE
 
-Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "merged"]
+Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "fill", "merged"]
 Blend = Literal["normal", "color", "luminosity", "darken", "lighten"]
 Policy = Literal["latest", "first", "blend"]
 MAX_NESTING = 16

@@ -41,7 +41,6 @@ from splatpainter.session.compose import LayerState, Progress, Replay
 from splatpainter.session.database import SUFFIX
 from splatpainter.session.delta import AssetDelta, VersionLog, bare
 from splatpainter.session.document import (
-    SELECTION,
     SOURCE,
     Blend,
     Document,
@@ -57,12 +56,11 @@ from splatpainter.session.document import (
     resolve_conflict,
 )
 from splatpainter.session.fingerprint import fingerprint
+from splatpainter.session.geometry_commands import GeometryCommands
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.layer_factory import limits_of, new_layer, spread_options_of
 from splatpainter.session.project_file import Project, Step, Transaction
-from splatpainter.session.relief import Relief
 from splatpainter.session.scratch import ScratchFolder
-from splatpainter.session.selection import Selection
 from splatpainter.session.stroke_commands import StrokeCommands
 from splatpainter.session.verify import find_problems
 from splatpainter.splats import Frame, Splats
@@ -107,7 +105,7 @@ class Snapshot:
         return self.state.splats
 
 
-class Session(StrokeCommands, Annotations):
+class Session(StrokeCommands, Annotations, GeometryCommands):
     """An open project. Commands wait for each other; reading waits for nobody."""
 
     def __init__(
@@ -511,30 +509,6 @@ class Session(StrokeCommands, Annotations):
             layer, self._transaction.blobs = asset_files.read_layer(Path(path))
             document, layer = add_layer(self._snapshot.document, layer)
             self._commit(f"import {layer.name}", document, strict=layer.id)
-            return layer
-
-    def hide(self, weights: np.ndarray, name: str = "Hide", *, index: int | None = None) -> Layer:
-        """A layer that hides what is selected: opacities are multiplied by 1 - weight, and 0 where that is all. The
-        Gaussians stay; hiding the layer brings them back bit for bit. weights: [N] 0..1 of `splats`. Raises ValueError
-        where nothing is selected."""
-        weights = self._weights(weights)
-        if not weights.any():
-            raise ValueError("hide: nothing is selected")
-        data = Selection.of(weights, self.splats, self.original).to_png()
-        with self._command():
-            self._transaction.blobs = {files.sha256(data): data}
-            made = Layer("", name, "hide", parameters={SELECTION: files.sha256(data)}, method="lift")
-            document, layer = add_layer(self._snapshot.document, made, index)
-            self._commit(f"add {layer.name}", document, strict=layer.id)
-            return layer
-
-    def copy(self, relief: Relief, name: str = "Copy", *, index: int | None = None) -> Layer:
-        """A layer of Gaussians that are copied with their relief from one place of the surface to another (relief.py).
-        Raises ValueError where there is nothing to copy, or too much."""
-        with self._command():
-            made = Layer("", name, "clone", mode="global", parameters=relief.parameters(), method="lift")
-            document, layer = add_layer(self._snapshot.document, made, index)
-            self._commit(f"add {layer.name}", document, strict=layer.id)
             return layer
 
     # ---- history

@@ -1,0 +1,111 @@
+"""The border of a hole: which Gaussians surround what was removed, or lie where a hole was circled; and from which side
+it is looked at. Pure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.splats import Splats
+from splatpainter.transforms import quat_to_matrix
+from splatpainter.voxels.neighbours import components, nearest_within
+
+MIN_OPACITY = 0.05
+"""Of a Gaussian that borders a hole."""
+MIN_BORDER = 12
+"""Gaussians of a border."""
+CELL_WIDTHS = 1 / 0.6
+"""Distance between neighbours in widths sqrt(s0 s1) of Gaussians that cover a surface."""
+REACH_CELLS = 2.5
+"""Distance to what was removed up to which Gaussians border it, in cells."""
+MAX_GROWTHS = 4
+"""Times that this distance doubles where there are too few of them."""
+LINK_CELLS = 3.0
+"""Edge of the cubes in which the Gaussians of one border hang together, in cells."""
+MAX_BORDERS = 8
+"""Parts of a border that are looked at, the largest first: an object may touch several things."""
+MIN_ALIGNED = 0.6
+"""Share of the normals' second moment along one axis, from which that axis is the normal of a border; below, it is that
+along which the border extends least: around a stump normals point everywhere."""
+
+
+@dataclass(frozen=True)
+class Border:
+    """One connected border."""
+
+    gaussian_ids: np.ndarray = field(repr=False)
+    """[B] int64 ascending."""
+    center: np.ndarray
+    """[3] float64 world."""
+    radius: float
+    """Within which it lies, world units."""
+    normal: np.ndarray
+    """[3] float64 unit; either side may be the outer one."""
+    across: np.ndarray
+    """[3] float64 unit, along the border's longest extent across the normal."""
+    cell: float
+    """Distance between neighbours, world units."""
+    aligned: bool
+    """Whether the normals of its Gaussians agree with `normal`."""
+
+
+def borders_of(splats: Splats, remaining: np.ndarray, candidates: np.ndarray) -> list[Border]:
+    """The connected parts, the largest first, of candidates ([N] bool) among what remains ([N] bool)."""
+    ids = np.flatnonzero(candidates & remaining & splats.drawable & (splats.opacities >= MIN_OPACITY))
+    if len(ids) < MIN_BORDER:
+        return []
+    cell = cell_of(splats, ids)
+    labels = components(splats.means[ids], LINK_CELLS * cell)
+    counts = np.bincount(labels)
+    order = np.argsort(-counts, kind="stable")[:MAX_BORDERS]
+    parts = [ids[labels == label] for label in order if counts[label] >= MIN_BORDER]
+    return [_border(splats, part) for part in parts]
+
+
+def beside(splats: Splats, remaining: np.ndarray, removed: np.ndarray) -> np.ndarray:
+    """[N] bool: what remains near to what was removed ([N] bool)."""
+    out = np.zeros(len(splats), bool)
+    gone, rest = np.flatnonzero(removed), np.flatnonzero(remaining & (splats.opacities >= MIN_OPACITY))
+    if not len(gone) or not len(rest):
+        return out
+    radius = REACH_CELLS * cell_of(splats, gone)
+    for _ in range(MAX_GROWTHS):
+        _, distance = nearest_within(splats.means[gone], splats.means[rest], radius)
+        near = rest[np.isfinite(distance)]
+        if len(near) >= MIN_BORDER:
+            # Neighbours may be coarser than what was removed, or finer.
+            least = REACH_CELLS * min(cell_of(splats, near), 4 * radius / REACH_CELLS)
+            if least > radius:
+                _, distance = nearest_within(splats.means[gone], splats.means[rest], least)
+                near = rest[np.isfinite(distance)]
+            out[near] = True
+            break
+        radius *= 2
+    return out
+
+
+def cell_of(splats: Splats, ids: np.ndarray) -> float:
+    """Distance between neighbours among some Gaussians, world units, by their median width."""
+    scales = np.sort(splats.scales[ids].astype(np.float64), 1)
+    return max(float(np.median(np.sqrt(scales[:, 1] * scales[:, 2]))) * CELL_WIDTHS, 1e-9)
+
+
+def _border(splats: Splats, ids: np.ndarray) -> Border:
+    means, scales = splats.means[ids].astype(np.float64), splats.scales[ids]
+    axes = quat_to_matrix(splats.quats[ids].astype(np.float64))
+    thin = axes[np.arange(len(ids)), :, scales.argmin(1)]
+    center = (means.min(0) + means.max(0)) / 2
+    offsets = means - means.mean(0)
+    extents, directions = np.linalg.eigh(offsets.T @ offsets)
+    shares, normals = np.linalg.eigh(thin.T @ thin / len(ids))
+    aligned = bool(shares[2] >= MIN_ALIGNED)
+    normal = normals[:, 2] if aligned else directions[:, 0]
+    across = directions[:, int(extents.argmax())]
+    across = across - (across @ normal) * normal
+    if np.linalg.norm(across) < 1e-3:
+        across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    across /= np.linalg.norm(across)
+    radius = float(np.linalg.norm(means - center, axis=1).max())
+    return Border(ids, center, radius, normal, across, cell_of(splats, ids), aligned)

@@ -1,0 +1,268 @@
+"""Fill a hole: new Gaussians, as far apart as their neighbours are, on a surface that continues the border, in colours
+that continue what surrounds it. Only appends. Pure: equal inputs give equal bits.
+
+    filled = fill_hole(splats, removed=weights > 0.5)
+    splats.append(filled.appended)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.holes.border import Border, beside, borders_of
+from splatpainter.holes.chart import CELL_PX, Chart, chart_of, grown
+from splatpainter.holes.smooth_surface import ThinPlate, sphere_heights
+from splatpainter.holes.texture import complete
+from splatpainter.lift.colors import lift_colors, recolor
+from splatpainter.lift.sheet import CELL_WIDTH, SHEET_OPACITY, pixel_gaussians
+from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.splats import SH_C0, Splats
+
+MAX_STRETCH = 2.0
+"""Of a Gaussian along a slanted surface."""
+MAX_ROW = 3
+"""Gaussians that share a cell where it is steeper."""
+BAND_SHARE, MIN_BAND_PX, MAX_BAND_PX = 0.35, 6, 28
+"""Width of the strip of shell whose heights are continued: in square roots of the hole's area, pixels."""
+NOISE_CELLS = 0.25
+"""Deviation of a border's heights from a smooth surface that is expected, in cells."""
+MIN_WALL_CELLS = 2.0
+"""Between two shells from which a wall has two sides, each filled by itself; ..."""
+MIN_PAINTED_WALL_CELLS, MIN_WALL_CONTRAST = 0.4, 0.04
+"""... or, where the sides show colours that differ so much, from this distance."""
+COLOR_ROUNDS = 6
+MAX_COMPENSATION = 0.08
+"""Of a colour channel, by which a Gaussian may differ from the picture where it lies."""
+RIM_PX, SOFT_RIM_PX = 1, 4
+"""By which the new Gaussians reach under the border."""
+PERSPECTIVE_ROUNDS = 3
+"""Heights are functions of place, and a pixel's place depends on its depth: so often one is set by the other."""
+SLOPE_LIMIT = 4.0
+"""Of the continued surface in its chart."""
+
+
+Picture = tuple[Camera, np.ndarray, np.ndarray]
+"""(camera, [H, W, 3] in the asset's colour space, [H, W] where it counts, 0..1)."""
+
+
+@dataclass(frozen=True)
+class Filled:
+    """What fills the holes of one asset."""
+
+    appended: Splats = field(repr=False)
+    """[A] new Gaussians."""
+    holes: int
+    """Sides of them: a hole through a wall has two."""
+    coarse: bool
+    """Whether a hole was so large that its Gaussians are coarser than their neighbours."""
+    camera: Camera
+    """That faces the largest one, ..."""
+    size_px: float
+    """... which is so wide in it, pixels."""
+
+    @property
+    def note(self) -> str:
+        """One line for receipts."""
+        holes = "1 hole" if self.holes == 1 else f"{self.holes} holes"
+        coarse = ", coarser than their neighbours: it is large" if self.coarse else ""
+        return f"filled {holes} with {len(self.appended):,} Gaussians{coarse}"
+
+
+def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.ndarray | None = None) -> Filled:
+    """What continues the surroundings where Gaussians are missing. splats: numpy.
+
+    removed: [N] bool, Gaussians that are gone (whatever their opacity is now); or around: [N] bool, Gaussians around a
+    hole, as they are selected by circling it. Raises ValueError in one line: nothing is named, there is no border, no
+    hole in it, or a border that is no surface."""
+    visible = splats.drawable & (splats.opacities > 0)
+    if removed is not None:
+        if not removed.any():
+            raise ValueError("fill: nothing was removed; select something first")
+        remaining = visible & ~removed
+        candidates = beside(splats, remaining, removed)
+    else:
+        remaining, candidates = visible, np.zeros(len(splats), bool) if around is None else around & visible
+        if not candidates.any():
+            raise ValueError("fill: nothing is selected; circle the hole, with some of the asset around it")
+    borders = borders_of(splats, remaining, candidates)
+    if not borders:
+        raise ValueError("fill: expected a border of at least 12 Gaussians around the hole; nothing is left there")
+    pieces: list[Splats] = []
+    cameras: list[Camera] = []
+    seen, coarse = False, False
+    for border in borders:
+        charts = _charts(splats, remaining, removed, border)
+        seen |= bool(charts)
+        for chart in charts:
+            piece = _filled(splats, chart, border)
+            if len(piece):
+                pieces.append(piece)
+                cameras.append(chart.camera)
+                coarse |= chart.pixel * CELL_PX > 1.5 * border.cell
+    if not pieces:
+        if not seen:
+            raise ValueError(
+                "fill: what surrounds the hole is no surface that can be continued (fog, or loose Gaussians)"
+            )
+        raise ValueError("fill: there is no hole; what surrounds it is closed behind it")
+    appended = pieces[0]
+    for piece in pieces[1:]:
+        appended = appended.append(piece)
+    largest = int(np.argmax([len(piece) for piece in pieces]))
+    camera = cameras[largest]
+    pixels, _ = camera.project(pieces[largest].means)
+    return Filled(appended, len(pieces), coarse, camera, float(np.ptp(pixels, axis=0).max()))
+
+
+def _charts(splats: Splats, remaining: np.ndarray, removed: np.ndarray | None, border: Border) -> list[Chart]:
+    """The sides of a border that have a shell of their own, with its hole."""
+    sides = [chart_of(splats, remaining, removed, border, sign * border.normal) for sign in (1, -1)]
+    charts = [chart for chart in sides if chart is not None]
+    if len(charts) < 2:
+        return charts
+    front, back = sorted(charts, key=lambda chart: -chart.seeds)
+    return [front, back] if _is_other(front, back, border) else [front]
+
+
+def _is_other(front: Chart, back: Chart, border: Border) -> bool:
+    """Whether two sides of a border show two shells, the sides of a wall, and not one from both sides."""
+    near = grown(front.hole, 4) & front.shell
+    if not near.any() or not back.shell.any():
+        return False
+    ys, xs = np.nonzero(near)
+    points = front.camera.unproject(front.depth[ys, xs], np.stack([xs, ys], 1) + 0.5)
+    pixels, z = back.camera.project(points)
+    index = np.floor(pixels).astype(int)
+    inside = np.flatnonzero(((index >= 0) & (index < back.camera.width)).all(1))
+    v, u = index[inside, 1], index[inside, 0]
+    there = back.depth[v, u] > 0
+    if not there.any():
+        return False
+    gap = float(np.median((z[inside] - back.depth[v, u])[there])) / border.cell
+    colors = np.abs(front.picture[ys[inside], xs[inside]] - back.picture[v, u])[there]
+    contrast = float(np.median(colors.mean(1)))
+    return gap > MIN_WALL_CELLS or (gap > MIN_PAINTED_WALL_CELLS and contrast > MIN_WALL_CONTRAST)
+
+
+def _filled(splats: Splats, chart: Chart, border: Border) -> Splats:
+    """New Gaussians in a chart's hole."""
+    none = replace(splats.take(np.zeros(0, np.int64)), source=None, origin=None)
+    hole = grown(chart.hole, RIM_PX) | (grown(chart.hole, SOFT_RIM_PX) & ~chart.clean & chart.shell)
+    ys, xs = np.nonzero(_cells(hole, CELL_PX))
+    pixels = (np.stack([xs, ys], 1) + 0.5) * CELL_PX
+    if not len(pixels):
+        return none
+    depth, normals = _continued(chart, border, pixels)
+    camera = chart.camera
+    points = np.stack(
+        [(pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy, np.ones(len(xs))], 1
+    )
+    facing = -(points * normals).sum(1) / np.linalg.norm(points, axis=1)
+    stretch = np.clip(1 / np.maximum(facing, 1e-3), 1, MAX_STRETCH * MAX_ROW)
+    count = np.clip(np.ceil(stretch / MAX_STRETCH), 1, MAX_ROW).astype(np.int64)
+    source = np.repeat(np.arange(len(pixels)), count)
+    turn = np.arange(len(source)) - np.repeat(np.cumsum(count) - count, count)
+    shift = (turn + 0.5) / count[source] - 0.5
+    sizes = np.full(len(source), float(CELL_PX))
+    geometry = pixel_gaussians(
+        camera,
+        pixels[source],
+        depth[source],
+        normals[source],
+        CELL_WIDTH * sizes,
+        sizes,
+        stretch[source],
+        count[source],
+        shift,
+    )
+    target = complete(chart.picture, chart.shell, chart.clean, hole)
+    colors = _means(target, CELL_PX)[ys, xs][source]
+    sh = np.zeros((len(source), *splats.sh.shape[1:]), np.float32)
+    sh[:, 0] = (colors - 0.5) / SH_C0
+    fresh = Splats(
+        geometry.means.astype(np.float32),
+        geometry.quats.astype(np.float32),
+        geometry.scales.astype(np.float32),
+        np.full(len(source), SHEET_OPACITY, np.float32),
+        sh,
+    )
+    fresh = none.append(fresh)
+    return painted(chart.splats, fresh, [(camera, target, hole)])
+
+
+def painted(splats: Splats, appended: Splats, pictures: Sequence[Picture]) -> Splats:
+    """The appended Gaussians in the colours that pictures show of them among `splats`; of pictures that disagree the
+    later ones win."""
+    joined = replace(splats, source=None, origin=None).append(appended)
+    editable = np.arange(len(joined)) >= len(splats)
+    for camera, picture, mask in pictures:
+        view = project(joined, camera)
+        chosen = editable[view.gaussian_ids]
+        before = view.unclamped_colors
+        target, weights = (np.ascontiguousarray(a, np.float32) for a in (picture, mask))
+        colors = lift_colors(view, target, weights, chosen, COLOR_ROUNDS)
+        # What hangs before them, fog or the soft edge of the border, is not made up for by ever stronger colours.
+        index = np.clip(np.floor(view.means2d).astype(int), 0, (camera.width - 1, camera.height - 1))
+        there = target[index[:, 1], index[:, 0]]
+        bounded = (weights[index[:, 1], index[:, 0]] > 0)[:, None]
+        limited = np.clip(colors, there - MAX_COMPENSATION, there + MAX_COMPENSATION)
+        colors = np.where(bounded, limited, colors)
+        ids, sh = view.gaussian_ids[chosen], joined.sh.copy()
+        sh[ids] = recolor(sh[ids], before[chosen], colors[chosen], 1.0)
+        joined = replace(joined, sh=sh)
+    return replace(appended, sh=joined.sh[len(splats) :])
+
+
+def _continued(chart: Chart, border: Border, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """([P] z-depths, [P, 3] unit normals towards the camera, camera space) of the border's surface, continued."""
+    camera = chart.camera
+    area = int(chart.hole.sum())
+    band = int(np.clip(BAND_SHARE * np.sqrt(area), MIN_BAND_PX, MAX_BAND_PX))
+    ys, xs = np.nonzero(grown(chart.hole, band) & chart.shell)
+    z = chart.depth[ys, xs]
+    x, y = (xs + 0.5 - camera.cx) / camera.fx * z, (ys + 0.5 - camera.cy) / camera.fy * z
+    points = np.stack([x, y, -z], 1)  # heights grow towards the camera
+    up = chart.normals[ys, xs] * (1, 1, -1)
+    noise = NOISE_CELLS * border.cell
+    slope_x, slope_y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
+    middle = float(np.median(z))
+    queries = np.stack([slope_x, slope_y], 1) * middle
+    is_sphere = sphere_heights(points, up, np.concatenate([points[:, :2], queries])) is not None
+
+    def base(at: np.ndarray) -> np.ndarray:
+        heights = sphere_heights(points, up, at) if is_sphere else None
+        return np.full(len(at), -middle) if heights is None else heights
+
+    plate = ThinPlate.fit(points[:, :2], points[:, 2] - base(points[:, :2]), noise)
+    low, high = z.min() - border.radius, z.max() + border.radius
+
+    def depth_at(at: np.ndarray) -> np.ndarray:
+        return np.clip(-(base(at) + plate.at(at)), low, high)
+
+    slopes = np.stack([slope_x, slope_y], 1)
+    at = slopes * middle
+    for _ in range(PERSPECTIVE_ROUNDS):
+        depth = depth_at(at)
+        at = slopes * depth[:, None]
+    depth = depth_at(at)
+    h = border.cell
+    dx = np.clip((depth_at(at + (h, 0)) - depth) / h, -SLOPE_LIMIT, SLOPE_LIMIT)
+    dy = np.clip((depth_at(at + (0, h)) - depth) / h, -SLOPE_LIMIT, SLOPE_LIMIT)
+    normals = np.stack([dx, dy, -np.ones(len(dx))], 1)
+    return depth, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _cells(hole: np.ndarray, step: int) -> np.ndarray:
+    """[H / step, W / step] bool: cells of which at least half is hole."""
+    height, width = (n // step * step for n in hole.shape)
+    blocks = hole[:height, :width].reshape(height // step, step, width // step, step)
+    return blocks.mean((1, 3)) >= 0.5
+
+
+def _means(picture: np.ndarray, step: int) -> np.ndarray:
+    height, width = (n // step * step for n in picture.shape[:2])
+    return picture[:height, :width].reshape(height // step, step, width // step, step, -1).mean((1, 3))

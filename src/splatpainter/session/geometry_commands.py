@@ -1,0 +1,128 @@
+"""Commands of a session that hide Gaussians, copy them, or lay new ones where some are missing."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+
+from splatpainter.io import files
+from splatpainter.painter import Edit
+from splatpainter.session.document import SELECTION, SOURCE, Document, Layer, View, add_layer, change_layer
+from splatpainter.session.fill_layers import FILL, FillWhere
+from splatpainter.session.layer_factory import encode_mask, encode_picture, thumbnail
+from splatpainter.session.project_file import Transaction
+from splatpainter.session.relief import Relief
+from splatpainter.session.selection import Selection
+from splatpainter.splats import Splats
+
+
+class GeometryCommands(ABC):
+    """What Session has beside the layers as such; see there."""
+
+    original: Splats
+    _transaction: Transaction
+
+    @property
+    @abstractmethod
+    def splats(self) -> Splats: ...
+
+    @property
+    @abstractmethod
+    def _document(self) -> Document: ...
+
+    @abstractmethod
+    def layer(self, layer: str) -> Layer: ...
+
+    @abstractmethod
+    def _weights(self, weights: np.ndarray) -> np.ndarray: ...
+
+    @abstractmethod
+    def _command(self) -> AbstractContextManager[None]: ...
+
+    @abstractmethod
+    def _commit(
+        self, label: str, document: Document, *, strict: str | None = None, gesture: str | None = None
+    ) -> None: ...
+
+    def hide(self, weights: np.ndarray, name: str = "Hide", *, index: int | None = None) -> Layer:
+        """A layer that hides what is selected: opacities are multiplied by 1 - weight, and 0 where that is all. The
+        Gaussians stay; hiding the layer brings them back bit for bit. weights: [N] 0..1 of `splats`. Raises ValueError
+        where nothing is selected."""
+        weights = self._weights(weights)
+        if not weights.any():
+            raise ValueError("hide: nothing is selected")
+        with self._command():
+            document, layer = add_layer(self._document, self._hiding(weights, name), index)
+            self._commit(f"add {layer.name}", document, strict=layer.id)
+            return layer
+
+    def copy(self, relief: Relief, name: str = "Copy", *, index: int | None = None) -> Layer:
+        """A layer of Gaussians that are copied with their relief from one place of the surface to another (relief.py).
+        Raises ValueError where there is nothing to copy, or too much."""
+        with self._command():
+            made = Layer("", name, "clone", mode="global", parameters=relief.parameters(), method="lift")
+            document, layer = add_layer(self._document, made, index)
+            self._commit(f"add {layer.name}", document, strict=layer.id)
+            return layer
+
+    def fill(self, weights: np.ndarray, *, remove: bool = False, name: str = "Fill") -> Layer:
+        """A layer of new Gaussians that continue the surface over a hole, in colours of what surrounds it
+        (holes/fill.py); nothing else changes. weights: [N] 0..1 of `splats`: Gaussians around the hole, as circling it
+        selects them; or (remove) those that go first, by a layer below that hides them. Both layers are one step of
+        the history. Raises ValueError where nothing is selected, and where there is no hole that can be filled."""
+        weights = self._weights(weights)
+        if not weights.any():
+            raise ValueError("fill: nothing is selected; select what is to be removed, or circle a hole")
+        where: FillWhere = "removed" if remove else "around"
+        with self._command():
+            document = self._document
+            hiding = self._hiding(weights, f"{name}: removed")
+            if remove:
+                document, _ = add_layer(document, hiding)
+            parameters = {FILL: where, SELECTION: hiding.parameters[SELECTION]}
+            made = Layer("", name, "fill", mode="global", parameters=parameters, method="lift")
+            document, layer = add_layer(document, made)
+            self._commit("remove and fill" if remove else f"add {layer.name}", document, strict=layer.id)
+            return layer
+
+    def fill_from(
+        self, layer: str, edits: Sequence[Edit], *, source: Mapping[str, Any] | None = None, name: str | None = None
+    ) -> Layer:
+        """Other colours of a fill layer: those of pictures with masks, such as a source makes of views that show it
+        filled; none: of the surroundings again. source: what receipts say of who made them. Only the layer's own
+        Gaussians take them. Raises ValueError for another layer, and a picture without a mask."""
+        with self._command():
+            before = self.layer(layer)
+            if before.kind != "fill":
+                raise ValueError(f"{before.title}: expected a layer that fills a hole")
+            blobs: dict[str, bytes] = {}
+
+            def put(data: bytes) -> str:
+                blobs[files.sha256(data)] = data
+                return files.sha256(data)
+
+            views, small = [], None
+            for edit in edits:
+                if edit.mask is None:
+                    raise ValueError(f"{edit.name}: expected a mask with a picture that colours a fill")
+                picture = put(encode_picture(edit.image, self.splats.color_space))
+                views.append(View(edit.camera, picture, put(encode_mask(edit.mask))))
+                small = small or put(thumbnail(edit.image, edit.mask))
+            parameters = {key: value for key, value in before.parameters.items() if key != SOURCE}
+            if source is not None:
+                parameters[SOURCE] = dict(source)
+            self._transaction.blobs = blobs
+            fields = {"views": tuple(views), "thumbnail": small, "parameters": parameters, "visible": True}
+            document = change_layer(self._document, layer, name=name or before.name, **fields)
+            self._commit(f"change {before.name}", document, strict=layer)
+            return self.layer(layer)
+
+    def _hiding(self, weights: np.ndarray, name: str) -> Layer:
+        """A layer without an id; its selection is among the blobs of the transaction."""
+        data = Selection.of(weights, self.splats, self.original).to_png()
+        self._transaction.blobs = {files.sha256(data): data}
+        return Layer("", name, "hide", parameters={SELECTION: files.sha256(data)}, method="lift")

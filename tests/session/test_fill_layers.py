@@ -1,0 +1,94 @@
+"""Layers that fill holes: one step with what they remove, undone and replayed bit for bit, coloured anew, exported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatpainter.cameras import look_at
+from splatpainter.color import base_color
+from splatpainter.painter import Edit
+from splatpainter.receipts import verify
+from splatpainter.rendering import render
+from splatpainter.session import Session
+from splatpainter.session.asset_files import read_layer
+from splatpainter.splats import ATTRIBUTES, Splats
+from tests.support.cli_scenes import ball, saved
+
+
+def same_bits(a: Splats, b: Splats) -> bool:
+    return len(a) == len(b) and all(getattr(a, n).tobytes() == getattr(b, n).tobytes() for n in ATTRIBUTES)
+
+
+def cap(splats: Splats) -> np.ndarray:
+    return (((splats.means - np.array([0, 0, -1])) ** 2).sum(1) < 0.45**2).astype(np.float32)
+
+
+def test_a_fill_is_a_layer_over_what_it_removed(tmp_path: Path) -> None:
+    asset = saved(tmp_path / "ball.ply", ball(1500))
+    project = tmp_path / "a.splatproj"
+    with Session(asset, project) as session:
+        original = session.splats
+        with pytest.raises(ValueError, match="nothing is selected"):
+            session.fill(np.zeros(len(original), np.float32))
+        weights = cap(original)
+        layer = session.fill(weights, remove=True, name="Chip")
+        assert [entry.kind for entry in session.layers] == ["hide", "fill"] and layer.kind == "fill"
+        assert session.layers[0].name == "Chip: removed" and session.history[-1].label == "remove and fill"
+        filled = session.splats
+        count = len(filled) - len(original)
+        assert count > 20 and (filled.opacities[: len(original)][weights > 0] == 0).all()
+        assert f"{count:,} Gaussians" in session.facts(layer.id)["note"]
+        assert session.undo() and same_bits(session.splats, original) and not session.layers
+        assert session.redo() and same_bits(session.splats, filled)
+
+        session.set(layer.id, opacity=0.5)
+        np.testing.assert_allclose(session.splats.opacities[len(original) :], 0.5 * filled.opacities[len(original) :])
+        assert np.array_equal(session.splats.sh, filled.sh)
+        session.undo()
+        session.set(session.layers[0].id, visible=False)  # what was removed is back: the fill still knows what is gone
+        assert (session.splats.opacities[: len(original)] == original.opacities).all()
+        session.undo()
+        assert same_bits(session.splats, filled)
+        assert session.verify(repaint=True) == []
+    with Session(project) as session:
+        assert same_bits(session.splats, filled)
+        session.export_layer(layer.id, tmp_path / "chip.splatlayer")
+        assert read_layer(tmp_path / "chip.splatlayer")[0].parameters["fill"] == "removed"
+        receipt, _ = session.export(tmp_path / "filled.ply")
+        assert receipt.appended_rows == count and "Chip" in receipt.note
+        assert verify(asset, tmp_path / "filled.ply").ok
+
+
+def test_a_fill_takes_the_colours_of_a_picture_and_gives_them_back(tmp_path: Path) -> None:
+    splats = ball(1500)
+    whole = splats.take(np.flatnonzero(cap(splats) == 0))
+    around = ((whole.means - np.array([0, 0, -1])) ** 2).sum(1) < 0.7**2
+    camera = look_at((0, 0, -3), (0, 0, 0), (0, -1, 0), width=64, height=64, fov=45)
+    with Session(whole, tmp_path / "a.splatproj") as session:
+        layer = session.fill(around.astype(np.float32))
+        assert [entry.kind for entry in session.layers] == ["fill"]
+        before, count = session.splats, len(session.original)
+        image = render(before, camera).colors[0].copy()
+        mask = np.zeros((64, 64), bool)
+        mask[22:42, 22:42] = True
+        image[mask] = (0.1, 0.7, 0.2)
+        with pytest.raises(ValueError, match="expected a mask"):
+            session.fill_from(layer.id, [Edit(image, camera)])
+        session.fill_from(layer.id, [Edit(image, camera, mask, "green")], source={"name": "test", "prompt": "moss"})
+        after = session.splats
+        assert same_bits(after.take(np.arange(count)), before.take(np.arange(count)))
+        assert np.array_equal(after.means, before.means)
+        colors = base_color(after.sh[count:])
+        assert (colors[:, 1] - colors[:, 0]).max() > 0.4
+        assert session.receipt().source == {"layers": [{"layer": "Fill", "name": "test", "prompt": "moss"}]}
+        assert session.verify(repaint=True) == []
+        session.fill_from(layer.id, [])
+        assert same_bits(session.splats, before) and session.receipt().source is None
+        session.undo()
+        assert same_bits(session.splats, after)
+        paint = session.new_layer()
+        with pytest.raises(ValueError, match="expected a layer that fills"):
+            session.fill_from(paint.id, [])
