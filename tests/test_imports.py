@@ -44,6 +44,7 @@ ORDER = (
     ("source_edits",),
     ("session",),
     ("grading",),
+    ("batch",),
     ("server",),
     ("data",),
     ("train",),

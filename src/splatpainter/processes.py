@@ -17,6 +17,10 @@ from typing import Any
 
 GRACE_SECONDS = 5.0
 """Between asking processes to end and ending them."""
+BACKGROUND_NICE = 10
+"""Of processes that give way to others; 19 is the most."""
+BACKGROUND_OOM_SCORE = 500
+"""Of 1000: Linux ends them first where memory runs out."""
 WATCH_WINDOWS = (
     "import subprocess, sys; sys.stdin.buffer.read(); "
     "subprocess.run(['taskkill', '/F', '/T', '/PID', sys.argv[1]], capture_output=True)"
@@ -26,8 +30,21 @@ WATCH_WINDOWS = (
 def begin(command: Sequence[str], **options: Any) -> subprocess.Popen[Any]:
     """`subprocess.Popen` in a group of its own: Ctrl-C reaches this process alone, which then ends its children."""
     if sys.platform == "win32":
-        return subprocess.Popen(command, creationflags=subprocess.CREATE_NEW_PROCESS_GROUP, **options)
+        flags = subprocess.CREATE_NEW_PROCESS_GROUP | options.pop("creationflags", 0)
+        return subprocess.Popen(command, creationflags=flags, **options)
     return subprocess.Popen(command, start_new_session=True, **options)
+
+
+def begin_background(command: Sequence[str], **options: Any) -> subprocess.Popen[Any]:
+    """`begin`, for work that gives way to everything else: to the processor, and where memory runs out."""
+    if sys.platform == "win32":
+        return begin(command, creationflags=subprocess.BELOW_NORMAL_PRIORITY_CLASS, **options)
+    child = begin(command, **options)
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PGRP, child.pid, BACKGROUND_NICE)
+    with contextlib.suppress(OSError), open(f"/proc/{child.pid}/oom_score_adj", "w", encoding="ascii") as file:
+        file.write(str(BACKGROUND_OOM_SCORE))
+    return child
 
 
 def kill(child: subprocess.Popen[Any]) -> None:

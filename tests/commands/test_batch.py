@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 
 import splatpainter as sp
+from splatpainter.batch import schema
+from splatpainter.batch.plan import read_jobs
 from splatpainter.commands import Outcome, grade
-from splatpainter.commands.batch import Config, run_jobs, schema
-from splatpainter.commands.batch.plan import read_jobs
+from splatpainter.commands.batch import Config, run_jobs
 from splatpainter.commands.batch.work import BatchWork
 from splatpainter.painter import Painter
 from tests.support.batch_jobs import CAMERA, Killed, colored_ball, jobs_file, write_assets

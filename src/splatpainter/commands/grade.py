@@ -59,7 +59,8 @@ class Config:
 
     WHERE is made of terms that all have to hold, with `or` between groups and `not:` before a term: hue=A..B (degrees,
     340..20 goes through red), saturation=A..B, lightness=A..B, color=#RRGGBB~DISTANCE, x=A..B, y=A..B, z=A..B,
-    box=X,Y,Z,X,Y,Z, sphere=X,Y,Z,R, opacity=A..B, size=A..B, mask=M.png@CAM.json. Ranges may lack an end (y=..0.5).
+    box=X,Y,Z,X,Y,Z, sphere=X,Y,Z,R, opacity=A..B, size=A..B, mask=M.png@CAM.json, selection=NAME@P.splatproj and
+    layer=NAME@P.splatproj (of a project of the same asset). Ranges may lack an end (y=..0.5).
 
     example:
       splatpainter grade vase.ply --exposure 0.5 --temperature 0.3 --out warm.ply

@@ -6,6 +6,7 @@ dies again and again comes back as `Lost`, and the rest goes on. Exceptions of t
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import sys
 from collections.abc import Callable, Generator, Iterable
@@ -19,6 +20,8 @@ from splatpainter.kernels.parallel import cpus
 Result = TypeVar("Result")
 RETRIES = 3
 """Of one piece of work, after its worker died."""
+POLL_SECONDS = 0.1
+"""Between two looks at whether it was cancelled."""
 AHEAD = 2
 """Pieces handed out per worker: one in work, one waiting, so that results do not pile up."""
 
@@ -41,9 +44,14 @@ def run_here(work: Callable[[int], Result], numbers: Iterable[int]) -> Results[R
 
 
 def run_in_pool(
-    work: Callable[[int], Result], numbers: Iterable[int], workers: int, retries: int = RETRIES
+    work: Callable[[int], Result],
+    numbers: Iterable[int],
+    workers: int,
+    retries: int = RETRIES,
+    cancelled: Callable[[], bool] | None = None,
 ) -> Results[Result]:
-    """(number, work(number)) as they finish, by `workers` processes of this machine. work: picklable.
+    """(number, work(number)) as they finish, by `workers` processes of this machine. work: picklable. cancelled: asked
+    again and again; once it says so, the workers are killed and nothing comes any more.
 
     When a worker dies, nobody knows which work it was doing: everything in progress is done again, each piece alone in
     a process of its own, so that only the guilty one is tried `retries` times."""
@@ -56,16 +64,42 @@ def run_in_pool(
                 while remaining and len(running) < AHEAD * workers:
                     running[pool.submit(work, remaining[-1])] = remaining[-1]
                     remaining.pop()
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                done = _wait(running, cancelled)
                 for future in done:
                     result = future.result()
                     yield running.pop(future), result
         except BrokenProcessPool:
             pass
+        except _Cancelled:
+            return
         finally:
+            if cancelled is not None:
+                _kill_workers()
             pool.shutdown(wait=False, cancel_futures=True)
         for future, number in running.items():
-            yield number, future.result() if _ended_well(future) else _alone(work, number, retries)
+            try:
+                result = future.result() if _ended_well(future) else _alone(work, number, retries, cancelled)
+            except _Cancelled:
+                return
+            yield number, result
+
+
+class _Cancelled(Exception): ...
+
+
+def _wait(running: Iterable[Future[Result]], cancelled: Callable[[], bool] | None) -> set[Future[Result]]:
+    """Those that have ended, at least one. Raises _Cancelled."""
+    while True:
+        done, _ = wait(running, None if cancelled is None else POLL_SECONDS, return_when=FIRST_COMPLETED)
+        if cancelled is not None and cancelled():
+            raise _Cancelled
+        if done:
+            return done
+
+
+def _kill_workers() -> None:
+    for process in multiprocessing.active_children():
+        process.kill()
 
 
 def _ended_well(future: Future[Any]) -> bool:
@@ -73,23 +107,28 @@ def _ended_well(future: Future[Any]) -> bool:
     return future.done() and not future.cancelled() and future.exception() is None
 
 
-def _alone(work: Callable[[int], Result], number: int, retries: int) -> Result | Lost:
+def _alone(
+    work: Callable[[int], Result], number: int, retries: int, cancelled: Callable[[], bool] | None
+) -> Result | Lost:
     for _ in range(max(retries, 1)):
         with _pool(1) as pool:
             try:
-                return pool.submit(work, number).result()
+                return _wait([pool.submit(work, number)], cancelled).pop().result()
             except BrokenProcessPool:
                 continue
+            finally:
+                if cancelled is not None:
+                    _kill_workers()
     return Lost(f"its worker died {max(retries, 1) + 1} times (killed, or out of memory)")
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
-    from multiprocessing import get_context
-
     share = max(1, cpus() // workers)
     # spawn: a forked child of a process with threads (torch, numba, Mitsuba) can hang.
     limit = 61 if sys.platform == "win32" else workers  # what Windows can wait for at once
-    return ProcessPoolExecutor(min(workers, limit), get_context("spawn"), initializer=limit_threads, initargs=(share,))
+    return ProcessPoolExecutor(
+        min(workers, limit), multiprocessing.get_context("spawn"), initializer=limit_threads, initargs=(share,)
+    )
 
 
 def limit_threads(count: int) -> None:

@@ -14,6 +14,8 @@ turns it round. Ranges A..B have an end or both; numbers are world units as `spl
     size=A..B          standard deviation along the longest axis
     mask=M.png@CAM.json  those that show mostly inside a mask drawn on a view, as a selection in the studio; without
                        @CAM.json the picture carries its camera
+    selection=NAME@P.splatproj  what the studio keeps under that name in a project of the same asset
+    layer=NAME@P.splatproj  what a visible layer of such a project paints
 
 Terms of colour fade out beyond their ends (FADE), so that shades do not tear; the others are sharp.
 """
@@ -21,6 +23,7 @@ Terms of colour fade out beyond their ends (FADE), so that shades do not tear; t
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +35,10 @@ from splatpainter.sources.color_match import display_colors
 from splatpainter.splats import Splats
 
 MAX_TERMS = 64
+TERM_BREAK = re.compile(r"\s+(?=or\s|(?:not:)?\w+=)|(?<=\bor)\s+")
+"""Between the terms of one text; names of selections may hold blanks."""
+SAME_ASSET_SHARE = 0.1
+"""Of an asset's extent by which the median Gaussian may lie elsewhere than in the original of a project."""
 FADE = {"hue": 15.0, "saturation": 0.05, "lightness": 0.05}
 """Beyond the ends of a range, in its unit."""
 DEFAULT_DISTANCE = 0.1
@@ -54,7 +61,7 @@ class Region:
     @staticmethod
     def parse(words: Sequence[str]) -> Region:
         """Raises ValueError naming the term: unknown, numbers that are none, a mask that cannot be read."""
-        terms = [term for word in words for term in word.split()] if len(words) == 1 else list(words)
+        terms = [term for word in words for term in TERM_BREAK.split(word.strip())] if len(words) == 1 else list(words)
         if not terms or len(terms) > MAX_TERMS:
             raise ValueError(f"--where: expected 1 to {MAX_TERMS} terms, got {len(terms)}")
         groups: list[list[Weigh]] = [[]]
@@ -238,6 +245,33 @@ def _mask(name: str, text: str) -> Weigh:
     return weigh
 
 
+def _kept(name: str, text: str) -> Weigh:
+    """A selection that a project keeps, or what one of its layers paints, on an asset made from its original."""
+    from splatpainter.session import Session
+    from splatpainter.session.selection import Selection
+
+    title, at, project = text.rpartition("@")
+    if not at or not title:
+        raise _wrong(name, "NAME@PROJECT.splatproj", text)
+    with Session.load(project, readonly=True) as session:
+        try:
+            weights = session.selection(title) if name == "selection" else session.painted(title)
+        except ValueError as error:
+            raise ValueError(f"{project}: {error}") from None
+        original = session.original
+        chosen = Selection.of(weights, session.splats, original)
+
+    def weigh(splats: Splats) -> np.ndarray:
+        count = min(len(original), len(splats))
+        extent = float(np.ptp(original.means[original.drawable], axis=0).max())
+        far = np.linalg.norm(splats.means[:count] - original.means[:count], axis=1)
+        if len(splats) < len(original) or not np.median(far) <= SAME_ASSET_SHARE * extent:
+            raise ValueError(f"--where {name}={ascii(title)}: expected the asset of {project}, or one made from it")
+        return chosen.on(splats, original)
+
+    return weigh
+
+
 _TERMS: dict[str, Callable[[str, str], Weigh]] = {
     "hue": _hue,
     "saturation": _color_range,
@@ -251,4 +285,6 @@ _TERMS: dict[str, Callable[[str, str], Weigh]] = {
     "opacity": _attribute,
     "size": _attribute,
     "mask": _mask,
+    "selection": _kept,
+    "layer": _kept,
 }

@@ -24,6 +24,7 @@ from starlette.staticfiles import StaticFiles
 
 from splatpainter._version import __version__
 from splatpainter.server import frames, watched_folder
+from splatpainter.server.batch_routes import add_batch_routes, publish_batches
 from splatpainter.server.client import serve
 from splatpainter.server.commands import COMMANDS
 from splatpainter.server.commands.context import CommandContext
@@ -55,6 +56,7 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         watching = asyncio.create_task(watched_folder.watch(hub))
+        publish_batches(hub)
         try:
             yield
         finally:
@@ -76,6 +78,7 @@ def create_app(studio: Studio, access: Access | None = None) -> FastAPI:
     app.state.hub = hub
     _add_commands(app)
     _add_data(app, hub)
+    add_batch_routes(app, hub, _failed, NO_STORE)
 
     @app.websocket("/ws")
     async def socket(connection: WebSocket) -> None:

@@ -5,7 +5,7 @@ Over the socket /ws a client sends {"id": n, "do": NAME, ...fields} and gets, fo
   {"re": n, "ok": true, "python": "...", "version": v, ...fields of the answer}
   {"re": n, "ok": false, "error": {"kind", "message", "hint"}}.
 Binary frames with changed Gaussians (frames.py) come BEFORE the answer of the command that changed them. The server
-also sends events: {"event": "state" | "toast" | "picture", ...}. First message of a client: `hello`.
+also sends events: {"event": "state" | "toast" | "picture" | "batch", ...}. First message of a client: `hello`.
 Over HTTP the same: POST /api/do/NAME with the fields as body, the answer as response (Gaussians: GET /api/splats).
 Big things in: POST /api/blobs (raw body) -> {"blob": sha256, "kind": ..., "name": ...}.  Out: GET /api/blobs/{blob}.
 Commands are defined beside what they do (commands/); those of the connection itself are here, client.py answers them.
@@ -457,6 +457,56 @@ class PictureEvent(Message):
     event: Literal["picture"] = "picture"
     picture: Blob
     name: str
+
+
+class BatchJobInfo(Message):
+    """One result of a batch."""
+
+    number: int
+    name: str
+    """Of its file."""
+    asset: str
+    words: str
+    """What is done for it."""
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    line: str
+    """What was proved of it, or why it failed; "" before that."""
+    warnings: list[str]
+    bytes: int | None
+    """Of its file."""
+    url: str | None
+    """To download it from, ..."""
+    receipt_url: str | None
+    """... its receipt, ..."""
+    before_url: str | None
+    """... and small pictures of the asset and of the result."""
+    after_url: str | None
+
+
+class BatchInfo(Message):
+    """A batch; it outlives the pages that asked for it."""
+
+    id: str
+    state: Literal["planned", "running", "cancelling", "done", "cancelled"]
+    title: str
+    """What it is, one line."""
+    jobs: list[BatchJobInfo]
+    page_url: str | None
+    """The summary page; None: it is not written yet."""
+    zip_url: str | None
+    """Everything that is done; None: nothing is."""
+
+
+class BatchEvent(Message):
+    """Something happened to the studio's batch."""
+
+    event: Literal["batch"] = "batch"
+    batch: BatchInfo | None = None
+    """All of it, where its state changed; None with a job: only that one changed; without: there is none any more."""
+    id: str = ""
+    job: BatchJobInfo | None = None
+    zip_url: str | None = None
+    """As in BatchInfo, with a job."""
 
 
 def first_fault(error: ValidationError, where: str) -> str:

@@ -21,6 +21,7 @@ from pydantic import ValidationError
 from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.server import describe
+from splatpainter.server.batches import Batches
 from splatpainter.server.current_selection import CurrentSelection
 from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, RecentInfo, SelectionInfo, State, first_fault
 from splatpainter.server.public_text import public_text
@@ -76,6 +77,7 @@ class Studio:
         self.blobs = Blobs(options.limits)
         self.scratch = ScratchFolder("studio")
         self.downloads = Downloads(self.scratch.path)
+        self.batches = Batches(self.scratch.path)
         self._preparing: threading.Thread | None = None
         self._drawn = 0
         """Version of the session of which its project has a picture."""
@@ -258,7 +260,8 @@ class Studio:
         raise ValueError(f"blob {sha256[:12]}...: not here (any more)")
 
     def close(self) -> None:
-        """Leave nothing but the project file: no thread either."""
+        """Leave nothing but the project file: no thread and no program either."""
+        self.batches.close()
         if self._preparing is not None:
             self._preparing.join()
         self.draw_picture()

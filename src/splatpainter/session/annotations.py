@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +25,18 @@ SELECTION_FACT = "selection "
 """Beginning of the names of facts that hold selections."""
 MAX_SELECTIONS, MAX_SELECTION_NAME = 64, 80
 """Of a project, and characters of a name."""
+
+
+def keep_selection(project: Path, name: str, png: bytes | str) -> None:
+    """Put a selection into a project that nobody has open. png: its bytes, or the name of one that it keeps already.
+    Raises ValueError for an unknown one."""
+    from splatpainter.session.project_file import Project
+
+    with contextlib.closing(Project.open(project, readonly=False)) as opened:
+        text = opened.fact(SELECTION_FACT + png) if isinstance(png, str) else base64.b64encode(png).decode()
+        if text is None:
+            raise ValueError(f"selection: the project keeps none called {brief(png)}")
+        opened.set_fact(SELECTION_FACT + name, text)
 
 
 class Annotations:

@@ -148,6 +148,29 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
     return numbered(splats)
 
 
+def write_original(path: Path, target: Path, rule: OriginalRule) -> tuple[Path, Frame]:
+    """The original of the project at `path` as a file of its own: `target` with the ending of its format. Returns that
+    file and the `frame` to read it with. A file's bytes stay what they are where the project holds them; Gaussians that
+    came from no file, or from one that cannot be written, become a PLY. Raises ValueError."""
+    with contextlib.closing(Project.open(path, readonly=True)) as project:
+        facts = {name: project.fact(name) or "" for name in ("name", "format", "path", "frame")}
+        entry = FORMATS.get(facts["format"])
+        if facts["path"] or entry is None or facts["name"] == "meta.json":
+            file = target.with_name(f"{target.name}.ply")
+            write(file, restore(project, rule))
+            return file, "auto"
+        file = target.with_name(target.name + (entry.suffixes[0] if entry.suffixes else ".ply"))
+        try:
+            with open(file, "xb") as stream:
+                for name, data in project.original():
+                    if name != facts["name"]:
+                        raise ValueError(f"{path}: damaged project file (several files as its original)")
+                    stream.write(data)
+        except OSError as error:
+            raise ValueError(f"{file}: cannot be written ({error.strerror or error})") from None
+        return file, option(facts["frame"]) if facts["frame"] in ("rub", "rdf") else "auto"
+
+
 def _named_file(project: Path, name: str, rule: OriginalRule) -> Path:
     """The original that a project names by `name`. Nothing is looked up before the name has been judged, so that what
     is refused tells nothing about the machine."""

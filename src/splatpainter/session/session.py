@@ -285,6 +285,21 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
                 return out
         raise ValueError(f"{self.layer(layer).title}: expected a visible layer of mode spread")
 
+    def painted(self, name: str) -> np.ndarray:
+        """[N] float32 per Gaussian of `splats`: 1 where the visible layers of this name paint. Raises ValueError where
+        none does."""
+        snapshot = self._snapshot
+        layers = [layer for layer in snapshot.document.layers if name in (layer.name, layer.id)]
+        ids = {layer.id for layer in layers} | {leaf.id for layer in layers for leaf in layer.leaves()}
+        out = np.zeros(len(snapshot.splats), np.float32)
+        for entry in snapshot.state.edited:
+            if entry.layer.id in ids:
+                out[entry.changed] = 1
+                out[slice(*entry.appended)] = 1
+        if not out.any():
+            raise ValueError(f"layer: expected the name of a visible layer that paints, got {brief(name)}")
+        return out
+
     def coverage(self) -> np.ndarray:
         """[N] uint8 per Gaussian: conflicts.ORIGINAL, SEEN or PREDICTED."""
         snapshot = self._snapshot

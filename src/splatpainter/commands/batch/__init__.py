@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import threading
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +18,14 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.terminal import count, progress
 
 if TYPE_CHECKING:
-    from splatpainter.commands.batch.plan import Job, JobList
+    from splatpainter.batch.plan import Job, JobList
     from splatpainter.data.cluster import Results
 
 COMMAND = "splatpainter batch"
 SUMMARY, PAGE, LOCK = "summary.json", "index.html", ".batch"
 """Files in the folder of results."""
+RETRIES = 1
+"""Of a job whose worker died, where another program follows the batch."""
 MAX_LISTED = 10
 """Failed jobs that are named in the terminal; the summary names all."""
 
@@ -48,13 +54,15 @@ class Config:
     """Check the file and say what would be done."""
     overwrite: bool = False
     """Replace results of the same names that no batch made."""
+    events: bool = False
+    """For programs: print a JSON line whenever a job starts or ends, and stop when stdin ends. What is done stays."""
     json: bool = False
     """Print one JSON object instead of text."""
 
 
 def run(config: Config) -> Outcome:
     """Plan, lock the folder, work, summarise."""
-    from splatpainter.commands.batch.plan import read_jobs
+    from splatpainter.batch.plan import read_jobs
     from splatpainter.commands.batch.work import BatchWork
     from splatpainter.commands.targets import check_folder, make_folder
 
@@ -62,6 +70,8 @@ def run(config: Config) -> Outcome:
         raise ValueError(f"{COMMAND}: expected --workers of at least 1, got {config.workers}")
     if config.ray is not None and len(config.ray) > 1:
         raise ValueError(f"{COMMAND}: expected one address behind --ray, got {len(config.ray)}")
+    if config.events and config.ray is not None:
+        raise ValueError(f"{COMMAND}: expected --events or --ray, not both")
     plan = read_jobs(config.jobs, config.overwrite)
     check_folder(plan.out)
     if config.dry_run:
@@ -74,27 +84,74 @@ def run(config: Config) -> Outcome:
         from splatpainter.kernels.compile import ensure_compiled
 
         ensure_compiled()  # here, once, and not in every worker at the same time
-        records = run_jobs(BatchWork(plan.jobs), plan.jobs, config)
+        work = BatchWork(plan.jobs)
+        records = follow_jobs(work, plan.jobs, config) if config.events else run_jobs(work, plan.jobs, config)
         write_summary(plan, records)
         write_page(plan, records)
-    return _outcome(plan, records)
+    return _outcome(plan, records, config)
 
 
 def run_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], config: Config) -> list[dict[str, Any]]:
     """Their records, in order; jobs that no worker survived have failed."""
-    from splatpainter.commands.batch.work import failure
-    from splatpainter.data.cluster import Lost
-
     records: list[dict[str, Any]] = [{}] * len(jobs)
     results = _results(work, len(jobs), config)
     try:
         for number, record in progress(results, len(jobs), "jobs"):
-            if isinstance(record, Lost):
-                record = {**failure(jobs[number], record.reason), "warnings": [], "seconds": 0.0}
-            records[number] = record
+            records[number] = _record(jobs[number], record)
     finally:
         results.close()
     return records
+
+
+def follow_jobs(work: Callable[[int], dict[str, Any]], jobs: tuple[Job, ...], config: Config) -> list[dict[str, Any]]:
+    """As `run_jobs`, in processes of their own, with a JSON line on stdout for whatever happens. When stdin ends, jobs
+    that are not done are ended; their status is "cancelled"."""
+    from splatpainter.commands.batch.work import facts
+    from splatpainter.data import cluster
+
+    stopped = threading.Event()
+    threading.Thread(target=_wait_for_end_of_stdin, args=(stopped,), daemon=True).start()
+    waiting, started = list(range(len(jobs))), set[int]()
+    records = [{**facts(job), "status": "cancelled", "error": "cancelled"} for job in jobs]
+    results = cluster.run_in_pool(work, range(len(jobs)), config.workers, RETRIES, stopped.is_set)
+    try:
+        _say_started(waiting[: config.workers], started)
+        for number, record in results:
+            records[number] = _record(jobs[number], record)
+            waiting.remove(number)
+            _say({"event": "ended", "job": number, "record": records[number]})
+            _say_started(waiting[: config.workers], started)
+    finally:
+        results.close()
+    return records
+
+
+def _record(job: Job, result: Any) -> dict[str, Any]:
+    from splatpainter.commands.batch.work import failure
+    from splatpainter.data.cluster import Lost
+
+    if isinstance(result, Lost):
+        return {**failure(job, result.reason), "warnings": [], "seconds": 0.0}
+    return result
+
+
+def _say(event: dict[str, Any]) -> None:
+    print(json.dumps(event, default=str), flush=True)
+
+
+def _say_started(numbers: list[int], started: set[int]) -> None:
+    """Jobs are taken in their order, so the first of those that wait are in work."""
+    for number in numbers:
+        if number not in started:
+            started.add(number)
+            _say({"event": "started", "job": number})
+
+
+def _wait_for_end_of_stdin(stopped: threading.Event) -> None:
+    with contextlib.suppress(OSError):
+        while os.read(0, 4096):  # no lock of sys.stdin's, which the end of the process would wait for
+            pass
+    stopped.set()
 
 
 def _results(work: Callable[[int], dict[str, Any]], total: int, config: Config) -> Results[dict[str, Any]]:
@@ -113,12 +170,25 @@ def _results(work: Callable[[int], dict[str, Any]], total: int, config: Config) 
 def write_summary(plan: JobList, records: list[dict[str, Any]]) -> None:
     from splatpainter.atomic import write_text
 
-    done = sum(record["status"] == "done" for record in records)
-    summary = {"jobs_file": str(plan.file), "done": done, "failed": len(records) - done, "jobs": records}
+    counts = count_states(records)
+    summary = {"jobs_file": str(plan.file), **counts, "jobs": records}
     write_text(plan.out / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
-def _outcome(plan: JobList, records: list[dict[str, Any]]) -> Outcome:
+def count_states(records: list[dict[str, Any]]) -> dict[str, int]:
+    """Jobs by what became of them; `cancelled` only where there are any."""
+    counts = Counter(record["status"] for record in records)
+    return {
+        "done": counts["done"],
+        "failed": counts["failed"],
+        **{name: counts[name] for name in ("cancelled",) if counts[name]},
+    }
+
+
+def _outcome(plan: JobList, records: list[dict[str, Any]], config: Config) -> Outcome:
+    if config.events:
+        counts = count_states(records)
+        return Outcome({}, [json.dumps({"event": "end", **counts})], 0 if counts["done"] == len(records) else 1)
     failed = [record for record in records if record["status"] != "done"]
     before = sum(bool(record.get("resumed")) for record in records)
     there = f", {before:,} of them there before" if before else ""

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import base64
 import os
+from collections import Counter
 from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any
 
 from splatpainter.atomic import write_text
-from splatpainter.commands.batch.plan import Job, JobList
+from splatpainter.batch.plan import Job, JobList
 from splatpainter.commands.batch.work import AFTER, BEFORE
 from splatpainter.io import files
 
+STATES = ("done", "failed", "cancelled")
 MAX_PREVIEW_BYTES = 1 << 20
 """Of a picture on the page."""
 
@@ -34,8 +36,8 @@ def write_page(plan: JobList, records: list[dict[str, Any]]) -> None:
         resources("splatpainter.commands.batch").joinpath("page.html.j2").read_text("utf-8")
     )
     jobs = [_entry(plan, job, record) for job, record in zip(plan.jobs, records, strict=True)]
-    done = sum(record["status"] == "done" for record in records)
-    text = template.render(title=plan.file.stem, jobs=jobs, done=done, failed=len(records) - done)
+    states = Counter(record["status"] for record in records)
+    text = template.render(title=plan.file.stem, jobs=jobs, **{name: states[name] for name in STATES})
     write_text(plan.out / "index.html", text)
 
 

@@ -20,12 +20,13 @@ from typing import Any, cast
 
 from splatpainter.atomic import replace as replace_file
 from splatpainter.atomic import sync_folder, write_text
+from splatpainter.batch.plan import Job, JobStep
+from splatpainter.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit, RefineEdit, SourceStep
 from splatpainter.cameras import Camera
 from splatpainter.commands import edit, grade, refine
-from splatpainter.commands.batch.plan import Job, JobStep
-from splatpainter.commands.batch.schema import DecalEdit, GradeEdit, LayersEdit, PicturesEdit, RefineEdit, SourceStep
 from splatpainter.commands.verify import read_receipt, receipt_of
-from splatpainter.io import FORMATS, files, format_of_name, read
+from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
+from splatpainter.io.sog import META
 from splatpainter.receipts import Receipt, prove
 from splatpainter.sources.registry import open_source
 from splatpainter.sources.source_options import option_words
@@ -212,6 +213,9 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
         chosen = [layer for layer in source.layers if layer.visible and (not step.only or layer.name in step.only)]
         if missing or not chosen:
             raise ValueError(f"{step.project}: expected visible layers, got none called {', '.join(missing) or 'so'}")
+        if not step.only and _is_original(source.original, asset, frame):
+            source.export(target, overwrite=True)  # what the layers make of it is in the project
+            return
         with Session(asset, frame=frame) as session:
             ids: dict[str, str] = {}
             for k, layer in enumerate(chosen):
@@ -228,6 +232,12 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
                 if lower in ids and upper in ids:
                     session.resolve_conflict(ids[lower], ids[upper], policy)
             session.export(target, overwrite=True)
+
+
+def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:
+    """Whether a project's original is this very file, read alike."""
+    single = not asset.is_dir() and asset.name.lower() != META
+    return single and frame_of(original) == frame and original.sha256 == _file_sha256(asset)
 
 
 def _option_words(options: dict[str, Any]) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from splatpainter.server.commands import color_grading as _color_grading  # noqa: F401 - each registers its commands
+from splatpainter.server.commands import batch as _batch  # noqa: F401 - each registers its commands
+from splatpainter.server.commands import color_grading as _color_grading  # noqa: F401
 from splatpainter.server.commands import decals as _decals  # noqa: F401
 from splatpainter.server.commands import exports as _exports  # noqa: F401
 from splatpainter.server.commands import files as _files  # noqa: F401

@@ -30,6 +30,7 @@ from splatpainter.server.commands.context import (
 )
 from splatpainter.server.current_selection import limited
 from splatpainter.server.protocol import Blob, CameraInfo, Command, LayerMade, Message, Name, Previewed, Unit
+from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.document import SELECTION
 from splatpainter.session.layer_blending import ADJUSTMENTS, adjust_sh, reached_gaussians
@@ -161,7 +162,7 @@ def _parameters(
 ) -> tuple[dict[str, Any], list[bytes]]:
     """(parameters of the layer, the pictures that it keeps). reached: [N] bool the Gaussians that a mask reaches."""
     if request.transfer is None and request.look is not None:
-        return _settings(context, request.look), []
+        return settings_of(context.studio, request.look), []
     if request.transfer is None or request.look is not None:
         raise ValueError("look: expected sliders or colours from elsewhere, one of both")
     transfer, studio = request.transfer, context.studio
@@ -205,8 +206,9 @@ def cube_of(path: Path) -> CubeLut:
     return read_cube(path)
 
 
-def _settings(context: CommandContext, sliders: GradeSliders) -> dict:
-    space = context.studio.session.original.color_space
+def settings_of(studio: Studio, sliders: GradeSliders) -> dict[str, Any]:
+    """Parameters of a layer."""
+    space = studio.session.original.color_space
     return GradeSettings.from_dict({**sliders.model_dump(), "space": space}).to_dict()
 
 

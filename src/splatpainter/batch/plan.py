@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from splatpainter.atomic import check_name
-from splatpainter.commands.batch.schema import Batch, JobEdit, file_paths, with_values
-from splatpainter.commands.targets import META, splat_format
+from splatpainter.batch.schema import Batch, JobEdit, file_paths, with_values
 from splatpainter.io import FORMATS, format_of_name
+from splatpainter.io.sog import META
 from splatpainter.splats import Frame
 from splatpainter.yamlio import Lines, read
 
 MAX_JOBS = 100_000
-MASK = "mask="
-"""Of a term of `where`, which names files too."""
+MASK, KEPT = "mask=", ("selection=", "layer=")
+"""Terms of `where` that name files: MASK.png@CAMERA.json, and NAME@PROJECT.splatproj."""
 READ_BYTES = 1 << 20
 
 
@@ -112,7 +112,6 @@ def read_jobs(path: Path, overwrite: bool = False) -> JobList:
             target = out / f"{name}.{batch.format or _suffix(asset)}"
             try:
                 check_name(target)
-                splat_format(target)
             except ValueError as error:
                 raise ValueError(f"{lines.at(key_path)}: {error}") from None
             key = str(target).lower()
@@ -207,7 +206,7 @@ def _step(edit: JobEdit, path: str, folder: Path, lines: Lines, asset: str, vari
                 files.append((str(folder / value), lines.at(f"{path}.{kind}.options.{key}")))
     if kind == "grade":
         terms = [
-            _mask_term(term, folder, lines.at(f"{path}.grade.where[{k}]"), files)
+            _where_term(term, folder, lines.at(f"{path}.grade.where[{k}]"), files)
             for k, term in enumerate(values["where"])
         ]
         values["where"] = tuple(terms)
@@ -220,15 +219,20 @@ def _checked(name: str, target: str, line: str) -> str:
     return line
 
 
-def _mask_term(term: str, folder: Path, line: str, files: list[tuple[str, str]]) -> str:
-    """`mask=M.png@CAM.json` with paths of this machine."""
+def _where_term(term: str, folder: Path, line: str, files: list[tuple[str, str]]) -> str:
+    """A term (`mask=M.png@CAM.json`, `selection=NAME@P.splatproj`, `layer=...`) with paths of this machine."""
     inverted, bare = ("not:", term[4:]) if term.startswith("not:") else ("", term)
-    if not bare.startswith(MASK):
+    kind, equals, value = bare.partition("=")
+    if kind + equals in KEPT and "@" in value:
+        title, _, name = value.rpartition("@")
+        names, start = [str(folder / name)], f"{kind}={title}@"
+    elif bare.startswith(MASK):
+        names, start = [str(folder / name) for name in value.split("@") if name], MASK
+    else:
         return term
-    names = [str(folder / name) for name in bare.removeprefix(MASK).split("@") if name]
     for name in names:
         files.append((name, _checked(name, name, line)))
-    return inverted + MASK + "@".join(names)
+    return inverted + start + "@".join(names)
 
 
 def _asset_digest(asset: Path) -> str:

@@ -1,0 +1,252 @@
+"""Batches: the visible layers on other assets, or variants of this one. Planned first, which makes nothing but says
+what would be made; then at work in a program of its own, which the pages follow by events. One at a time.
+
+A page names assets by what it sent, by recent projects, and by files of the studio's folder: no other file.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from splatpainter.batch.plan import JobList
+from splatpainter.server.batch_folder import LOOKS, BatchFolder
+from splatpainter.server.commands.color_grading import ColorTransfer, GradeSliders, settings_of
+from splatpainter.server.commands.context import CommandContext, command, naming_errors
+from splatpainter.server.describe_batch import batch_info
+from splatpainter.server.protocol import Answer, BatchInfo, Blob, CameraInfo, Command, FileName, Message
+from splatpainter.server.storage import PROJECT
+from splatpainter.session.annotations import keep_selection
+from splatpainter.session.asset_files import OriginalRule, write_original
+
+MAX_ASSETS, MAX_VARIANTS = 500, 200
+MAX_LISTED_LAYERS = 5
+"""Whose names a title says."""
+
+
+class BatchAsset(Message):
+    """Exactly one of: a blob that was sent, an id of `project.recent` (the asset of that project), a file of the
+    studio's folder."""
+
+    blob: Blob | None = None
+    name: str = Field(default="", max_length=300)
+    """What its owner calls the blob; never a path."""
+    recent: str | None = Field(default=None, max_length=300)
+    file: FileName | None = None
+
+
+class BatchVariant(Message):
+    """The present asset with one change more; without sliders and colours from elsewhere: as it is."""
+
+    name: str = Field(min_length=1, max_length=100)
+    """Part of the file's name."""
+    look: GradeSliders | None = None
+    transfer: ColorTransfer | None = None
+    on: Literal["everything", "selected", "selection", "layer"] = "everything"
+    """What changes; selected: what is selected now."""
+    of: str = Field(default="", max_length=200)
+    """Name of a selection that the project keeps, or id of a layer."""
+
+
+class BatchAnswer(Answer):
+    batch: BatchInfo | None
+    """None: there is none."""
+
+
+class BatchPlan(Command):
+    """Say what a batch would make; nothing is made yet. Results of the batch before are removed. Either assets, on
+    which the visible layers are painted anew, or variants of the present asset."""
+
+    NAME = "batch.plan"
+    ANSWER = BatchAnswer
+    assets: list[BatchAsset] = Field(default=[], max_length=MAX_ASSETS)
+    variants: list[BatchVariant] = Field(default=[], max_length=MAX_VARIANTS)
+    format: Literal["", "ply", "compressed.ply", "splat", "spz", "sog", "glb"] = ""
+    """Of the results; "": that of each asset."""
+    camera: CameraInfo | None = None
+    """Of the small pictures; None: from the front."""
+
+
+class BatchStart(Command):
+    """Make what was planned, in a program of its own; events say how it goes."""
+
+    NAME = "batch.start"
+    ANSWER = BatchAnswer
+    batch: str = Field(max_length=32)
+
+
+class BatchCancel(Command):
+    """End the batch; results that are done stay."""
+
+    NAME = "batch.cancel"
+    ANSWER = BatchAnswer
+    batch: str = Field(max_length=32)
+
+
+class BatchDiscard(Command):
+    """Remove a batch that is not at work, with its results."""
+
+    NAME = "batch.discard"
+    batch: str = Field(max_length=32)
+
+
+class BatchStatus(Command):
+    """The studio's batch."""
+
+    NAME = "batch.status"
+    ANSWER = BatchAnswer
+
+
+@command(BatchPlan, background=True, once=True)
+def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
+    if bool(request.assets) == bool(request.variants):
+        raise ValueError("batch: expected assets or variants; choose at least one asset, or fill in one row")
+    studio = context.studio
+    camera = None if request.camera is None else request.camera.to_camera().to_json()
+
+    def prepare(folder: Path) -> tuple[JobList, list[str], str]:
+        batch = BatchFolder(folder)
+        context.ticket.report(0, "copying the project")
+        session = studio.session
+        session.save_copy(batch.project)
+        visible = [layer.name for layer in session.layers if layer.visible]
+        replay = [{"layers": {"project": batch.project.name}}] if visible else []
+        names = f"{', '.join(visible[:MAX_LISTED_LAYERS])}{', ...' if len(visible) > MAX_LISTED_LAYERS else ''}"
+        if request.assets:
+            if not replay:
+                raise ValueError("batch: there is no visible layer to put onto other assets; paint something first")
+            batch.edits = replay
+            for number, asset in enumerate(request.assets):
+                context.ticket.report(number / len(request.assets), "collecting assets")
+                _add_asset(context, batch, asset)
+            title = f"Layers of {studio.state.asset.name} on {_count(len(request.assets), 'asset')}"
+            words = [f"layers: {names}"] * len(request.assets)
+        else:
+            stem = batch.stem(studio.state.asset.name, f".{studio.state.asset.format}")
+            asset, batch.frame = write_original(batch.project, stem, OriginalRule())
+            batch.assets.append(asset)
+            batch.variants, words = _variants(context, batch, request.variants, replay)
+            title = f"{_count(len(request.variants), 'variant')} of {studio.state.asset.name}"
+        return batch.plan(request.format, camera), words, title
+
+    return BatchAnswer(batch=batch_info(studio, studio.batches.make(prepare)))
+
+
+@command(BatchStart, background=True, once=True)
+def start_batch(context: CommandContext, request: BatchStart) -> BatchAnswer:
+    line = 'splatpainter.commands.batch.run(Config(Path("batch.yaml")))'
+    return BatchAnswer(batch=batch_info(context.studio, context.studio.batches.start(request.batch)), python=line)
+
+
+@command(BatchCancel)
+def cancel_batch(context: CommandContext, request: BatchCancel) -> BatchAnswer:
+    return BatchAnswer(batch=batch_info(context.studio, context.studio.batches.cancel(request.batch)))
+
+
+@command(BatchDiscard, background=True)
+def discard_batch(context: CommandContext, request: BatchDiscard) -> Answer:
+    context.studio.batches.discard(request.batch)
+    return Answer()
+
+
+@command(BatchStatus)
+def show_batch(context: CommandContext, request: BatchStatus) -> BatchAnswer:
+    batch = context.studio.batches.present
+    return BatchAnswer(batch=None if batch is None else batch_info(context.studio, batch))
+
+
+def _add_asset(context: CommandContext, batch: BatchFolder, asset: BatchAsset) -> None:
+    studio = context.studio
+    if sum(source is not None for source in (asset.blob, asset.recent, asset.file)) != 1:
+        raise ValueError("batch: expected one of blob, recent or file for each asset")
+    if asset.blob is not None:
+        blob = studio.blobs.get(asset.blob, "asset")
+        batch.add_file(blob.path, asset.name or blob.name, blob.info.ending)
+    elif asset.recent is not None:
+        path = studio.projects.find(asset.recent)
+        name = asset.recent.rsplit("_", 1)[0]
+        with naming_errors(path, name):
+            batch.assets.append(write_original(path, batch.stem(name), OriginalRule(embedded=True))[0])
+    else:
+        name = asset.file or ""
+        if studio.folder is None:
+            raise ValueError(f"{name}: the studio was started without a folder; drop the file into the page instead")
+        if name.lower().endswith(PROJECT):
+            raise ValueError(f"{name}: is a project; expected a splat file")
+        path = studio.folder.file(name)
+        ending = "".join(path.suffixes[-2:]) if name.lower().endswith(".compressed.ply") else path.suffix
+        batch.add_file(path, name, ending.lower())
+
+
+def _variants(
+    context: CommandContext, batch: BatchFolder, variants: list[BatchVariant], replay: list[dict[str, Any]]
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """(as a JOBS.yaml has them, what is done for each)."""
+    regions: dict[tuple[str, str], tuple[list[str], str]] = {}
+    entries, words = [], []
+    for number, variant in enumerate(variants):
+        key = (variant.on, variant.of)
+        if key not in regions:
+            regions[key] = _region(context, batch, variant, f"region-{len(regions)}")
+        where, region_words = regions[key]
+        grade, look_words = _grade(context, batch, variant, number)
+        edits = [*replay, *([{"grade": {**grade, "where": where}}] if grade else [])]
+        if not edits:
+            raise ValueError(f"batch: {variant.name}: changes nothing; give it a colour or an adjustment")
+        entries.append({"name": variant.name.strip(), "edits": edits})
+        words.append(f"{look_words} on {region_words}" if grade else "as it is")
+    return entries, words
+
+
+def _region(context: CommandContext, batch: BatchFolder, variant: BatchVariant, name: str) -> tuple[list[str], str]:
+    """(terms of `where`, words) of what a variant changes. name: of a selection that the batch's project gets."""
+    studio = context.studio
+    if variant.on == "everything":
+        return [], "everything"
+    if variant.on == "layer":
+        layer = studio.session.layer(variant.of)
+        return [f"layer={layer.id}@{batch.project.name}"], layer.name
+    if variant.on == "selected":
+        stored = studio.selection.stored()
+        if stored is None:
+            raise ValueError(f"batch: {variant.name}: nothing is selected; select something first, or take everything")
+        keep_selection(batch.project, name, stored[1])
+        return [f"selection={name}@{batch.project.name}"], "what was selected"
+    keep_selection(batch.project, name, variant.of)
+    return [f"selection={name}@{batch.project.name}"], variant.of
+
+
+def _grade(
+    context: CommandContext, batch: BatchFolder, variant: BatchVariant, number: int
+) -> tuple[dict[str, Any], str]:
+    """(keys of `grade`, words); without any: it stays as it is."""
+    transfer = variant.transfer
+    if variant.look is not None and transfer is not None:
+        raise ValueError(f"batch: {variant.name}: expected sliders or colours from elsewhere, one of both")
+    if variant.look is not None:
+        folder = batch.root / LOOKS / str(number)
+        try:
+            folder.mkdir(parents=True)
+            (folder / "look.json").write_text(json.dumps(settings_of(context.studio, variant.look)), encoding="utf-8")
+        except OSError as error:
+            raise ValueError(f"batch: cannot be kept ({error.strerror or error})") from None
+        return {"look": f"{LOOKS}/{number}/look.json"}, "adjustment"
+    if transfer is None:
+        return {}, ""
+    shared = {"strength": transfer.strength}
+    if transfer.kind == "recolor":
+        if transfer.color is None:
+            raise ValueError(f"batch: {variant.name}: expected a colour")
+        return {"recolor": transfer.color, **shared}, f"new colour {transfer.color}"
+    if transfer.file is None:
+        raise ValueError(f"batch: {variant.name}: expected a file: a .cube table, or a reference picture")
+    blob = context.studio.blobs.get(transfer.file, "lut" if transfer.kind == "lut" else "picture")
+    file = batch.look_file(number, blob.path, blob.name, blob.info.ending)
+    return {transfer.kind: file, **shared}, f"{'LUT' if transfer.kind == 'lut' else 'colours of'} {blob.name}"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
