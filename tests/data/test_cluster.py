@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import sys
 from collections.abc import Iterator
@@ -44,6 +45,15 @@ def test_work_that_kills_every_worker_is_lost_and_the_rest_is_not(tmp_path: Path
     done = dict(run_in_pool(Work(str(tmp_path), dies_always=2), range(4), 1, retries=2))
     assert done.pop(2) == Lost("its worker died 3 times (killed, or out of memory)")
     assert done == {n: n * n for n in (0, 1, 3)} and attempts(tmp_path, 2) == 3
+
+
+def test_cancelled_work_ends_with_its_workers(tmp_path: Path) -> None:
+    """The second piece of work never ends by itself."""
+    results = run_in_pool(Work(str(tmp_path), hangs=1), range(3), 1, cancelled=lambda: bool(attempts(tmp_path, 1)))
+    assert list(results) in ([], [(0, 0)])
+    for process in multiprocessing.active_children():
+        process.join(60)
+    assert multiprocessing.active_children() == []
 
 
 def test_an_error_of_the_work_itself_is_raised(tmp_path: Path) -> None:

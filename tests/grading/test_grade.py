@@ -14,6 +14,10 @@ from splatpainter.color import base_color, luminance, oklab, srgb_to_linear
 from splatpainter.grading.grade import describe, grade
 from splatpainter.grading.region import Region, hues
 from splatpainter.image_files import write_png
+from splatpainter.painter import Edit, Painter
+from splatpainter.rendering import render
+from splatpainter.session import Session
+from splatpainter.session.selection import moved_ids
 from splatpainter.sources.color_grading import GradeSettings, grade_sh
 from splatpainter.sources.color_match import ColorMatch, Recolor, monge_kantorovitch, seen_weights, statistics
 from splatpainter.sources.cube_lut import parse_cube
@@ -246,3 +250,37 @@ def test_a_region_that_means_nothing_is_one_line(words: list[str], line: str) ->
 def test_a_region_that_reaches_nothing_says_so() -> None:
     with pytest.raises(ValueError, match=r"^--where x=5\.\.: reaches none of 300 Gaussians; widen it$"):
         grade(ball(300), GradeSettings(exposure=1.0), Region.parse(["x=5.."]))
+
+
+def test_what_a_project_selects_and_paints(tmp_path: Path) -> None:
+    """On the asset that its layers made, on the original, and on no other asset."""
+    splats = shaded_ball()
+    chosen = (splats.means[:, 0] > np.median(splats.means[:, 0])).astype(np.float32)
+    camera = look_at((0, 0, -4), (0, 0, 0), (0, -1, 0), width=64, height=64)
+    picture = np.clip(render(splats, camera).colors[0], 0, 1).copy()
+    mask = np.zeros((64, 64), bool)
+    mask[28:36, 28:36] = True
+    picture[mask] = (0.1, 0.9, 0.1)
+    project = tmp_path / "p.splatproj"
+    with Session(splats, project, painter=Painter()) as session:
+        session.save_selection("left half", chosen)
+        layer = session.add("paint", [Edit(picture, camera, mask)], name="logo")
+        edited, touched = session.splats, session.painted("logo")
+        assert np.array_equal(session.painted(layer.id), touched)
+    weights = Region.parse([f"selection=left half@{project}"]).weights(edited)
+    there = np.setdiff1d(np.arange(len(splats)), moved_ids(edited, splats))
+    assert np.array_equal(weights[there], chosen[there])
+    assert np.array_equal(Region.parse([f"layer=logo@{project}"]).weights(edited), touched * edited.drawable)
+    assert 0 < touched[: len(splats)].sum() < len(splats) and len(edited) > len(splats)
+    both = Region.parse([f"not:selection=left half@{project} or layer=logo@{project}"])
+    assert both.weights(splats)[chosen == 0].all()
+    moved = replace(splats, means=splats.means + 5)
+    for term, asset, line in (
+        (f"selection=gone@{project}", splats, "p.splatproj: selection: expected one of left half, got"),
+        (f"layer=gone@{project}", splats, "p.splatproj: layer: expected the name of a visible layer that paints, got"),
+        (f"selection=left half@{project}", moved, "expected the asset of .*p.splatproj, or one made from it"),
+        (f"layer=logo@{project}", splats.take(np.arange(5)), "expected the asset of"),
+        ("selection=left", splats, "--where selection: expected NAME@PROJECT.splatproj, got"),
+    ):
+        with pytest.raises(ValueError, match=line):
+            Region.parse([term]).weights(asset)

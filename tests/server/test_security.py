@@ -280,7 +280,7 @@ def test_what_is_kept_is_bounded(tmp_path: Path) -> None:
         assert sum(blob.path.exists() for blob in stored) == 3
         with pytest.raises(ValueError, match="send it again"):
             store.get(stored[0].sha256)
-        with pytest.raises(ValueError, match="expected a picture, got a asset"):
+        with pytest.raises(ValueError, match="expected a picture, got an asset"):
             store.get(stored[-1].sha256, "picture")
     finally:
         folder = stored[-1].path.parent

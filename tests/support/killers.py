@@ -18,12 +18,16 @@ class Work:
     dies_always: int = -1
     fails: int = -1
     """This number raises ValueError."""
+    hangs: int = -1
+    """This number never ends."""
 
     def __call__(self, number: int) -> int:
         first = not list(Path(self.folder).glob(f"{number}.*"))
         (Path(self.folder) / f"{number}.{time.time_ns()}.{os.getpid()}").touch()
         if number == self.dies_always or (number == self.dies_once and first):
             os.kill(os.getpid(), 9)  # SIGKILL; on Windows TerminateProcess
+        if number == self.hangs:
+            time.sleep(600)
         if number == self.fails:
             raise ValueError(f"{number}: is unlucky")
         return number * number

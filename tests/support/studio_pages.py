@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import json
 import os
 import shutil
 import time
@@ -169,6 +170,16 @@ class Page:
     def settled(self) -> None:
         """Until every stroke is a layer and the overlay is gone."""
         self.wait("saved strokes", lambda: self.tab.locator(".connection").inner_text().strip() == "Saved")
+
+    def serious(self) -> list[str]:
+        """What axe calls serious or critical about the page as it is; skips where axe is not installed."""
+        axe = WEB / "node_modules/axe-core/axe.min.js"
+        if not axe.is_file():
+            pytest.skip(f"axe is not installed: run `npm ci` in {WEB.name}/")
+        self.ask(f"window.axe || (0, eval)({json.dumps(axe.read_text(encoding='utf-8'))})")
+        violations = self.ask("axe.run().then((result) => result.violations)")
+        impacts = ("serious", "critical")
+        return [f"{one['id']}: {one['nodes'][0]['html']}" for one in violations if one["impact"] in impacts]
 
     def drop(self, name: str, data: bytes, kind: str) -> None:
         """Drop a file on the window."""

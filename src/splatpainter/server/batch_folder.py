@@ -29,7 +29,7 @@ MAX_STEM_BYTES = 100
 """Of the part of a result's name that comes from its asset."""
 UNFIT = str.maketrans('*?:"<>|[]{}', "-------()()")
 """In names: wildcards, where a JOBS.yaml takes other names in, and what Windows forbids."""
-OF_JOBS_FILE = re.compile(rf"(?:.*[/\\])?{re.escape(JOBS)}(?::\d+)?: (?:variants\[\d+\]: )?")
+OF_JOBS_FILE = re.compile(rf"(?:.*[/\\])?{re.escape(JOBS)}(?::\d+)?: (?:variants(?:\[\d+\])?: )?")
 """Beginning of what is said of a JOBS.yaml, which clients have never seen."""
 
 

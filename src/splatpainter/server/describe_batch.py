@@ -64,11 +64,13 @@ def zip_url(batch: Batch) -> str | None:
 
 def _line(entry: BatchJob) -> str:
     record = entry.record
+    if entry.state == "cancelled":
+        return ""
     if entry.state != "done":
         return str(record.get("error", ""))
     rows, touched = int(record.get("rows", 0)), int(record.get("touched", 0))
     appended = f", {int(record['appended']):,} appended" if record.get("appended") else ""
-    return f"{rows - touched:,} of {rows:,} Gaussians unchanged, verified{appended}"
+    return f"{rows - touched:,} of {rows:,} Gaussians unchanged{appended}, verified"
 
 
 def _address(batch: Batch) -> str:

@@ -264,7 +264,7 @@ class Blobs:
         if blob is None:
             raise ValueError(f"blob {sha256[:12]}...: not here (any more); send it again to /api/blobs")
         if kind is not None and blob.info.kind != kind:
-            raise ValueError(f"{blob.name or 'blob'}: expected a {kind}, got a {blob.info.kind}")
+            raise ValueError(f"{blob.name or 'blob'}: expected {_article(kind)}, got {_article(blob.info.kind)}")
         return blob
 
     def name_of(self, sha256: str) -> str:
@@ -314,6 +314,10 @@ class Blobs:
                 total -= oldest.size
                 files.remove(oldest.path)
         return blob
+
+
+def _article(kind: str) -> str:
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 class Incoming:

@@ -83,6 +83,7 @@ const TABLE = [
   { id: "edit.cancel", group: "Edit", label: "Cancel what is under way", keys: ["Escape"] },
   { id: "file.open", group: "Edit", label: "Open", keys: ["Ctrl-O"] },
   { id: "file.save", group: "Edit", label: "Save, export", keys: ["Ctrl-S"] },
+  { id: "file.batch", group: "Edit", label: "Batch: other assets, variants", keys: ["Ctrl-B"] },
   { id: "help", group: "Edit", label: "Shortcuts", keys: ["?"] },
 ] as const satisfies readonly Entry[];
 

@@ -3,10 +3,11 @@
 import { CommandError } from "./connection";
 
 /** Send bytes; returns the name (SHA-256) by which commands refer to them. */
-export async function sendBlob(body: Blob, name = ""): Promise<string> {
+export async function sendBlob(body: Blob, name = "", signal?: AbortSignal): Promise<string> {
   const response = await fetch(`/api/blobs${name ? `?name=${encodeURIComponent(name)}` : ""}`, {
     method: "POST",
     body,
+    signal,
     headers: { "content-type": "application/octet-stream" },
   });
   const answer = (await response.json().catch(() => ({}))) as {

@@ -6,6 +6,7 @@ import type { AssetInfo, Event, State, StateEvent } from "../messages";
 import { CommandError, Link, type Fields, type Name, type Result } from "../net/connection";
 import { between, fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
+import { applyBatch, batch } from "./batch";
 import { axisName } from "./up-axis";
 import {
   camera,
@@ -45,7 +46,10 @@ export function start(canvas: HTMLCanvasElement): void {
       status.value = next;
       stopped.value = reason;
     },
-    greeted: (greeting) => adopt(greeting.state),
+    greeted: (greeting) => {
+      adopt(greeting.state);
+      link.do("batch.status", {}).then((answer) => (batch.value = answer.batch), report);
+    },
     event,
     answered: ({ python }) => {
       if (python) pythonLog.value = [...pythonLog.value, python].slice(-500);
@@ -156,6 +160,7 @@ function canvasSize(): { width: number; height: number } {
 
 function event(message: Event): void {
   if (message.event === "state") applyState(message);
+  else if (message.event === "batch") applyBatch(message);
   else if (message.event === "toast") toast(message.level, message.message, message.hint);
   else watched.onPicture(message.picture, message.name);
 }

@@ -7,6 +7,7 @@ import { startStamp } from "../paint/placement";
 import { addPicture } from "../state/dropped-images";
 import { camera, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
+import { BatchDialog } from "./batch";
 import { BrushPanel } from "./brush-panel";
 import { ColorsPanel } from "./colors-panel";
 import { Away, Jobs, StatusLine, Toasts } from "./feedback";
@@ -106,6 +107,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
       <Help />
       <Continue />
       <Tour />
+      <BatchDialog />
       {filesOpen.value && <Files saving={filesOpen.value === "save"} onClose={() => (filesOpen.value = null)} />}
     </div>
   );

@@ -1,6 +1,7 @@
 /** Messages of the studio: toasts, progress, the status line, the sheet of shortcuts. */
 
 import { dismiss, jobs, pythonLog, refusal, state, status, stopped, toast, toasts } from "../state/store";
+import { BatchChip } from "./batch";
 import { aside } from "../state/aside";
 import { Button } from "./parts";
 
@@ -57,6 +58,7 @@ export function StatusLine() {
   return (
     <footer class="status">
       <span>{now ? `${now.asset.gaussians.toLocaleString()} Gaussians` : "No asset"}</span>
+      <BatchChip />
       {edit && (
         <span
           class="last-edit"

@@ -3,6 +3,7 @@
 import { signal } from "@preact/signals";
 
 import { pendingStrokes } from "../paint/strokes";
+import { batchOpen } from "../state/batch";
 import { canRedo, canUndo, help, pose, readOnly, state, status, view, working } from "../state/store";
 import { go, run } from "../state/studio";
 import { axisName, OPPOSITE } from "../state/up-axis";
@@ -70,6 +71,14 @@ export function Header() {
         text="Save, export"
         disabled={!now}
         onClick={() => (filesOpen.value = "save")}
+      />
+      <Button
+        icon="batch"
+        label="Batch: these layers on other assets, or variants of this one"
+        command="file.batch"
+        text="Batch…"
+        disabled={!now}
+        onClick={() => (batchOpen.value = true)}
       />
       <span class="title" title={now?.asset.problems.join("\n")}>
         {now ? (now.project.file ?? now.asset.name) : ""}

@@ -23,6 +23,7 @@ import {
   type SelectKind,
   type Tool,
 } from "../state/store";
+import { batchOpen } from "../state/batch";
 import { glide, report, run } from "../state/studio";
 import { fromCamera, lookAlong, type Vec3 } from "../view/camera";
 import { FLY_KEYS } from "../view/gestures";
@@ -168,6 +169,7 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "edit.cancel": cancelDrawing,
   "file.open": () => (filesOpen.value = "open"),
   "file.save": () => (filesOpen.value = "save"),
+  "file.batch": () => (batchOpen.value = state.value !== null),
   help: () => (help.value = true),
 };
 

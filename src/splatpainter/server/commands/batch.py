@@ -137,8 +137,7 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
 
 @command(BatchStart, background=True, once=True)
 def start_batch(context: CommandContext, request: BatchStart) -> BatchAnswer:
-    line = 'splatpainter.commands.batch.run(Config(Path("batch.yaml")))'
-    return BatchAnswer(batch=batch_info(context.studio, context.studio.batches.start(request.batch)), python=line)
+    return BatchAnswer(batch=batch_info(context.studio, context.studio.batches.start(request.batch)))
 
 
 @command(BatchCancel)
