@@ -40,7 +40,7 @@ def test_what_the_generator_makes_of_each_kind_of_field() -> None:
         "export interface LayerMade extends Answer {",
         '  event: "state";',  # a default of what is received is always there
         '  "paint.dab": [PaintDab, Previewed];',
-        "export type Event = StateEvent | ToastEvent | PictureEvent;",
+        "export type Event = StateEvent | ToastEvent | PictureEvent | BatchEvent;",
         f'export const SCHEMA_HASH = "{schema.schema_hash()}";',
     ):
         assert line in text, line

@@ -19,7 +19,7 @@ from splatpainter.splats import Frame
 from splatpainter.yamlio import Lines, read
 
 MAX_JOBS = 100_000
-MASK, KEPT = "mask=", ("selection=", "layer=")
+MASK, OF_PROJECT = "mask=", ("selection=", "layer=")
 """Terms of `where` that name files: MASK.png@CAMERA.json, and NAME@PROJECT.splatproj."""
 READ_BYTES = 1 << 20
 
@@ -223,7 +223,7 @@ def _where_term(term: str, folder: Path, line: str, files: list[tuple[str, str]]
     """A term (`mask=M.png@CAM.json`, `selection=NAME@P.splatproj`, `layer=...`) with paths of this machine."""
     inverted, bare = ("not:", term[4:]) if term.startswith("not:") else ("", term)
     kind, equals, value = bare.partition("=")
-    if kind + equals in KEPT and "@" in value:
+    if kind + equals in OF_PROJECT and "@" in value:
         title, _, name = value.rpartition("@")
         names, start = [str(folder / name)], f"{kind}={title}@"
     elif bare.startswith(MASK):

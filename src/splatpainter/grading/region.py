@@ -245,7 +245,7 @@ def _mask(name: str, text: str) -> Weigh:
     return weigh
 
 
-def _kept(name: str, text: str) -> Weigh:
+def _of_project(name: str, text: str) -> Weigh:
     """A selection that a project keeps, or what one of its layers paints, on an asset made from its original."""
     from splatpainter.session import Session
     from splatpainter.session.selection import Selection
@@ -285,6 +285,6 @@ _TERMS: dict[str, Callable[[str, str], Weigh]] = {
     "opacity": _attribute,
     "size": _attribute,
     "mask": _mask,
-    "selection": _kept,
-    "layer": _kept,
+    "selection": _of_project,
+    "layer": _of_project,
 }

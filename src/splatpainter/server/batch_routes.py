@@ -11,7 +11,7 @@ from urllib.parse import quote
 from fastapi import FastAPI
 from fastapi.responses import FileResponse, Response, StreamingResponse
 
-from splatpainter.server.batches import Batch
+from splatpainter.server.batches import StudioBatch
 from splatpainter.server.describe_batch import PAGE, batch_info, job_info, picture_file, result_file, zip_url, zipped
 from splatpainter.server.hub import Hub, problem_of
 from splatpainter.server.protocol import BatchEvent, Problem
@@ -35,7 +35,7 @@ def add_batch_routes(
     """Downloads below /api/batch. failed: an answer that says what is wrong; headers: of what may change."""
     studio = hub.studio
 
-    def existing(id: str, find: Callable[[Batch], Path]) -> Path | Response:
+    def existing(id: str, find: Callable[[StudioBatch], Path]) -> Path | Response:
         try:
             path = find(studio.batches.get(id))
             if not path.is_file():
@@ -76,7 +76,7 @@ def publish_batches(hub: Hub) -> None:
     """Send every client what happens to the studio's batch, from now on. Called on the event loop."""
     loop, studio = asyncio.get_running_loop(), hub.studio
 
-    def changed(batch: Batch | None, number: int | None) -> None:
+    def changed(batch: StudioBatch | None, number: int | None) -> None:
         if batch is None:
             event = BatchEvent()
         elif number is None:

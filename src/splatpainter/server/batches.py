@@ -47,7 +47,7 @@ class BatchJob:
 
 
 @dataclass
-class Batch:
+class StudioBatch:
     """All jobs of one batch."""
 
     id: str
@@ -74,23 +74,23 @@ class Batches:
         """root: the folder in which its folder is made."""
         self._root = root
         self._lock = threading.RLock()
-        self._present: Batch | None = None
+        self._present: StudioBatch | None = None
         self._preparing = False
-        self.changed: Callable[[Batch | None, int | None], None] = lambda batch, number: None
+        self.changed: Callable[[StudioBatch | None, int | None], None] = lambda batch, number: None
         """Called, from any thread, with the batch and the number of the job that changed; None: the whole of it."""
 
     @property
-    def present(self) -> Batch | None:
+    def present(self) -> StudioBatch | None:
         return self._present
 
-    def get(self, id: str) -> Batch:
+    def get(self, id: str) -> StudioBatch:
         """Raises ValueError for one that is not (or no longer) here."""
         batch = self._present
         if batch is None or batch.id != id:
             raise ValueError("batch: not here (any more); make it again")
         return batch
 
-    def make(self, prepare: Callable[[Path], tuple[JobList, list[str], str]]) -> Batch:
+    def make(self, prepare: Callable[[Path], tuple[JobList, list[str], str]]) -> StudioBatch:
         """Plan another batch; the results of the one before are removed. prepare: fills a new folder and returns the
         jobs, what is done for each, and the title. Raises ValueError: one is at work, and what `prepare` refuses."""
         with self._lock:
@@ -102,7 +102,7 @@ class Batches:
         try:
             plan, words, title = prepare(folder)
             jobs = [BatchJob(job, word) for job, word in zip(plan.jobs, words, strict=True)]
-            batch = Batch(id, folder, title, plan, jobs)
+            batch = StudioBatch(id, folder, title, plan, jobs)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -116,7 +116,7 @@ class Batches:
         self.changed(batch, None)
         return batch
 
-    def start(self, id: str) -> Batch:
+    def start(self, id: str) -> StudioBatch:
         """Raises ValueError: not planned, or the program cannot be started."""
         with self._lock:
             batch = self.get(id)
@@ -135,7 +135,7 @@ class Batches:
         self.changed(batch, None)
         return batch
 
-    def cancel(self, id: str) -> Batch:
+    def cancel(self, id: str) -> StudioBatch:
         """End it; results that are done stay. Raises ValueError: it is not at work."""
         with self._lock:
             batch = self.get(id)
@@ -177,7 +177,7 @@ class Batches:
             batch.deadline.cancel()
         shutil.rmtree(batch.folder, ignore_errors=True)
 
-    def _follow(self, batch: Batch) -> None:
+    def _follow(self, batch: StudioBatch) -> None:
         """Read what the program says until it ends."""
         child = batch.child
         assert child is not None and child.stdout is not None and child.stdin is not None

@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from splatpainter.server.batch_folder import ASSETS, OUT
-from splatpainter.server.batches import Batch, BatchJob
+from splatpainter.server.batches import StudioBatch, BatchJob
 from splatpainter.server.protocol import BatchInfo, BatchJobInfo
 from splatpainter.server.studio import Studio
 
@@ -20,7 +20,7 @@ BELOW = re.compile(rf"(?<![\w/\\])(?:{ASSETS}|{OUT})[/\\]")
 """Folders of a batch, in what its program says."""
 
 
-def batch_info(studio: Studio, batch: Batch) -> BatchInfo:
+def batch_info(studio: Studio, batch: StudioBatch) -> BatchInfo:
     """All of it."""
     page = batch.folder / OUT / PAGE
     return BatchInfo(
@@ -33,7 +33,7 @@ def batch_info(studio: Studio, batch: Batch) -> BatchInfo:
     )
 
 
-def job_info(studio: Studio, batch: Batch, number: int) -> BatchJobInfo:
+def job_info(studio: Studio, batch: StudioBatch, number: int) -> BatchJobInfo:
     """One result."""
     entry = batch.jobs[number]
     done, out, address = entry.state == "done", entry.job.out, _address(batch)
@@ -57,7 +57,7 @@ def job_info(studio: Studio, batch: Batch, number: int) -> BatchJobInfo:
     )
 
 
-def zip_url(batch: Batch) -> str | None:
+def zip_url(batch: StudioBatch) -> str | None:
     """Of everything that is done."""
     return f"{_address(batch)}/all.zip" if any(job.state == "done" for job in batch.jobs) else None
 
@@ -73,11 +73,11 @@ def _line(entry: BatchJob) -> str:
     return f"{rows - touched:,} of {rows:,} Gaussians unchanged{appended}, verified"
 
 
-def _address(batch: Batch) -> str:
+def _address(batch: StudioBatch) -> str:
     return f"/api/batch/{batch.id}"
 
 
-def result_file(batch: Batch, name: str) -> Path:
+def result_file(batch: StudioBatch, name: str) -> Path:
     """A result, its receipt, or the summary page. Raises ValueError for any other name."""
     for entry in batch.jobs:
         if entry.state == "done" and name in (entry.job.out.name, entry.job.out.name + RECEIPT):
@@ -87,14 +87,14 @@ def result_file(batch: Batch, name: str) -> Path:
     raise ValueError(f"{name[:100]}: is no result of this batch")
 
 
-def picture_file(batch: Batch, number: int, name: str) -> Path:
+def picture_file(batch: StudioBatch, number: int, name: str) -> Path:
     """A small picture of a result. Raises ValueError for any other."""
     if 0 <= number < len(batch.jobs) and name in PICTURES and batch.jobs[number].state == "done":
         return batch.jobs[number].job.folder / name
     raise ValueError(f"{name[:100]}: is no picture of this batch")
 
 
-def zipped(batch: Batch) -> Iterator[bytes]:
+def zipped(batch: StudioBatch) -> Iterator[bytes]:
     """Pieces of a ZIP of all results with their receipts, and the page. Not packed: splat files hardly get smaller."""
     names = [entry.job.out.name + ending for entry in batch.jobs if entry.state == "done" for ending in ("", RECEIPT)]
     if not batch.at_work and (batch.folder / OUT / PAGE).is_file():
