@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from splatpainter.server.batch_folder import ASSETS, OUT
-from splatpainter.server.batches import StudioBatch, BatchJob
+from splatpainter.server.batches import BatchJob, StudioBatch
 from splatpainter.server.protocol import BatchInfo, BatchJobInfo
 from splatpainter.server.studio import Studio
 
