@@ -26,9 +26,14 @@ LINK_CELLS = 3.0
 """Edge of the cubes in which the Gaussians of one border hang together, in cells."""
 MAX_BORDERS = 8
 """Parts of a border that are looked at, the largest first: an object may touch several things."""
+MIN_BORDER_SHARE = 0.08
+"""Gaussians of a part beside those of the largest one: smaller parts are crumbs."""
 MIN_ALIGNED = 0.6
 """Share of the normals' second moment along one axis, from which that axis is the normal of a border; below, it is that
 along which the border extends least: around a stump normals point everywhere."""
+
+MIN_FLATNESS = 0.2
+"""Mean of 1 - shortest / middle axis, from which Gaussians have normals."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,8 @@ def borders_of(splats: Splats, remaining: np.ndarray, candidates: np.ndarray) ->
     labels = components(splats.means[ids], LINK_CELLS * cell)
     counts = np.bincount(labels)
     order = np.argsort(-counts, kind="stable")[:MAX_BORDERS]
-    parts = [ids[labels == label] for label in order if counts[label] >= MIN_BORDER]
+    least = max(MIN_BORDER, MIN_BORDER_SHARE * counts.max())
+    parts = [ids[labels == label] for label in order if counts[label] >= least]
     return [_border(splats, part) for part in parts]
 
 
@@ -100,8 +106,12 @@ def _border(splats: Splats, ids: np.ndarray) -> Border:
     offsets = means - means.mean(0)
     extents, directions = np.linalg.eigh(offsets.T @ offsets)
     shares, normals = np.linalg.eigh(thin.T @ thin / len(ids))
-    aligned = bool(shares[2] >= MIN_ALIGNED)
-    normal = normals[:, 2] if aligned else directions[:, 0]
+    ordered = np.sort(scales, 1)
+    if float((1 - ordered[:, 0] / ordered[:, 1]).mean()) < MIN_FLATNESS:  # round ones have no normal
+        aligned, normal = True, directions[:, 0]
+    else:
+        aligned = bool(shares[2] >= MIN_ALIGNED)
+        normal = normals[:, 2] if aligned else directions[:, 0]
     across = directions[:, int(extents.argmax())]
     across = across - (across @ normal) * normal
     if np.linalg.norm(across) < 1e-3:

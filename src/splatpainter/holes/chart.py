@@ -132,7 +132,8 @@ def chart_of(
     if removed is not None:
         guide = _shadow(splats, removed, border, camera, rotation, slab)
     hull = _in_hull(index[seeds].astype(np.float64), side)
-    hole = _hole(shell, guide, hull & guide if border.aligned else hull)
+    between = hull & guide if border.aligned else hull
+    hole = _hole(shell, guide, between, 0 if removed is not None else CELL_PX)
     depth, normals = np.where(shell, depth, 0.0), np.where(shell[..., None], normals, 0.0)
     clean = shell & (coverage > MIN_CLEAN_COVERAGE)
     return Chart(camera, part, pixel, picture, depth, normals, shell, hole, clean, share)
@@ -192,9 +193,10 @@ def _shadow(
     return grown(out, 2 * CELL_PX)
 
 
-def _hole(shell: np.ndarray, guide: np.ndarray, between: np.ndarray) -> np.ndarray:
+def _hole(shell: np.ndarray, guide: np.ndarray, between: np.ndarray, margin: int) -> np.ndarray:
     """[H, W] bool: parts that the shell encloses, or that lie `between` parts of the border, where the guide touches
-    them and the shell is around."""
+    them and the shell is around. margin: pixels to every side that some pixel of a part must have: what is smaller is a
+    gap between neighbours."""
     closed = ~grown(~grown(shell, 1), 1)
     outside = _labels(~closed)
     frame = np.unique(np.concatenate([outside[0], outside[-1], outside[:, 0], outside[:, -1]]))
@@ -204,7 +206,8 @@ def _hole(shell: np.ndarray, guide: np.ndarray, between: np.ndarray) -> np.ndarr
     for label in range(parts.max() + 1):
         part = parts == label
         rim = grown(part, 1) & ~part
-        if part.sum() >= MIN_HOLE_PX and (part & guide).any() and shell[rim].mean() >= MIN_RIM_SHARE:
+        wide = not margin or bool((part & ~grown(~part, margin)).any())
+        if wide and part.sum() >= MIN_HOLE_PX and (part & guide).any() and shell[rim].mean() >= MIN_RIM_SHARE:
             hole |= part
     return hole
 

@@ -28,6 +28,10 @@ class GeometryCommands(ABC):
 
     @property
     @abstractmethod
+    def snapshot(self) -> Any: ...
+
+    @property
+    @abstractmethod
     def splats(self) -> Splats: ...
 
     @property
@@ -88,6 +92,18 @@ class GeometryCommands(ABC):
             document, layer = add_layer(document, made)
             self._commit("remove and fill" if remove else f"add {layer.name}", document, strict=layer.id)
             return layer
+
+    def filled_by(self, layer: str) -> np.ndarray:
+        """[N] bool of `splats`: the Gaussians of a fill layer. Raises ValueError for another layer, and where it is
+        hidden or changes nothing."""
+        snapshot = self.snapshot
+        out = np.zeros(len(snapshot.splats), bool)
+        for entry in snapshot.state.edited:
+            if entry.layer.id == layer and entry.layer.kind == "fill":
+                out[slice(*entry.appended)] = True
+        if not out.any():
+            raise ValueError(f"{self.layer(layer).title}: expected a visible layer that fills a hole")
+        return out
 
     def fill_from(
         self, layer: str, edits: Sequence[Edit], *, source: Mapping[str, Any] | None = None, name: str | None = None

@@ -336,7 +336,7 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
         from splatpainter.lift.limits import blocks_px
 
         document, state = self._snapshot.document, self._replay.base_state
-        hiding = tuple(layer for layer in document.layers if layer.kind == "hide" and layer.visible)
+        hiding = tuple(layer for layer in document.layers if layer.kind in ("hide", "fill") and layer.visible)
         if hiding:
             with self._commands:
                 state = self._replay.compose(replace(document, layers=hiding))

@@ -80,8 +80,9 @@ def fill(
     if source is not None:
         with_fill = replace(emptied, source=None, origin=None).append(appended)
         flag, report = cancel or threading.Event(), progress or (lambda share, words: None)
-        view = camera or facing(filled, with_fill, len(splats))
-        made = ask_for_fill(with_fill, len(splats), source, brief, view, progress=report, cancel=flag)
+        new = np.arange(len(with_fill)) >= len(splats)
+        view = camera or facing(filled, with_fill, new)
+        made = ask_for_fill(with_fill, new, source, brief, view, progress=report, cancel=flag)
         edits = (made,)
         appended = painted(emptied, appended, [(made.edit.camera, made.edit.image, _mask_of(made))])
     after = emptied.append(replace(appended, source=None, origin=None))
@@ -107,10 +108,10 @@ def fill(
     return Asset(after, receipt, original=splats)
 
 
-def facing(filled: Filled, splats: Splats, count: int, size: int = VIEW_PX) -> Camera:
-    """A view of the largest hole, with some of what surrounds it. splats: with the new Gaussians, from number `count`
-    on; of the two sides of the surface that which shows more of them."""
-    center = splats.means[count:].astype(np.float64).mean(0)
+def facing(filled: Filled, splats: Splats, new: np.ndarray, size: int = VIEW_PX) -> Camera:
+    """A view of the largest hole, with some of what surrounds it. splats: with the new Gaussians ([N] bool); of
+    the two sides of the surface that which shows more of them."""
+    center = splats.means[new].astype(np.float64).mean(0)
     towards = filled.camera
     width = filled.size_px * float(towards.to_camera(center)[2]) / towards.fx
     distance = VIEW_SIDES * width / (2 * math.tan(math.radians(VIEW_FOV / 2)))
@@ -119,13 +120,13 @@ def facing(filled: Filled, splats: Splats, count: int, size: int = VIEW_PX) -> C
         eye = center + side * distance * towards.forward
         up = -towards.world_to_camera[1, :3]
         cameras.append(look_at(eye, center, up, width=size, height=size, fov=VIEW_FOV, background=BACKGROUND))
-    areas = [int(fill_mask(splats, count, camera.resized(LOOK_PX, LOOK_PX)).sum()) for camera in cameras]
+    areas = [int(fill_mask(splats, new, camera.resized(LOOK_PX, LOOK_PX)).sum()) for camera in cameras]
     return cameras[int(np.argmax(areas))]
 
 
 def ask_for_fill(
     splats: Splats,
-    count: int,
+    new: np.ndarray,
     source: PictureSource,
     brief: SourceBrief,
     camera: Camera,
@@ -133,9 +134,9 @@ def ask_for_fill(
     progress: Progress,
     cancel: CancelFlag,
 ) -> SourcedEdit:
-    """A source's picture of a view of `splats` (numpy), whose Gaussians from number `count` on fill a hole: these are
+    """A source's picture of a view of `splats` (numpy), some of whose Gaussians (new: [N] bool) fill a hole: these are
     the mask. Raises SourceError: the view does not show them; and as ask_for_edit."""
-    mask = fill_mask(splats, count, camera)
+    mask = fill_mask(splats, new, camera)
     if mask.sum() < MIN_MASK_PX:
         raise SourceError(f"{source.name}: the view does not show the hole; choose another one")
     return ask_for_edit(
@@ -143,11 +144,11 @@ def ask_for_fill(
     )
 
 
-def fill_mask(splats: Splats, count: int, camera: Camera) -> np.ndarray:
-    """[H, W] bool: where a view shows Gaussians from number `count` on, and a little around them."""
+def fill_mask(splats: Splats, new: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W] bool: where a view shows new Gaussians ([N] bool), and a little around them."""
     view = project(replace(splats, source=None, origin=None), replace(camera, background=(0.0, 0.0, 0.0)))
-    new = np.repeat((view.gaussian_ids >= count)[:, None], 3, 1).astype(np.float32)
-    image, _, _ = view.rasterize(np.ascontiguousarray(new))
+    shares = np.repeat(new[view.gaussian_ids, None], 3, 1).astype(np.float32)
+    image, _, _ = view.rasterize(np.ascontiguousarray(shares))
     return grown(image[..., 0] > MIN_SHARE, MASK_MARGIN_PX)
 
 

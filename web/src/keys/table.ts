@@ -62,6 +62,12 @@ const TABLE = [
   { id: "select.invert", group: "Selection", label: "Invert the selection", keys: ["Ctrl-Shift-I", "Shift-F7"] },
   { id: "select.tint", group: "Selection", label: "Tint what is selected", keys: ["Ctrl-H"] },
   { id: "select.hide", group: "Selection", label: "Hide what is not selected", keys: ["Shift-Delete"] },
+  {
+    id: "select.fill",
+    group: "Selection",
+    label: "Remove what is selected, and fill",
+    keys: ["Shift-F5", "Shift-Backspace"],
+  },
 
   { id: "layer.duplicate", group: "Layers", label: "Duplicate the layer", keys: ["Ctrl-J"] },
   { id: "layer.merge", group: "Layers", label: "Merge with the layer below", keys: ["Ctrl-E"] },

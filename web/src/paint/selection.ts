@@ -67,6 +67,13 @@ export async function hideSelected(rest: boolean, name: string): Promise<void> {
   if (answer) selectedLayer.value = answer.layer.id;
 }
 
+/** Fill a hole that is circled, or what is left where the selected Gaussians are hidden. */
+export async function fillSelected(remove: boolean): Promise<void> {
+  if (readOnly.value || selectedCount.value === 0) return;
+  const answer = await sent(() => run("fill.selection", { remove }, remove ? "Removing and filling" : "Filling"));
+  if (answer) selectedLayer.value = answer.layer.id;
+}
+
 /** Run what changes the selection, one after the other. */
 export function sent<T>(work: () => Promise<T>): Promise<T> {
   const result = sending.then(work);

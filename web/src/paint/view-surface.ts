@@ -49,8 +49,10 @@ export function followSurface(): void {
     const needed = lays || brushes;
     clearTimeout(timer);
     if (!view || !now || !needed) return;
-    // paint changes what is seen, but hardly where the surface is: layers that hide something do
-    const hidden = now.layers.filter((layer) => layer.kind === "hide").map((layer) => `${layer.id}${layer.visible}`);
+    // paint changes what is seen, but hardly where the surface is: layers that hide or fill something do
+    const hidden = now.layers
+      .filter((layer) => ["hide", "fill"].includes(layer.kind))
+      .map((layer) => `${layer.id}${layer.visible}`);
     const key = JSON.stringify([now.session, view, hidden]);
     if (key !== requestedKey) timer = setTimeout(() => void ask(view, key), REST_MS);
   });

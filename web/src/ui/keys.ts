@@ -6,7 +6,7 @@ import type { CommandId } from "../keys/table";
 import { resizeBrush } from "../paint/brush-settings";
 import { commitPlacement, placement } from "../paint/placement";
 import { setColor } from "../paint/point-tools";
-import { changeSelection, deselect, hideSelected, selectedCount, tinted } from "../paint/selection";
+import { changeSelection, deselect, fillSelected, hideSelected, selectedCount, tinted } from "../paint/selection";
 import { transformLayer } from "../paint/transform";
 import {
   brush,
@@ -147,6 +147,7 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "select.again": () => changeSelection("again"),
   "select.invert": () => selectedCount.value > 0 && changeSelection("invert"),
   "select.tint": () => (tinted.value = !tinted.value),
+  "select.fill": () => void fillSelected(true),
   "select.hide": () => selectedCount.value > 0 && void hideSelected(true, "Crop"),
   "layer.duplicate": onLayer(async (layer) => {
     const answer = await run("layer.duplicate", { layer }, "Duplicating");

@@ -10,6 +10,7 @@ import { maskedLayer, readOnly, selectedLayer, spreading, state, tab } from "../
 import { report, run } from "../state/studio";
 import { openFile } from "./files";
 import { changePlaced } from "../paint/placement";
+import { FillSettings } from "./fill-layer";
 import { Icon } from "./icons";
 import { LayerMask, maskOpen, paintMask } from "./layer-mask";
 import { Button, Check, Choice, FileButton, Slider } from "./parts";
@@ -50,6 +51,7 @@ export function Layers() {
       </header>
       <LayerSettings layer={chosen} />
       <SpreadSettings layer={chosen} />
+      <FillSettings layer={chosen} />
       <LayerMask layer={chosen} />
       <InConflict />
       <ul class="layer-list" aria-label="Layers, uppermost first">
@@ -153,6 +155,8 @@ function Thumbnail({ layer }: { layer: LayerInfo }) {
           <Icon name="lens" />
         ) : layer.kind === "hide" ? (
           <Icon name="hidden" />
+        ) : layer.kind === "fill" ? (
+          <Icon name="heal" />
         ) : (
           <Icon name="brush" />
         )}

@@ -8,6 +8,7 @@ import {
   changeSelection,
   cropBox,
   deselect,
+  fillSelected,
   hideSelected,
   selectedCount,
   selection,
@@ -79,9 +80,24 @@ export function SelectionPanel() {
         />
         <Button
           label="Fill what is selected of this view from what lies around it"
-          text="Fill"
+          text="Heal"
           disabled={off || !selection.value}
           onClick={() => void fillFromAround().catch(report)}
+        />
+      </p>
+      <p class="row">
+        <Button
+          label="Hide what is selected, and continue the surface behind it with new Gaussians"
+          command="select.fill"
+          text="Remove and fill"
+          disabled={off}
+          onClick={() => void fillSelected(true)}
+        />
+        <Button
+          label="Continue the surface over a hole that the selection surrounds"
+          text="Fill hole"
+          disabled={off}
+          onClick={() => void fillSelected(false)}
         />
       </p>
       <details open>

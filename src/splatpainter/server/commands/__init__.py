@@ -7,6 +7,7 @@ from splatpainter.server.commands import color_grading as _color_grading  # noqa
 from splatpainter.server.commands import decals as _decals  # noqa: F401
 from splatpainter.server.commands import exports as _exports  # noqa: F401
 from splatpainter.server.commands import files as _files  # noqa: F401
+from splatpainter.server.commands import filling as _filling  # noqa: F401
 from splatpainter.server.commands import layers as _layers  # noqa: F401
 from splatpainter.server.commands import painting as _painting  # noqa: F401
 from splatpainter.server.commands import picture_check as _picture_check  # noqa: F401

@@ -135,10 +135,12 @@ def _info(status: SourceStatus) -> SourceInfo:
 @command(SourceEdit, background=True, once=True)
 def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited:
     studio, source = context.studio, open_source(request.source)
-    camera = _within(request.camera.to_camera(), source.capabilities.max_side_px, MAX_VIEW_PIXELS // request.enlarge**2)
+    camera = within_limits(
+        request.camera.to_camera(), source.capabilities.max_side_px, MAX_VIEW_PIXELS // request.enlarge**2
+    )
     mask = None if request.mask is None else mask_from_upload(context, request.mask, camera)
     brief = SourceBrief(request.prompt, seed=request.seed, scale=request.enlarge)
-    flag = _TicketFlag(context)
+    flag = TicketFlag(context)
     splats = studio.session.splats.numpy()
     try:
         made = ask_for_edit(
@@ -225,7 +227,9 @@ class SourceCover(Command):
 @command(SourcePlan, background=True)
 def plan_source_views(context: CommandContext, request: SourcePlan) -> SourcePlanned:
     studio, source = context.studio, open_source(request.source)
-    first = None if request.camera is None else _within(request.camera.to_camera(), source.capabilities.max_side_px)
+    first = (
+        None if request.camera is None else within_limits(request.camera.to_camera(), source.capabilities.max_side_px)
+    )
     context.ticket.report(0, "planning")
     plan = plan_views(
         studio.session.splats.numpy(),
@@ -244,9 +248,9 @@ def plan_source_views(context: CommandContext, request: SourcePlan) -> SourcePla
 
 @command(SourceCover, background=True, once=True)
 def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCovered:
-    studio, source, flag = context.studio, open_source(request.source), _TicketFlag(context)
+    studio, source, flag = context.studio, open_source(request.source), TicketFlag(context)
     session, brief = studio.session, SourceBrief(request.prompt, seed=request.seed)
-    cameras = tuple(_within(view.to_camera(), source.capabilities.max_side_px) for view in request.views)
+    cameras = tuple(within_limits(view.to_camera(), source.capabilities.max_side_px) for view in request.views)
     if session.read_only:
         raise ValueError(f"{studio.name}: {session.read_only}")
 
@@ -291,7 +295,7 @@ def name_of(source: PictureSource, prompt: str) -> str:
     return f"{source.name}: {' '.join(prompt.split())[:60]}".rstrip(": ")
 
 
-def _within(camera: Camera, max_side_px: int, max_pixels: int = MAX_VIEW_PIXELS) -> Camera:
+def within_limits(camera: Camera, max_side_px: int, max_pixels: int = MAX_VIEW_PIXELS) -> Camera:
     """The same view, no larger than a source takes."""
     scale = min(max_side_px / max(camera.width, camera.height), (max_pixels / (camera.width * camera.height)) ** 0.5)
     if scale >= 1:
@@ -299,7 +303,7 @@ def _within(camera: Camera, max_side_px: int, max_pixels: int = MAX_VIEW_PIXELS)
     return camera.resized(max(1, int(scale * camera.width)), max(1, int(scale * camera.height)))
 
 
-class _TicketFlag:
+class TicketFlag:
     """A command's ticket as a source sees it: progress, and whether it was cancelled."""
 
     def __init__(self, context: CommandContext) -> None:

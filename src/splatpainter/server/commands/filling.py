@@ -1,0 +1,89 @@
+"""Holes filled: what is selected removed and filled, a circled hole closed, and a fill coloured by a picture source."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
+from splatpainter.server.commands.source_edit import MAX_PROMPT_CHARACTERS, TicketFlag, within_limits
+from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
+from splatpainter.server.work_queue import Cancelled
+from splatpainter.source_edits.edit import source_record
+from splatpainter.source_edits.fill import ask_for_fill
+from splatpainter.source_edits.view_edit import SourceBrief
+from splatpainter.sources.picture_source import SourceCancelled
+from splatpainter.sources.registry import open_source
+
+
+class FillSelection(Command):
+    """New Gaussians that continue the surface, as a layer: over a hole that the selection surrounds, or (remove) over
+    what is left when the selected Gaussians are hidden by another layer below. Nothing is selected afterwards."""
+
+    NAME = "fill.selection"
+    ANSWER = LayerMade
+    remove: bool = False
+    name: Name = "Fill"
+
+
+@command(FillSelection, writes=True)
+def fill_selection(context: CommandContext, request: FillSelection) -> LayerMade:
+    current, session = context.studio.selection, context.studio.session
+    weights = current.weights()
+    if weights is None:
+        raise ValueError("selection: nothing is selected; select something first")
+    with progress(context, request.name):
+        layer = session.fill(weights, remove=request.remove, name=request.name)
+    current.choose(None)
+    remove = True if request.remove else None
+    return layer_made(context, layer.id, python_line("session.fill", RawExpr("weights"), remove=remove))
+
+
+class FillSurroundings(Command):
+    """Colour a fill layer by what surrounds it again."""
+
+    NAME = "fill.surroundings"
+    ANSWER = LayerMade
+    layer: str
+
+
+@command(FillSurroundings, writes=True)
+def fill_from_surroundings(context: CommandContext, request: FillSurroundings) -> LayerMade:
+    session = context.studio.session
+    with progress(context, session.layer(request.layer).name):
+        session.fill_from(request.layer, [])
+    return layer_made(context, request.layer, python_line("session.fill_from", request.layer, []))
+
+
+class FillSource(Command):
+    """Send a view of a fill layer to a source, with the fill as the mask, and colour the layer by what comes back."""
+
+    NAME = "fill.source"
+    ANSWER = LayerMade
+    layer: str
+    source: str = Field(min_length=1, max_length=100)
+    camera: CameraInfo
+    prompt: str = Field(default="", max_length=MAX_PROMPT_CHARACTERS)
+    seed: int | None = Field(default=None, ge=0, le=2**32 - 1)
+
+
+@command(FillSource, background=True, once=True)
+def fill_from_source(context: CommandContext, request: FillSource) -> LayerMade:
+    studio, source, flag = context.studio, open_source(request.source), TicketFlag(context)
+    session, brief = studio.session, SourceBrief(request.prompt, seed=request.seed)
+    camera = within_limits(request.camera.to_camera(), source.capabilities.max_side_px)
+    new, splats = session.filled_by(request.layer), session.splats.numpy()
+    if session.read_only:
+        raise ValueError(f"{studio.name}: {session.read_only}")
+    try:
+        made = ask_for_fill(splats, new, source, brief, camera, progress=flag.report, cancel=flag)
+    except SourceCancelled:
+        raise Cancelled from None
+
+    def paint() -> LayerMade:
+        if studio.session is not session:
+            raise Cancelled  # another project was opened
+        session.fill_from(request.layer, [made.edit], source=source_record(source, brief, [made]))
+        line = f"session.fill_from({request.layer!r}, [edit])  # of {source.name!r}"
+        return layer_made(context, request.layer, line)
+
+    return context.write(paint)
