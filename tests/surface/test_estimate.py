@@ -238,7 +238,7 @@ def test_one_search_looks_at_bounded_numbers_and_finds_what_brute_force_finds():
     assert len(s.cell_sizes) > 4
     out = np.empty(count, np.int64)
     search: Any = gather
-    arrays = (s.keys, s.level_starts, s.cell_sizes, s.reaches, s.min_corner, s.means, s.scales)
+    arrays = (s.keys, s.level_starts, s.cell_sizes, s.reaches, s.min_corner, s.patches)
     for window in (1e-3, 0.02, 0.2):
         for point in rng.uniform(-1.2, 1.2, (20, 3)):
             found = search(*arrays, point, window, 2.5, out)

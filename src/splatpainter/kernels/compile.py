@@ -28,7 +28,13 @@ from splatpainter.user_folders import cache_folder
 WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.rendering.cpu.warm:warm_projection": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
     "splatpainter.rendering.cpu.warm:warm_tiles": ("rendering/cpu", "rendering/profiles.py", "kernels/simd.py"),
-    "splatpainter.surface.warm:warm": ("surface", "rendering/cpu/geometry.py", "kernels/search.py"),
+    "splatpainter.surface.warm:warm": (
+        "surface",
+        "rendering/cpu/geometry.py",
+        "kernels/search.py",
+        "kernels/simd.py",
+        "kernels/vector_exp.py",
+    ),  # fmt: skip
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
     "splatpainter.lift.nearest:warm": ("lift/nearest.py",),

@@ -16,7 +16,7 @@ from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.resurface import MIN_COVER, RING_PX, resurface
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
-from splatpainter.splats import Splats
+from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
 
@@ -67,6 +67,27 @@ def paint_view(
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, 0.0)
     reach = dilated(mask, RING_PX)
     view = project(splats, camera, tiles=tiles_of_mask(reach))
+    tiles = _tiles_at_work(splats, camera, reach, view)
+    ids = _drawn_in(splats, camera, tiles, view)
+    view = replace(view, gaussian_ids=np.searchsorted(ids, view.gaussian_ids), num_gaussians=len(ids))
+    first = int(np.searchsorted(ids, len(splats) if first_appended is None else first_appended))
+    part = _paint_part(splats.take(ids), surface, view, edited, mask, options, first, tiles)
+    return _put_back(splats, ids, part)
+
+
+def _paint_part(
+    splats: Splats,
+    surface: Surface,
+    view: ProjectedView,
+    edited: np.ndarray,
+    mask: np.ndarray,
+    options: LocalOptions,
+    first_appended: int,
+    tiles: np.ndarray,
+) -> PaintedView:
+    """`paint_view` on the Gaussians that it depends on. view: of them, the tiles of the mask and its ring; tiles:
+    [TH, TW] bool, of `read_by_edit`."""
+    camera, reach = view.camera, dilated(mask, RING_PX)
     before, alpha, _ = view.rasterize()
     solid = alpha > MIN_COVER
     visible = visible_surface(surface, splats, view, reach & solid)
@@ -82,20 +103,44 @@ def paint_view(
             "edit: every edited pixel lies beyond the limits of this view; paint it from the front, or pass "
             "angle_limit 0 and depth_edge_limit 0"
         )
-    first = len(splats) if first_appended is None else first_appended
     pixels = dilated(painted, RING_PX) & solid
     target = np.where(painted[..., None], target, before)
-    sheet = resurface(splats, view, visible, before, target, pixels, options, first)
+    sheet = resurface(splats, view, visible, before, target, pixels, options, first_appended)
+    none = np.zeros(0, np.int64)
     if sheet is None:
-        may = read_by_edit(splats, camera, mask, view)[1]
+        may = gaussians_in_mask(splats, camera, mask, None, view)
         lifted = lift_local(splats, camera, target, painted, options, may)
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, limited)
     result = PaintedView(sheet.splats, sheet.touched, sheet.parents, sheet.replaced, sheet.removed, limited)
     left = painted & ~sheet.covered
     if left.sum() <= options.max_left_px:
         return result
-    tiles, may = read_by_edit(splats, camera, mask, view)
-    return _then_split(result, camera, target, left, options, may, tiles)
+    return _then_split(
+        result, camera, target, left, options, gaussians_in_mask(splats, camera, mask, None, view), tiles
+    )
+
+
+def _put_back(splats: Splats, ids: np.ndarray, part: PaintedView) -> PaintedView:
+    """What became of the Gaussians `ids` ([S] int64 ascending), at their indices among all."""
+    count = len(ids)
+    tail = part.splats.take(np.arange(count, len(part.splats)))
+    touched = ids[part.touched]
+    arrays = {}
+    for name in ATTRIBUTES:
+        old, new = getattr(splats, name), getattr(part.splats, name)[part.touched]
+        if not len(tail) and np.array_equal(old[touched], new):
+            continue
+        arrays[name] = np.concatenate([old, getattr(tail, name)])
+        arrays[name][touched] = new
+    origin = None if splats.origin is None else np.concatenate([splats.origin, np.asarray(tail.origin)])
+    return replace(
+        part,
+        splats=replace(splats, **arrays, origin=origin),
+        touched=touched,
+        parents=ids[part.parents],
+        replaced=ids[part.replaced],
+        removed=ids[part.removed],
+    )
 
 
 def read_by_edit(
@@ -109,13 +154,22 @@ def read_by_edit(
     them lie before `first_appended`; without a surface also on which of those that may be split are `allowed`. Raises
     ValueError where no Gaussian contributes to the masked pixels."""
     reach = dilated(mask, RING_PX)
-    under = tiles_of_mask(reach)
-    view = view or project(splats, camera, tiles=under)
-    sums = view.backproject(np.zeros((*mask.shape, 3), np.float32), reach.astype(np.float32))
+    view = view or project(splats, camera, tiles=tiles_of_mask(reach))
+    return _tiles_at_work(splats, camera, reach, view), gaussians_in_mask(splats, camera, mask, None, view)
+
+
+def _tiles_at_work(splats: Splats, camera: Camera, reach: np.ndarray, view: ProjectedView) -> np.ndarray:
+    """[TH, TW] bool tiles of `view`, and of all Gaussians that make pixels of `reach` ([H, W] bool)."""
+    sums = view.backproject(np.zeros((*reach.shape, 3), np.float32), reach.astype(np.float32))
     touching = np.zeros(len(splats), bool)
     touching[view.gaussian_ids[sums.alpha > 0]] = True
-    tiles = under | project(splats, camera, gaussian_mask=touching).tiles_of(touching)
-    return tiles, gaussians_in_mask(splats, camera, mask, None, view)
+    return view.tiles | project(splats, camera, gaussian_mask=touching).tiles_of(touching)
+
+
+def _drawn_in(splats: Splats, camera: Camera, tiles: np.ndarray, view: ProjectedView) -> np.ndarray:
+    """[S] int64 ascending: Gaussians that touch some tiles ([TH, TW] bool). view: of some of these tiles."""
+    beyond = project(splats, camera, tiles=tiles & ~view.tiles)
+    return np.union1d(view.gaussian_ids, beyond.gaussian_ids)
 
 
 def _then_split(

@@ -7,11 +7,13 @@ patches in it, and a query visits a few cells of every level whatever mixture of
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numba import njit
 
 from splatpainter.kernels.search import first_not_below
+from splatpainter.kernels.simd import aligned
 from splatpainter.splats import Splats
 from splatpainter.transforms import quat_to_matrix
 
@@ -23,6 +25,8 @@ MAX_LEVELS = 24
 """Cell sizes double from level to level: a range of 16 million."""
 CELL_BITS = 20
 """Bits of a cell's index along each axis."""
+MEAN, AXES, SCALES, OPACITY, PATCH_COLUMNS = 0, 3, 12, 15, 16
+"""Columns of `SurfaceSamples.patches`, and how many there are."""
 MAX_TESTED = 1 << 14
 """Samples and columns that one search looks at: a million Gaussians at one point cost no more."""
 
@@ -98,6 +102,16 @@ class SurfaceSamples:
     def __len__(self) -> int:
         return len(self.gaussian_ids)
 
+    @cached_property
+    def patches(self) -> np.ndarray:
+        """[M, 16] float32 what queries read of each, in one cache line: columns MEAN (3), AXES (9), SCALES (3),
+        OPACITY."""
+        count = len(self)
+        parts = (self.means, self.axes.reshape(count, 9), self.scales, self.opacities[:, None])
+        out = aligned((count, PATCH_COLUMNS), np.dtype(np.float32))
+        np.concatenate(parts, 1, out=out)
+        return out
+
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def cell_range(position, radius, corner, size):
@@ -111,7 +125,7 @@ def cell_range(position, radius, corner, size):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def gather(keys, level_starts, cell_sizes, reaches, corner, means, scales, point, window, sigmas, out):
+def gather(keys, level_starts, cell_sizes, reaches, corner, patches, point, window, sigmas, out):
     """Indices of samples whose patch, widened by `window` (world units), reaches a point [3] within `sigmas` standard
     deviations of its longest axis, into `out`; returns their number, or len(out) + 1 where they do not fit or too many
     (MAX_TESTED) had to be looked at. Costs as many steps as there are samples and occupied columns of cells near the
@@ -144,10 +158,10 @@ def gather(keys, level_starts, cell_sizes, reaches, corner, means, scales, point
             elif z < z0:
                 i = first_not_below(keys, i, end, (x << 2 * CELL_BITS) | (y << CELL_BITS) | z0)
             else:
-                dx = float(means[i, 0]) - point[0]
-                dy = float(means[i, 1]) - point[1]
-                dz = float(means[i, 2]) - point[2]
-                reach = float(scales[i, 0])
+                dx = float(patches[i, MEAN]) - point[0]
+                dy = float(patches[i, MEAN + 1]) - point[1]
+                dz = float(patches[i, MEAN + 2]) - point[2]
+                reach = float(patches[i, SCALES])
                 if dx * dx + dy * dy + dz * dz < sigmas * sigmas * (reach * reach + window * window):
                     if count == out.shape[0]:
                         return count + 1

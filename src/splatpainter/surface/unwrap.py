@@ -16,10 +16,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
+from numba import carray, njit
 
 from splatpainter.kernels.parallel import run
 from splatpainter.kernels.search import first_not_below
+from splatpainter.kernels.simd import LANES, scratch
+from splatpainter.kernels.vector_exp import exp64
 
 MIN_DISTANCE = 0.7
 """Between samples, in spacings."""
@@ -132,7 +134,9 @@ def smoothed(
     points, normals = arrays[2].copy(), arrays[3].copy()
     if len(points) and len(arrays[0]):
         cells = PointCells.of(arrays[0], radius)
-        run(_smooth, arrays[0], arrays[1], *cells.arrays, radius, arrays[2], arrays[3], points, normals)
+        sorted_samples = np.zeros((6, len(arrays[0]) + LANES))
+        sorted_samples[:, : len(arrays[0])] = np.concatenate([arrays[0], arrays[1]], 1)[cells.order].T
+        run(_smooth, sorted_samples, cells.keys, cells.corner, radius, arrays[2], arrays[3], points, normals)
     return points, normals
 
 
@@ -191,7 +195,22 @@ def _thin(points, normals, keys, order, corner, size, nearest, chosen):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _smooth(samples, facing, keys, order, corner, size, radius, points, normals, out, out_normals, thread, threads):
+def _smooth(samples, keys, corner, radius, points, normals, out, out_normals, thread, threads):
+    """samples: [6, S + LANES] points and normals, in the order of `keys` [S] (cells of `radius`). LANES samples at a
+    time, sums in their order; those that do not count have weight 0."""
+    count = keys.shape[0]
+    weights = carray(scratch(corner, LANES), (LANES,))
+    wx, wy, wz = (
+        carray(scratch(corner, LANES), (LANES,)),
+        carray(scratch(corner, LANES), (LANES,)),
+        carray(scratch(corner, LANES), (LANES,)),
+    )
+    vx, vy, vz = (
+        carray(scratch(corner, LANES), (LANES,)),
+        carray(scratch(corner, LANES), (LANES,)),
+        carray(scratch(corner, LANES), (LANES,)),
+    )
+    squared = radius * radius
     for start in range(thread * BLOCK, points.shape[0], threads * BLOCK):
         for q in range(start, min(start + BLOCK, points.shape[0])):
             px, py, pz = points[q, 0], points[q, 1], points[q, 2]
@@ -200,30 +219,36 @@ def _smooth(samples, facing, keys, order, corner, size, radius, points, normals,
                 continue
             for _ in range(2):  # the second time by the first mean
                 total, sx, sy, sz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-                cx, cy = int(math.floor((px - corner[0]) / size)), int(math.floor((py - corner[1]) / size))
-                cz = int(math.floor((pz - corner[2]) / size))
+                cx, cy = int(math.floor((px - corner[0]) / radius)), int(math.floor((py - corner[1]) / radius))
+                cz = int(math.floor((pz - corner[2]) / radius))
                 if cx < 0 or cy < 0 or cz < 0:
                     break
                 for x in range(max(cx - 1, 0), cx + 2):
                     for y in range(max(cy - 1, 0), cy + 2):
                         row = (x << 42) | (y << 21)
-                        k = first_not_below(keys, 0, keys.shape[0], row | max(cz - 1, 0))
-                        while k < keys.shape[0] and keys[k] <= row | (cz + 1):
-                            j = order[k]
-                            k += 1
-                            dx, dy, dz = samples[j, 0] - px, samples[j, 1] - py, samples[j, 2] - pz
-                            square = (dx * dx + dy * dy + dz * dz) / (radius * radius)
-                            cosine = facing[j, 0] * nx + facing[j, 1] * ny + facing[j, 2] * nz
-                            if square > 1.0 or cosine < MIN_AGREEING_COSINE:
-                                continue
-                            w = math.exp(-2.0 * square + (cosine - 1.0) / SMOOTHED_TURN)
-                            total += w
-                            sx += w * dx
-                            sy += w * dy
-                            sz += w * dz
-                            mx += w * facing[j, 0]
-                            my += w * facing[j, 1]
-                            mz += w * facing[j, 2]
+                        first = first_not_below(keys, 0, count, row | max(cz - 1, 0))
+                        last = first_not_below(keys, first, count, (row | (cz + 1)) + 1)
+                        for begin in range(first, last, LANES):
+                            used = min(last - begin, LANES)
+                            for lane in range(LANES):
+                                j = begin + lane
+                                dx, dy, dz = samples[0, j] - px, samples[1, j] - py, samples[2, j] - pz
+                                fx, fy, fz = samples[3, j], samples[4, j], samples[5, j]
+                                square = (dx * dx + dy * dy + dz * dz) / squared
+                                cosine = fx * nx + fy * ny + fz * nz
+                                w = exp64(-2.0 * square + (cosine - 1.0) / SMOOTHED_TURN)
+                                w = 0.0 if (square > 1.0) | (cosine < MIN_AGREEING_COSINE) else w
+                                weights[lane] = w
+                                wx[lane], wy[lane], wz[lane] = w * dx, w * dy, w * dz
+                                vx[lane], vy[lane], vz[lane] = w * fx, w * fy, w * fz
+                            for lane in range(used):
+                                total += weights[lane]
+                                sx += wx[lane]
+                                sy += wy[lane]
+                                sz += wz[lane]
+                                mx += vx[lane]
+                                my += vy[lane]
+                                mz += vz[lane]
                 length = math.sqrt(mx * mx + my * my + mz * mz)
                 if not (total > 0.0 and length > 1e-9 * total):
                     break

@@ -264,8 +264,12 @@ def project(
     tile_ids = np.flatnonzero(tiles).astype(np.int32)
     tile_slots, grid, window = _tile_layout(tiles, tile_ids, camera)
     attributes = [simd.readonly(getattr(splats, name), dtype) for name in ATTRIBUTES]
-    selected = simd.readonly(np.empty(0, bool) if gaussian_mask is None else gaussian_mask, np.bool_)
     cam = geometry.camera_vector(camera, window, dtype)
+    if gaussian_mask is None:
+        gaussian_mask = np.empty(n if len(tile_ids) < tiles.size else 0, bool)
+        if len(gaussian_mask):
+            run(projection.select_near_window, *(attributes[k] for k in (0, 2, 3)), cam, gaussian_mask)
+    selected = simd.readonly(gaussian_mask, np.bool_)
 
     blocks = -(-n // projection.BLOCK)
     size = blocks * projection.BLOCK

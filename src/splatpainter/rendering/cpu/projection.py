@@ -58,6 +58,34 @@ def meets_window(cam, mx, my, ex, ey):
 
 
 @kernel
+def select_near_window(means, scales, opacities, cam, selected, thread, threads):
+    """selected [N] bool: False for Gaussians that project_gaussians would drop by its first, cheap tests. With margins,
+    and without jumps, so that LLVM takes many at a time; those that are left are tested as ever."""
+    F = means.dtype.type
+    near = F(0.999 * NEAR_PLANE)
+    faint = F(0.999 * MIN_ALPHA)
+    one = F(1)
+    margin = F(1)
+    eps = F(EPS2D)
+    blocks = (means.shape[0] + BLOCK - 1) // BLOCK
+    for block in range(thread, blocks, threads):
+        for n in range(block * BLOCK, min(means.shape[0], (block + 1) * BLOCK)):
+            x, y, z = geo.to_camera(cam, means[n, 0], means[n, 1], means[n, 2])
+            rz = one / z
+            u = x * rz
+            v = y * rz
+            mx = cam[FX] * u + cam[CX]
+            my = cam[FY] * v + cam[CY]
+            j00, j02, j11, j12, _, _ = geo.jacobian(cam, u, v, rz)
+            s = max(scales[n, 0], max(scales[n, 1], scales[n, 2]))
+            reach = math.sqrt(F(11.2) * (s * s * (j00 * j00 + j02 * j02 + j11 * j11 + j12 * j12) + eps)) + margin
+            # Dropped is only what fails for certain: NaN is left to the tests that know it.
+            away = (mx + reach < cam[X_MIN]) | (mx - reach > cam[X_MAX])
+            away |= (my + reach < cam[Y_MIN]) | (my - reach > cam[Y_MAX])
+            selected[n] = not (away | (z < near) | (opacities[n] < faint))
+
+
+@kernel
 def project_gaussians(
     means,  # [N, 3]
     quats,  # [N, 4]

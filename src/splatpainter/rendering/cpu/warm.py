@@ -23,6 +23,7 @@ def warm_projection() -> None:
     shapes = {"means": (2, 3), "quats": (2, 4), "scales": (2, 3), "opacities": (2,), "sh": (2, 4, 3)}
     splats = Splats(**{name: rng.uniform(0.1, 0.5, shape).astype(np.float32) for name, shape in shapes.items()})
     view = project(splats, CAMERA)
+    project(splats, CAMERA, tiles=np.eye(2, dtype=bool))
     sums = simd.aligned((len(view.flatten_ids), COLUMNS), np.dtype(np.float32))
     sums[:] = 0
     view.project_backward(splats, sums, tuple(np.empty_like(getattr(splats, name)) for name in ATTRIBUTES))
