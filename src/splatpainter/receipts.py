@@ -184,7 +184,8 @@ def _rows(data: dict[str, Any], name: str) -> np.ndarray:
     """[T] int64 the rows of a receipt's list; none where an older receipt has no such list. Raises ValueError."""
     count = int(data.get(f"{name}_rows", 0))
     runs = data["touched_runs"] if name == "touched" else data.get(f"{name}_runs", [])
-    rows = from_runs(np.array(runs, np.int64).reshape(-1, 2), int(data["asset"]["rows"]))
+    total = data["output" if name == "merge_touched" else "asset"]["rows"]
+    rows = from_runs(np.array(runs, np.int64).reshape(-1, 2), int(total))
     if len(rows) != count:
         raise ValueError(f"{name}_rows is {count}, its runs hold {len(rows)}")
     return rows

@@ -343,7 +343,7 @@ def test_a_mask_that_was_not_given_is_found_once():
     image[mask] = RED
     with flat(splats) as session:
         layer = session.add("picture", [Edit(image, CAMERA)])
-        found = session._replay.mask(layer.views[0])
+        found = session._replay.main.mask(layer.views[0])
         assert (found & mask).sum() > 0.9 * mask.sum() and (found & ~mask).sum() < 0.2 * mask.sum()
         with pytest.raises(ValueError, match="does not differ from the render"):
             session.add("picture", [Edit(sp.render(session.splats, CAMERA).colors[0], CAMERA)])
@@ -356,6 +356,6 @@ def test_linear_assets_keep_their_darks():
     image[:, 16:] = 0.005
     with flat(splats) as session:
         layer = session.add("paint", [Edit(image, CAMERA, np.ones((SIZE, SIZE), bool))])
-        again = session._replay._edit(layer.views[0], layer).image
+        again = session._replay.main._edit(layer.views[0], layer).image
         np.testing.assert_allclose(again, image, atol=2e-4)
         assert session.splats.color_space == "linear"

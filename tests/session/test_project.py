@@ -388,7 +388,7 @@ def test_a_failed_migration_leaves_version_1(path, monkeypatch):
     assert database.execute("PRAGMA user_version").fetchone() == (1,)
     assert "gesture" not in str(database.execute("SELECT sql FROM sqlite_master WHERE name = 'steps'").fetchone())
     database.close()
-    assert VERSION == 3
+    assert VERSION == 4
 
 
 # Out of it

@@ -35,13 +35,13 @@ def ground() -> Splats:
 def counted(session: Session) -> list[str]:
     """Names of the layers that are painted from now on."""
     names: list[str] = []
-    compute = session._replay._result
+    compute = session._replay.main._result
 
     def noted(below, layer):
         names.append(layer.name)
         return compute(below, layer)
 
-    session._replay._result = noted  # type: ignore[method-assign]
+    session._replay.main._result = noted  # type: ignore[method-assign]
     return names
 
 
@@ -50,7 +50,7 @@ def painted_anew(session: Session) -> Splats:
     with Session(session.original, painter=Painter.load("lift")) as other:
         for layer in session.layers:
             edits = [
-                Edit(session._replay._edit(view, layer).image, view.camera, session._replay.mask(view))
+                Edit(session._replay.main._edit(view, layer).image, view.camera, session._replay.main.mask(view))
                 for view in layer.views
             ]
             made = other.add(layer.kind, edits, parameters=layer.parameters)

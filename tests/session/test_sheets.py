@@ -136,7 +136,7 @@ def test_layers_of_older_projects_stay_split_until_they_are_painted_anew(tmp_pat
             replace(session.snapshot.document, layers=(replace(top, opacity=1.0, blend="normal"),))
         )
         view = top.views[0]
-        edit = Edit(session._replay._edit(view, top).image, view.camera, session._replay.mask(view))
+        edit = Edit(session._replay.main._edit(view, top).image, view.camera, session._replay.main.mask(view))
         splitting = Painter(local_options=LocalOptions(resurface=False))
         alone = splitting.apply(splitting.encode(session.original), [edit]).splats
         assert same_bits(state.splats, alone) and len(alone) > len(session.original)

@@ -129,4 +129,4 @@ def side_by_side(assets: Sequence[Splats], transforms: Sequence[Placement]) -> l
 
 
 def _visible(splats: Splats) -> Splats:
-    return splats.take(splats.drawable) if splats.drawable.any() else splats.take(slice(0, 1))
+    return splats.take(splats.drawable) if splats.drawable.any() else splats

@@ -276,6 +276,13 @@ def check_merge(merged: Splats, sources: Sequence[Splats], receipt: Receipt) -> 
     )
 
 
+def differing_rows(parts: Sequence[Part], merged: Splats) -> np.ndarray:
+    """[D] int64 ascending rows of the sources' ranges that are not as the sources make them."""
+    total = sum(len(part.splats) for part in parts)
+    differs = compare(_rebuilt(parts, merged), merged).differs
+    return differs[differs < total]
+
+
 def carried(receipt: Receipt, before: Receipt | None) -> Receipt:
     """The receipt of an edit of a merged asset, with what the asset's own receipt (`before`) says of its sources."""
     if before is None or before.merge is None or before.output_sha256 != receipt.asset_sha256:

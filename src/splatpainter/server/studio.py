@@ -193,7 +193,7 @@ class Studio:
         return ProjectInfo(id=id, name=name, file=file, read_only=bool(reason), read_only_reason=self.public(reason))
 
     def _earlier_of(self, session: Session) -> list[RecentInfo]:
-        projects = self.projects.of_original(session.original.sha256, without=session.path)
+        projects = self.projects.of_original(session.opened.sha256, without=session.path)
         return [self.recent_info(project) for project in projects[:MAX_EARLIER]]
 
     def recent_info(self, project: RecentProject) -> RecentInfo:
@@ -228,8 +228,8 @@ class Studio:
         session = getattr(self, "session", None)
         if session is not None and session.path is not None:
             folders.append(session.path.parent)
-        if session is not None and session.original.source is not None:
-            folders.append(Path(session.original.source.path).absolute().parent)
+        if session is not None and session.opened.source is not None:
+            folders.append(Path(session.opened.source.path).absolute().parent)
         return public_text(text, folders, self.blobs.name_of)
 
     def public_problem(self, problem: Problem) -> Problem:

@@ -43,8 +43,12 @@ class Annotations:
     """Part of a Session. None of it is a step of the history, and none changes a Gaussian."""
 
     _project: Project
-    original: Splats
     _oriented: tuple[tuple[str | None, str | None], Orientation] | None = None
+
+    @property
+    def original(self) -> Splats:
+        """The Gaussians as they were opened."""
+        raise NotImplementedError
 
     @property
     def splats(self) -> Splats:

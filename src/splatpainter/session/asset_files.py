@@ -35,6 +35,7 @@ from splatpainter.session import conflicts
 from splatpainter.session.delta import PART_BYTES, Delta, bare, decode, encode
 from splatpainter.session.document import MAX_REASON, Layer
 from splatpainter.session.project_file import Project, check_free
+from splatpainter.session.scene_asset import SceneAsset
 from splatpainter.session.scratch import scratch_folder
 from splatpainter.splats import Frame, Splats
 from splatpainter.view_files import Aov, PictureOptions, view_files
@@ -171,6 +172,18 @@ def write_original(path: Path, target: Path, rule: OriginalRule) -> tuple[Path, 
         return file, option(facts["frame"]) if facts["frame"] in ("rub", "rdf") else "auto"
 
 
+def restore_added(project: Project, asset: SceneAsset) -> Splats:
+    """The original of an asset that was added, with `origin`. Raises ValueError: damaged, other bytes than it had."""
+    splats = _unpacked(project, asset.file, asset.frame, asset.folder)
+    if splats.sha256 != asset.sha256:
+        raise ValueError(
+            f"{project.path}: the file of asset {asset.name} is not the one that was added (sha256 differs)"
+        )
+    if not splats.drawable.any():
+        raise ValueError(f"{project.path}: none of the Gaussians of asset {asset.name} can be drawn")
+    return numbered(splats)
+
+
 def _named_file(project: Path, name: str, rule: OriginalRule) -> Path:
     """The original that a project names by `name`. Nothing is looked up before the name has been judged, so that what
     is refused tells nothing about the machine."""
@@ -245,12 +258,12 @@ def numbered(splats: Splats) -> Splats:
     return splats if splats.origin is not None else replace(splats, origin=np.arange(len(splats)))
 
 
-def _unpacked(project: Project, name: str, frame: Frame) -> Splats:
+def _unpacked(project: Project, name: str, frame: Frame, stored_under: str = "") -> Splats:
     if not is_plain_name(name):
         raise ValueError(f"{project.path}: damaged project file (name of the original {name[:40]!r})")
     with scratch_folder("original") as folder:
         try:
-            for file, data in project.original():
+            for file, data in project.original(stored_under):
                 if not is_plain_name(file):
                     raise ValueError(f"{project.path}: damaged project file (name of the original {file[:40]!r})")
                 with open(folder / file, "ab") as target:
@@ -307,9 +320,9 @@ def export_asset(
     """Write an asset in the format that the name says, read it again, compare it with the original, and only then let
     it and its receipt (NAME.receipt.json) appear. Raises ValueError: the name, an existing file, a full disk;
     RuntimeError: what was written does not prove the receipt."""
-    _check_target(path, overwrite)
+    check_target(path, overwrite)
     receipt_path = path.with_name(path.name + ".receipt.json")
-    with _partial_folder(path) as folder:
+    with partial_folder(path) as folder:
         partial = Path(folder) / path.name
         write(partial, edited)
         proved, verification = prove(original, partial, receipt)
@@ -337,7 +350,7 @@ def export_visible(
 
 
 @contextlib.contextmanager
-def _partial_folder(path: Path) -> Iterator[str]:
+def partial_folder(path: Path) -> Iterator[str]:
     """A folder beside `path` for what is not complete yet (scratch.sweep_folder knows its name). What goes wrong in the
     block is said of `path`, never of what is in the folder."""
     folder = None
@@ -353,7 +366,7 @@ def _partial_folder(path: Path) -> Iterator[str]:
         raise ValueError(str(error).replace(hidden, f"{path.parent}{os.sep}")) from None
 
 
-def _check_target(path: Path, overwrite: bool) -> None:
+def check_target(path: Path, overwrite: bool) -> None:
     key = format_of_name(path)
     if key is None or FORMATS[key].write is None or path.name.lower() == "meta.json":
         endings = ", ".join(entry.suffixes[0] for entry in FORMATS.values() if entry.write is not None)

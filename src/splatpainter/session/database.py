@@ -24,7 +24,7 @@ from splatpainter.io import files
 
 APPLICATION_ID = 0x53504C50
 """ASCII "SPLP"."""
-VERSION = 3
+VERSION = 4
 FIRST_READABLE = 2
 """Oldest version that can be looked at without being brought up."""
 SUFFIX = ".splatproj"
@@ -42,7 +42,8 @@ CREATE TABLE layer_blobs (
     layer INTEGER NOT NULL REFERENCES layers ON DELETE CASCADE, blob TEXT NOT NULL, PRIMARY KEY (layer, blob)
 ) WITHOUT ROWID;
 CREATE TABLE steps (
-    id INTEGER PRIMARY KEY, label TEXT NOT NULL, gesture TEXT, policies TEXT NOT NULL, next_id INTEGER NOT NULL
+    id INTEGER PRIMARY KEY, label TEXT NOT NULL, gesture TEXT, policies TEXT NOT NULL, next_id INTEGER NOT NULL,
+    assets TEXT
 );
 CREATE TABLE step_layers (
     step INTEGER NOT NULL REFERENCES steps ON DELETE CASCADE, place INTEGER NOT NULL, layer INTEGER NOT NULL,
@@ -67,6 +68,13 @@ CREATE TABLE original (part INTEGER PRIMARY KEY, bytes BLOB NOT NULL);
 CREATE TABLE steps (id INTEGER PRIMARY KEY, label TEXT NOT NULL, policies TEXT NOT NULL, next_id INTEGER NOT NULL);
 CREATE TABLE steps (
     id INTEGER PRIMARY KEY, label TEXT NOT NULL, policies TEXT NOT NULL, next_id INTEGER NOT NULL, gesture TEXT
+);
+CREATE TABLE steps (
+    id INTEGER PRIMARY KEY, label TEXT NOT NULL, gesture TEXT, policies TEXT NOT NULL, next_id INTEGER NOT NULL
+);
+CREATE TABLE steps (
+    id INTEGER PRIMARY KEY, label TEXT NOT NULL, policies TEXT NOT NULL, next_id INTEGER NOT NULL, gesture TEXT,
+    assets TEXT
 );
 CREATE TABLE layers (id INTEGER PRIMARY KEY, sha256 TEXT NOT NULL UNIQUE, content TEXT NOT NULL);
 CREATE TABLE results (key TEXT PRIMARY KEY, facts TEXT NOT NULL, confidence BLOB, state BLOB);
@@ -333,5 +341,10 @@ def _from_2(database: Database, size: int) -> None:
     database.connection.execute("ALTER TABLE results ADD COLUMN previous TEXT")
 
 
-MIGRATIONS: dict[int, Callable[[Database, int], None]] = {1: _from_1, 2: _from_2}
+def _from_3(database: Database, size: int) -> None:
+    """Version 3 had one asset."""
+    database.connection.execute("ALTER TABLE steps ADD COLUMN assets TEXT")
+
+
+MIGRATIONS: dict[int, Callable[[Database, int], None]] = {1: _from_1, 2: _from_2, 3: _from_3}
 """What makes version n + 1 of version n."""

@@ -18,6 +18,7 @@ from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import MAX_VIEWS, Method, Mode
 from splatpainter.session.layer_mask import LayerMask
+from splatpainter.session.scene_asset import MAIN, SceneAsset
 from splatpainter.sources.color_transfer import TABLE
 
 Kind = Literal["paint", "picture", "look", "clone", "erase", "hide", "fill", "merged"]
@@ -97,6 +98,8 @@ class Layer:
     painted on those before it; its opacity, blend and visibility do not count."""
     mask: LayerMask | None = None
     """How much of it shows where; None: all."""
+    asset: str = MAIN
+    """Id of the asset that it belongs to, and in whose space its views are (scene_asset.py)."""
 
     def __post_init__(self) -> None:
         for name, value, choices in (
@@ -145,6 +148,8 @@ class Layer:
         record = {**{name: getattr(self, name) for name in names}, **self._content()}
         if self.mask is not None:
             record["mask"] = self.mask.record()
+        if self.asset != MAIN:
+            record["asset"] = self.asset
         if self.strokes:
             record["strokes"] = [stroke.record() for stroke in self.strokes] if strokes else len(self.strokes)
         return record
@@ -191,6 +196,7 @@ class Layer:
                 str(data["painter"]),
                 _parsed_strokes(data.get("strokes", []), where, depth),
                 LayerMask.parse(data.get("mask"), where),
+                str(data.get("asset", MAIN)),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             reason = f"has no {error}" if isinstance(error, KeyError) else str(error).removeprefix(f"{where}: ")
@@ -227,6 +233,21 @@ class Document:
     policies: tuple[tuple[str, str, Policy], ...] = ()
     """(lower layer, upper layer, who wins) where both changed the same Gaussians; pairs not listed: the latest."""
     next_id: int = 1
+    assets: tuple[SceneAsset, ...] = ()
+    """All assets where there are several, that of the original first; empty: that one alone, as it is."""
+
+    def part(self, asset: str) -> Document:
+        """The document of one asset alone, in its own space."""
+        if not self.assets:
+            return self
+        return replace(self, layers=tuple(layer for layer in self.layers if layer.asset == asset), assets=())
+
+    def below(self, layer: str) -> Document:
+        """Without a layer, and without those of its asset that lie above it."""
+        at = self.index(layer)
+        asset = self.layers[at].asset
+        layers = (entry for k, entry in enumerate(self.layers) if k < at or entry.asset != asset)
+        return replace(self, layers=tuple(layers))
 
     def index(self, layer: str) -> int:
         """Index of a layer by its id, 0 the lowest. Raises ValueError for an unknown one."""
@@ -307,7 +328,11 @@ def merge_layers(document: Document, layers: Sequence[str], name: str | None = N
     if len(indices) < 2 or indices != list(range(indices[0], indices[-1] + 1)):
         raise ValueError("merge: expected two or more layers that lie next to each other; move them together first")
     inner = document.layers[indices[0] : indices[-1] + 1]
-    one = Layer(str(document.next_id), name or inner[-1].name, "merged", layers=inner, thumbnail=inner[-1].thumbnail)
+    asset = inner[0].asset
+    if any(layer.asset != asset for layer in inner):
+        raise ValueError("merge: expected layers of one asset")
+    names = {"name": name or inner[-1].name, "thumbnail": inner[-1].thumbnail}
+    one = Layer(str(document.next_id), kind="merged", layers=inner, asset=asset, **names)
     merged = (*document.layers[: indices[0]], one, *document.layers[indices[-1] + 1 :])
     return replace(document, layers=merged, next_id=document.next_id + 1), one
 

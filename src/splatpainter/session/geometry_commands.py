@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,27 @@ from splatpainter.session.selection import Selection
 from splatpainter.splats import Splats
 
 
+@dataclass(frozen=True)
+class SelectedPart:
+    """What is selected of one asset."""
+
+    asset: str
+    """Its id."""
+    weights: np.ndarray = field(repr=False)
+    """[N] float32 of `splats`."""
+    splats: Splats = field(repr=False)
+    """In its own space, with its layers; `original` without."""
+    original: Splats = field(repr=False)
+
+
 class GeometryCommands(ABC):
     """What Session has beside the layers as such; see there."""
 
-    original: Splats
     _transaction: Transaction
+
+    @property
+    @abstractmethod
+    def original(self) -> Splats: ...
 
     @property
     @abstractmethod
@@ -48,9 +65,16 @@ class GeometryCommands(ABC):
     def _command(self) -> AbstractContextManager[None]: ...
 
     @abstractmethod
-    def _commit(
-        self, label: str, document: Document, *, strict: str | None = None, gesture: str | None = None
-    ) -> None: ...
+    def _commit(self, label: str, document: Document, *, strict: Any = None, gesture: str | None = None) -> None: ...
+
+    @abstractmethod
+    def _selected_parts(self, weights: np.ndarray) -> list[SelectedPart]: ...
+
+    @abstractmethod
+    def _relief_of(self, relief: Relief) -> tuple[str, Relief]: ...
+
+    @abstractmethod
+    def _edits_of(self, layer: Layer, edits: Sequence[Edit]) -> list[Edit]: ...
 
     def hide(self, weights: np.ndarray, name: str = "Hide", *, index: int | None = None) -> Layer:
         """A layer that hides what is selected: opacities are multiplied by 1 - weight, and 0 where that is all. The
@@ -60,15 +84,20 @@ class GeometryCommands(ABC):
         if not weights.any():
             raise ValueError("hide: nothing is selected")
         with self._command():
-            document, layer = add_layer(self._document, self._hiding(weights, name), index)
-            self._commit(f"add {layer.name}", document, strict=layer.id)
-            return layer
+            document, made = self._document, []
+            for hiding in self._hiding(weights, name):
+                document, layer = add_layer(document, hiding, index)
+                made.append(layer)
+            self._commit(f"add {name}", document, strict=[layer.id for layer in made])
+            return made[0]
 
     def copy(self, relief: Relief, name: str = "Copy", *, index: int | None = None) -> Layer:
         """A layer of Gaussians that are copied with their relief from one place of the surface to another (relief.py).
         Raises ValueError where there is nothing to copy, or too much."""
         with self._command():
-            made = Layer("", name, "clone", mode="global", parameters=relief.parameters(), method="lift")
+            asset, relief = self._relief_of(relief)
+            parameters = relief.parameters()
+            made = Layer("", name, "clone", mode="global", parameters=parameters, method="lift", asset=asset)
             document, layer = add_layer(self._document, made, index)
             self._commit(f"add {layer.name}", document, strict=layer.id)
             return layer
@@ -77,21 +106,24 @@ class GeometryCommands(ABC):
         """A layer of new Gaussians that continue the surface over a hole, in colours of what surrounds it
         (holes/fill.py); nothing else changes. weights: [N] 0..1 of `splats`: Gaussians around the hole, as circling it
         selects them; or (remove) those that go first, by a layer below that hides them. Both layers are one step of
-        the history. Raises ValueError where nothing is selected, and where there is no hole that can be filled."""
+        the history. Of several assets a hole is in that which most of the weights are of; what is removed goes from
+        all, and every one is filled. Raises ValueError where nothing is selected, and where there is no hole that can
+        be filled."""
         weights = self._weights(weights)
         if not weights.any():
             raise ValueError("fill: nothing is selected; select what is to be removed, or circle a hole")
         where: FillWhere = "removed" if remove else "around"
         with self._command():
-            document = self._document
-            hiding = self._hiding(weights, f"{name}: removed")
-            if remove:
-                document, _ = add_layer(document, hiding)
-            parameters = {FILL: where, SELECTION: hiding.parameters[SELECTION]}
-            made = Layer("", name, "fill", mode="global", parameters=parameters, method="lift")
-            document, layer = add_layer(document, made)
-            self._commit("remove and fill" if remove else f"add {layer.name}", document, strict=layer.id)
-            return layer
+            document, made = self._document, []
+            for hiding in self._hiding(weights, f"{name}: removed")[: None if remove else 1]:
+                if remove:
+                    document, _ = add_layer(document, hiding)
+                parameters = {FILL: where, SELECTION: hiding.parameters[SELECTION]}
+                words = {"mode": "global", "parameters": parameters, "method": "lift", "asset": hiding.asset}
+                document, layer = add_layer(document, Layer("", name, "fill", **words))
+                made.append(layer)
+            self._commit("remove and fill" if remove else f"add {name}", document, strict=made[0].id)
+            return made[0]
 
     def filled_by(self, layer: str) -> np.ndarray:
         """[N] bool of `splats`: the Gaussians of a fill layer. Raises ValueError for another layer, and where it is
@@ -125,9 +157,11 @@ class GeometryCommands(ABC):
             for edit in edits:
                 if edit.mask is None:
                     raise ValueError(f"{edit.name}: expected a mask with a picture that colours a fill")
+            for edit in self._edits_of(before, edits) if edits else ():
                 picture = put(encode_picture(edit.image, self.splats.color_space))
-                views.append(View(edit.camera, picture, put(encode_mask(edit.mask))))
-                small = small or put(thumbnail(edit.image, edit.mask))
+                mask = np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask
+                views.append(View(edit.camera, picture, put(encode_mask(mask))))
+                small = small or put(thumbnail(edit.image, mask))
             parameters = {key: value for key, value in before.parameters.items() if key != SOURCE}
             if source is not None:
                 parameters[SOURCE] = dict(source)
@@ -137,8 +171,14 @@ class GeometryCommands(ABC):
             self._commit(f"change {before.name}", document, strict=layer)
             return self.layer(layer)
 
-    def _hiding(self, weights: np.ndarray, name: str) -> Layer:
-        """A layer without an id; its selection is among the blobs of the transaction."""
-        data = Selection.of(weights, self.splats, self.original).to_png()
-        self._transaction.blobs = {files.sha256(data): data}
-        return Layer("", name, "hide", parameters={SELECTION: files.sha256(data)}, method="lift")
+    def _hiding(self, weights: np.ndarray, name: str) -> list[Layer]:
+        """Layers without ids, one for each asset, that with the most weight first; their selections are among the blobs
+        of the transaction."""
+        layers, blobs = [], {}
+        for part in self._selected_parts(weights):
+            data = Selection.of(part.weights, part.splats, part.original).to_png()
+            blobs[files.sha256(data)] = data
+            parameters = {SELECTION: files.sha256(data)}
+            layers.append(Layer("", name, "hide", parameters=parameters, method="lift", asset=part.asset))
+        self._transaction.blobs = blobs
+        return layers

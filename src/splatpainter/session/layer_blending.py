@@ -42,6 +42,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.jsonio import brief
+from splatpainter.scene.seam import LIGHT, light_sh
 from splatpainter.session.delta import Delta, no_delta
 from splatpainter.session.document import Blend
 from splatpainter.sources.color_grading import GRADE, grade_sh
@@ -176,7 +177,12 @@ def gain(sh: np.ndarray, parameters: Mapping[str, Any]) -> np.ndarray:
     return out.astype(np.float32)
 
 
-ADJUSTMENTS: dict[str, AdjustmentFunction] = {"gain": gain, GRADE: grade_sh, **dict.fromkeys(TRANSFERS, transfer_sh)}
+ADJUSTMENTS: dict[str, AdjustmentFunction] = {
+    "gain": gain,
+    GRADE: grade_sh,
+    LIGHT: light_sh,
+    **dict.fromkeys(TRANSFERS, transfer_sh),
+}
 """Those of every session."""
 
 

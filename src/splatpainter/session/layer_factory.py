@@ -75,7 +75,7 @@ def new_layer(
         mask = edit.mask
         if mask is None and pictured and mode != "global":
             # Judged once: on replay over other layers everything would differ.
-            mask = _changed_pixels(splats, edit)
+            mask = changed_pixels(splats, edit)
         if mask is None and not pictured:
             raise ValueError(f"{edit.name}: expected a mask for a view of kind {kind}")
         inside = mask if cut_out else None
@@ -178,7 +178,8 @@ def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = Fal
     return _png(small.convert("RGB").quantize(THUMBNAIL_COLORS) if few_colors else small)
 
 
-def _changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
+def changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
+    """[H, W] bool: where an edited picture differs from the render. Raises ValueError where it does not."""
     from splatpainter.lift.masks import edited_mask
     from splatpainter.rendering import render
 

@@ -28,6 +28,7 @@ from splatpainter.session.delta import decode, encode
 from splatpainter.session.document import MAX_REASON, MAX_STROKES, Document, Layer, Policy, check_stroke, digest
 from splatpainter.session.layer_state import LayerResult
 from splatpainter.session.lock import ProjectLock
+from splatpainter.session.scene_asset import MAIN, SceneAsset, parse_assets
 
 if TYPE_CHECKING:
     from splatpainter.models.refine import RefineState
@@ -189,17 +190,21 @@ class Project:
         query = "SELECT name FROM facts WHERE substr(name, 1, ?) = ? ORDER BY name"
         return [name for (name,) in self.rows(query, len(prefix), prefix, kinds=(str,))]
 
-    def original(self) -> Iterator[tuple[str, bytes]]:
-        """(name, bytes) pieces of the original's files, in order. Raises ValueError: more than the file has."""
+    def original(self, folder: str = "") -> Iterator[tuple[str, bytes]]:
+        """(name, bytes) pieces of the original's files, in order; folder: of an asset that was added (it ends in "/",
+        which no name of the original has). Raises ValueError: more than the file has."""
         with self._mutex, one_line(self.path):
             left = self._database.start()
-        for file, part in self.rows("SELECT file, part FROM original ORDER BY part", kinds=(str, int)):
+        for name, part in self.rows("SELECT file, part FROM original ORDER BY part", kinds=(str, int)):
+            if not name.startswith(folder) or "/" in name[len(folder) :]:
+                continue
+            file = name
             query = "SELECT bytes FROM original WHERE file = ? AND part = ?"
             for (data,) in self.rows(query, file, part, kinds=(bytes,)):
                 left -= len(data)
                 if left < 0:
                     raise ValueError(f"{self.path}: damaged project file (its original has more bytes than the file)")
-                yield file, data
+                yield file[len(folder) :], data
 
     def blob(self, sha256: str) -> bytes:
         """Bytes of a picture. Raises ValueError: unknown or damaged."""
@@ -263,6 +268,7 @@ class Project:
         where = f"{self.path}: layer"
         with one_line(self.path):
             policies = self.rows("SELECT policies FROM steps WHERE id = ?", step, kinds=(str,))
+            assets = self._assets(step)
             highest = self.rows("SELECT max(next_id) FROM steps", kinds=(int,))  # undone layers' ids stay theirs
             query = "SELECT id, content FROM step_layers JOIN layers ON layers.id = layer WHERE step = ? ORDER BY place"
             contents = self.rows(query, step, kinds=(int, str))
@@ -272,10 +278,24 @@ class Project:
             layers = tuple(self._layer(row, json.loads(text), where) for row, text in contents)
             if len({layer.id for layer in layers}) < len(layers):
                 raise ValueError("two layers have one id")
-            return Document(layers, _policies(json.loads(policies[0][0])), highest[0][0])
+            ids = {asset.id for asset in assets}
+            if any(layer.asset not in ids for layer in layers if layer.asset != MAIN):
+                raise ValueError("a layer is of an asset that is not there")
+            return Document(layers, _policies(json.loads(policies[0][0])), highest[0][0], assets)
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             reason = files.printable(str(error).removeprefix(f"{where}: "), MAX_REASON)
             raise ValueError(f"{where}: damaged ({reason})") from None
+
+    def _assets(self, step: int) -> tuple[SceneAsset, ...]:
+        """The assets of a step; none in projects of older versions that are only looked at. Raises ValueError."""
+        if not any(row[1] == "assets" for row in self.rows("PRAGMA table_info(steps)")):
+            return ()
+        rows = self.rows("SELECT assets FROM steps WHERE id = ?", step, kinds=((str, type(None)),))
+        try:
+            return parse_assets(json.loads(rows[0][0])) if rows and rows[0][0] else ()
+        except (ValueError, RecursionError) as error:
+            reason = files.printable(str(error), MAX_REASON)
+            raise ValueError(f"{self.path}: damaged project file ({reason})") from None
 
     def _layer(self, row: int, record: Any, where: str) -> Layer:
         """The layer of a row, with its strokes. Raises ValueError: damaged."""
@@ -319,8 +339,12 @@ class Project:
                 dropped += db.execute(query, (at, gesture)).rowcount
             dropped += db.execute("DELETE FROM steps WHERE id <= ?", (at - MAX_STEPS,)).rowcount
             step = at + 1
-            entry = (step, label, gesture, json.dumps(document.policies), document.next_id)
-            db.execute("INSERT INTO steps (id, label, gesture, policies, next_id) VALUES (?, ?, ?, ?, ?)", entry)
+            assets = json.dumps([asset.record() for asset in document.assets]) if document.assets else None
+            entry = (step, label, gesture, json.dumps(document.policies), document.next_id, assets)
+            columns = "(id, label, gesture, policies, next_id, assets)"
+            db.execute(f"INSERT INTO steps {columns} VALUES (?, ?, ?, ?, ?, ?)", entry)
+            for part, (name, data) in enumerate(new.files):
+                db.execute("INSERT OR IGNORE INTO original VALUES (?, ?, ?)", (name, part, data))
             for name, data in new.blobs.items():
                 db.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?)", (name, data))
             for index, layer in enumerate(document.layers):
@@ -406,6 +430,8 @@ class Transaction:
     def clear(self) -> None:
         """Forget what is new: it was committed, or its command failed."""
         self.blobs: dict[str, bytes] = {}
+        self.files: Iterable[tuple[str, bytes]] = ()
+        """Pieces of the file of an asset that is added, as (folder and name, bytes)."""
         self.results: dict[str, LayerResult] = {}
         self.previous: dict[str, str] = {}
         """Key of a stroke's result -> that of the stroke before."""
@@ -542,7 +568,18 @@ def _sweep(db: sqlite3.Connection) -> set[str]:
     db.executemany("DELETE FROM results WHERE key = ?", [(key,) for key in unused_keys])
     db.execute(UNUSED_LAYERS)
     db.execute("DELETE FROM blobs WHERE sha256 NOT IN (SELECT blob FROM layer_blobs)")
+    _sweep_assets(db)
     return unused_keys
+
+
+def _sweep_assets(db: sqlite3.Connection) -> None:
+    """Delete files of assets that no step has any more."""
+    stored = {name.split("/")[0] for (name,) in db.execute("SELECT DISTINCT file FROM original") if "/" in name}
+    if stored:
+        for (text,) in db.execute("SELECT DISTINCT assets FROM steps WHERE assets IS NOT NULL").fetchall():
+            stored -= {asset.sha256 for asset in parse_assets(json.loads(text))}
+    for sha in stored:
+        db.execute("DELETE FROM original WHERE substr(file, 1, 65) = ?", (f"{sha}/",))
 
 
 def _result_facts(text: str) -> dict[str, Any]:

@@ -20,28 +20,25 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.image_files import Alpha
 from splatpainter.io import files, read
 from splatpainter.io.files import printable
 from splatpainter.jsonio import brief
 from splatpainter.painter import Edit, Method, Mode, Painter
-from splatpainter.receipts import MAX_CARRIED, Receipt, Verification, can_carry
-from splatpainter.rendering.profiles import Profile
 from splatpainter.session import asset_files, conflicts
 from splatpainter.session.annotations import Annotations
+from splatpainter.session.asset_commands import AssetCommands
 from splatpainter.session.asset_files import ANY_FILE, OriginalRule
-from splatpainter.session.compose import LayerState, Progress, Replay
 from splatpainter.session.database import SUFFIX
 from splatpainter.session.delta import AssetDelta, VersionLog, bare
 from splatpainter.session.document import (
-    SOURCE,
     Blend,
     Document,
     Kind,
@@ -55,16 +52,19 @@ from splatpainter.session.document import (
     move_layer,
     resolve_conflict,
 )
+from splatpainter.session.export_commands import ExportCommands
 from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.geometry_commands import GeometryCommands
 from splatpainter.session.layer_blending import ADJUSTMENTS, AdjustmentFunction
 from splatpainter.session.layer_factory import limits_of, new_layer, spread_options_of
+from splatpainter.session.layer_state import LayerState, Progress
 from splatpainter.session.project_file import Project, Step, Transaction
+from splatpainter.session.scene_asset import MAIN
+from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.session.scratch import ScratchFolder
-from splatpainter.session.stroke_commands import StrokeCommands
+from splatpainter.session.snapshot import Snapshot
 from splatpainter.session.verify import find_problems
 from splatpainter.splats import Frame, Splats
-from splatpainter.view_files import Aov
 
 if TYPE_CHECKING:
     from splatpainter.surface.estimate import Surface
@@ -87,25 +87,7 @@ DAMAGE_ERRORS = (
 SETTABLE = ("name", "visible", "opacity", "blend", "parameters", "method")
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """One immutable version of the asset, for readers in other threads."""
-
-    version: int
-    """Goes up with every change of the Gaussians."""
-    state: LayerState
-    document: Document
-    history: tuple[Step, ...]
-    """Oldest first; the first one is the asset as it was opened."""
-    cursor: int
-    """Index in the history of the step in effect."""
-
-    @property
-    def splats(self) -> Splats:
-        return self.state.splats
-
-
-class Session(StrokeCommands, Annotations, GeometryCommands):
+class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
     """An open project. Commands wait for each other; reading waits for nobody."""
 
     def __init__(
@@ -191,13 +173,15 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
         self.progress: Progress | None = None
         """Called before each layer that has to be computed; what it raises cancels the command."""
         try:
-            self.original = asset_files.restore(project, rule) if splats is None else splats
+            original = asset_files.restore(project, rule) if splats is None else splats
             table = {**ADJUSTMENTS, **(adjustments or {})}
-            self._replay = Replay(self.original, self.painter, self._transaction, table)
+            load = partial(asset_files.restore_added, project)
+            self._replay = SceneReplay(original, self.painter, self._transaction, table, load)
             steps, cursor = project.steps()
             document = project.document(steps[cursor].id)
             state = self._replay.compose(document)
-            self._snapshot = Snapshot(1, state, document, tuple(steps), cursor)
+            original = self._replay.original_of(document)
+            self._snapshot = Snapshot(1, state, document, tuple(steps), cursor, original)
             if self._transaction.results:  # of a project that lost some
                 project.move(steps[cursor].id, state.results, self._transaction)
                 self._transaction.clear()
@@ -221,6 +205,16 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
     def splats(self) -> Splats:
         """The Gaussians as they are now; those of the original keep their ids."""
         return self._snapshot.splats
+
+    @property
+    def original(self) -> Splats:
+        """The Gaussians as they were opened; of several assets all that are visible, as they stand."""
+        return self._snapshot.original
+
+    @property
+    def opened(self) -> Splats:
+        """The asset that the session was opened with, alone."""
+        return self._replay.main.original
 
     @property
     def _document(self) -> Document:
@@ -308,7 +302,7 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
     @property
     def surface(self) -> Surface:
         """That of the original, on which edits are laid."""
-        return self._replay.surface
+        return self._replay.surfaces(self._document).surface
 
     def delta(self, since: int | None = None) -> AssetDelta:
         """What changed since a version that was seen before (None: everything)."""
@@ -322,12 +316,12 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
         """Make now what the next local edit would make first (samples of the surface; where this camera, or any, needs
         them the voxels of the asset), in another thread than commands, while the edit is still being drawn. Changes
         nothing."""
-        self._replay.prepare(self._snapshot.state, camera)
+        self._replay.prepare(self._document, self._snapshot.state, camera)
 
     def left_out(self, camera: Camera, **limits: float) -> np.ndarray:
         """[H, W] bool: pixels of a view that a local edit would not paint (by more than half), to about a block of
         1/128 of its longer side. limits: angle_limit, depth_edge_limit, as a layer's parameters."""
-        return self._replay.left_out(self._snapshot.state, camera, limits)
+        return self._replay.surfaces(self._document).left_out(self._snapshot.state, camera, limits)
 
     def surface_blocks(self, camera: Camera) -> tuple[np.ndarray, int]:
         """([rows, columns, 4] float32 z-depth and unit normal towards the camera (camera space) of the surface in the
@@ -337,59 +331,15 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
 
         document, state = self._snapshot.document, self._replay.base_state
         hiding = tuple(layer for layer in document.layers if layer.kind in ("hide", "fill") and layer.visible)
-        if hiding:
+        if hiding or document.assets:
             with self._commands:
                 state = self._replay.compose(replace(document, layers=hiding))
-        coarse = self._replay.coarse_surface(state, camera)
+        coarse = self._replay.surfaces(document).coarse_surface(state, camera)
         rows, columns = coarse.index.shape
         middles = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2) + 0.5
         at = coarse.at(middles.astype(np.float64))
         table = np.concatenate([at.depth[:, None], at.normals], 1).astype(np.float32)
         return table.reshape(rows, columns, 4), blocks_px(camera)
-
-    def receipt(self) -> Receipt:
-        """Of the session: the original against the asset as it is now."""
-        return self._receipt(self._snapshot)
-
-    def _receipt(self, snapshot: Snapshot) -> Receipt:
-        note = ", ".join(layer.name for layer in snapshot.document.layers if layer.visible) or "none"
-        used = {facts.get("precision", "") for _, facts in snapshot.state.facts}
-        precision = next((word for word in ("bfloat16", "float32") if word in used), "")  # the roughest of the layers'
-        preset = self.painter.preset
-        receipt = asset_files.receipt_between(self.original, snapshot.splats, preset, f"layers: {note}", precision)
-        return replace(receipt, source=_sources_of(snapshot.document))
-
-    def export(
-        self, path: str | Path, *, overwrite: bool = False, remove_hidden: bool = False
-    ) -> tuple[Receipt, Verification]:
-        """Write the asset as it is now and its receipt (NAME.receipt.json), proved by reading it again; the name says
-        the format. remove_hidden: without the Gaussians of opacity 0, for good; the receipt says how many, and compares
-        those that remain. Raises ValueError: the name, an existing file, nothing visible; RuntimeError: the file does
-        not prove the receipt."""
-        snapshot = self._snapshot
-        receipt = self._receipt(snapshot)
-        if remove_hidden:
-            return asset_files.export_visible(self.original, snapshot.splats, receipt, Path(path), overwrite)
-        return asset_files.export_asset(self.original, snapshot.splats, receipt, Path(path), overwrite)
-
-    def export_view(
-        self,
-        path: str | Path,
-        camera: Camera,
-        *,
-        bits: int | None = None,
-        transparent: Alpha | None = None,
-        aovs: Sequence[Aov] = (),
-        profile: Profile = "inria",
-        overwrite: bool = False,
-    ) -> list[Path]:
-        """Render the asset into NAME.png or NAME.exr, its AOVs (NAME.depth.png, ...; "coverage" is the
-        session's) and the sidecar NAME.json; returns their paths. bits, transparent, aovs, profile: as
-        view_files.PictureOptions. Raises ValueError: these, the name, an existing file, a missing library."""
-        snapshot, target = self._snapshot, Path(path)
-        options = asset_files.view_options(target, bits, transparent, tuple(aovs), profile)
-        contents = asset_files.view_files_of(snapshot.splats, snapshot.state.edited, camera, target.stem, options)
-        return asset_files.write_files(target.parent, contents, overwrite)
 
     def verify(self, *, repaint: bool = False) -> list[str]:
         """Check everything; what is wrong, one line each. The file's structure and hashes, the original, and that
@@ -424,6 +374,7 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
         blend: Blend = "normal",
         index: int | None = None,
         attached: Sequence[bytes] = (),
+        asset: str | None = None,
     ) -> Layer:
         """A new layer (on top, or at an index, 0 the lowest) and its result.
 
@@ -433,12 +384,15 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
         one of what differs from the asset now. parameters {"angle_limit": degrees, "depth_edge_limit": pixels} of local
         edits: what one view may paint, where that is not to be as the painter's LocalOptions say; {"spread_threshold":
         confidence 0..1} of edits of mode spread: how far their material reaches (lower: further). attached: PNG bytes
-        that the parameter "placed" names as its image, kept with the layer. Raises ValueError as Painter.apply does,
-        with nothing changed."""
+        that the parameter "placed" names as its image, kept with the layer. asset: of several, the one that it is for;
+        None: a layer for each that it reaches (that with the most pixels is returned). Raises ValueError as
+        Painter.apply does, with nothing changed."""
         with self._command():
             method = self.painter.choose(method, mode or ("global" if kind == "look" else "local"))[0]
             settings = {"mode": mode, "method": method, "opacity": opacity, "blend": blend}
             settings["painter"] = fingerprint(self.painter, method)
+            if self._document.assets:
+                return self._add_to_scene(kind, edits, name, dict(parameters or {}), settings, index, attached, asset)
             layer, blobs = new_layer(self.splats, kind, edits, name, dict(parameters or {}), settings)
             self._transaction.blobs = blobs | {files.sha256(data): data for data in attached}
             document, layer = add_layer(self._snapshot.document, layer, index)
@@ -475,11 +429,11 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
         it is done; None where that is as quick, or where it cannot be said. Changes nothing."""
         with self._commands:
             before, document = self.layer(layer), self._snapshot.document
-            if not before.visible or before.opacity == 0:
+            if not before.visible or before.opacity == 0 or document.assets:
                 return None
             values = {"opacity": opacity, "blend": blend}
             fields = {name: value for name, value in values.items() if value is not None}
-            preview = self._replay.blend_preview(change_layer(document, layer, **fields), layer)
+            preview = self._replay.main.blend_preview(change_layer(document, layer, **fields), layer)
             count = len(self.splats)
             return None if preview is None or (len(preview[0]) and preview[0][-1] >= count) else preview
 
@@ -518,11 +472,11 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
         """One layer with its pictures as a .splatlayer file."""
         asset_files.write_layer(Path(path), self.layer(layer), self.blob, overwrite)
 
-    def import_layer(self, path: str | Path) -> Layer:
+    def import_layer(self, path: str | Path, *, asset: str = MAIN) -> Layer:
         """Add the layer of a .splatlayer file on top. Raises ValueError: not such a file, or it cannot be applied."""
         with self._command():
             layer, self._transaction.blobs = asset_files.read_layer(Path(path))
-            document, layer = add_layer(self._snapshot.document, layer)
+            document, layer = add_layer(self._snapshot.document, replace(layer, asset=self.asset(asset).id))
             self._commit(f"import {layer.name}", document, strict=layer.id)
             return layer
 
@@ -594,7 +548,7 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
 
     # ---- inside
 
-    def _commit(self, label: str, document: Document, *, strict: str | None = None, gesture: str | None = None) -> None:
+    def _commit(self, label: str, document: Document, *, strict: Any = None, gesture: str | None = None) -> None:
         """Compute, make durable, publish: in this order, so that what was published is never lost."""
         state = self._replay.compose(document, self.progress, strict)
         removed = self._project.commit(label, document, state.results, self._transaction, gesture)
@@ -609,7 +563,8 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
             version += 1
             self._versions.note(version, before.splats, state.splats)
         steps, cursor = self._project.steps()
-        self._snapshot = Snapshot(version, state, document, tuple(steps), cursor)
+        original = self._replay.original_of(document)
+        self._snapshot = Snapshot(version, state, document, tuple(steps), cursor, original)
 
     @contextmanager
     def _command(self) -> Iterator[None]:
@@ -623,18 +578,6 @@ class Session(StrokeCommands, Annotations, GeometryCommands):
                 if self._transaction.results:  # computed, and not stored: the command failed
                     self._replay.forget(set(self._transaction.results))
                 self._transaction.clear()
-
-
-def _sources_of(document: Document) -> dict[str, Any] | None:
-    """What a receipt says of the picture sources of the visible layers, by the layers' names; None: there are none."""
-    leaves = [leaf for layer in document.layers if layer.visible for leaf in layer.leaves() if leaf.visible]
-    records = []
-    for leaf in leaves:
-        source = leaf.parameters.get(SOURCE)
-        record = {"layer": leaf.name[:200], **source} if isinstance(source, dict) else {}
-        if record and can_carry({"layers": [record]}):
-            records.append(record)
-    return {"layers": records[:MAX_CARRIED]} if records else None
 
 
 def _project_path(path: str | Path) -> Path:

@@ -15,13 +15,14 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
 from splatpainter.painter import Asset, Edit, Method, Painter
-from splatpainter.session.compose import Replay
 from splatpainter.session.delta import bare
 from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, add_layer, add_stroke, change_layer
 from splatpainter.session.fingerprint import fingerprint
 from splatpainter.session.layer_factory import decode_mask_part, encode_mask_part, new_layer
 from splatpainter.session.layer_mask import MAX_PARTS, LayerMask, MaskPart, over
 from splatpainter.session.project_file import Transaction
+from splatpainter.session.scene_asset import MAIN, SceneAsset
+from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class StrokeCommands(ABC):
     """What Session has beside the layers as such; see there."""
 
     painter: Painter
-    _replay: Replay
+    _replay: SceneReplay
     _transaction: Transaction
     _commands: Any
     """Lock of the commands."""
@@ -50,17 +51,37 @@ class StrokeCommands(ABC):
     def layer(self, layer: str) -> Layer: ...
 
     @abstractmethod
+    def asset(self, asset: str) -> SceneAsset: ...
+
+    @abstractmethod
     def _command(self) -> AbstractContextManager[None]: ...
 
     @abstractmethod
-    def _commit(
-        self, label: str, document: Document, *, strict: str | None = None, gesture: str | None = None
-    ) -> None: ...
+    def _commit(self, label: str, document: Document, *, strict: Any = None, gesture: str | None = None) -> None: ...
 
-    def new_layer(self, name: str | None = None, *, index: int | None = None) -> Layer:
-        """An empty layer that strokes can be painted into (on top, or at an index, 0 the lowest)."""
+    @abstractmethod
+    def _paint_in_scene(
+        self,
+        layer: Layer,
+        edits: Sequence[Edit],
+        name: str,
+        kind: Kind,
+        method: Method,
+        parameters: Mapping[str, Any] | None,
+    ) -> Layer: ...
+
+    @abstractmethod
+    def _edits_of(self, layer: Layer, edits: Sequence[Edit]) -> list[Edit]: ...
+
+    @abstractmethod
+    def _camera_of(self, layer: Layer, camera: Camera) -> Camera: ...
+
+    def new_layer(self, name: str | None = None, *, index: int | None = None, asset: str = MAIN) -> Layer:
+        """An empty layer that strokes can be painted into (on top, or at an index, 0 the lowest). asset: where there
+        are several, the one that it belongs to."""
         with self._command():
-            document, layer = add_layer(self._document, self._empty_layer(name), index)
+            empty = replace(self._empty_layer(name), asset=self.asset(asset).id)
+            document, layer = add_layer(self._document, empty, index)
             self._commit(f"new layer {layer.name}", document)
             return layer
 
@@ -108,6 +129,8 @@ class StrokeCommands(ABC):
         target = document.layers[document.index(layer)]
         if not target.visible or target.opacity == 0:
             raise ValueError(f"{target.title}: is hidden; show it to paint into it")
+        if document.assets:
+            return self._paint_in_scene(target, edits, name, kind, method, parameters)
         method = self.painter.choose(method, "local")[0]
         settings = {"mode": "local", "method": method, "painter": fingerprint(self.painter, method)}
         below = self.painted_on(layer) if below is None else below
@@ -122,7 +145,8 @@ class StrokeCommands(ABC):
 
     def _fold(self, layer: str) -> None:
         """Let the results of a layer's strokes take no more room than they may."""
-        folding = self._replay.fold(self._document, layer, self._transaction.project.result_bytes)
+        replay, document = self._replay.of_layer(self._document, layer)
+        folding = replay.fold(document, layer, self._transaction.project.result_bytes)
         self._transaction.clear()
         if folding is not None:
             project = self._transaction.project
@@ -132,7 +156,11 @@ class StrokeCommands(ABC):
     def first_stroke(self, layer_name: str | None, edits: Sequence[Edit], *, name: str = "Stroke", **how: Any) -> Layer:
         """`new_layer` and `paint` in one step of the history; nothing where the stroke cannot be painted."""
         with self._command():
-            document, layer = add_layer(self._document, self._empty_layer(layer_name))
+            empty = self._empty_layer(layer_name)
+            if self._document.assets:
+                values = {"kind": "paint", "method": "auto", "parameters": None, **how}
+                return self._paint_in_scene(empty, edits, name, **values)
+            document, layer = add_layer(self._document, empty)
             return self._painted(document, layer.id, self.splats, edits, name, **how)
 
     def painted_on(self, layer: str) -> Splats:
@@ -143,9 +171,7 @@ class StrokeCommands(ABC):
     def below(self, layer: str) -> Splats:
         """The Gaussians below a layer."""
         with self._commands:
-            document = self._document
-            layers = document.layers[: document.index(layer)]
-            return self._replay.compose(replace(document, layers=layers)).splats
+            return self._replay.compose(self._document.below(layer)).splats
 
     def aside(self, layer: str) -> list[AsideScore]:
         """How the latest stroke of a layer, or its edited pictures, look from the side (lift/aside.py), one score
@@ -154,18 +180,20 @@ class StrokeCommands(ABC):
         from splatpainter.lift.edit_views import edit_views
 
         with self._commands:
-            document, target = self._document, self.layer(layer)
+            target = self.layer(layer)
+            replay, document = self._replay.of_layer(self._document, layer)
             latest = target.strokes[-1] if target.strokes else target
             if latest.kind not in ("paint", "picture", "clone") or latest.mode != "local" or not target.visible:
                 return []
             if target.strokes:
                 earlier = change_layer(document, layer, strokes=target.strokes[:-1])
-                before, after = self._replay.painted_on(earlier, layer), self._replay.painted_on(document, layer)
+                before, after = replay.painted_on(earlier, layer), replay.painted_on(document, layer)
             else:
                 full = change_layer(document, layer, opacity=1.0, blend="normal", mask=None)
                 layers = full.layers[: full.index(layer) + 1]
-                before, after = self.below(layer), self._replay.compose(replace(full, layers=layers)).splats
-            edits = [self._replay.edit_of(view, latest) for view in latest.views if view.picture is not None]
+                below = document.layers[: document.index(layer)]
+                before, after = (replay.compose(replace(document, layers=some)).splats for some in (below, layers))
+            edits = [replay.edit_of(view, latest) for view in latest.views if view.picture is not None]
         masks = [np.ones(edit.image.shape[:2], bool) if edit.mask is None else edit.mask for edit in edits]
         views = edit_views(bare(before), [edit.camera for edit in edits], [edit.image for edit in edits], masks)
         return [aside_score(bare(before), bare(after), view) for view in views]
@@ -174,8 +202,9 @@ class StrokeCommands(ABC):
         """A decal on the asset as it is now, or on what is below a layer: its edits, for `add("paint", laid.edits)` or
         `replace_views(replaces, laid.edits)`. Raises ValueError as Decal.laid does."""
         splats = self.splats if replaces is None else self.below(replaces)
-        asset = Asset(replace(bare(splats), origin=np.arange(len(splats))), original=bare(self._replay.original))
-        return decal.laid(asset, self._replay.surface)
+        surfaces = self._replay.surfaces(self._document)
+        asset = Asset(replace(bare(splats), origin=np.arange(len(splats))), original=bare(surfaces.original))
+        return decal.laid(asset, surfaces.surface)
 
     def replace_views(
         self,
@@ -200,6 +229,7 @@ class StrokeCommands(ABC):
                 "painter": fingerprint(self.painter, before.method),
             }
             values = dict(before.parameters if parameters is None else parameters)
+            edits = self._edits_of(before, edits)
             fresh, blobs = new_layer(self.below(layer), before.kind, edits, name or before.name, values, settings)
             self._transaction.blobs = blobs | {files.sha256(data): data for data in attached}
             fields = {"views": fresh.views, "thumbnail": fresh.thumbnail, "painter": fresh.painter, "visible": True}
@@ -221,6 +251,7 @@ class StrokeCommands(ABC):
         with self._command():
             data = encode_mask_part(shows, np.ones_like(shows))
             self._transaction.blobs = {files.sha256(data): data}
+            camera = self._camera_of(self.layer(layer), camera)
             mask = LayerMask(False, (MaskPart(camera, files.sha256(data)),))
             self._commit(f"mask (area) of {self.layer(layer).name}", change_layer(self._document, layer, mask=mask))
             return self.layer(layer)
@@ -236,7 +267,7 @@ class StrokeCommands(ABC):
         if not share.any():
             raise ValueError("mask: nothing was painted")
         with self._command():
-            mask = self.layer(layer).mask or LayerMask()
+            mask, camera = self.layer(layer).mask or LayerMask(), self._camera_of(self.layer(layer), camera)
             parts, last = mask.parts, mask.parts[-1] if mask.parts else None
             if last is not None and last.camera is not None and last.picture is not None and _same(last.camera, camera):
                 earlier = decode_mask_part(self._transaction.blob(last.picture), camera, "mask")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 
 from splatpainter.receipts import changed_rows
-from splatpainter.session.asset_files import OriginalRule, restore
-from splatpainter.session.compose import LayerResult, Replay
+from splatpainter.session.asset_files import OriginalRule, restore, restore_added
 from splatpainter.session.document import Document
+from splatpainter.session.layer_state import LayerResult
 from splatpainter.session.project_file import Project
+from splatpainter.session.scene_replay import SceneReplay
 from splatpainter.splats import Splats, rows_sha256
 
 
@@ -33,7 +35,7 @@ class _StoredResults:
 
 
 def find_problems(
-    project: Project, document: Document, splats: Splats, replay: Replay, repaint: bool, rule: OriginalRule
+    project: Project, document: Document, splats: Splats, replay: SceneReplay, repaint: bool, rule: OriginalRule
 ) -> list[str]:
     """What is wrong with a project, one line each; see Session.verify. document, splats: what its session shows; rule:
     what may be opened as its original."""
@@ -52,7 +54,9 @@ def find_problems(
             out.append(str(error))
     try:
         original = restore(project, rule)
-        fresh = Replay(original, replay.painter, _StoredResults(project, repaint), replay.adjustments)
+        stored = _StoredResults(project, repaint)
+        load = partial(restore_added, project)
+        fresh = SceneReplay(original, replay.painter, stored, replay.adjustments, load)
         again = fresh.compose(document).splats
         differs = changed_rows(again, splats)
         if len(differs) or len(again) != len(splats) or rows_sha256(again) != rows_sha256(splats):

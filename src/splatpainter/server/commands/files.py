@@ -292,7 +292,7 @@ class AssetVerify(Command):
 @command(AssetVerify, background=True)
 def verify_asset(context: CommandContext, request: AssetVerify) -> Verified:
     session = context.studio.session
-    source = session.original.source
+    source = session.opened.source
     entry = None if source is None else FORMATS.get(source.format)
     ending = ".ply" if entry is None or entry.write is None or not entry.suffixes else entry.suffixes[0]
     context.ticket.report(0, "writing and reading again")

@@ -111,7 +111,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     else:
         mask = registration.changed_mask(colors, render, cover, request.threshold)
     share = float(mask.mean())
-    if camera.asset_sha256 not in (None, studio.original.sha256):
+    if camera.asset_sha256 not in (None, studio.session.opened.sha256):
         text = "The picture was rendered from another asset: every difference counts as an edit."
         warnings.append(PictureWarning(message=text))
     if share > registration.REGRADED_SHARE:

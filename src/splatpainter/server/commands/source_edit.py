@@ -150,7 +150,7 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
         raise Cancelled from None
     context.ticket.check()
     image = to_display(made.edit.image, splats.color_space)
-    camera = replace(made.edit.camera, asset_sha256=studio.original.sha256)
+    camera = replace(made.edit.camera, asset_sha256=studio.session.opened.sha256)
     picture = studio.blobs.put(registration.png_bytes(image, camera), f"{name_of(source, request.prompt)}.png").sha256
     studio.note_source(picture, source_record(source, brief, [made]))
     changed = made.admitted.changed

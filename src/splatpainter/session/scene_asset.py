@@ -1,0 +1,100 @@
+"""One asset of a session that holds several: what it is, where it stands, and how a project keeps its file.
+
+Layers name the asset that they belong to. They live in that asset's own space, so that they go with it wherever it is
+moved; the first asset, which the session was opened with, has the id MAIN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from splatpainter.io import FRAMES
+from splatpainter.io.files import printable
+from splatpainter.jsonio import brief
+from splatpainter.scene.placement import Placement
+from splatpainter.splats import Frame
+
+MAIN = ""
+"""Id of the asset that a session was opened with."""
+MAX_ASSETS = 32
+"""Of a session."""
+MAX_NAME = 200
+"""Characters."""
+
+
+@dataclass(frozen=True)
+class SceneAsset:
+    """An asset in its scene."""
+
+    id: str
+    """Unique within the project, never used again."""
+    name: str
+    """For people."""
+    placement: Placement = field(default_factory=Placement)
+    visible: bool = True
+    file: str = ""
+    """Name of its file; of MAIN "": the project's facts name it."""
+    sha256: str = ""
+    """Of its file."""
+    frame: Frame = "auto"
+    """As its file is read."""
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and 0 < len(self.name) <= MAX_NAME and self.name.isprintable()):
+            raise ValueError(f"asset: expected a name of 1 to {MAX_NAME} characters, got {brief(self.name)}")
+
+    def record(self) -> dict[str, Any]:
+        """JSON object of all fields."""
+        fields = ("id", "name", "visible", "file", "sha256", "frame")
+        return {**{name: getattr(self, name) for name in fields}, "placement": self.placement.record()}
+
+    @staticmethod
+    def parse(data: Any) -> SceneAsset:
+        """The inverse of `record`. Raises ValueError."""
+        try:
+            texts = {name: data[name] for name in ("id", "name", "file", "sha256", "frame")}
+            if not all(isinstance(text, str) and len(text) <= MAX_NAME for text in texts.values()):
+                raise ValueError("expected texts")
+            if not isinstance(data["visible"], bool) or texts["frame"] not in FRAMES:
+                raise ValueError("expected visible as a truth value, and a frame")
+            if texts["id"] != MAIN and not (
+                len(texts["sha256"]) == 64 and set(texts["sha256"]) <= set("0123456789abcdef")
+            ):
+                raise ValueError("expected the SHA-256 of its file")
+            placement = Placement.from_record(data["placement"])
+            return SceneAsset(**texts, placement=placement, visible=data["visible"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"asset: {printable(str(error), 200)}") from None
+
+    @property
+    def folder(self) -> str:
+        """Beginning of the names under which a project keeps its file."""
+        return f"{self.sha256}/"
+
+
+def parse_assets(records: Any) -> tuple[SceneAsset, ...]:
+    """The assets of a step. Raises ValueError: not a list of them, two of one id, too many, no first one."""
+    if not isinstance(records, list) or len(records) > MAX_ASSETS:
+        raise ValueError(f"expected a list of at most {MAX_ASSETS} assets")
+    assets = tuple(SceneAsset.parse(record) for record in records)
+    ids = [asset.id for asset in assets]
+    if len(set(ids)) < len(ids) or (ids and ids[0] != MAIN):
+        raise ValueError("expected assets of different ids, the first one ahead")
+    return assets
+
+
+def changed_asset(assets: Sequence[SceneAsset], asset: str, **values: Any) -> tuple[SceneAsset, ...]:
+    """With other values of one asset. Raises ValueError for an unknown one."""
+    find_asset(assets, asset)
+    return tuple(replace(one, **values) if one.id == asset else one for one in assets)
+
+
+def find_asset(assets: Sequence[SceneAsset], asset: str) -> SceneAsset:
+    """By its id. Raises ValueError for an unknown one."""
+    for one in assets:
+        if one.id == asset:
+            return one
+    ids = ", ".join(repr(one.id) for one in assets)
+    raise ValueError(f"asset: expected one of {ids or repr(MAIN)}, got {brief(asset)}")
