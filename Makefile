@@ -5,7 +5,7 @@
 PY := .venv/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo studio test quick fuzz check docs format clean
+.PHONY: demo studio test quick fuzz check check-types check-systems check-web check-docs docs format clean
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -30,9 +30,16 @@ fuzz: .venv/installed-dev
 check: .venv/installed-dev
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
+	$(MAKE) --no-print-directory --jobs 2 check-types check-systems check-web check-docs
+
+# Each on one core, two at a time.
+check-types:
 	.venv/bin/pyright
-	$(PY) scripts/check_platforms.py  # and for the systems that this one is not
+check-systems:
+	$(PY) scripts/check_platforms.py
+check-web:
 	scripts/web check
+check-docs:
 	scripts/docs
 
 # What can be said within a minute: lint, and the tests of the core that compile nothing new.

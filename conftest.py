@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from _pytest.pathlib import import_path
@@ -72,9 +73,30 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
             _import_backwards(session)
         return (yield)
     finally:
+        _remember_parsers()
         gc.freeze()
         gc.set_threshold(GARBAGE_OBJECTS, 20, 20)
         gc.enable()
+
+
+def _remember_parsers() -> None:
+    """A parser is built once per process and command, not a thousand times: 10 ms each. What tyro makes of a dataclass
+    is frozen, and knows none of the words. It has no public name: where it gets another one, all parsers are built."""
+    specification = getattr(sys.modules.get("tyro._parsers"), "ParserSpecification", None)
+    from_type = getattr(specification, "from_callable_or_type", None)
+    if specification is None or from_type is None:
+        return
+    parsers: dict[Any, Any] = {}
+
+    def remembered(f: Any, **settings: Any) -> Any:
+        if settings.get("parent_classes") or settings.get("intern_prefix"):  # a part of another one
+            return from_type(f, **settings)
+        key = f, repr(settings)
+        if key not in parsers:
+            parsers[key] = from_type(f, **settings)
+        return parsers[key]
+
+    specification.from_callable_or_type = staticmethod(remembered)
 
 
 def _import_backwards(session: pytest.Session) -> None:

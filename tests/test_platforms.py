@@ -37,7 +37,8 @@ def test_the_main_paths_need_nothing_that_only_posix_has(tmp_path: Path) -> None
     ensure_compiled(progress=False)  # with all the threads there are; the program below finds the kernels
     script = Path(__file__).parent / "support" / "without_posix.py"
     variables = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "SPLATPAINTER_THREADS": "2"}
-    path = os.pathsep.join([str(ROOT / "src"), str(ROOT / "benchmarks"), str(ROOT)])
+    folders = [str(ROOT / "src"), str(ROOT / "benchmarks"), str(ROOT), os.environ.get("PYTHONPATH", "")]
+    path = os.pathsep.join(filter(None, folders))
     done = subprocess.run(
         [sys.executable, str(script)],
         cwd=tmp_path,

@@ -272,7 +272,7 @@ def main() -> int:
             "NUMBA_BOUNDSCHECK": "1",
             "NUMBA_CACHE_DIR": folder,
             "NUMBA_OPT": os.environ.get("NUMBA_OPT", "1"),
-            "PYTHONPATH": str(ROOT / "src"),
+            "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])),
             "SPLATPAINTER_THREADS": "1",
             "PYTHONFAULTHANDLER": "1",
         }

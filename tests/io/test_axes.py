@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +16,10 @@ from splatpainter.io.axes import AXES, flip
 from splatpainter.io.spz import write_spz
 from splatpainter.receipts import verify
 from splatpainter.session import Session
-from splatpainter.splats import Frame
+from splatpainter.splats import Frame, Splats
 from tests.support.cli_scenes import BOX, Capture, ball, paint, run
 from tests.support.io_assets import disagreement, float_columns, random_splats
-from tests.support.io_packed import alone, quats_apart, same_bits, spz_reference
+from tests.support.io_packed import alone, quats_apart, same_bits
 
 if TYPE_CHECKING:
     from tests.support.node_oracle import SplatTransform
@@ -88,7 +89,9 @@ def test_flips_restore_nan_bits() -> None:
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
-def test_new_spz_files_name_their_frame(version: int, tmp_path: Path, node_modules: Path) -> None:
+def test_new_spz_files_name_their_frame(
+    version: int, tmp_path: Path, spz_reference: Callable[[list[Path]], list[Splats]]
+) -> None:
     """By the extension, but for old versions in SPZ's own frame: there spz-js refuses bytes behind the rows. The
     reference implementation reads either frame as the same asset."""
     splats = random_splats(200, 3)
@@ -103,7 +106,7 @@ def test_new_spz_files_name_their_frame(version: int, tmp_path: Path, node_modul
     assert (tmp_path / "auto.spz").read_bytes() == (tmp_path / "rub.spz").read_bytes()
     if version == 4:
         assert (said(tmp_path / "rub.spz"), said(tmp_path / "rdf.spz")) == (4, 6)
-    truths = spz_reference(node_modules, tmp_path, [tmp_path / f"{frame}.spz" for frame in FRAMES])
+    truths = spz_reference([tmp_path / f"{frame}.spz" for frame in FRAMES])
     for truth, ours in zip(truths, (rub, rdf), strict=True):
         assert np.array_equal(ours.means, truth.means) and np.array_equal(ours.sh[:, 1:], truth.sh[:, 1:])
     assert np.array_equal(rub.means, rdf.means)

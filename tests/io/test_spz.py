@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +19,7 @@ from splatpainter.io.spz import SpzFile, read_spz, write_spz
 from splatpainter.splats import Splats
 from splatpainter.transforms import sh_basis
 from tests.support.io_assets import disagreement, float_columns, random_splats
-from tests.support.io_packed import alone, covariances, damages, quats_apart, same_bits, spz_reference, survives
+from tests.support.io_packed import alone, covariances, damages, quats_apart, same_bits, survives
 
 if TYPE_CHECKING:
     from tests.support.node_oracle import SplatTransform
@@ -112,7 +113,7 @@ def test_extensions_and_tail_are_kept(version: int, tmp_path: Path) -> None:
         assert data[32 : 32 + len(EXTENSIONS)] == EXTENSIONS
 
 
-def test_every_coordinate_system(tmp_path: Path, node_modules: Path) -> None:
+def test_every_coordinate_system(tmp_path: Path, spz_reference: Callable[[list[Path]], list[Splats]]) -> None:
     """All 16 named frames, beside the reference implementation; and words survive an edit in each."""
     rng = np.random.default_rng(0)
     rows, degree = 40, 4
@@ -127,7 +128,7 @@ def test_every_coordinate_system(tmp_path: Path, node_modules: Path) -> None:
         paths[-1].write_bytes(plain(streams, flags=2, rows=rows, degree=degree, extensions=extension))
     directions = rng.normal(size=(30, 3))
     basis = sh_basis(directions / np.linalg.norm(directions, axis=1, keepdims=True), degree)
-    for path, truth in zip(paths, spz_reference(node_modules, tmp_path, paths), strict=True):
+    for path, truth in zip(paths, spz_reference(paths), strict=True):
         splats = read_spz(path)
         assert np.abs(splats.means - truth.means).max() == 0
         ours, theirs = covariances(splats), covariances(truth)
@@ -217,11 +218,11 @@ def test_what_we_write(version: int, degree: int, tmp_path: Path, splat_transfor
     assert found["rest"] <= 1 / 128 + 1e-6 and found["quats"] <= (0.15 if version == 2 else STEPS["quats"] * 3)
 
 
-def test_degree_4_beside_the_reference(tmp_path: Path, node_modules: Path) -> None:
+def test_degree_4_beside_the_reference(tmp_path: Path, spz_reference: Callable[[list[Path]], list[Splats]]) -> None:
     """Band 4 needs version 4; splat-transform stops at band 3, the reference reads it."""
     splats = random_splats(300, 4)
     write_spz(tmp_path / "a.spz", splats)
-    (truth,) = spz_reference(node_modules, tmp_path, [tmp_path / "a.spz"])
+    (truth,) = spz_reference([tmp_path / "a.spz"])
     back = read_spz(tmp_path / "a.spz")
     assert detail(back).version == 4
     assert np.array_equal(back.means, truth.means) and np.array_equal(back.sh[:, 1:], truth.sh[:, 1:])

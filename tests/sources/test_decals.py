@@ -128,7 +128,7 @@ def test_the_note_says_when_less_than_half_lies_on_the_surface() -> None:
 
 def test_word_around_a_corner_of_rough_surface() -> None:
     """Gaussians that scatter about the faces by half a width, as those of captures do."""
-    asset = sp.Painter().encode(surface_shapes.box(10_000, noise=0.5))
+    asset = sp.Painter().encode(surface_shapes.box(5_000, noise=0.5))
     full = np.full((60, 240, 3), 0.2, np.float32)
     laid = Decal(full, MIDDLE, FRONT, 1.4).laid(asset)
     assert laid.coverage > 0.85

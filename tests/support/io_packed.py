@@ -1,9 +1,7 @@
-"""What the tests of the packed formats (SPZ, SOG, GLB) share: damage, promises about unchanged rows, the SPZ oracle."""
+"""What the tests of the packed formats (SPZ, SOG, GLB) share: damage, promises about unchanged rows."""
 
 from __future__ import annotations
 
-import json
-import subprocess
 import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -88,38 +86,3 @@ def covariances(splats: Splats) -> np.ndarray:
     )
     spread = rotation * splats.scales.astype(np.float64)[:, None]
     return spread @ spread.transpose(0, 2, 1)
-
-
-_LOAD_SPZ = """
-import fs from 'fs'; import { pathToFileURL } from 'url';
-const spz = await (await import(pathToFileURL(process.argv[2]).href)).default({ print: () => {}, printErr: () => {} });
-for (const file of process.argv.slice(3)) {
-  const c = spz.loadSpzFromBuffer(new Uint8Array(fs.readFileSync(file)), { to: spz.CoordinateSystem.RDF });
-  const parts = [c.positions, c.rotations, c.scales, c.alphas, c.colors, c.sh].map((a) => Float32Array.from(a));
-  const head = { n: c.numPoints, degree: c.shDegree, antialiased: c.antialiased };
-  fs.writeFileSync(file + '.json', JSON.stringify(head));
-  fs.writeFileSync(file + '.f32', Buffer.concat(parts.map((a) => Buffer.from(a.buffer))));
-}
-"""
-
-
-def spz_reference(modules: Path, folder: Path, files: list[Path]) -> list[Splats]:
-    """What the reference implementation (WebAssembly, @adobe/spz) reads from SPZ files, turned to the PLY frame."""
-    script = folder / "load.mjs"
-    script.write_text(_LOAD_SPZ)
-    command = ["node", script, modules / "@adobe" / "spz" / "dist" / "spz.js", *files]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr or done.stdout
-    out = []
-    for file in files:
-        head = json.loads(Path(f"{file}.json").read_text())
-        n, more = head["n"], (head["degree"] + 1) ** 2 - 1
-        values = np.fromfile(f"{file}.f32", "<f4")
-        sizes = [3 * n, 4 * n, 3 * n, n, 3 * n, 3 * more * n]
-        means, xyzw, logs, logits, colors, rest = np.split(values, np.cumsum(sizes)[:-1])
-        sh = np.concatenate([colors.reshape(n, 1, 3), rest.reshape(n, more, 3)], 1)
-        with np.errstate(over="ignore"):
-            opacities = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
-        quats, scales = xyzw.reshape(n, 4)[:, [3, 0, 1, 2]], np.exp(logs.reshape(n, 3))
-        out.append(Splats(means.reshape(n, 3), quats, scales, opacities, sh, antialiased=head["antialiased"]))
-    return out

@@ -1,5 +1,5 @@
-"""The Node oracles: another project's readers and writers of splat files (splat-transform 2 and 3) and the Khronos glTF
-validator, pinned in tests/support/node.
+"""The Node oracles: another project's readers and writers of splat files (splat-transform 2 and 3, @adobe/spz) and the
+Khronos glTF validator, pinned in tests/support/node.
 
 A test module that wants one says `pytest_plugins = ["tests.support.node_oracle"]` and takes its fixture.
 """
@@ -16,9 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from splatpainter.splats import Frame
+from splatpainter.splats import Frame, Splats
 
 NODE = Path(__file__).resolve().parent / "node"
 PATIENCE_SECONDS = 120
@@ -154,4 +155,54 @@ require("readline").createInterface({ input: process.stdin }).on("line", async (
   const report = await validator.validateBytes(new Uint8Array(readFileSync(JSON.parse(line))), { maxIssues: 0 });
   console.log(JSON.stringify(report.issues.messages));
 });
+"""
+
+
+@pytest.fixture(scope="session")
+def spz_reference(
+    node_modules: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[[list[Path]], list[Splats]]]:
+    """run(files) -> what the reference implementation (WebAssembly, @adobe/spz) reads from SPZ files, turned to the PLY
+    frame."""
+    script = tmp_path_factory.mktemp("spz") / "load.mjs"
+    script.write_text(_LOAD_SPZ)
+    server = Server(script, node_modules / "@adobe" / "spz" / "dist" / "spz.js")
+
+    def read(files: list[Path]) -> list[Splats]:
+        assert server.ask([str(file) for file in files]) == "read"
+        return [_spz_values(file) for file in files]
+
+    yield read
+    server.close()
+
+
+def _spz_values(file: Path) -> Splats:
+    """What the program below left beside an SPZ file."""
+    head = json.loads(Path(f"{file}.json").read_text())
+    n, more = head["n"], (head["degree"] + 1) ** 2 - 1
+    values = np.fromfile(f"{file}.f32", "<f4")
+    sizes = [3 * n, 4 * n, 3 * n, n, 3 * n, 3 * more * n]
+    means, xyzw, logs, logits, colors, rest = np.split(values, np.cumsum(sizes)[:-1])
+    sh = np.concatenate([colors.reshape(n, 1, 3), rest.reshape(n, more, 3)], 1)
+    with np.errstate(over="ignore"):
+        opacities = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(np.float32)
+    quats, scales = xyzw.reshape(n, 4)[:, [3, 0, 1, 2]], np.exp(logs.reshape(n, 3))
+    return Splats(means.reshape(n, 3), quats, scales, opacities, sh, antialiased=head["antialiased"])
+
+
+_LOAD_SPZ = """
+import fs from "fs";
+import { createInterface } from "node:readline";
+import { pathToFileURL } from "url";
+const spz = await (await import(pathToFileURL(process.argv[2]).href)).default({ print: () => {}, printErr: () => {} });
+for await (const line of createInterface({ input: process.stdin })) {
+  for (const file of JSON.parse(line)) {
+    const c = spz.loadSpzFromBuffer(new Uint8Array(fs.readFileSync(file)), { to: spz.CoordinateSystem.RDF });
+    const parts = [c.positions, c.rotations, c.scales, c.alphas, c.colors, c.sh].map((a) => Float32Array.from(a));
+    const head = { n: c.numPoints, degree: c.shDegree, antialiased: c.antialiased };
+    fs.writeFileSync(file + ".json", JSON.stringify(head));
+    fs.writeFileSync(file + ".f32", Buffer.concat(parts.map((a) => Buffer.from(a.buffer))));
+  }
+  console.log('"read"');
+}
 """

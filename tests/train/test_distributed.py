@@ -21,7 +21,7 @@ from splatpainter.train.distributed import join
 from splatpainter.train.loop import sample_numbers
 from tests.support.train_scenes import RECIPE, loop, stream
 
-STEPS = 3
+STEPS = 2
 ONCE = replace(RECIPE, steps=STEPS)
 KINDS = ("ddp", "fsdp")
 
