@@ -23,6 +23,7 @@ MAX_NODES = 50_000
 MAX_DEPTH = 40
 _Dataclass = TypeVar("_Dataclass")
 _NUMBER = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?")
+BARE_COLOR = re.compile(r"^[^#\"']*[:\[,]\s+#[0-9a-fA-F]{6}\b")
 _TAG = "tag:yaml.org,2002:"
 
 
@@ -47,11 +48,25 @@ def read(kind: type[_Dataclass], path: Path) -> tuple[_Dataclass, Lines]:
     Raises ValueError naming file and line: unreadable, no YAML, unknown or missing keys, values of another kind; and
     without PyYAML what to install."""
     lines = Lines(path)
-    values = _load(path, lines)
+    try:
+        values = _load(path, lines)
+    except ValueError as error:
+        raise ValueError(f"{error}{_comment_hint(path)}") from None
     try:
         return jsonio.build(kind, values, path, what="a mapping of keys and values", defaults=True), lines
     except jsonio.FieldError as error:
-        raise ValueError(f"{lines.at(error.path)}: {error.reason}") from None
+        raise ValueError(f"{lines.at(error.path)}: {error.reason}{_comment_hint(path)}") from None
+
+
+def _comment_hint(path: Path) -> str:
+    """ "; ..." where a colour of a file that is wrong was written without quotes, or ""."""
+    try:
+        with open(path, "rb") as file:
+            text = file.read(MAX_YAML_BYTES).decode("utf-8", "replace")
+    except OSError:
+        return ""
+    bare = next((number for number, line in enumerate(text.splitlines(), 1) if BARE_COLOR.search(line)), None)
+    return "" if bare is None else f'; line {bare}: # begins a comment, put the colour in quotes: "#..."'
 
 
 def _load(path: Path, lines: Lines) -> Any:

@@ -226,10 +226,37 @@ def test_two_batches_do_not_write_into_one_folder(folder: Path, capfd: Capture) 
         ("assets: [shoes/*.ply]\n", ":1: expected edits"),
         ("assets: []\nedits: [{grade: {exposure: 1}}]\n", ":1: expected at least one of assets"),
         ("assets: [a.ply]\nedits: [{grade: {exposure: 1}}]\n", ":1: {folder}/a.ply: no such file"),
-        ("assets:\n  - shoes/*.ply\n  - hats/*.ply\nedits: [{grade: {}}]\n", ":3: hats/*.ply: no splat file has such"),
-        ("assets: [cam.json]\nedits: [{grade: {}}]\n", ":1: {folder}/cam.json: expected a splat file"),
+        (
+            "assets:\n  - shoes/*.ply\n  - hats/*.ply\nedits: [{grade: {exposure: 1}}]\n",
+            ":3: hats/*.ply: no splat file has such",
+        ),
+        ("assets: [cam.json]\nedits: [{grade: {exposure: 1}}]\n", ":1: {folder}/cam.json: expected a splat file"),
         ("assets: [shoes/*.ply]\nedits:\n  - grde: {}\n", ":3: unknown key 'edits[0].grde'; known there: pictures, "),
         ("assets: [shoes/*.ply]\nedits:\n  - grade: {exposure: warm}\n", ":3: expected float as 'edits[0].grade.exp"),
+        (
+            "assets: [shoes/*.ply]\nedits:\n  - grade: {}\n",
+            ":3: edits[0].grade: expected sliders or one look",
+        ),
+        (
+            "assets: [shoes/*.ply]\nedits:\n  - grade: {exposure: 99}\n",
+            ":3: edits[0].grade: expected exposure from -10",
+        ),
+        (
+            "assets: [shoes/*.ply]\nedits:\n  - grade: {recolor: navy}\n",
+            ":3: edits[0].grade: expected recolor like #20",
+        ),
+        (
+            "assets: [shoes/*.ply]\nedits:\n  - grade: {recolor: '#2040a0', where: [hu=3..5]}\n",
+            ":3: edits[0].grade: --where: expected NAME=VALUE with one of hue,",
+        ),
+        (
+            "assets: [shoes/*.ply]\nedits:\n  - grade: {recolor: #2040a0}\n",
+            ":4: is not YAML (expected the node content, but found '<stream end>'); line 3: # begins a comment, put",
+        ),
+        (
+            "assets: [shoes/*.ply]\nedits:\n  - grade:\n      recolor: #2040a0\n",
+            ":4: expected str as 'edits[0].grade.recolor', got None; line 4: # begins a comment, put",
+        ),
         ("assets: [shoes/*.ply]\nedits:\n  - {}\n", ":3: edits[0]: expected one of pictures, decal, grade, source"),
         (
             "assets: [shoes/*.ply]\nedits:\n  - grade:\n      lut: film.cube\n",

@@ -9,6 +9,8 @@ import re
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
+from splatpainter.grading.grade import hex_color, one_look
+from splatpainter.grading.region import check_terms
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.painter import Method, Mode
 from splatpainter.sources.gatekeeper import Strictness
@@ -77,7 +79,15 @@ class GradeEdit:
     recolor: str = ""
     strength: float = 1.0
     where: tuple[str, ...] = ()
-    """Terms of `--where`; masks by paths relative to the file."""
+    """Terms of `--where`; masks and projects by paths relative to the file."""
+
+    def __post_init__(self) -> None:
+        one_look(vars(self))
+        if self.recolor and "{" not in self.recolor:
+            hex_color(self.recolor)
+        if not 0 < self.strength <= 1:
+            raise ValueError(f"expected strength above 0, up to 1, got {self.strength:g}")
+        check_terms(self.where)
 
 
 @dataclass(frozen=True)

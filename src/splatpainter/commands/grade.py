@@ -15,7 +15,7 @@ from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
 from splatpainter.commands.proved import check_outputs, proved_record, write_proved
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verify import receipt_of, same_words
-from splatpainter.grading.grade import Look, grade
+from splatpainter.grading.grade import LOOKS, SLIDERS, Look, grade, hex_color, one_look
 from splatpainter.grading.region import Region
 from splatpainter.io import files, read
 from splatpainter.jsonio import load_object
@@ -28,9 +28,6 @@ from splatpainter.sources.cube_lut import read_cube
 from splatpainter.sources.picture_reader import read_picture
 
 COMMAND = "splatpainter grade"
-SLIDERS = {"exposure": 10.0, "temperature": 1.0, "tint": 1.0, "contrast": 1.0, "saturation": 1.0, "hue": 360.0}
-"""Slider -> the largest value to either side."""
-LOOKS = ("look", "lut", "match", "recolor")
 MAX_LOOK_BYTES = 1 << 20
 """Of a LOOK.json."""
 ALL_HUES = 1e6
@@ -143,17 +140,8 @@ def run(config: Config) -> Outcome:
 
 def look_of(config: Config) -> Look:
     """The one look that is asked for. Raises ValueError: none, several, or one that cannot be read."""
-    for name, limit in SLIDERS.items():
-        if not -limit <= getattr(config, name) <= limit:
-            raise ValueError(f"{COMMAND}: expected --{name} from {-limit:g} to {limit:g}, got {getattr(config, name)}")
-    values = {name: float(getattr(config, name)) for name in SLIDERS if getattr(config, name)}
+    values = one_look({name: getattr(config, name) for name in (*SLIDERS, *LOOKS)}, f"{COMMAND}: ", "--")
     turn = values.pop("hue", 0.0)
-    given = [f"--{name}" for name in LOOKS if getattr(config, name)]
-    if values or turn:
-        given.append("sliders")
-    if len(given) != 1:
-        choices = ", ".join(f"--{name}" for name in (*SLIDERS, *LOOKS))
-        raise ValueError(f"{COMMAND}: expected sliders or one look ({choices}), got {' and '.join(given) or 'none'}")
     if config.look is not None:
         return read_look(config.look)
     if config.lut is not None:
@@ -161,7 +149,7 @@ def look_of(config: Config) -> Look:
     if config.match is not None:
         return ColorMatch(read_picture(config.match), config.match.name)
     if config.recolor:
-        return Recolor(_color(config.recolor))
+        return Recolor(hex_color(config.recolor, f"{COMMAND}: ", "--"))
     bands = [{"hue": 0.0, "width": ALL_HUES, "shift": turn}] if turn else []
     return GradeSettings.from_dict({**values, "hues": bands})
 
@@ -203,11 +191,3 @@ def _transfer_of_layer(path: Path, layer: Layer, blobs: dict[str, bytes]) -> Loo
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {str(error).removeprefix('look: ')}") from None
     return LayerLook(function, strength, ascii(layer.name))
-
-
-def _color(text: str) -> tuple[float, float, float]:
-    digits = text.removeprefix("#")
-    if len(digits) != 6 or any(c not in "0123456789abcdefABCDEF" for c in digits):
-        raise ValueError(f"{COMMAND}: expected --recolor like #2040a0, got {ascii(text[:40])}")
-    red, green, blue = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4))
-    return red, green, blue

@@ -34,7 +34,7 @@ class Lost:
 
 
 Results: TypeAlias = Generator[tuple[int, "Result | Lost"]]
-"""To be closed by who stops before the end."""
+"""To be closed by who stops before the end; what is in work then is ended."""
 
 
 def run_here(work: Callable[[int], Result], numbers: Iterable[int]) -> Results[Result]:
@@ -73,8 +73,8 @@ def run_in_pool(
         except _Cancelled:
             return
         finally:
-            if cancelled is not None:
-                _kill_workers()
+            if running:  # cancelled, interrupted, or closed before the end: nobody waits for what they are doing
+                _kill_workers(pool)
             pool.shutdown(wait=False, cancel_futures=True)
         for future, number in running.items():
             try:
@@ -97,8 +97,9 @@ def _wait(running: Iterable[Future[Result]], cancelled: Callable[[], bool] | Non
             return done
 
 
-def _kill_workers() -> None:
-    for process in multiprocessing.active_children():
+def _kill_workers(pool: ProcessPoolExecutor) -> None:
+    """What ProcessPoolExecutor.kill_workers of Python 3.14 does."""
+    for process in list((pool._processes or {}).values()):
         process.kill()
 
 
@@ -116,9 +117,9 @@ def _alone(
                 return _wait([pool.submit(work, number)], cancelled).pop().result()
             except BrokenProcessPool:
                 continue
-            finally:
-                if cancelled is not None:
-                    _kill_workers()
+            except BaseException:
+                _kill_workers(pool)
+                raise
     return Lost(f"its worker died {max(retries, 1) + 1} times (killed, or out of memory)")
 
 

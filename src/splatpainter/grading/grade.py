@@ -10,8 +10,9 @@ the look and the region leave alone keeps every one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -22,6 +23,10 @@ from splatpainter.sources.color_grading import GradeSettings, apply_to_sh
 from splatpainter.sources.color_match import ColorMap, display_colors, seen_weights
 from splatpainter.splats import Splats
 
+SLIDERS = {"exposure": 10.0, "temperature": 1.0, "tint": 1.0, "contrast": 1.0, "saturation": 1.0, "hue": 360.0}
+"""Slider -> the largest value to either side."""
+LOOKS = ("look", "lut", "match", "recolor")
+"""What stands in place of sliders: a look of the studio, a LUT, a picture's colours, one new colour."""
 MAX_NOTE = 2000
 """Characters of what a receipt says of a look and its region."""
 
@@ -44,6 +49,29 @@ class FixedLook(Protocol):
 
 
 Look: TypeAlias = GradeSettings | FixedLook | FittedLook
+
+
+def one_look(given: Mapping[str, Any], where: str = "", mark: str = "") -> dict[str, float]:
+    """The sliders that are moved. given: values of SLIDERS and LOOKS by name. where: begins errors; mark: the names in
+    them. Raises ValueError: a slider beyond its end, no look at all, or several."""
+    for name, limit in SLIDERS.items():
+        if not -limit <= given[name] <= limit:
+            raise ValueError(f"{where}expected {mark}{name} from {-limit:g} to {limit:g}, got {given[name]}")
+    values = {name: float(given[name]) for name in SLIDERS if given[name]}
+    looks = [f"{mark}{name}" for name in LOOKS if given[name]] + (["sliders"] if values else [])
+    if len(looks) != 1:
+        choices = ", ".join(f"{mark}{name}" for name in (*SLIDERS, *LOOKS))
+        raise ValueError(f"{where}expected sliders or one look ({choices}), got {' and '.join(looks) or 'none'}")
+    return values
+
+
+def hex_color(text: str, where: str = "", mark: str = "") -> tuple[float, float, float]:
+    """0..1 of a --recolor. Raises ValueError, which begins with `where`."""
+    digits = text.removeprefix("#")
+    if len(digits) != 6 or any(c not in "0123456789abcdefABCDEF" for c in digits):
+        raise ValueError(f"{where}expected {mark}recolor like #2040a0, got {ascii(text[:40])}")
+    red, green, blue = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4))
+    return red, green, blue
 
 
 def grade(splats: Splats, look: Look, region: Region | None = None, *, strength: float = 1.0) -> Asset:

@@ -47,6 +47,8 @@ COLOR_FADE = 0.5
 """Of a colour's distance, beyond it."""
 MIN_CHROMA = 0.05
 """Display units between the largest and the smallest channel: what has less is nearly grey, and has a hue by chance."""
+OF_FILES = ("mask", "selection", "layer")
+"""Terms that name files."""
 Weigh = Callable[[Splats], np.ndarray]
 
 
@@ -61,7 +63,7 @@ class Region:
     @staticmethod
     def parse(words: Sequence[str]) -> Region:
         """Raises ValueError naming the term: unknown, numbers that are none, a mask that cannot be read."""
-        terms = [term for word in words for term in TERM_BREAK.split(word.strip())] if len(words) == 1 else list(words)
+        terms = _terms(words)
         if not terms or len(terms) > MAX_TERMS:
             raise ValueError(f"--where: expected 1 to {MAX_TERMS} terms, got {len(terms)}")
         groups: list[list[Weigh]] = [[]]
@@ -86,11 +88,30 @@ class Region:
         return out
 
 
-def _term(text: str) -> Weigh:
+def check_terms(words: Sequence[str]) -> None:
+    """Raises ValueError as `Region.parse`, where that needs no file; terms that hold {asset} or {variant} pass."""
+    for term in _terms(words):
+        if term != "or" and "{" not in term:
+            name, value, _ = _split(term)
+            if name not in OF_FILES:
+                _TERMS[name](name, value)
+
+
+def _terms(words: Sequence[str]) -> list[str]:
+    return [term for word in words for term in TERM_BREAK.split(word.strip())] if len(words) == 1 else list(words)
+
+
+def _split(text: str) -> tuple[str, str, bool]:
+    """(name, value, whether it is turned round)."""
     inverted = text.startswith("not:")
     name, equals, value = text.removeprefix("not:").partition("=")
     if name not in _TERMS or not equals or not value:
         raise ValueError(f"--where: expected NAME=VALUE with one of {', '.join(_TERMS)}, got {ascii(text[:60])}")
+    return name, value, inverted
+
+
+def _term(text: str) -> Weigh:
+    name, value, inverted = _split(text)
     weigh = _TERMS[name](name, value)
     return (lambda splats: 1 - weigh(splats)) if inverted else weigh
 
