@@ -319,6 +319,33 @@ def test_nothing_serious_for_those_who_cannot_see_or_point(opened: tuple[studio_
     for name in ("Brush", "Colours", "History", "Adjust", "Pictures", "Views", "Receipt"):
         page.tab.get_by_role("tab", name=name).click()
         assert page.serious() == [], name
+    for key, title in (("Control+o", "Open"), ("Control+s", "Save and export"), ("?", "Shortcuts")):
+        page.tab.keyboard.press(key)
+        dialog = page.tab.get_by_role("dialog", name=title)
+        page.wait(title, dialog.count)
+        assert page.serious() == [], title
+        if key != "?":
+            page.tab.keyboard.press("Escape")
+    dialog.get_by_role("button", name="Tour").click()
+    page.wait("the tour", lambda: page.tab.get_by_role("button", name="Next").count())
+    assert page.serious() == [], "tour"
+    page.tab.keyboard.press("Escape")
+    for panel, button, title in (
+        ("Pictures", "Edit with a source", "Edit with a source"),
+        ("Views", "More ...", "Export the view"),
+        ("Views", "Film ...", "Turntable"),
+    ):
+        page.tab.get_by_role("tab", name=panel).click()
+        page.tab.get_by_role("button", name=button).click()
+        page.wait(title, page.tab.get_by_role("dialog", name=title).count)
+        assert page.serious() == [], title
+        page.tab.keyboard.press("Escape")
+    page.tab.keyboard.press("t")
+    box = page.tab.locator("#stage").bounding_box()
+    page.tab.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.wait("the text under its handles", lambda: page.tab.get_by_role("button", name="Apply").count())
+    assert page.serious() == [], "text on the surface"
+    page.tab.keyboard.press("Escape")
 
 
 def png(pixels: np.ndarray, camera: Camera) -> bytes:

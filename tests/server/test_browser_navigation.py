@@ -287,3 +287,45 @@ def test_keys_can_be_changed_and_are_remembered(opened: tuple[studio_scenes.Live
     sheet.get_by_role("button", name="Close").click()
     keys.press("b")
     assert page.tab.get_by_role("button", name="Brush", exact=True).get_attribute("aria-pressed") == "true"
+
+
+def test_settings_that_do_not_fit_open_below_the_bar(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """At 1100 and 1400 pixels nothing scrolls sideways; what does not fit is under More, where the keyboard goes too."""
+    _, page = opened
+    bar = page.tab.locator(".options")
+    row = bar.locator(".options-row")
+    more, spread = bar.get_by_role("button", name="More"), bar.get_by_role("button", name="Spread")
+    widths = "(name) => { const box = document.querySelector(name); return [box.scrollWidth, box.clientWidth]; }"
+
+    def is_open() -> bool:
+        return "open" in row.get_attribute("class").split()
+
+    def is_in_sight(control: Any) -> bool:
+        rows = row.bounding_box()
+        return control.bounding_box()["y"] + 10 < rows["y"] + rows["height"]
+
+    for width in (1100, 1400):
+        page.tab.set_viewport_size({"width": width, "height": 520})
+        page.wait("More", more.count)
+        for name in (".header", ".options", ".options-row"):
+            scrolled, there = page.ask(widths, name)
+            assert scrolled == there, (width, name)
+    assert not is_open() and not is_in_sight(spread)
+    more.click()
+    assert is_open() and is_in_sight(spread)
+    bar.get_by_role("button", name="Limits").click()
+    page.wait("its settings", lambda: is_in_sight(bar.get_by_label("Angle limit", exact=True)))
+    page.tab.keyboard.press("Escape")
+    assert not is_open() and page.ask("document.activeElement.textContent") == "More"
+    bar.get_by_label("Flow", exact=True).focus()
+    for _ in range(12):
+        page.tab.keyboard.press("Tab")
+        if is_open():
+            break
+    assert is_open(), "the focus went to what was below"
+    page.drag((0.3, 0.8), (0.4, 0.8))
+    assert not is_open() and page.ask("document.querySelector('.options-row').scrollTop") == 0
+    page.wait("the stroke", lambda: page.names() == ["Paint"])
+    page.tab.set_viewport_size({"width": 1100, "height": 520})
+    page.tab.keyboard.press("m")
+    page.wait("a tool whose settings fit", lambda: more.count() == 0)

@@ -59,11 +59,11 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
   useEffect(() => listenToDrops((over) => (dropping.value = over), take), []);
   return (
     <div class="app">
-      <h1 class="unseen">SplatPainter studio</h1>
       <Header />
       <Options />
       <Toolbar />
       <main class="middle">
+        <h1 class="unseen">SplatPainter studio</h1>
         <Stage canvas={canvas} />
         {state.value && <Gizmo />}
         {!state.value && (

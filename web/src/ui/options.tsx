@@ -34,6 +34,7 @@ import { report } from "../state/studio";
 import { BrushSize, KeepShading } from "./brush-size";
 import { SymmetryButton } from "./symmetry";
 import { fonts, loadFont, systemFonts } from "./fonts";
+import { OverflowBar } from "./overflow-bar";
 import { Button, Check, Choice, FileButton, Percent, Slider } from "./parts";
 
 const MODES: readonly (readonly [PaintMode, string])[] = [
@@ -51,7 +52,7 @@ export function Options() {
   const round = ["brush", "erase", "line", "clone", "heal"].includes(current);
   const colored = ["brush", "line", "fill", "text", "stamp"].includes(current);
   return (
-    <section class="options" aria-label="Tool settings">
+    <OverflowBar label="Tool settings" of={current}>
       {round && <Round />}
       {current === "select" && selecting.value.kind === "brush" && <Tip />}
       {current === "fill" && <Fill />}
@@ -91,7 +92,7 @@ export function Options() {
       {PAINTS.includes(current) && <Methods />}
       {LIMITED_TOOLS.includes(current) && <Limits />}
       {SPREADING_TOOLS.includes(current) && <Spreading />}
-    </section>
+    </OverflowBar>
   );
 }
 

@@ -1,0 +1,81 @@
+/**
+ * A bar whose settings go on below it where they do not fit: the first line is always there, "More" (or the keyboard,
+ * when it goes there) opens the rest over the view. Nothing is taken out of the page and put back, so nothing loses focus.
+ */
+
+import type { ComponentChildren } from "preact";
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
+
+import { Button } from "./parts";
+
+/** Pixels by which what is in the next line lies lower at least. */
+const NEXT_LINE_PX = 20;
+
+const isBelow = (row: HTMLElement, one: Element): boolean =>
+  one.getBoundingClientRect().top - row.firstElementChild!.getBoundingClientRect().top > NEXT_LINE_PX;
+
+export function OverflowBar({ label, of, children }: { label: string; of: string; children: ComponentChildren }) {
+  const section = useRef<HTMLElement>(null);
+  const row = useRef<HTMLDivElement>(null);
+  const [more, setMore] = useState(false);
+  const [open, setOpen] = useState(false);
+  useEffect(() => setOpen(false), [of]);
+  useLayoutEffect(() => {
+    const box = row.current!;
+    const measure = () => {
+      const overflowing = [...box.children].some((one) => isBelow(box, one));
+      setMore(overflowing);
+      if (!overflowing) setOpen(false);
+    };
+    const changed = (records: MutationRecord[]) => {
+      measure();
+      // settings that a click in the bar brought out are to be seen
+      const fresh = records.flatMap(({ addedNodes }) => [...addedNodes]).filter((one) => one instanceof Element);
+      if (box.contains(document.activeElement) && fresh.some((one) => box.contains(one) && isBelow(box, one)))
+        setOpen(true);
+    };
+    const sizes = new ResizeObserver(measure);
+    const contents = new MutationObserver(changed);
+    sizes.observe(box);
+    contents.observe(box, { childList: true, subtree: true, characterData: true });
+    measure();
+    return () => (sizes.disconnect(), contents.disconnect());
+  }, []);
+  useEffect(() => {
+    if (!open) return;
+    const outside = (event: PointerEvent) => !section.current!.contains(event.target as Node) && setOpen(false);
+    document.addEventListener("pointerdown", outside, true);
+    return () => document.removeEventListener("pointerdown", outside, true);
+  }, [open]);
+  const close = (event: KeyboardEvent) => {
+    if (event.key !== "Escape" || !open) return;
+    event.stopPropagation();
+    setOpen(false);
+    section.current!.querySelector<HTMLElement>(".more button")?.focus();
+  };
+  return (
+    <section ref={section} class="options" aria-label={label} onKeyDown={close}>
+      <div
+        ref={row}
+        class={`options-row${open ? " open" : ""}`}
+        onFocusIn={(event) => isBelow(row.current!, event.target as Element) && setOpen(true)}
+        onScroll={() => {
+          row.current!.scrollTop = 0; // a browser scrolled to something in the lines below
+          setOpen(true);
+        }}
+      >
+        {children}
+      </div>
+      {more && (
+        <span class="more">
+          <Button
+            label={open ? "Fewer settings" : "More settings of the tool"}
+            text="More"
+            pressed={open}
+            onClick={() => setOpen(!open)}
+          />
+        </span>
+      )}
+    </section>
+  );
+}
