@@ -200,6 +200,24 @@ def test_what_cannot_be_planned_is_one_line(studio: Live, tmp_path: Path) -> Non
         assert not [path for path in studio.studio.scratch.path.iterdir() if path.is_dir()], "nothing is left"
 
 
+def test_assets_of_recent_projects_stand_as_they_do_there(tmp_path: Path) -> None:
+    """One whose file has y up by choice, and one that came from no file; both are read without being told anything."""
+    studio = make_studio(tmp_path)
+    (tmp_path / "y-up.ply").write_bytes(splat_bytes(tmp_path, 1))
+    turned = read(tmp_path / "y-up.ply", frame="rub")
+    for name, splats in (("up_1", turned), ("rows_1", ball(50, 3))):
+        with Session(splats, studio.projects.root / f"{name}.splatproj") as session:
+            session.add("look", parameters={"look": "grade", "exposure": 0.5})
+    with live(studio) as served:
+        paint(served)
+        recents = {entry["name"]: entry["id"] for entry in served.post("project.recent")["recent"]}
+        batch = planned(served, assets=[{"recent": recents["up"]}, {"recent": recents["rows"]}])
+        assert [job["name"] for job in batch["jobs"]] == ["up.ply", "rows.ply"]
+        folder = studio.batches.get(batch["id"]).folder / "assets"
+        assert np.allclose(read(folder / "up.ply").means, turned.means)
+        assert np.array_equal(read(folder / "rows.ply").means, ball(50, 3).means)
+
+
 def test_without_a_layer_there_is_nothing_to_put_onto_others(studio: Live, tmp_path: Path) -> None:
     asset = [{"blob": studio.send(splat_bytes(tmp_path), "a.ply")}]
     assert refusal(studio, "batch.plan", assets=asset).startswith("batch: there is no visible layer to put onto other")

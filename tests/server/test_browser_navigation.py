@@ -290,7 +290,7 @@ def test_keys_can_be_changed_and_are_remembered(opened: tuple[studio_scenes.Live
 
 
 def test_settings_that_do_not_fit_open_below_the_bar(opened: tuple[studio_scenes.Live, Page]) -> None:
-    """At 1100 and 1400 pixels nothing scrolls sideways; what does not fit is under More, where the keyboard goes too."""
+    """At 1100 and 1400 pixels nothing scrolls sideways; what does not fit is under More, and keys get there."""
     _, page = opened
     bar = page.tab.locator(".options")
     row = bar.locator(".options-row")

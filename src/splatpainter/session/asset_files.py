@@ -28,7 +28,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.image_files import Alpha
-from splatpainter.io import FORMATS, files, format_of_name, frame_of, option, read, write
+from splatpainter.io import FORMATS, files, format_of_name, frame_of, frame_of_target, option, read, write
 from splatpainter.receipts import Receipt, Verification, changed_rows, prove, untouched_hashes
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts
@@ -149,17 +149,23 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
     return numbered(splats)
 
 
-def write_original(path: Path, target: Path, rule: OriginalRule) -> tuple[Path, Frame]:
-    """The original of the project at `path` as a file of its own: `target` with the ending of its format. Returns that
-    file and the `frame` to read it with. A file's bytes stay what they are where the project holds them; Gaussians that
-    came from no file, or from one that cannot be written, become a PLY. Raises ValueError."""
+def write_original(path: Path, target: Path, original: Splats | None = None) -> tuple[Path, Frame]:
+    """The original of the project at `path` as a file: `target` with the ending of its format, else PLY. Returns that
+    file and the `frame` to read it with. A file's bytes stay what they are where the project holds them. original: the
+    Gaussians, where they are known: then no file that a project names is opened. Without them the frame is "auto".
+    Raises ValueError."""
     with contextlib.closing(Project.open(path, readonly=True)) as project:
         facts = {name: project.fact(name) or "" for name in ("name", "format", "path", "frame")}
         entry = FORMATS.get(facts["format"])
-        if facts["path"] or entry is None or facts["name"] == "meta.json":
-            file = target.with_name(f"{target.name}.ply")
-            write(file, restore(project, rule))
-            return file, "auto"
+        if facts["path"] or entry is None or facts["name"] == "meta.json" or (facts["frame"] and original is None):
+            splats = restore(project, OriginalRule(embedded=True)) if original is None else original
+            if original is None or entry is None or entry.write is None or facts["name"] == "meta.json":
+                file = target.with_name(f"{target.name}.ply")
+                write(file, splats, frame="rdf")
+                return file, "auto"
+            file = target.with_name(target.name + entry.suffixes[0])
+            write(file, splats)
+            return file, frame_of_target(splats, entry.key, "auto")
         file = target.with_name(target.name + (entry.suffixes[0] if entry.suffixes else ".ply"))
         try:
             with open(file, "xb") as stream:
@@ -169,7 +175,7 @@ def write_original(path: Path, target: Path, rule: OriginalRule) -> tuple[Path, 
                     stream.write(data)
         except OSError as error:
             raise ValueError(f"{file}: cannot be written ({error.strerror or error})") from None
-        return file, option(facts["frame"]) if facts["frame"] in ("rub", "rdf") else "auto"
+        return file, option(facts["frame"])
 
 
 def restore_added(project: Project, asset: SceneAsset) -> Splats:

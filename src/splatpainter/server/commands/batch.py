@@ -20,7 +20,7 @@ from splatpainter.server.describe_batch import batch_info
 from splatpainter.server.protocol import Answer, BatchInfo, Blob, CameraInfo, Command, FileName, Message
 from splatpainter.server.storage import PROJECT
 from splatpainter.session.annotations import keep_selection
-from splatpainter.session.asset_files import OriginalRule, write_original
+from splatpainter.session.asset_files import write_original
 
 MAX_ASSETS, MAX_VARIANTS = 500, 200
 MAX_LISTED_LAYERS = 5
@@ -126,7 +126,7 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
             words = [f"layers: {names}"] * len(request.assets)
         else:
             stem = batch.stem(studio.state.asset.name, f".{studio.state.asset.format}")
-            asset, batch.frame = write_original(batch.project, stem, OriginalRule())
+            asset, batch.frame = write_original(batch.project, stem, session.original)
             batch.assets.append(asset)
             batch.variants, words = _variants(context, batch, request.variants, replay)
             title = f"{_count(len(request.variants), 'variant')} of {studio.state.asset.name}"
@@ -168,7 +168,7 @@ def _add_asset(context: CommandContext, batch: BatchFolder, asset: BatchAsset) -
         path = studio.projects.find(asset.recent)
         name = asset.recent.rsplit("_", 1)[0]
         with naming_errors(path, name):
-            batch.assets.append(write_original(path, batch.stem(name), OriginalRule(embedded=True))[0])
+            batch.assets.append(write_original(path, batch.stem(name))[0])
     else:
         name = asset.file or ""
         if studio.folder is None:
