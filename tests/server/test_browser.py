@@ -130,6 +130,7 @@ def test_a_stroke_is_where_it_was_painted_and_undo_brings_every_pixel_back(
 
 def test_limits_are_shown_while_painting_and_go_with_the_layer(opened: tuple[studio_scenes.Live, Page]) -> None:
     live, page = opened
+    page.more()
     page.tab.get_by_role("button", name="Limits", exact=True).click()
     for name, value in (("Angle limit", "40"), ("Depth-edge limit", "3")):
         field = page.tab.get_by_role("textbox", name=f"{name}, number")

@@ -171,6 +171,13 @@ class Page:
         """Until every stroke is a layer and the overlay is gone."""
         self.wait("saved strokes", lambda: self.tab.locator(".connection").inner_text().strip() == "Saved")
 
+    def more(self) -> None:
+        """Bring into sight the tool's settings that do not fit into its bar."""
+        button = self.tab.locator(".options .more button")
+        self.wait("settings that do not fit", button.count)
+        if button.get_attribute("aria-pressed") == "false":
+            button.click()
+
     def serious(self) -> list[str]:
         """What axe calls serious or critical about the page as it is; skips where axe is not installed."""
         axe = WEB / "node_modules/axe-core/axe.min.js"

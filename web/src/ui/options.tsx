@@ -167,6 +167,7 @@ function Text() {
   const set = (part: Partial<typeof t>) => (text.value = { ...text.value, ...part });
   return (
     <>
+      {placement.value && <Place />}
       <input
         class="words"
         type="text"
@@ -201,7 +202,7 @@ function Text() {
       <Check label="Bold" value={t.bold} onChange={(bold) => set({ bold })} />
       <Check label="Italic" value={t.italic} onChange={(italic) => set({ italic })} />
       {!placement.value?.flat && <OnSurface />}
-      {placement.value ? <Place /> : <span class="hint">Click on the asset</span>}
+      {!placement.value && <span class="hint">Click on the asset</span>}
     </>
   );
 }
@@ -216,6 +217,7 @@ function Stamp() {
   };
   return (
     <>
+      {placement.value && <Place />}
       <FileButton
         label="Choose a picture"
         icon="open"
@@ -223,7 +225,7 @@ function Stamp() {
         onFiles={start}
       />
       {!placement.value?.flat && <OnSurface />}
-      {placement.value ? <Place /> : <span class="hint">or paste one</span>}
+      {!placement.value && <span class="hint">or paste one</span>}
     </>
   );
 }
