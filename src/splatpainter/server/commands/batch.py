@@ -111,6 +111,8 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
         batch = BatchFolder(folder)
         context.ticket.report(0, "copying the project")
         session = studio.session
+        if session.snapshot.document.assets:
+            raise ValueError("batch: expected one asset in the session, got several; open one of them alone")
         session.save_copy(batch.project)
         visible = [layer.name for layer in session.layers if layer.visible]
         replay = [{"layers": {"project": batch.project.name}}] if visible else []
