@@ -20,6 +20,7 @@ from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
 from splatpainter.transforms import fibonacci_sphere, matrix_to_quat
 from tests.support.lift_scenes import back, db, differing, disk, front, same_bits, sheet
+from tests.support.surface_shapes import sphere
 
 RED = np.array((0.9, 0.1, 0.1), np.float32)
 FRONT, REAR = front(128), back(128)
@@ -83,6 +84,34 @@ def test_rows_are_what_the_result_says():
     assert (result.touched < 45 * 45).all(), "the rear sheet keeps its bits"
     assert len(result.parents) == len(result.splats) - len(splats)
     assert (result.parents >= 0).all() and (result.parents < 45 * 45).all()
+
+
+def test_paint_up_to_the_outline_does_not_hang_beside_the_object():
+    """The planes of a round surface go on past its horizon; Gaussians of the sheet do not."""
+    splats, beside = sphere(1500, 0.5, 0.02), 0
+    solid = sp.render(splats, FRONT).alphas[0, ..., 0] > 0.3
+    result = paint(splats, solid, options=replace(LOCAL_DEFAULTS, fine_px=0.0))
+    assert len(result.replaced) > 300, "a sheet"
+    assert db(draw(result.splats), np.broadcast_to(RED, (128, 128, 3)), disk(FRONT, 64, 64, 18)) > 26
+    for eye in ((0, 0, -3), (2, 0, -2), (3, 0, 0.5), (-3, 0.4, -1)):
+        camera = look_at(eye, (0, 0, 0), width=128, height=128, background=FRONT.background)
+        before, after = (sp.render(s, camera).alphas[0, ..., 0] for s in (splats, result.splats))
+        beside += int(((after > 0.3) & (before < 0.05)).sum())
+    assert beside <= 16, "91 where the planes go on"
+
+
+def test_what_is_as_fine_as_its_pixels_is_split_where_most_of_a_side_is_painted():
+    splats = sphere(3000, 0.6)
+    solid = sp.render(splats, FRONT).alphas[0, ..., 0] > 0.9
+    options = replace(LOCAL_DEFAULTS, angle_limit=0)
+    split, sheets = (paint(splats, solid, options=replace(options, fine_px=fine)) for fine in (5.0, 0.0))
+    assert not len(split.replaced) and len(sheets.replaced) > 500
+    assert len(split.splats) < len(sheets.splats)
+    assert db(draw(split.splats), np.broadcast_to(RED, (128, 128, 3)), solid) > 26
+    part = paint(splats, disk(FRONT, 64, 64, 6), options=options)
+    assert len(part.replaced), "a stroke gets its sheet"
+    coarse = paint(sphere(500, 0.6), solid, options=options)
+    assert len(coarse.replaced), "Gaussians larger than the pixels too"
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "3"])

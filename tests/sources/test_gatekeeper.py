@@ -78,6 +78,83 @@ def test_drift_without_a_mask_is_estimated_on_what_agrees() -> None:
     assert regraded.drift.kind == "none" and regraded.share > 0.9
 
 
+def linear(image: np.ndarray, gains: tuple[float, float, float]) -> np.ndarray:
+    """A picture whose light was multiplied."""
+    return linear_to_srgb(np.clip(srgb_to_linear(image) * np.array(gains), 0, 1)).astype(np.float32)
+
+
+WARM, NIGHT = (1.9, 1.0, 0.45), (0.05, 0.07, 0.14)
+TONES = {
+    "warm": lambda image: linear(image, WARM),
+    "mild": lambda image: linear(image, (1.25, 1.0, 0.8)),
+    "night": lambda image: linear(image, NIGHT),
+    "brighter": lambda image: linear(image, (4.0, 4.0, 4.0)),
+    "contrast": lambda image: np.clip(0.5 + 1.6 * (image - 0.5), 0, 1),
+    "hue": lambda image: np.roll(image, 1, -1),
+    "jpeg of warm": lambda image: jpeg(linear(image, WARM), 90),
+    "jpeg of night": lambda image: jpeg(linear(image, NIGHT), 90),
+}
+
+
+@pytest.mark.parametrize("tone", TONES)
+def test_a_view_whose_tone_changed_as_a_whole_is_taken_as_it_is(tone: str) -> None:
+    request, _ = scene(4)
+    picture = TONES[tone](request.image).astype(np.float32)
+    result = admit(picture, request)
+    solid = request.alpha > 0.9
+    assert result.drift.kind == "none" and result.share > 0.95
+    assert np.abs(result.image - picture)[solid].mean() < 0.01
+    assert result.toned == any("mode global carries it" in note for note in result.notes)
+    assert result.record()["colors"] == ({"kind": "tone"} if result.toned else result.drift.record())
+    regraded = admit(picture, request, regraded=True)
+    assert regraded.share > 0.95 and not regraded.toned
+
+
+def test_a_tone_that_may_be_a_drift_is_refused_by_strict_with_the_ways_to_have_it() -> None:
+    request, painted = scene(4)
+    for picture in (linear(request.image, WARM), linear(request.image, NIGHT)):
+        with pytest.raises(SourceError, match="changed its tone everywhere.*nothing else; mode global.*normal takes"):
+            admit(picture, request, strictness="strict")
+        assert admit(picture, request, strictness="loose").toned
+    dark = linear(painted, (0.15, 0.15, 0.15))  # something else changed as well
+    with pytest.raises(SourceError, match="drifted by 2.7 stops.*mode global takes.*strictness loose takes"):
+        admit(dark, request)
+    assert not admit(dark, request, strictness="loose").toned
+    slight = linear(request.image, (1.04, 1.0, 0.97))
+    with pytest.raises(SourceError, match="unchanged"):
+        admit(slight, request)
+
+
+def test_a_tone_within_a_mask_is_taken_there_and_nowhere_else() -> None:
+    request, _ = scene(4)
+    mask, picture = box_mask(), linear(request.image, NIGHT)
+    for sent in (True, False):  # a source that takes no mask darkens everything
+        result = admit(picture, replace(request, mask=mask), mask_sent=sent)
+        assert result.toned and any("within the mask" in note for note in result.notes)
+        assert np.array_equal(result.image[mask == 0], request.image[mask == 0])
+        inner = (box_mask(-5) > 0) & (request.alpha > 0.9)
+        assert np.abs(result.image - picture)[inner].max() < 0.01
+    with pytest.raises(SourceError, match="changed its tone everywhere.*nothing else; strictness normal takes it"):
+        admit(picture, replace(request, mask=mask), strictness="strict")
+
+
+def test_a_material_that_was_recoloured_without_a_mask_changes_alone() -> None:
+    request, _ = scene(5)
+    material = (request.image[..., 0] > request.image[..., 2] + 0.1) & (request.alpha > 0.5)
+    assert 0.1 < material.sum() / (request.alpha > 0.5).sum() < 0.6
+    recoloured = np.where(material[..., None], np.roll(request.image, 1, -1), request.image)
+    for picture in (recoloured, linear(recoloured, (1.1, 1.05, 0.95)), jpeg(recoloured, 95)):
+        result = admit(picture.astype(np.float32), request)
+        assert not result.toned and result.share < 0.75
+        assert result.changed[material].mean() > 0.9
+
+
+def test_a_regraded_picture_that_is_the_same_but_for_compression_is_unchanged() -> None:
+    request, _ = scene(4)
+    with pytest.raises(SourceError, match="unchanged"):
+        admit(jpeg(request.image, 92), request, regraded=True)
+
+
 def test_mixed_channels_are_unmixed() -> None:
     request, _ = scene(2)
     mix = np.array([[0.9, 0.08, 0.02], [0.05, 0.9, 0.05], [0.02, 0.1, 0.88]])

@@ -8,6 +8,7 @@ surface at a distance, behind it, or beside it stays.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from splatpainter.lift.sheet import SHEET_OPACITY, Cells, SheetGeometry, flat_ce
 from splatpainter.lift.split import Lattice, projected_sizes
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
-from splatpainter.surface.visible import PixelSurface, VisibleSurface
+from splatpainter.surface.visible import PixelSurface, VisibleSurface, depths_along
 from splatpainter.transforms import quat_to_matrix, row_max, turned
 
 MIN_COVER = 0.6
@@ -53,6 +54,17 @@ MIN_SHEET_SHARE = 0.6
 """... with this share of their weight before it, ..."""
 MIN_VISIBLE = 0.5
 """... and this share of their alpha visible (behind the sheet they are not), take part in the colour rounds."""
+
+
+MAX_HOST_SIGMAS = 2.5
+"""A sheet Gaussian farther than this from the Gaussian whose pixel it takes, in standard deviations of that, lies past
+the horizon of a round surface, on a plane that touches it before: it would hang beside the object from other sides."""
+MIN_HOST_FLATNESS = 0.3
+"""Thickness of a Gaussian over its length, at least, in that distance."""
+HOST_REACH_PX = 2
+"""Pixels around whose Gaussians count as well."""
+HORIZON_DEGREES = 65.0
+"""Between line of sight and normal, from which a surface is near its horizon."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +255,7 @@ def _sheet(
     toward[view.gaussian_ids] = view.unclamped_colors
     parents, dtype = rest.take(hosts), rest.means.dtype
     sheet = Splats(
-        geometry.means.astype(dtype),
+        _within_horizon(rest, hosts, heaviest, geometry, cells.centers, camera).astype(dtype),
         geometry.quats.astype(dtype),
         geometry.scales.astype(dtype),
         np.full(len(hosts), SHEET_OPACITY, dtype),
@@ -254,6 +266,42 @@ def _sheet(
         parents.origin,
     )
     return sheet, hosts
+
+
+def _within_horizon(
+    rest: Splats, hosts: np.ndarray, heaviest: np.ndarray, geometry: SheetGeometry, pixels: np.ndarray, camera: Camera
+) -> np.ndarray:
+    """[C, 3] float64 the means of sheet Gaussians. Those near the horizon and beyond MAX_HOST_SIGMAS of all Gaussians
+    that make the pixels around are moved along the lines of sight of their pixels ([C, 2]) to where their host ([C],
+    ids of `rest`) is densest: the edited view stays as it is. heaviest: [H, W] ids of `rest`, -1: none."""
+    means = geometry.means
+    normals = quat_to_matrix(geometry.quats)[:, :, 2]
+    sight = means - camera.position
+    facing = np.abs((normals * sight).sum(1)) / np.maximum(np.linalg.norm(sight, axis=1), 1e-30)
+    far = np.flatnonzero(facing < math.cos(math.radians(HORIZON_DEGREES)))
+    far = far[_sigmas(rest, hosts[far], means[far]) > MAX_HOST_SIGMAS]
+    height, width = heaviest.shape
+    xs, ys = pixels[far].astype(np.int64).T
+    for dy in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
+        for dx in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
+            beside = heaviest[np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)]
+            outside = (beside < 0) | (_sigmas(rest, np.maximum(beside, 0), means[far]) > MAX_HOST_SIGMAS)
+            far, xs, ys = far[outside], xs[outside], ys[outside]
+    x, y = ((pixels[far] - (camera.cx, camera.cy)) / (camera.fx, camera.fy)).T
+    depth, _ = depths_along(rest.geometry(hosts[far]), camera, np.stack([x, y, np.ones(len(far))], 1))
+    ahead = depth > 0
+    out = means.copy()
+    out[far[ahead]] = camera.unproject(depth[ahead], pixels[far[ahead]])
+    return out
+
+
+def _sigmas(splats: Splats, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """[Q] distance of points [Q, 3] from Gaussians ids [Q], in standard deviations of these."""
+    turn = quat_to_matrix(splats.quats[ids].astype(np.float64))
+    scales = splats.scales[ids].astype(np.float64)
+    scales = np.maximum(scales, MIN_HOST_FLATNESS * scales.max(1, keepdims=True))
+    offset = np.einsum("nji,nj->ni", turn, points - splats.means[ids]) / scales
+    return np.sqrt((offset**2).sum(1))
 
 
 def _painted(

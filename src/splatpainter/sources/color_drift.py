@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
+from splatpainter.lift.masks import box_mean
 
 DriftKind = Literal["none", "gain", "gain and offset", "matrix"]
 ROUNDS = 30
@@ -45,6 +46,14 @@ MIN_IMPROVEMENT = 0.85
 """A richer model is taken only where it leaves at most this part of the simpler one's error."""
 MIN_DRIFT = 0.75 / 255
 """Mean correction, display values, below which there is none."""
+MIN_TONE = 0.03
+"""Mean change of a channel, display values, from which a tone that changed everywhere was asked for: services drift by
+less."""
+MIN_TONED, MAX_TONE_ERROR = 0.93, 0.04
+"""Share of the pixels that one function of colour must explain, to this error of their 3 x 3 means, for nothing but the
+tone to have changed; ..."""
+PAINTED_PX, PAINTED_SHARE = 2, 0.9
+"""... and in no square of this reach may so large a share be left: compression leaves lines at edges, paint areas."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +119,42 @@ def estimate_drift(picture: np.ndarray, render: np.ndarray, reference: np.ndarra
         return NO_DRIFT
     moved = np.abs(drift.corrected(display) - display).mean(0).max()
     return drift if moved > MIN_DRIFT else NO_DRIFT
+
+
+def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) -> float | None:
+    """How much a picture [H, W, 3] that lies over its render changed tone as a whole: the largest mean change of a
+    channel, display values, where one smooth function of colour explains the pixels `reference` [H, W] bool; None where
+    something else changed, too.
+
+    The function is a cubic polynomial of the display colours (curves, exposure, balance, hue, saturation); what it
+    clips may be clipped in the picture."""
+    low, high = CLIPPED
+    usable = reference & ((picture > low) & (picture < high)).all(-1)
+    if usable.sum() < MIN_SAMPLES:
+        return None
+    ids = _samples(np.flatnonzero(usable), render)
+    source, target = _powers(render.reshape(-1, 3)[ids]), picture.reshape(-1, 3)[ids].astype(np.float64)
+    share = np.ones(len(ids))
+    coefficients = np.zeros((source.shape[1], 3))
+    for _ in range(ROUNDS // 3):
+        weighted = source * share[:, None]
+        normal = weighted.T @ source
+        normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
+        coefficients = np.linalg.solve(normal, weighted.T @ target)
+        distance = np.linalg.norm(source @ coefficients - target, axis=1)
+        spread = max(float(np.median(distance)), MIN_SPREAD)
+        share = np.maximum(1 - (distance / (TUKEY * spread)) ** 2, 0) ** 2
+    expected = np.clip(_powers(render.reshape(-1, 3)) @ coefficients, 0, 1).reshape(render.shape)
+    left = (np.abs(box_mean((picture - expected) * reference[..., None], 1)).max(-1) > MAX_TONE_ERROR) & reference
+    if left.sum() > (1 - MIN_TONED) * reference.sum() or (box_mean(left, PAINTED_PX) > PAINTED_SHARE).any():
+        return None
+    return float(np.abs(picture - render)[reference].mean(0).max())
+
+
+def _powers(colors: np.ndarray) -> np.ndarray:
+    """[P, 13] the terms of a cubic polynomial without mixed cubes; colors: [P, 3]."""
+    r, g, b = colors.astype(np.float64).T
+    return np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, r * b, g * b, r**3, g**3, b**3], 1)
 
 
 def _samples(ids: np.ndarray, render: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated
-from splatpainter.sources.color_drift import NO_DRIFT, ColorDrift, estimate_drift
+from splatpainter.sources.color_drift import MIN_TONE, NO_DRIFT, ColorDrift, estimate_drift, tone_change
 from splatpainter.sources.picture_reader import resample
 from splatpainter.sources.picture_source import PictureRequest, SourceError
 from splatpainter.sources.registration import Registration, edge_strength, register, warped
@@ -115,6 +115,8 @@ class AdmittedPicture:
     """Share of the asset's pixels outside the mask that had changed, and were put back."""
     notes: tuple[str, ...] = ()
     """One line each."""
+    toned: bool = False
+    """Whether nothing but the tone of all colours changed, which was then taken as it is."""
 
     def record(self) -> dict:
         """What receipts say."""
@@ -126,7 +128,7 @@ class AdmittedPicture:
             "shift_px": [round(laid.right, 3), round(laid.down, 3)],
             "score": round(laid.score, 4),
             "factor": self.factor,
-            "colors": self.drift.record(),
+            "colors": {"kind": "tone"} if self.toned else self.drift.record(),
             "changed": round(self.share, 4),
             "outside_mask": round(self.spilled, 4),
         }
@@ -173,19 +175,32 @@ def admit(
     aligned, inside = _laid(colors, registration.matrix, size, still)
     if content is not None:
         inside &= _laid(content, registration.matrix, size, still)[0] > 0.5
-    drift = NO_DRIFT
+    drift, toned, cover = NO_DRIFT, False, request.alpha > MIN_COVER
     if mask is not None or not regraded:
         drift = estimate_drift(aligned, render, outside & inside, mask is not None and mask_sent)
-    if drift.strength > limits.stops:
+    factor = 1 if enlarged is None else _factor(registration, size, request.scale)
+    if drift.kind != "none" and factor == 1:  # enlarged pictures are to be consistent with the render
+        tone = tone_change(aligned, render, cover & inside)
+        toned = tone is not None and tone > MIN_TONE
+    if toned and strictness == "strict":
+        raise RefusedPicture(
+            f"{name}: the picture changed its tone everywhere, by {drift.strength:.1f} stops, and nothing else; "
+            f"{_ways_of_tone(mask, 'strictness normal takes it as it is')}"
+        )
+    if drift.strength > limits.stops and not toned:
         _complain_of_polarity(colors, render, mask, content, name, limits)
         raise RefusedPicture(
             f"{name}: the picture's colours drifted by {drift.strength:.1f} stops outside what was to change, expected "
-            f"at most {limits.stops:g} (strictness {strictness})"
+            f"at most {limits.stops:g} (strictness {strictness}); "
+            f"{_ways_of_tone(mask, 'strictness loose takes the drift back and paints the rest')}"
         )
+    if toned:  # as was asked: within a mask, if there is one
+        drift = NO_DRIFT
     aligned = drift.corrected(aligned)
-    cover = request.alpha > MIN_COVER
     like = _like(render, registration, colors.shape, still)
-    changed = _changed(aligned, like, mask, cover, regraded) & inside
+    if regraded and mask is None and not change_mask(aligned, like)[cover & inside].mean() > MAX_UNTOUCHED:
+        _check_regraded(aligned, like, cover & inside, name)
+    changed = _changed(aligned, like, mask, cover, regraded or toned) & inside
     if not still:
         changed &= np.abs(aligned - like).max(-1) > MAX_ROUNDING + SLACK_PX * edge_strength(render)
     spilled = _share(changed & outside, outside & cover) if mask is not None else 0.0
@@ -196,7 +211,6 @@ def admit(
             f"{name}: {100 * spilled:.0f} % of the asset outside the mask changed, expected at most "
             f"{100 * limits.spilled:.0f} % (strictness {strictness})"
         )
-    factor = 1 if enlarged is None else _factor(registration, size, request.scale)
     base = render
     if factor > 1:
         assert enlarged is not None
@@ -211,7 +225,7 @@ def admit(
         aligned = consistent(aligned, render, dilated(edited, GROWN_PX))
         cover = _repeated(cover, factor)
         larger = None if mask is None else _repeated(mask, factor)
-        changed = _changed(aligned, base, larger, cover, regraded) & inside
+        changed = _changed(aligned, base, larger, cover, regraded or toned) & inside
     allowed = cover.astype(np.float32) if mask is None else _soft_mask(mask) * (request.alpha > MIN_COVER)
     if factor > 1 and mask is not None:
         allowed = np.where(_repeated(allowed > 0, factor), resample(allowed, *large), 0)
@@ -228,7 +242,8 @@ def admit(
         drift,
         _share(weight > 0, cover),
         spilled,
-        _notes(registration, drift, spilled, registration.is_moved(*size), factor),
+        _notes(registration, drift, spilled, registration.is_moved(*size), factor) + _tone_notes(toned, mask),
+        toned,
     )
     if not result.changed.any():
         where = "" if mask is None else " within the mask"
@@ -325,6 +340,19 @@ def _like(render: np.ndarray, registration: Registration, shape: tuple[int, ...]
     return np.where(covered[..., None], back, render)
 
 
+def _ways_of_tone(mask: np.ndarray | None, otherwise: str) -> str:
+    """What to do where a picture changed tone: options by their names."""
+    if mask is not None:
+        return otherwise
+    return f"mode global takes it as a look of the whole asset, {otherwise}"
+
+
+def _check_regraded(picture: np.ndarray, render: np.ndarray, region: np.ndarray, name: str) -> None:
+    """Raises RefusedPicture where a picture that was to be regraded differs by compression alone."""
+    if not region.any() or np.abs((picture - render)[region].mean(0)).max() < MAX_ROUNDING:
+        raise RefusedPicture(f"{name}: the picture came back unchanged; there is nothing to paint")
+
+
 def _check_moves(
     registration: Registration, shape: tuple[int, ...], limits: AdmissionLimits, strictness: Strictness, name: str
 ) -> None:
@@ -407,6 +435,14 @@ def _repeated(values: np.ndarray, factor: int) -> np.ndarray:
 
 def _share(region: np.ndarray, of: np.ndarray) -> float:
     return float((region & of).sum() / max(int(of.sum()), 1))
+
+
+def _tone_notes(toned: bool, mask: np.ndarray | None) -> tuple[str, ...]:
+    if not toned:
+        return ()
+    if mask is not None:
+        return ("its tone changed everywhere and nothing else: taken as it is within the mask",)
+    return ("its tone changed everywhere and nothing else: taken as it is; mode global carries it to all sides",)
 
 
 def _notes(registration: Registration, drift: ColorDrift, spilled: float, moved: bool, factor: int) -> tuple[str, ...]:

@@ -107,7 +107,7 @@ def visible_surface(
     ids = view.gaussian_ids[entry[ys, xs]]
     pixel = np.stack([xs, ys], 1) + 0.5
     rays = np.stack([(pixel[:, 0] - camera.cx) / camera.fx, (pixel[:, 1] - camera.cy) / camera.fy, np.ones(len(xs))], 1)
-    depth, width = _front_depths(splats.geometry(ids), camera, rays)
+    depth, width = depths_along(splats.geometry(ids), camera, rays)
     rotation = camera.world_to_camera[:3, :3]
     starts = (rays * depth[:, None] - camera.world_to_camera[:3, 3]) @ rotation
     lengths = np.linalg.norm(rays, axis=1)
@@ -149,7 +149,7 @@ def _lattice(entry: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray, np.n
     return x * step + dx[first[y, x]], y * step + dy[first[y, x]], index
 
 
-def _front_depths(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def depths_along(splats: Splats, camera: Camera, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([Q] z-depth at which each Gaussian is densest along its ray, [Q] its width sqrt(s1 s2), world units)."""
     turn = camera.world_to_camera[:3, :3]
     mean = splats.means.astype(np.float64) @ turn.T + camera.world_to_camera[:3, 3]
