@@ -104,13 +104,13 @@ def test_what_is_as_fine_as_its_pixels_is_split_where_most_of_a_side_is_painted(
     splats = sphere(3000, 0.6)
     solid = sp.render(splats, FRONT).alphas[0, ..., 0] > 0.9
     options = replace(LOCAL_DEFAULTS, angle_limit=0)
-    split, sheets = (paint(splats, solid, options=replace(options, fine_px=fine)) for fine in (5.0, 0.0))
+    split, sheets = (paint(splats, solid, options=replace(options, fine_px=fine)) for fine in (12.0, 0.0))
     assert not len(split.replaced) and len(sheets.replaced) > 500
     assert len(split.splats) < len(sheets.splats)
     assert db(draw(split.splats), np.broadcast_to(RED, (128, 128, 3)), solid) > 26
     part = paint(splats, disk(FRONT, 64, 64, 6), options=options)
     assert len(part.replaced), "a stroke gets its sheet"
-    coarse = paint(sphere(500, 0.6), solid, options=options)
+    coarse = paint(sphere(300, 0.6), solid, options=options)
     assert len(coarse.replaced), "Gaussians larger than the pixels too"
 
 

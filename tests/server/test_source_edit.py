@@ -153,7 +153,6 @@ def test_layers_of_a_source_say_so_in_the_receipt(studio: Live) -> None:
     source = studio.studio.session.receipt().source
     assert source is not None and source["layers"][0]["name"] == "command"
     assert source["layers"][0]["views"][0]["request_sha256"]
-    assert studio.studio.session.layers[0].parameters["split_only"] is True  # the whole ball was made anew
 
 
 def test_a_view_is_sharpened_all_over(studio: Live) -> None:
@@ -164,4 +163,3 @@ def test_a_view_is_sharpened_all_over(studio: Live) -> None:
     views = [{key: answer[key] for key in ("camera", "picture", "mask")}]
     made = studio.post("edit", kind="picture", views=views, method="lift")["layer"]
     assert made["gaussians_edited"] > 0 and made["parameters"]["source"]["views"][0]["registration"]["factor"] == 2
-    assert "split_only" not in made["parameters"]

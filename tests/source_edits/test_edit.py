@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from splatpainter.cameras import orbit_cameras
+from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.painter import Edit, Painter
 from splatpainter.receipts import Receipt, changed_rows
 from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
 from splatpainter.source_edits.edit import cover, edit_with_source, refine
-from splatpainter.source_edits.turns import ask_in_turn, is_restyled
+from splatpainter.source_edits.turns import ask_in_turn
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
 from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
@@ -262,22 +263,19 @@ def test_a_view_that_cannot_be_painted_is_noted() -> None:
 
 
 def test_a_whole_asset_made_anew_is_split_and_a_part_of_it_gets_sheets() -> None:
-    splats = patterned(600)
+    splats = patterned(8000)
     truth = replace(splats, sh=(splats.sh @ EXCHANGE.T).astype(np.float32))
     remade = edit(splats, FunctionSource(exchanged))
-    assert remade.receipt is not None and "made anew as a whole" in remade.receipt.note
+    assert remade.receipt is not None and not len(remade.receipt.replaced)
     (camera,) = orbit_cameras(splats, 1, size=128, azimuth=20, background=GREY)
     solid = displayed(splats, camera)[1] > 0.95
     error = np.abs(displayed(remade.splats, camera)[0] - displayed(truth, camera)[0]).max(-1)[solid]
     (front,) = orbit_cameras(splats, 1, size=128, background=GREY)
-    changed = np.ones((128, 128), bool)
-    sheets = LIFT.apply(LIFT.encode(splats), [Edit(displayed(truth, front)[0], front, changed)]).splats
+    sheeted = replace(LIFT, local_options=replace(LOCAL_DEFAULTS, fine_px=0.0))
+    sheets = sheeted.apply(LIFT.encode(splats), [Edit(displayed(truth, front)[0], front)]).splats
     before = np.abs(displayed(sheets, camera)[0] - displayed(truth, camera)[0]).max(-1)[solid]
-    assert error.mean() < 0.7 * before.mean()
+    assert error.mean() < 0.8 * before.mean()
     mask = np.zeros((128, 128), np.float32)
     mask[50:80, 50:80] = 1
     part = edit(splats, FunctionSource(exchanged), mask=mask)
-    assert part.receipt is not None and "as a whole" not in part.receipt.note
-    near = orbit_cameras(splats, 1, size=128, distance=1.6, background=GREY)[0]
-    assert is_restyled(splats, front, 0.9) and not is_restyled(splats, front, 0.4)
-    assert not is_restyled(splats, near.cropped(40, 40, 48, 48), 0.9)
+    assert part.receipt is not None and len(part.receipt.replaced)

@@ -36,7 +36,7 @@ class LocalOptions:
     """Pixels around the mask that the detail layer may mend."""
     resurface: bool = True
     """Lay sheets where the surface is trusted; False: split Gaussians everywhere."""
-    fine_px: float = 5.0
+    fine_px: float = 12.0
     """Painted pixels per Gaussian that makes them up to which most of a side is split, not covered by sheets (0: never;
     `paint.is_fine`)."""
     sheet_rounds: int = 4

@@ -24,7 +24,7 @@ MIN_ALPHA = 0.1
 """Of a pixel that is painted at all: up to this it shows the faint rims of what lies beside it."""
 MIN_PAINT = 1 / 64
 """Share of a pixel's paint below which the limits leave it out."""
-MIN_FINE_SHARE = 0.1
+MIN_FINE_SHARE = 0.15
 """Share of the original's Gaussians that make the painted pixels from which these are most of what a view shows: about
 a quarter of the side that it sees."""
 
@@ -152,9 +152,9 @@ def is_fine(painted: np.ndarray, reached: np.ndarray, first: int, originals: int
     sheets, which no other view has checked, only bring their own errors. painted: [H, W] bool; reached: [N] bool, the
     Gaussians that make these pixels, of which the first `first` are some of the original's `originals`.
 
-    Paint over 30 to 100 % of a side of nine assets, 20, 40 and 60 degrees beside it, against the assets' own colours
-    changed: splitting gains 1 to 5 dB up to 4 pixels per Gaussian, and what sheets gain from 6 on is lost at 60
-    degrees."""
+    Paint over half to all of a side, against the asset whose own colours were changed, 20, 40 and 60 degrees beside it:
+    splitting gains 1 to 5 dB at 2 to 4 pixels per Gaussian (six meshes, two captures) for a tenth of the Gaussians,
+    and -0.4 to 2 dB at 8 to 12 (two objects fitted by 3DGS, a mesh); strokes lose 0.8 to 3 dB from 14 on."""
     count = int(reached.sum())
     if not options.fine_px or reached[:first].sum() < MIN_FINE_SHARE * originals:
         return False

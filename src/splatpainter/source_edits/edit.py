@@ -19,7 +19,7 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.receipts import Receipt, changed_rows, untouched_hashes
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
-from splatpainter.source_edits.turns import WITHOUT_SHEETS, ask_in_turn, is_restyled, part_of
+from splatpainter.source_edits.turns import WITHOUT_SHEETS, ask_in_turn, part_of
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
@@ -27,8 +27,6 @@ from splatpainter.splats import Splats
 
 BACKGROUND = (0.25, 0.25, 0.25)
 """Behind the asset in the views that a source gets, in the asset's colour space."""
-
-RESTYLED_NOTE = "made anew as a whole: Gaussians are split and recoloured, without sheets"
 
 
 @dataclass(frozen=True)
@@ -101,8 +99,7 @@ def edit_view(
     progress: Progress,
     cancel: CancelFlag,
 ) -> SourcedAsset:
-    """One view, edited and painted; one of the whole asset that was made anew without sheets (`turns.is_restyled`).
-    Arguments and errors as of `edit_with_source`."""
+    """One view, edited and painted. Arguments and errors as of `edit_with_source`."""
     made = ask_for_edit(
         asset.splats,
         camera,
@@ -114,11 +111,9 @@ def edit_view(
         mode=mode,
         surface=lambda: asset.surface,
     )
-    restyled = mode == "local" and made.admitted.factor == 1 and is_restyled(asset.splats, camera, made.admitted.share)
-    edited = (_without_sheets(painter) if restyled else painter).apply(asset, [made.edit], mode, method)
+    edited = painter.apply(asset, [made.edit], mode, method)
     assert edited.receipt is not None
-    note = "; ".join(filter(None, [edited.receipt.note, RESTYLED_NOTE if restyled else ""]))
-    receipt = replace(edited.receipt, source=source_record(source, brief, [made]), note=note)
+    receipt = replace(edited.receipt, source=source_record(source, brief, [made]))
     return SourcedAsset(replace(edited, receipt=receipt), (made,))
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatpainter.cameras import Camera
 from splatpainter.source_edits.coverage import SurfaceView, ViewPlan, ViewShare, unreached, worth_asking
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.sources.gatekeeper import RefusedPicture
@@ -24,21 +23,6 @@ WITHOUT_SHEETS: dict[str, Any] = {"resurface": False, "max_error": 1.0}
 sheets, and get no detail layer: those of one view stand in the way of the next. Nine views of the still life, of
 300 px, its colours exchanged: 23.5 to 28.2 dB from eight other views against the asset whose own colours were
 exchanged; with sheets 19.5 to 25.8."""
-
-MIN_RESTYLED_SHARE, MIN_SHARE_IN_VIEW = 0.6, 0.8
-"""Shares of the asset's pixels that changed, and of its Gaussians that lie in the view, from which a view was restyled
-as a whole. Three meshes of 15,000 Gaussians, their colours exchanged or textured anew in one view of 512 px, three
-views beside it: 26.3 dB with WITHOUT_SHEETS, 23.9 with sheets; the still life of 800 px: 27.6 and 26.2. In close-ups
-the lift of whole pictures (lift/wide_edit.py) is the better one."""
-
-
-def is_restyled(splats: Splats, camera: Camera, share: float) -> bool:
-    """Whether a view of the whole asset was made anew, not painted on. splats: numpy; share: of the asset's pixels,
-    changed."""
-    pixels, z = camera.project(splats.means[splats.drawable])
-    with np.errstate(invalid="ignore"):
-        inside = (z > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
-    return share >= MIN_RESTYLED_SHARE and len(inside) > 0 and float(inside.mean()) >= MIN_SHARE_IN_VIEW
 
 
 @dataclass(frozen=True)

@@ -165,9 +165,12 @@ def admit(
     registration = register(colors, render, None if mask is None else outside.astype(np.float32), content)
     if registration.score < limits.score:
         _complain_of_polarity(colors, render, mask, content, name, limits)
+        where, advice = "", "mask what is to change, or ask again"
+        if mask is not None:
+            where, advice = " outside the mask", "is the mask the right way round (white may change)? else ask again"
         raise RefusedPicture(
-            f"{name}: the picture shows something else than what was sent: its edges agree by {registration.score:.2f} "
-            f"of 1, expected {limits.score:g} (strictness {strictness}); mask what is to change, or ask again"
+            f"{name}: the picture shows something else than what was sent: its edges agree{where} by "
+            f"{registration.score:.2f} of 1, expected {limits.score:g} (strictness {strictness}); {advice}"
         )
     _check_moves(registration, render.shape, limits, strictness, name)
     size = render.shape[1], render.shape[0]

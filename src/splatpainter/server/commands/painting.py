@@ -55,9 +55,7 @@ from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.compose import WITHIN
 from splatpainter.session.document import PLACED, SELECTION, SOURCE, SPREAD_THRESHOLD, Kind
-from splatpainter.session.layer_factory import SPLIT_ONLY
 from splatpainter.session.mirror_plane import mirrored_camera, parsed_plane
-from splatpainter.source_edits.turns import is_restyled
 from splatpainter.sources.edit_files import FileEdit, unmultiplied
 from splatpainter.sources.picture_reader import read_picture
 
@@ -370,9 +368,6 @@ def add_edit(context: CommandContext, request: EditAdd) -> LayerMade:
     source = context.studio.source_of([view.picture for view in request.views])
     if source is not None and request.kind != "erase":
         options["parameters"] = {**options.get("parameters", {}), SOURCE: source}
-        enlarged = any(view["registration"]["factor"] > 1 for view in source["views"])
-        if request.mode == "local" and not enlarged and all(_is_restyled(session, edit) for edit in edits):
-            options["parameters"][SPLIT_ONLY] = True
     if request.mode == "spread":
         options["method"] = "auto"
         if request.spread is not None:
@@ -406,13 +401,6 @@ def within_selection(studio: Studio, edit: Edit, required: bool = True) -> Edit 
     if required:
         raise ValueError(f"{edit.name}: changes nothing of what is selected; deselect first")
     return None
-
-
-def _is_restyled(session: Session, edit: Edit) -> bool:
-    """Whether a source made a view of the whole asset anew."""
-    solid = render(session.splats, edit.camera).alphas[0, ..., 0] > 0.5
-    share = 1.0 if edit.mask is None else float((edit.mask & solid).sum() / max(solid.sum(), 1))
-    return is_restyled(session.splats, edit.camera, share)
 
 
 def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> Edit:
