@@ -170,7 +170,7 @@ def test_the_same_edit_twice_gives_the_same_bits():
     splats = object_()
     one, two = (apply(splats, [dab(splats, RED), dab(splats, BLUE, 60, 40)]) for _ in range(2))
     assert same_bits(one.splats, two.splats)
-    rows = {"touched": 0, "replaced": 0, "removed": 0}
+    rows = {"touched": 0, "replaced": 0, "removed": 0, "merge_touched": 0}
     assert replace(receipt_of(one), seconds={}, **rows) == replace(receipt_of(two), seconds={}, **rows)
 
 

@@ -140,7 +140,7 @@ def _all_fine(splats: Splats, views: Sequence[EditView], options: LocalOptions, 
             alpha = np.ones(painted.shape, np.float32) if view.alpha is None else np.asarray(view.alpha)
             if not painted.any() or median_change(view.edited, view.before, alpha) < MIN_REPAINTED:
                 return False
-            if not is_fine(painted, gaussians_in_mask(splats, view.camera, painted), count, options):
+            if not is_fine(painted, gaussians_in_mask(splats, view.camera, painted), count, count, options):
                 return False
     return True
 

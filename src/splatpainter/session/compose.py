@@ -94,6 +94,9 @@ WITHIN = "within"
 """Name of the parameter {"within": true} of layers of mode global: only Gaussians that
 their views' masks reach change."""
 NO_OPTIONS: Mapping[str, Any] = {}
+STROKE_OPTIONS: Mapping[str, Any] = {"fine_px": 0.0}
+"""Of what is painted by hand here, however large: erasing takes a sheet away and brings the original's bits back, which
+split Gaussians cannot."""
 """Of a layer without local options of its own: those of the painter hold."""
 MAX_PLACEMENTS = 4
 """Arrangements that are cached of each layer, ..."""
@@ -649,6 +652,8 @@ class Replay:
 def _local_options(layer: Layer) -> dict[str, Any]:
     """What a layer's parameters say of the painter's LocalOptions. Raises ValueError naming the layer."""
     options: dict[str, Any] = dict(limits_of(layer.parameters, f"layer {layer.name!r}"))
+    if layer.kind != "picture":
+        options |= STROKE_OPTIONS
     if layer.parameters.get(SPLIT_ONLY) is True:
         options |= turns.WITHOUT_SHEETS
     return options
