@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urljoin
 
 import numpy as np
 import pytest
@@ -32,6 +33,9 @@ READS_OF_COMPOSITOR = "GPU stall due to ReadPixels"
 """In the driver's message about the compositor, which then reads the view back. Not ignored with GPU compositing."""
 STATIC = Path(__file__).resolve().parents[2] / "src/splatpainter/server/static"
 WEB = Path(__file__).resolve().parents[2] / "web"
+IDLE_TABS: dict[Any, Any] = {}
+"""Browser -> a tab that a page has left. A new tab would be a new process, which compiles the code and its shaders
+anew: a third of the time of most tests."""
 PATIENCE = 90.0
 """Seconds until something that must happen is taken as not happening."""
 
@@ -63,6 +67,7 @@ def browsing() -> Iterator[Any]:
         try:
             yield browser
         finally:
+            IDLE_TABS.pop(browser, None)
             browser.close()
 
 
@@ -96,17 +101,29 @@ class Page:
     """The studio in one browser window."""
 
     def __init__(
-        self, browser: Any, url: str, width: int = 900, height: int = 520, *, gpu_compositing: bool = False
+        self,
+        browser: Any,
+        url: str,
+        width: int = 900,
+        height: int = 520,
+        *,
+        gpu_compositing: bool = False,
+        tab: Any = None,
     ) -> None:
-        """gpu_compositing: that the browser was started without SOFTWARE_COMPOSITING."""
+        """gpu_compositing: that the browser was started without SOFTWARE_COMPOSITING. tab: one that another page has
+        left; default: a new one."""
         self.problems: list[str] = []
         """What the page's console complained of."""
         self.gpu_compositing = gpu_compositing
         self.requests: list[str] = []
-        self.tab = browser.new_page(viewport={"width": width, "height": height})
-        self.tab.on("console", self.hear)
-        self.tab.on("pageerror", lambda error: self.problems.append(str(error)))
-        self.tab.on("request", lambda request: self.requests.append(request.url))
+        self.tab = browser.new_page(viewport={"width": width, "height": height}) if tab is None else tab
+        self.listeners: dict[str, Callable[[Any], None]] = {
+            "console": self.hear,
+            "pageerror": lambda error: self.problems.append(str(error)),
+            "request": lambda request: self.requests.append(request.url),
+        }
+        for event, listener in self.listeners.items():
+            self.tab.on(event, listener)
         self.url = url
         self.open()
 
@@ -122,6 +139,17 @@ class Page:
         self.wait("rows", lambda: self.ask("window.studio?.viewer.count ?? 0") > 0)
         if self.tab.get_by_label("Pixels").input_value() != "0.5":
             self.tab.get_by_label("Pixels").select_option("0.5")
+
+    def leave(self) -> None:
+        """Make the tab as good as new: what it listened to, stored, emulated and pointed at. It goes to a file of the
+        same server, as the browser would start another process for a page from elsewhere."""
+        for event, listener in self.listeners.items():
+            self.tab.remove_listener(event, listener)
+        self.tab.mouse.move(0, 0)
+        self.tab.goto(urljoin(self.url, "/favicon.svg"))
+        self.ask("localStorage.clear()")
+        self.tab.context.clear_cookies()
+        self.tab.emulate_media(reduced_motion="null")
 
     def ask(self, script: str, value: Any = None) -> Any:
         """Evaluate JavaScript."""
@@ -197,11 +225,17 @@ class Page:
 def opened_page(browser: Any, folder: Path, *, still: bool = False) -> Iterator[tuple[studio_scenes.Live, Page]]:
     """A studio with the ball, and its page, which must not complain. still: nothing in it glides."""
     with studio_scenes.live(studio_scenes.make_studio(folder)) as live:
-        page = Page(browser, live.url)
+        page = Page(browser, live.url, tab=IDLE_TABS.pop(browser, None))
         if still:
             page.tab.emulate_media(reduced_motion="reduce")
         try:
             yield live, page
             assert page.problems == []
-        finally:
+            page.leave()
+        except BaseException:
             page.tab.close()
+            raise
+        if browser in IDLE_TABS:
+            page.tab.close()
+        else:
+            IDLE_TABS[browser] = page.tab
