@@ -20,7 +20,7 @@ def test_killed_writers_lose_nothing(tmp_path: Path) -> None:
         "PYTHONPATH": os.pathsep.join([str(script.parents[2]), os.environ.get("PYTHONPATH", "")]),
     }
     command = [sys.executable, str(script), str(tmp_path), "105", "7"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["wrong"] is None, found
