@@ -62,7 +62,12 @@ def test_three_stages_one_after_the_other(
     other = [*WORDS, "--model.compress.hidden", "48", "--out", tmp_path / "other", "--from", refine / "model"]
     assert run("refine", "--recipe", recipe, *other) == 2
     assert "weights of another model: compress.hidden 40 there, 48 here" in capsys.readouterr().err
-    # Another Stage II starts from the same Stage I, and from nothing later.
+    # Another Stage II: how to go on is said.
+    raw = [*WORDS, "--model.refine.inputs", "raw" if LIFT.refine.inputs != "raw" else "normalised"]
+    assert run("refine", "--recipe", recipe, *raw, "--out", tmp_path / "raw", "--from", refine / "model") == 2
+    hint = f"go on with --model.refine.inputs {LIFT.refine.inputs}, or train a new Stage II on its encoder"
+    assert hint in capsys.readouterr().err
+    # It starts from the same Stage I, and from nothing later.
     anew = [*WORDS, "--model.refine.blocks", "3", "--out", tmp_path / "anew", "--session-steps", "1"]
     anew += ["--from", refine / "model"]
     assert run("refine", "--recipe", recipe, *anew, "--from-stage", "densify") == 2

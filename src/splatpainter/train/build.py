@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,6 +52,8 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
         if not set(TRAINED.get(until, "?")) <= set(TRAINED.get(stage, TRAINED["refine"])):
             raise ValueError(f"{weights}: expected --from-stage to be one up to {stage}, got {until}")
         parts = TRAINED[until]
+        if saved.config.predict.features:  # it stands beside the stages
+            parts = tuple(dict.fromkeys((*parts, "predictor.")))
     sizes = [(c.predict.features, c.predict.hidden) for c in (saved.config, recipe.model)]
     if sizes[0] != sizes[1] and (recipe.stage == "predict" or not saved.config.predict.features):  # a new predictor
         parts = tuple(part for part in parts if part != "predictor.")
@@ -68,13 +70,24 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
     differing = state.differing_config(saved.config, recipe.model, free)
     if differing:
         more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
-        raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}{more}")
+        hint = _stage_two_hint(recipe.stage, differing)
+        raise ValueError(f"{weights}: weights of another model: {'; '.join(differing[:3])}{more}{hint}")
     initial = model.state_dict()
     used = {name: t for name, t in saved.tensors.items() if name.startswith(parts)}
     checkpoint.fill(model, {**initial, **used}, str(weights))
     model.notes = {"history": state.history(weights, saved.notes)}
     say(f"starting from {weights}: {', '.join(p.rstrip('.') for p in parts)} as trained by stage {stage}")
     return model
+
+
+def _stage_two_hint(stage: Stage, differing: Sequence[str]) -> str:
+    """What to do where only Stage II differs (lines of `state.differing_config`), such as the shipped one, whose inputs
+    are raw; "" elsewhere."""
+    if stage != "refine" or not all(line.startswith(("refine.", "decoder ")) for line in differing):
+        return ""
+    words = [line.split("'") for line in differing if line.startswith("refine.inputs ")]
+    same = f"--model.refine.inputs {words[0][1]}" if words and len(differing) == 1 else "the same settings"
+    return f"; go on with {same}, or train a new Stage II on its encoder with --from-stage compress"
 
 
 def make_task(recipe: Recipe, model: SplatPainterModel, perceptual_weights: Path | None, say: Say = print) -> Task:
