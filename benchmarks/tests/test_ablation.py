@@ -222,7 +222,7 @@ def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> N
     built(LIFT).save(tmp_path / "lift")
     built(OWN).save(tmp_path / "own")
     repeated = {
-        name: {m.name for m in ablations.SAME if m.missing(Budget(weights={"compact": str(tmp_path / name)}))}
+        name: {m.name for m in ablations.METHODS if m.missing(Budget(weights={"compact": str(tmp_path / name)}))}
         for name in ("lift", "own")
     }
     usual = {"same-inner-steps-1", "same-inner-l2", "same-newton-schulz-5", "same-strength-1", "same-no-row-tokens"}
@@ -230,8 +230,8 @@ def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> N
     assert repeated["lift"] == usual and repeated["own"] == usual | {"same-no-drift"}
     budget = Budget(weights={"compact": str(tmp_path / "lift")})
     assert ROWS["same-strength-1"].missing(budget) == AS_TRAINED
-    versions = {m.version(budget) for m in ablations.SAME}
-    assert len(versions) == len(ablations.SAME)
+    versions = {m.version(budget) for m in ablations.METHODS}
+    assert len(versions) == len(ablations.METHODS)
     assert ROWS["same-strength-2"].missing(Budget(weights={"compact": str(tmp_path)})).startswith("no weights: ")
 
 
@@ -244,22 +244,6 @@ def test_a_row_runs_end_to_end_and_differs_from_the_weights_own_settings(tmp_pat
     assert len(still.splats) == len(plain.splats)
 
 
-def test_separate_models_answer_for_their_own_kind_of_edit(tmp_path: Path) -> None:
-    built(LIFT).save(tmp_path / "local", dtype="float32")  # untrained: says what the lift says
-    wide_awake().save(tmp_path / "global", dtype="float32")
-    row = ROWS["trained-separate"]
-    half = Budget(weights={"local": str(tmp_path / "local")})
-    assert row.missing(half).endswith("--weights global=FOLDER") and "samples.kinds.stroke 0" in row.missing(half)
-    budget = Budget(weights={name: str(tmp_path / name) for name in ("local", "global")})
-    assert row.missing(budget) == ""
-    for index, same in ((0, False), (1, True)):
-        case = made(index)
-        task = EditTask("ablate", case.asset, case.base, case.steps[0])
-        ours, lifted = row.edit(task, budget).splats, split_lift(task).splats
-        assert np.array_equal(ours.sh, lifted.sh) == same
-
-
 def test_every_name_is_there_once_and_in_the_table() -> None:
     assert len(ROWS) == len(ablations.METHODS)
     assert all(method.protocols == ("ablate",) for method in ablations.METHODS)
-    assert all(method.missing(Budget()) for method in ablations.TRAINED)

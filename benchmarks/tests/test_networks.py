@@ -281,12 +281,6 @@ def trains(words: str) -> None:
         train.dispatch(words.replace("STAGE_ONE", "somewhere").split())
 
 
-@pytest.mark.parametrize("method", ablations.TRAINED[:-1], ids=lambda m: m.name)
-def test_how_to_train_an_ablation_works_too(method: Method) -> None:
-    line = method.missing(Budget())
-    trains(line.split("`splatpainter train ")[1].split("`")[0])
-
-
 def test_groupings_are_told_apart(tmp_path: Path) -> None:
     copy = replace(with_refine(SMALL, lift_features=False), representation="copy")
     folder = saved(built(with_compress(copy, grouping="voxel_mean")), tmp_path)

@@ -10,7 +10,8 @@ import pytest
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.depth_normals import outward_normals
-from splatpainter.lift.global_edit import GlobalLift, lift_global
+from splatpainter.lift.global_edit import GlobalLift, lift_global, one_sided, unexplained_by_color
+from splatpainter.lift.options import GLOBAL_DEFAULTS
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import SH_C0, base_colors, bits, db, differing, same_bits, sheet, texture
 
@@ -104,6 +105,41 @@ def test_light_from_one_side_is_learnt_from_two_views():
     truth = replace(splats, sh=sh)
     for before, after in gains(splats, truth, lifted(splats, truth, FRONT, BACK).splats, SIDE, TOP, view((-2, -2, 2))):
         assert after > before + 10
+
+
+def test_views_of_one_side_and_around_are_told_apart():
+    splats = ball()
+    assert one_sided(splats, [FRONT]) == pytest.approx(1, abs=1e-3)
+    assert one_sided(splats, [FRONT, BACK]) < 1e-3 and one_sided(splats, [FRONT, NEAR_FRONT]) > 0.8
+
+
+def test_looks_are_told_from_light_by_what_colour_explains():
+    rng = np.random.default_rng(0)
+    colors, normals, weight = rng.uniform(0, 1, (500, 3)), rng.normal(size=(500, 3)), rng.uniform(0.1, 5, 500)
+    assert unexplained_by_color(colors, 0.3 * colors**2 - 0.2 * colors[:, ::-1] + 0.1, weight) < 0.02
+    lit = 0.3 * colors * np.tanh(normals[:, :1])
+    assert unexplained_by_color(colors, lit, weight) > 0.9
+    assert 0.2 < unexplained_by_color(colors, lit + 0.2, weight) < 0.5
+
+
+def test_what_light_takes_from_the_front_goes_to_the_back():
+    """Seen from one side; a look goes all around as it is."""
+    splats = ball()
+    old, lit = base_colors(splats), 0.5 + 0.5 * np.tanh(3 * splats.means[:, :1] + 1.5 * splats.means[:, 1:2])
+    relit = replace(splats, sh=((old * lit - 0.5) / SH_C0).astype(np.float32)[:, None])
+    without = replace(GLOBAL_DEFAULTS, far_side=0.0)
+    hidden = splats.means[:, 2] < -0.3
+
+    def moved(truth: Splats, *cameras: Camera) -> np.ndarray:
+        """[M, 3] what the share of the far side changes there."""
+        views = [(camera, draw(truth, camera), covered(splats, camera)) for camera in cameras]
+        both = [base_colors(lift_global(splats, views, options).splats) for options in (GLOBAL_DEFAULTS, without)]
+        return (both[0] - both[1])[hidden]
+
+    darker = (base_colors(relit) - old)[splats.means[:, 2] > 0.3].mean()
+    assert darker < -0.1 and moved(relit, FRONT).mean() > -0.2 * darker
+    assert np.abs(moved(relit, FRONT, BACK)).max() < 0.01
+    assert np.abs(moved(regraded(splats), FRONT)).max() < 0.01
 
 
 def test_a_view_that_is_not_edited_changes_next_to_nothing():

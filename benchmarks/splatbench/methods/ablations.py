@@ -1,9 +1,9 @@
 """Rows of the ablation table: every switch of the model, one at a time.
 
-Two kinds. "Same weights": the shipped ones (or --weights compact=FOLDER), run with one setting changed or one input
-taken away; weights that were trained with another setting are not at their best then. "Trained so": a model that was
-trained with the switch, from --weights NAME=FOLDER. A row whose setting is the weights' own is not run twice: it says
-that it is the row "ttt".
+The shipped weights (or --weights compact=FOLDER) are run with one setting changed or one input taken away; weights that
+were trained with another setting are not at their best then. A row whose setting is the weights' own is not run twice:
+it says that it is the row "ttt". Models that were trained with a switch are compared where training costs a minute,
+without pictures: `bench adapt`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,7 @@ from typing import TYPE_CHECKING, Any
 from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.lift import painted
-from splatbench.methods.ttt import refined
-from splatbench.methods.weights import SHIPPED, Weights
-from splatpainter.data import sample_recipes
+from splatbench.methods.weights import SHIPPED
 from splatpainter.models.config import ModelConfig
 
 if TYPE_CHECKING:
@@ -96,7 +94,7 @@ def _version(budget: Budget, change: Change) -> str:
 
 
 def _changed(name: str, label: str, change: Change) -> Method:
-    """A row "same weights"."""
+    """A row."""
     return Method(
         name=f"same-{name}",
         label=f"{label} (same weights)",
@@ -107,45 +105,7 @@ def _changed(name: str, label: str, change: Change) -> Method:
     )
 
 
-def _trained(name: str, label: str, fits: Callable[[ModelConfig], bool], what: str, train: str) -> Method:
-    """A row "trained so"."""
-    weights = Weights((name,), model=f"model {what}", fits=fits, train=train)
-    return Method(
-        name=f"trained-{name}",
-        label=f"{label} (trained so)",
-        edit=refined(weights),
-        protocols=("ablate",),
-        missing=weights.missing,
-        version=weights.version,
-    )
-
-
-def _trained_without(kinds: tuple[str, ...]) -> str:
-    return " ".join(["refine", *(f"--samples.kinds.{kind} 0" for kind in kinds)])
-
-
-LOCAL = Weights(("local",), train=_trained_without(sample_recipes.GLOBAL))
-GLOBAL = Weights(
-    ("global",),
-    train=f"{_trained_without(sample_recipes.LOCAL)} --samples.kinds.relight 0.75 --samples.kinds.regrade 0.25 "
-    "--model.predict.no-alone",
-)
-
-
-def _separate(task: EditTask, budget: Budget) -> EditResult:
-    """Each kind of edit by the model that was trained for it, as in the paper."""
-    return refined(LOCAL if task.step.mode == "local" else GLOBAL)(task, budget)
-
-
-def _either_missing(budget: Budget) -> str:
-    return LOCAL.missing(budget) or GLOBAL.missing(budget)
-
-
-def _both_versions(budget: Budget) -> str:
-    return f"{LOCAL.version(budget)} {GLOBAL.version(budget)}"
-
-
-SAME = (
+METHODS = (
     _changed("inner-steps-1", "1 inner step", Change({"inner_steps": 1})),
     _changed("inner-steps-5", "5 inner steps", Change({"inner_steps": 5})),
     _changed("inner-dot", "Inner loss dot", Change({"inner_loss": "dot"})),
@@ -164,65 +124,3 @@ SAME = (
     _changed("no-predictor", "Unseen Gaussians by the lift's regression", Change(zeroed=(PREDICTOR,))),
 )
 """Strength 0 leaves the fast weights as training left them: what is then lost is what adapting is worth."""
-
-TRAINED = (
-    _trained(
-        "no-lift-features",
-        "Without lift features",
-        lambda config: not config.refine.lift_features,
-        "without refine.lift_features",
-        "refine --model.refine.no-lift-features --model.refine.row-tokens 0",
-    ),
-    _trained(
-        "paper-tokens",
-        "Pictures and rays alone as tokens",
-        lambda config: set(config.refine.image_channels) == {"edited", "rays"},
-        "with refine.image_channels edited and rays",
-        "refine --model.refine.image-channels edited rays",
-    ),
-    _trained(
-        "inner-steps-5",
-        "5 inner steps",
-        lambda config: config.refine.inner_steps == 5,
-        "with refine.inner_steps 5",
-        "refine --model.refine.inner-steps 5",
-    ),
-    _trained(
-        "inner-l2",
-        "Inner loss l2",
-        lambda config: config.refine.inner_loss == "l2",
-        "with refine.inner_loss l2",
-        "refine --model.refine.inner-loss l2",
-    ),
-    _trained(
-        "base-own",
-        "Residual on the Gaussian, not on the lift",
-        lambda config: config.refine.base == "own",
-        "with refine.base own",
-        "refine --model.refine.base own --model.refine.detail",
-    ),
-    _trained(
-        "native-voxel-att",
-        "VoxelAtt in Stage I",
-        lambda config: config.compress.grouping == "voxel_mean",
-        "with compress.grouping voxel_mean",
-        "refine --model.compress.grouping voxel_mean --from STAGE_ONE",
-    ),
-    _trained(
-        "native-latent-query",
-        "Latent query in Stage I",
-        lambda config: config.compress.grouping == "latent_query",
-        "with compress.grouping latent_query",
-        "refine --model.compress.grouping latent_query --from STAGE_ONE",
-    ),
-    Method(
-        name="trained-separate",
-        label="One model each for local and global edits",
-        edit=_separate,
-        protocols=("ablate",),
-        missing=_either_missing,
-        version=_both_versions,
-    ),
-)
-
-METHODS = (*SAME, *TRAINED)

@@ -82,6 +82,8 @@ def lift_global(
     features = regression_features(np.clip(old, 0, 1), normals)
     solution, inverse = ridge(features[seen], change[seen], weight[seen], options)
     predicted = features @ solution if predict is None else predict(change, weight)  # [N, 3] change of base colour
+    if options.far_side:
+        predicted = predicted - _far_side(splats, solid, change, weight, options)
     share = (weight / (weight + options.half_seen))[:, None]
     new = np.clip(old + predicted, np.minimum(old, 0), np.maximum(old, MAX_COLOR))
     sh = splats.sh.copy()
@@ -123,6 +125,42 @@ def regressed(
     features = regression_features(np.clip(0.5 + SH_C0 * splats.sh[:, 0], 0, 1), normals)
     seen = weight > MIN_SEEN_PX
     return features @ ridge(features[seen], change[seen], weight[seen], options)[0]
+
+
+def _far_side(
+    splats: Splats, views: Sequence[SolidView], change: np.ndarray, weight: np.ndarray, options: GlobalOptions
+) -> np.ndarray:
+    """[N, 3] float32 to be taken from the predicted change (`GlobalOptions.far_side`). splats: all drawable; change,
+    weight: of `seen_change`."""
+    seen = weight > MIN_SEEN_PX
+    low, high = options.unexplained
+    unexplained = unexplained_by_color(0.5 + SH_C0 * splats.sh[seen, 0], change[seen], weight[seen], options)
+    share = options.far_side * one_sided(splats, [view.camera for view in views])
+    share *= float(np.clip((unexplained - low) / (high - low), 0, 1))
+    mean = np.average(change[seen], axis=0, weights=np.minimum(weight[seen], MAX_WEIGHT_PX))
+    hidden = options.half_hidden_px / (weight + options.half_hidden_px)
+    return (share * hidden[:, None] * mean).astype(np.float32)
+
+
+def one_sided(splats: Splats, cameras: Sequence[Camera]) -> float:
+    """0..1: 1 where all views come from one side of the asset, 0 where they surround it. splats: all drawable."""
+    away = np.stack([camera.position for camera in cameras]) - np.median(splats.means, 0)
+    lines = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    return float((lines.mean(0) ** 2).sum())
+
+
+def unexplained_by_color(
+    colors: np.ndarray, change: np.ndarray, weight: np.ndarray, options: GlobalOptions = GLOBAL_DEFAULTS
+) -> float:
+    """0..1: the share of a change that is no quadratic function of the colour. It is small for looks; light that comes
+    from a side, and assets that fit their pictures badly, have more. colors, change: [S, 3]; weight: [S] pixels that
+    show each."""
+    capped = np.minimum(weight, MAX_WEIGHT_PX).astype(np.float64)[:, None]
+    r, g, b = np.clip(colors, 0, 1).astype(np.float64).T
+    terms = np.stack([np.ones_like(r), r, g, b, r * r, g * g, b * b, r * g, g * b, b * r], 1)
+    gram = (terms * capped).T @ terms + options.ridge * capped.sum() * np.eye(10)
+    rest = change - terms @ np.linalg.solve(gram, (terms * capped).T @ change)
+    return float((capped * rest**2).sum() / max((capped * change.astype(np.float64) ** 2).sum(), 1e-12))
 
 
 def _solid_views(splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> list[SolidView]:

@@ -308,8 +308,10 @@ def merged(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def gains(rows: Sequence[EditRow]) -> dict[str, float]:
-    """{mode: mean gain over the lift in dB}, as `Painter.choose` reads it from the notes of a checkpoint."""
-    return {row.kind: row.gain for row in rows if row.kind in ("local", "global")}
+    """{mode: gain over the lift in dB}, as `Painter.choose` reads it from the notes of a checkpoint: the lower end of
+    the interval, so that weights whose gain may be chance are not used unasked; the mean where there is none."""
+    modes = [row for row in rows if row.kind in ("local", "global")]
+    return {row.kind: row.gain if row.gain_low is None else row.gain_low for row in modes}
 
 
 def _edit_row(kind: str, views: int | None, group: Sequence[Finding], seed: int) -> EditRow:
