@@ -265,8 +265,6 @@ def test_native_weights_are_no_copy(tmp_path: Path) -> None:
     [
         ttt.CROSS,
         reconstruction.COPY,
-        ablations.LOCAL,
-        ablations.GLOBAL,
         *map(reconstruction.grouping_weights, reconstruction.GROUPINGS),
     ],
     ids=lambda n: n.names[0],
