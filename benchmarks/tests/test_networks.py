@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from splatbench.cases import Budget, EditStep, PosedImages
-from splatbench.methods import EditResult, EditTask, Method, ablations, changed, lift, reconstruction, ttt
+from splatbench.methods import EditResult, EditTask, Method, changed, lift, reconstruction, ttt
 from splatbench.methods.lift import painted
 from splatbench.methods.weights import SHIPPED, Weights
 
