@@ -156,7 +156,7 @@ export function beginStroke(
     method: method.value,
     limits: limitsToSend(limits.value),
     opacity,
-    mirror: target?.placed ? null : mirrorOfStroke(kind),
+    mirror: target?.placed ? null : mirrorOfStroke(kind, name),
     selection: selection.value,
   });
   frozen.value++;

@@ -48,10 +48,13 @@ export async function toggleSymmetry(on: boolean): Promise<void> {
   assetPlane.value = { session: now.session, plane: { normal: normal as Vec3, offset }, agreement };
 }
 
+/** Steps whose colours are those of their place: on the other side they would be wrong. */
+const ONE_SIDED: readonly string[] = ["Heal", "Fill from around"];
+
 /** What a stroke that begins now is told about it. */
-export function mirrorOfStroke(kind: "paint" | "clone" | "erase" | "mask"): Symmetry | null {
+export function mirrorOfStroke(kind: "paint" | "clone" | "erase" | "mask", name: string): Symmetry | null {
   const plane = mirrorPlane.value;
-  if (!plane || kind === "mask") return null;
+  if (!plane || kind === "mask" || ONE_SIDED.includes(name)) return null;
   const shading = shadingApplies() ? keepShading.value : 0;
   const keep = kind === "paint" ? (paintMode.value === "color" ? 1 : shading) : 0;
   return { normal: plane.normal, offset: plane.offset, keep };

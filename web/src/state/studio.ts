@@ -201,11 +201,13 @@ function adopt(next: State): void {
     if (axisName(before.asset.up) !== axisName(asset.up)) resetView(asset);
     return;
   }
+  // the same asset again, as after a crash of the server: nobody moved, so the view stays
+  const stays = before?.asset.sha256 === asset.sha256 && axisName(before.asset.up) === axisName(asset.up) && pose.value;
   link.enter(next.session);
   viewer.extent = asset.radius;
   viewer.setAntialiased(asset.antialiased);
   document.title = `${asset.name} – SplatPainter`;
-  resetView(asset);
+  if (!stays) resetView(asset);
   if (!asset.frame_stated)
     toast(
       "info",

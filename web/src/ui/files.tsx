@@ -162,16 +162,16 @@ export function Swapped() {
     const answer = await run("project.open", fields, `Opening ${before.name}`);
     if (answer) swapped.value = null;
   };
+  const restarted = now.earlier.some((one) => one.id === before.id); // of the same asset
+  const words = restarted ? "Continue" : `Back to ${before.name}`;
   return (
     <div class="elsewhere swapped" role="alert">
       <span>
-        The studio has another project open now: {now.project.name}. You were in {before.name} (
-        {layersOf(before.layers)}
+        {restarted ? "The studio was started again." : `The studio has another project open now: ${now.project.name}.`}{" "}
+        You were in {before.name} ({layersOf(before.layers)}
         nothing of it is lost).
       </span>
-      {before.id && (
-        <Button label={`Back to ${before.name}`} text={`Back to ${before.name}`} onClick={() => void back()} />
-      )}
+      {before.id && <Button label={words} text={words} onClick={() => void back()} />}
       <Button label="Stay here" text="Stay here" onClick={() => (swapped.value = null)} />
     </div>
   );

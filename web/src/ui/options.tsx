@@ -32,7 +32,7 @@ import {
 } from "../state/store";
 import { report } from "../state/studio";
 import { BrushSize, KeepShading } from "./brush-size";
-import { SymmetryButton } from "./symmetry";
+import { OneSided, SymmetryButton } from "./symmetry";
 import { fonts, loadFont, systemFonts } from "./fonts";
 import { OverflowBar } from "./overflow-bar";
 import { Button, Check, Choice, FileButton, Percent, Slider } from "./parts";
@@ -45,6 +45,13 @@ const MODES: readonly (readonly [PaintMode, string])[] = [
 ];
 const METHODS = { auto: "Auto", ttt: "Network", lift: "Lift", fit: "Fit" } as const;
 const PAINTS = ["brush", "erase", "line", "clone", "heal", "fill", "text", "stamp"];
+/** Why a tool paints on one side only. */
+const ONE_SIDED: Partial<Record<string, string>> = {
+  heal: "healing stays on this side, whose tone and texture it takes",
+  text: "words are laid on this side only",
+  stamp: "pictures are laid on this side only",
+  select: "only this side is selected",
+};
 const limiting = signal(false);
 
 export function Options() {
@@ -70,6 +77,13 @@ export function Options() {
       )}
       {current === "clone" && <Check label="With relief" value={relief.value} onChange={(on) => (relief.value = on)} />}
       {current === "select" && <Select />}
+      {round && chosenMask() ? (
+        <OneSided why="masks are painted on this side only" />
+      ) : current === "clone" && relief.value ? (
+        <OneSided why="relief is copied to this side only" />
+      ) : (
+        ONE_SIDED[current] && <OneSided why={ONE_SIDED[current]} />
+      )}
       {current === "orbit" && (
         <span class="hint">
           Drag to turn about the point under the cursor, Shift-drag to slide, wheel to come closer, double click to look
@@ -158,6 +172,7 @@ function Fill() {
         onChange={(contiguous) => (fill.value = { ...f, contiguous })}
       />
       {shadingApplies() && <KeepShading />}
+      <SymmetryButton />
     </>
   );
 }

@@ -26,6 +26,12 @@ export function SymmetryButton() {
   );
 }
 
+/** Said in the bar of a tool that works on one side only while strokes are mirrored. */
+export function OneSided({ why }: { why: string }) {
+  if (!symmetry.value.on) return null;
+  return <span class="hint">Symmetry: {why}</span>;
+}
+
 export function SymmetryPanel() {
   const s = symmetry.value;
   const set = (part: Partial<typeof s>) => (symmetry.value = { ...symmetry.value, ...part });

@@ -1,0 +1,141 @@
+"""Every tool by pen and by finger, without mouse and keyboard, in a real browser; and which tools symmetry mirrors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support import studio_scenes
+from tests.support.studio_pages import Page, opened_page
+
+
+@pytest.fixture
+def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
+    with opened_page(browser, tmp_path, still=True) as both:
+        yield both
+
+
+class Hand:
+    """A pen or a finger."""
+
+    def __init__(self, page: Page, kind: str) -> None:
+        self.page, self.kind, self.number = page, kind, 20
+
+    def tool(self, name: str) -> None:
+        """Touch a button of the toolbar."""
+        self.page.tab.locator(".toolbar").get_by_role("button", name=name, exact=True).click()
+
+    def drag(self, *points: tuple[float, float]) -> None:
+        """Down, along, up; shares of the view."""
+        self.number += 1
+        self.page.pointer("down", self.number, self.kind, *points[0])
+        for point in points[1:]:
+            self.page.pointer("move", self.number, self.kind, *point)
+        self.page.pointer("up", self.number, self.kind, *points[-1], 0.0)
+
+    def step(self, label: str) -> None:
+        """The newest step is this one, and it is saved."""
+        self.page.wait(f"{label} by {self.kind}", lambda: self.newest().startswith(label))
+        self.page.settled()
+
+    def newest(self) -> str:
+        state = self.page.state()
+        return state["history"][state["cursor"]]["label"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["pen", "touch"])
+def test_every_tool_answers(opened: tuple[studio_scenes.Live, Page], kind: str) -> None:
+    _, page = opened
+    hand, tab = Hand(page, kind), page.tab
+    hand.tool("Brush")
+    hand.drag((0.42, 0.45), (0.5, 0.45), (0.58, 0.45))
+    hand.step("Brush in Paint")
+    hand.tool("Line")
+    hand.drag((0.42, 0.55), (0.58, 0.58))
+    hand.step("Line in Paint")
+    hand.tool("Eraser")
+    hand.drag((0.5, 0.45), (0.58, 0.45))
+    hand.step("Erase in Paint")
+    hand.tool("Clone")
+    tab.get_by_role("button", name="Set the source").click()
+    hand.drag((0.44, 0.45))
+    hand.drag((0.5, 0.62), (0.53, 0.62))
+    hand.step("Clone in Paint")
+    hand.tool("Heal")
+    hand.drag((0.5, 0.62), (0.53, 0.62))
+    hand.step("Heal in Paint")
+    hand.tool("Fill")
+    hand.drag((0.5, 0.35))
+    hand.step("Fill in Paint")
+    hand.tool("Eyedropper, as seen")
+    before = tab.get_by_role("textbox", name="Colour", exact=True).input_value()
+    hand.drag((0.56, 0.68))
+    page.wait("a colour", lambda: tab.get_by_role("textbox", name="Colour", exact=True).input_value() != before)
+    hand.tool("Text")
+    tab.get_by_role("checkbox", name="On the surface", exact=True).uncheck()
+    hand.drag((0.5, 0.5))
+    page.wait("the text", lambda: tab.get_by_role("button", name="Apply").count())
+    tab.get_by_role("button", name="Apply").click()
+    page.wait("its layer", lambda: len(page.names()) == 2)
+    hand.step("add Text")
+    hand.tool("Select an area to paint in")
+    for select, points in (
+        ("rectangle", [(0.44, 0.4), (0.5, 0.5)]),
+        ("lasso", [(0.45, 0.4), (0.55, 0.4), (0.55, 0.5), (0.45, 0.5)]),
+        ("brush", [(0.45, 0.6), (0.55, 0.6)]),
+        ("color", [(0.5, 0.4)]),
+    ):
+        tab.get_by_label("Select", exact=True).select_option(select)
+        revision = page.state()["selection"]["revision"]
+        hand.drag(*points)
+        page.wait(f"a selection: {select}", lambda r=revision: page.state()["selection"]["revision"] > r)
+        page.wait("Gaussians in it", lambda: page.state()["selection"]["gaussians"])
+    hand.tool("Turn the view")
+    eye = page.camera()["world_to_camera"]
+    hand.drag((0.4, 0.5), (0.5, 0.5))
+    page.wait("another view", lambda: page.camera()["world_to_camera"] != eye)
+
+
+@pytest.mark.slow
+def test_symmetry_mirrors_strokes_and_says_where_it_does_not(opened: tuple[studio_scenes.Live, Page]) -> None:
+    live, page = opened
+    tab, keys = page.tab, page.tab.keyboard
+    keys.press("b")
+    tab.get_by_role("button", name="Mirror strokes to the other side of the asset").click()
+    tab.get_by_role("tab", name="Brush").click()
+    tab.get_by_label("Plane", exact=True).select_option("x")
+    page.wait("the plane", lambda: page.state() is not None)
+
+    def touched(points: list[tuple[float, float]]) -> tuple[int, int]:
+        """How many Gaussians left and right of the plane a stroke changed."""
+        before = live.studio.session.splats
+        page.drag(*points)
+        version = live.studio.session.version
+        page.wait("the stroke", lambda: live.studio.session.version > version or not same(before))
+        page.settled()
+        after = live.studio.session.splats
+        n = min(len(before), len(after))
+        changed = (before.sh[:n] != after.sh[:n]).any((1, 2)) | (before.opacities[:n] != after.opacities[:n])
+        points_after = np.concatenate([before.means[:n][changed], after.means[n:]])
+        return int((points_after[:, 0] < -0.05).sum()), int((points_after[:, 0] > 0.05).sum())
+
+    def same(before: Any) -> bool:
+        return live.studio.session.splats is before
+
+    points = [(0.42, 0.45), (0.44, 0.45)]
+    assert min(touched(points)) > 0, "brush: on both sides"
+    keys.press("j")
+    assert "healing stays on this side" in tab.locator(".options").inner_text()
+    left, right = touched([(0.42, 0.6), (0.44, 0.6)])
+    assert (left == 0) != (right == 0), "heal: on one side"
+    for key, words in (("t", "words are laid"), ("m", "only this side is selected"), ("p", "pictures are laid")):
+        keys.press(key)
+        page.wait(words, lambda w=words: w in tab.locator(".options").inner_text())
+    keys.press("b")
+    tab.get_by_role("button", name="Paint on this side only").click()
+    page.wait("no hint", lambda: "Symmetry:" not in tab.locator(".options").inner_text())
