@@ -15,7 +15,7 @@ from splatpainter.receipts import changed_rows
 from splatpainter.rendering import render
 from splatpainter.sources.picture_source import SourceError
 from splatpainter.splats import SH_C0, Splats
-from tests.support.cli_scenes import ball
+from tests.support.cli_scenes import ball, with_bad_gaussians
 from tests.support.picture_sources import FunctionSource
 
 SPACING = 0.05
@@ -173,6 +173,9 @@ def test_bad_input_is_one_line() -> None:
         with pytest.raises(ValueError, match=words) as error:
             fill_hole(asset, **where)
         assert "\n" not in str(error.value)
+    bad = with_bad_gaussians(splats.take(np.arange(len(splats))))
+    filled = fill_hole(bad, removed=within(splats, (0.05, 0.1, 0), 0.3) | ~bad.drawable)
+    assert np.isfinite(filled.appended.means).all() and filled.appended.drawable.all()
     for weights, words in ((none, "nothing was removed"), (none[:-1], "expected .1681. weights"), (None, "or those")):
         with pytest.raises(ValueError, match=words):
             sp.fill(splats, weights)

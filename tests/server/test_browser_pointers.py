@@ -90,7 +90,7 @@ def test_every_tool_answers(opened: tuple[studio_scenes.Live, Page], kind: str) 
         ("brush", [(0.45, 0.6), (0.55, 0.6)]),
         ("color", [(0.5, 0.4)]),
     ):
-        tab.get_by_label("Select", exact=True).select_option(select)
+        tab.locator(".options").get_by_label("Select", exact=True).select_option(select)
         revision = page.state()["selection"]["revision"]
         hand.drag(*points)
         page.wait(f"a selection: {select}", lambda r=revision: page.state()["selection"]["revision"] > r)
@@ -106,7 +106,7 @@ def test_symmetry_mirrors_strokes_and_says_where_it_does_not(opened: tuple[studi
     live, page = opened
     tab, keys = page.tab, page.tab.keyboard
     keys.press("b")
-    tab.get_by_role("button", name="Mirror strokes to the other side of the asset").click()
+    tab.locator(".options").get_by_role("button", name="Symmetry").click()
     tab.get_by_role("tab", name="Brush").click()
     tab.get_by_label("Plane", exact=True).select_option("x")
     page.wait("the plane", lambda: page.state() is not None)
@@ -137,5 +137,5 @@ def test_symmetry_mirrors_strokes_and_says_where_it_does_not(opened: tuple[studi
         keys.press(key)
         page.wait(words, lambda w=words: w in tab.locator(".options").inner_text())
     keys.press("b")
-    tab.get_by_role("button", name="Paint on this side only").click()
+    tab.locator(".options").get_by_role("button", name="Symmetry").click()
     page.wait("no hint", lambda: "Symmetry:" not in tab.locator(".options").inner_text())

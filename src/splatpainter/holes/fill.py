@@ -82,6 +82,7 @@ def fill_hole(splats: Splats, *, removed: np.ndarray | None = None, around: np.n
     if removed is not None:
         if not removed.any():
             raise ValueError("fill: nothing was removed; select something first")
+        removed = removed & splats.drawable
         remaining = visible & ~removed
         candidates = beside(splats, remaining, removed)
     else:

@@ -507,7 +507,8 @@ class Replay:
             faded = (splats.opacities * (1 - weights)).astype(np.float32)
             return LayerResult(between(splats, replace(splats, opacities=faded)))
         if layer.kind == "fill":
-            pictures = [(view.camera, self._edit(view, layer).image, self.mask(view)) for view in layer.views]
+            views = [view for view in layer.views if view.picture is not None]
+            pictures = [(view.camera, self._edit(view, layer).image, self.mask(view)) for view in views]
             return LayerResult(*fill_delta(splats, self._selected(layer, splats), layer.parameters, pictures))
         if layer.kind == "look" and not any(view.picture for view in layer.views):
             parameters = {name: value for name, value in layer.parameters.items() if name != SELECTION}
