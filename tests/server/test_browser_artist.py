@@ -405,9 +405,8 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     splats = read(exported)
     assert len(splats) == a.count()
     wire = page.camera()
-    view = Camera(
-        *(wire[key] for key in ("width", "height", "fx", "fy", "cx", "cy")), np.array(wire["world_to_camera"])
-    )
+    matrix = np.array(wire["world_to_camera"])
+    view = Camera(wire["width"], wire["height"], wire["fx"], wire["fy"], wire["cx"], wire["cy"], matrix)
     drawn = render(splats, view).colors[0]
     shape = a.seen.shape[:2]
     picture = np.asarray(Image.fromarray((np.clip(drawn, 0, 1) * 255).astype(np.uint8)).resize(shape[::-1])) / 255
