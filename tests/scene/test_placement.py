@@ -70,6 +70,10 @@ def test_texts_and_records() -> None:
     text = Placement.parse("scale=1.7:move=0.3,-.2,5e-1:turn=20,-75,130")
     assert text == PLACED == Placement.from_record(PLACED.record())
     assert Placement.parse("none").is_identity
+    np.testing.assert_allclose(PLACED.turn, (20, -75, 130), atol=1e-9)
+    np.testing.assert_allclose(
+        Placement.of(turn=Placement.of(turn=(25, 90, 0)).turn).matrix, axis((25, 90, 0)), atol=1e-7
+    )
     assert "moved by 0.3, -0.2, 0.5, turned by" in PLACED.text
 
 

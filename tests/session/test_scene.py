@@ -233,6 +233,17 @@ def test_exports_are_verified_against_every_file(session: Session, paths, tmp_pa
         session.export(tmp_path / "less.ply", asset="77")
 
 
+def test_an_asset_of_no_file_takes_others_too(paths, tmp_path: Path) -> None:
+    with flat(asset(6), tmp_path / "rows.splatproj") as session:
+        session.add_asset(paths[1], placement=RIGHT)
+        receipt, verification = session.export(tmp_path / "scene.ply")
+        assert verification.ok and receipt.merge is not None
+        assert [one["format"] for one in receipt.merge["sources"]] == ["rows", "ply"]
+        expected = print_of(session)
+    with load(tmp_path / "rows.splatproj") as again:
+        assert print_of(again) == expected and again.verify() == []
+
+
 def test_colours_are_matched_at_the_seam_by_a_layer(tmp_path: Path) -> None:
     left, right = asset(24), asset(24)
     for name, splats in (("left", left), ("right", replace(right, sh=right.sh * np.float32(0.7) - np.float32(0.4)))):
@@ -284,8 +295,6 @@ def test_bad_input_is_refused_with_nothing_changed(session: Session, paths, tmp_
             session.set_asset(made.id, **values)
     with pytest.raises(ValueError, match="asset: expected one of"):
         session.set_asset("9", name="Nine")
-    with pytest.raises(ValueError, match="read from a file"), flat(asset(4)) as unsaved:
-        unsaved.add_asset(paths[1])
     assert len(session.history) == steps and session.verify() == []
 
 

@@ -28,7 +28,7 @@ from splatpainter.io.ply_container import TextRows
 from splatpainter.receipts import MAX_CARRIED, Receipt, untouched_hashes
 from splatpainter.scene.placement import Placement
 from splatpainter.scene.seam import SeamMatch, match_seam
-from splatpainter.splats import Source, Splats
+from splatpainter.splats import Splats
 
 MODE = "merge"
 """Mode of receipts of merged assets."""
@@ -46,20 +46,25 @@ class Part:
     seam: SeamMatch | None = None
 
     @property
-    def source(self) -> Source:
-        assert self.splats.source is not None
-        return self.splats.source
+    def path(self) -> str:
+        """Of its file; "asset" where it came from none."""
+        return "asset" if self.splats.source is None else self.splats.source.path
+
+    @property
+    def format(self) -> str:
+        """Of its file; "rows" where it came from none."""
+        return "rows" if self.splats.source is None else self.splats.source.format
 
     @property
     def name(self) -> str:
         """Of the file, without folders."""
-        return files.printable(Path(self.source.path).name, 200)
+        return files.printable(Path(self.path).name, 200)
 
     def how(self, key: str) -> str:
         """BYTES, VALUES or MADE in a file of the format `key`."""
         if not self.placement.is_identity or self.seam is not None:
             return MADE
-        return BYTES if key == self.source.format and key in ROWS_STAND_ALONE else VALUES
+        return BYTES if key == self.format and key in ROWS_STAND_ALONE else VALUES
 
 
 @dataclass(frozen=True)
@@ -140,7 +145,7 @@ def parts_of(
         twin = before.setdefault((part.splats.sha256, part.placement), number)
         if twin != number:
             raise ValueError(
-                f"{part.source.path}: assets {twin} and {number} are the same Gaussians at the same place; "
+                f"{part.path}: assets {twin} and {number} are the same Gaussians at the same place; "
                 "give one of them another transform"
             )
     return _matched(parts, seam_falloff) if seam else parts
@@ -175,7 +180,7 @@ def write_merged(path: Path, parts: Sequence[Part]) -> tuple[Receipt, MergeVerif
             {
                 "name": part.name,
                 "sha256": part.splats.sha256,
-                "format": part.source.format,
+                "format": part.format,
                 "rows": len(splats),
                 "first": first,
                 "sh_degree": part.splats.sh_degree,
@@ -294,7 +299,7 @@ def carried(receipt: Receipt, before: Receipt | None) -> Receipt:
 
 
 def _check(part: Part, first: Part) -> None:
-    path, splats = part.source.path, part.splats
+    path, splats = part.path, part.splats
     if not len(splats):
         raise ValueError(f"{path}: has no Gaussians to merge")
     visible = int(splats.drawable.sum())
@@ -314,7 +319,7 @@ def _matched(parts: Sequence[Part], falloff: float) -> list[Part]:
         try:
             match = match_seam(part.placement.apply(part.splats), fixed, falloff)
         except ValueError as error:
-            raise ValueError(f"{part.source.path}: {str(error).removeprefix('seam: ')}") from None
+            raise ValueError(f"{part.path}: {str(error).removeprefix('seam: ')}") from None
         out.append(replace(part, seam=match))
     return out
 
@@ -324,9 +329,9 @@ def _notes(parts: Sequence[Part]) -> list[str]:
     if len({part.splats.antialiased for part in parts}) > 1:
         notes.append("some sources were trained antialiased and some not; all are marked as the first is")
     for part in parts:
-        held = contents(part.source)
+        held = None if part.splats.source is None else contents(part.splats.source)
         extra = [name for name, data in held.blocks.items() if data] if held is not None else []
-        if extra and part.source.format == "ply":
+        if extra and part.format == "ply":
             notes.append(f"{part.name}: {', '.join(files.printable(name, 60) for name in extra[:4])} left out")
     return [note[:1000] for note in notes[:3]]
 
@@ -377,7 +382,8 @@ def _stored_differences(part: Part, merged: Splats, first: int) -> tuple[np.ndar
     assert merged.source is not None
     if part.how(merged.source.format) != BYTES:
         return none, []
-    old, new = contents(part.source), contents(merged.source)
+    assert part.splats.source is not None
+    old, new = contents(part.splats.source), contents(merged.source)
     if old is None or new is None or isinstance(old.tables[0].records, TextRows):
         return none, []
     differing, names = [none], []

@@ -106,6 +106,17 @@ class Placement:
         return abs(self.quat[0]) != 1
 
     @property
+    def turn(self) -> tuple[float, float, float]:
+        """Degrees about x, then y, then z (`of`); about y within 90."""
+        m = self.matrix
+        y = math.asin(max(-1.0, min(1.0, -m[2, 0])))
+        if abs(m[2, 0]) < 1 - 1e-9:
+            x, z = math.atan2(m[2, 1], m[2, 2]), math.atan2(m[1, 0], m[0, 0])
+        else:  # x and z turn about one axis
+            x, z = math.atan2(-m[1, 2], m[1, 1]), 0.0
+        return (math.degrees(x), math.degrees(y), math.degrees(z))
+
+    @property
     def matrix(self) -> np.ndarray:
         """[3, 3] float64 the rotation."""
         return snapped(quat_to_matrix(np.array([self.quat]))[0])

@@ -24,6 +24,7 @@ from splatpainter.session import Layer, Session
 from splatpainter.session.document import PLACED
 from splatpainter.session.layer_mask import LayerMask
 from splatpainter.session.project_file import Bookmark, Step
+from splatpainter.session.scene_asset import MAIN
 from splatpainter.splats import Splats
 
 HOME_VIEW = {"elevation": 15.0, "fov": 40.0}
@@ -45,6 +46,12 @@ def home_view(splats: Splats, up: tuple[int, int, int], start: float) -> tuple[n
         center, distance, 1, up=up, start=start, width=800, height=800, background=BACKGROUND, **HOME_VIEW
     )[0]
     return center, radius, view
+
+
+def middle(splats: Splats) -> np.ndarray:
+    """[3] float64 the median of what can be drawn."""
+    points = splats.means[splats.drawable]
+    return np.median(points, axis=0).astype(np.float64) if len(points) else np.zeros(3)
 
 
 def small_view(info: protocol.AssetInfo) -> cameras.Camera:
@@ -102,6 +109,29 @@ def counted(info: protocol.AssetInfo, original: Splats, now: Splats) -> protocol
     return info.model_copy(update={"gaussians": len(now), "gaussians_unchanged": same})
 
 
+def scene_assets(session: Session, name: str) -> list[protocol.SceneAssetInfo]:
+    """All assets. name: of the one that was opened."""
+    out = []
+    for asset in session.assets:
+        rows, placement = session.asset_original(asset.id), asset.placement
+        center = placement.points(middle(rows)[None])[0]
+        is_main = asset.id == MAIN and not session.snapshot.document.assets
+        out.append(
+            protocol.SceneAssetInfo(
+                id=asset.id,
+                name=name if is_main else asset.name,
+                visible=asset.visible,
+                move=list(placement.move),
+                turn=[round(angle, 6) for angle in placement.turn],
+                scale=placement.scale,
+                center=center.tolist(),
+                gaussians=len(rows),
+                layers=sum(layer.asset == asset.id for layer in session.layers),
+            )
+        )
+    return out
+
+
 def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
     """A layer with the figures of its last computation."""
     facts = session.facts(layer.id)
@@ -119,6 +149,7 @@ def layer_info(session: Session, layer: Layer) -> protocol.LayerInfo:
     return protocol.LayerInfo(
         id=layer.id,
         name=layer.name,
+        asset=layer.asset,
         kind=layer.kind,
         visible=layer.visible,
         opacity=layer.opacity,

@@ -180,11 +180,32 @@ class MaskInfo(Message):
     """Views and rules that change that."""
 
 
+class SceneAssetInfo(Message):
+    """One asset of the scene, and where it stands: scaled, then turned, then moved."""
+
+    id: str
+    """"": the one that was opened."""
+    name: str
+    visible: bool
+    move: Point
+    """World units."""
+    turn: Point
+    """Degrees about x, then y, then z."""
+    scale: float
+    center: Point
+    """In the scene."""
+    gaussians: int
+    """As it was read."""
+    layers: int
+
+
 class LayerInfo(Message):
     """One layer; the list of layers goes from bottom to top."""
 
     id: str
     name: str
+    asset: str
+    """Id of the asset that it belongs to."""
     kind: LayerKind
     visible: bool
     opacity: Unit
@@ -302,6 +323,8 @@ class Present(Message):
     version: int
     """Of the asset; goes up by one or more with every change of its Gaussians."""
     asset: AssetInfo
+    assets: list[SceneAssetInfo]
+    """All assets of the scene, that which was opened first."""
     layers: list[LayerInfo]
     cursor: int
     """Index in the history of the step in effect: undo: cursor - 1, redo: cursor + 1; 0 is as it was opened, or the

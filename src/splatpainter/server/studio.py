@@ -23,7 +23,16 @@ from splatpainter.io import files
 from splatpainter.server import describe
 from splatpainter.server.batches import Batches
 from splatpainter.server.current_selection import CurrentSelection
-from splatpainter.server.protocol import AssetInfo, Problem, ProjectInfo, RecentInfo, SelectionInfo, State, first_fault
+from splatpainter.server.protocol import (
+    AssetInfo,
+    Problem,
+    ProjectInfo,
+    RecentInfo,
+    SceneAssetInfo,
+    SelectionInfo,
+    State,
+    first_fault,
+)
 from splatpainter.server.public_text import public_text
 from splatpainter.server.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
 from splatpainter.session import Session
@@ -78,6 +87,7 @@ class Studio:
         self.scratch = ScratchFolder("studio")
         self.downloads = Downloads(self.scratch.path)
         self.batches = Batches(self.scratch.path)
+        self._scene: tuple[Any, list[SceneAssetInfo]] | None = None
         self._preparing: threading.Thread | None = None
         self._drawn = 0
         """Version of the session of which its project has a picture."""
@@ -132,6 +142,7 @@ class Studio:
         self.selection = selection
         self._asset, self._lists, self._counted = asset, lists, snapshot.version
         self._front = session.front
+        self._original = snapshot.original
         self.state = state
 
     def refresh(self) -> None:
@@ -143,11 +154,23 @@ class Studio:
             self._front = session.front
         if len(snapshot.history) > 1:
             self._earlier = []
+        if self._original is not snapshot.original:  # assets came, went, or moved
+            if len(self._original) != len(snapshot.original):
+                self.selection.choose(None)
+            self._asset, self._counted = describe.asset_info(session, self._asset.name), 0
+            self._original = snapshot.original
         if self._counted != snapshot.version:
             self._asset = describe.counted(self._asset, session.original, snapshot.splats)
             self._counted = snapshot.version
         with _one_line_errors(self.name):
             self.state = self._state_of(session, self.session_id, self.name, self._asset, self._lists, self.selection)
+
+    def _scene_assets(self, session: Session, name: str) -> list[SceneAssetInfo]:
+        """Described anew where something about them changed."""
+        key = (id(session), session.assets, tuple(layer.asset for layer in session.layers), name)
+        if self._scene is None or self._scene[0] != key:
+            self._scene = (key, describe.scene_assets(session, name))
+        return self._scene[1]
 
     def _state_of(
         self,
@@ -162,6 +185,7 @@ class Studio:
             session=session_id,
             version=session.snapshot.version,
             asset=asset,
+            assets=self._scene_assets(session, name),
             layers=[describe.layer_info(session, layer) for layer in session.layers],
             history=lists.history(session),
             cursor=session.cursor,

@@ -70,6 +70,10 @@ class AssetCommands(StrokeCommands):
             document = self._document
             return self._replay.replay(document, asset).compose(document.part(asset)).splats
 
+    def asset_original(self, asset: str) -> Splats:
+        """The Gaussians of one asset as they were read, in its own space. Raises ValueError for an unknown one."""
+        return self._replay.replay(self._document, asset).original
+
     def _scene(self) -> Scene:
         """The present one; of a session with several assets."""
         return self._replay.scene(self._document)
@@ -86,7 +90,7 @@ class AssetCommands(StrokeCommands):
     ) -> SceneAsset:
         """Another asset in the scene: a splat file, or its Gaussians as read. The project keeps its bytes. placement:
         None: as it is, but to the right of what is there. Raises ValueError: it cannot be read, has no Gaussians that
-        can be drawn, its colours are of another space; too many assets; the session's own asset came from no file."""
+        can be drawn, its colours are of another space; too many assets."""
         splats = asset if isinstance(asset, Splats) else read(asset, frame=frame)
         splats = splats.numpy()
         path = asset_files.file_of(splats)
@@ -98,8 +102,6 @@ class AssetCommands(StrokeCommands):
         with self._command():
             document = self._document
             main = self._replay.main.original
-            if main.source is None:
-                raise ValueError("asset: expected a session whose own asset was read from a file")
             if splats.color_space != main.color_space:
                 spaces = f"{splats.color_space}, those of the session's {main.color_space}"
                 raise ValueError(f"asset {title}: its colours are {spaces}; convert it first")

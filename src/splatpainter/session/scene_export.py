@@ -91,7 +91,7 @@ def _source(name: str, part: Part, first: int, changed: int, key: str) -> dict[s
     return {
         "name": name,
         "sha256": part.splats.sha256,
-        "format": part.source.format,
+        "format": part.format,
         "rows": len(part.splats),
         "first": first,
         "sh_degree": part.splats.sh_degree,

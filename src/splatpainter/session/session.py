@@ -561,7 +561,10 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         version = before.version
         if state.key != before.state.key:
             version += 1
-            self._versions.note(version, before.splats, state.splats)
+            if before.splats.sh.shape[1] != state.splats.sh.shape[1]:  # of other assets: viewers get everything
+                self._versions = VersionLog()
+            else:
+                self._versions.note(version, before.splats, state.splats)
         steps, cursor = self._project.steps()
         original = self._replay.original_of(document)
         self._snapshot = Snapshot(version, state, document, tuple(steps), cursor, original)

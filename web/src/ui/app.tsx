@@ -8,6 +8,8 @@ import { addPicture } from "../state/dropped-images";
 import { camera, state, tab, tool, type Tab } from "../state/store";
 import { report } from "../state/studio";
 import { BatchDialog } from "./batch";
+import { AssetHandles } from "./asset-handles";
+import { Assets } from "./assets";
 import { BrushPanel } from "./brush-panel";
 import { ColorsPanel } from "./colors-panel";
 import { Away, Jobs, StatusLine, Toasts } from "./feedback";
@@ -65,6 +67,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
       <main class="middle">
         <h1 class="unseen">SplatPainter studio</h1>
         <Stage canvas={canvas} />
+        {state.value && <AssetHandles />}
         {state.value && <Gizmo />}
         {!state.value && (
           <p class="loading" role="status">
@@ -79,6 +82,7 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
         {dropping.value && <div class="dropping">Drop an edited picture, an asset, a project, or a layer</div>}
       </main>
       <aside class="side" aria-label="Panels">
+        <Assets />
         <Layers />
         <section class="panel tabs">
           <div role="tablist" aria-label="Panels" class="tab-list">

@@ -6,7 +6,7 @@ import { useEffect, useState } from "preact/hooks";
 import { download } from "../net/blobs";
 import { camera, state, toast } from "../state/store";
 import { run } from "../state/studio";
-import { Button, Check } from "./parts";
+import { Button, Check, Choice } from "./parts";
 
 const HTML = ".html";
 /** Format -> name, and what is lost in it. */
@@ -23,6 +23,9 @@ const WORDS: Record<string, readonly [string, string]> = {
 const chosen = signal("");
 const removing = signal(false);
 const turning = signal(true);
+/** Of several assets the one that is exported alone; ALL: every visible one, in its own range of rows. */
+const ALL = "all";
+const which = signal(ALL);
 
 /** "1.2 MB". */
 export const sizeOf = (bytes: number): string =>
@@ -43,14 +46,23 @@ export function ExportAsset() {
   const usual = formats.find((one) => one === `.${now.asset.format}`) ?? ".ply";
   const ending = formats.includes(chosen.value) ? chosen.value : usual;
   const give = async () => {
-    const file = `${stem}-edited${ending}`;
+    const alone = now.assets.length > 1 ? now.assets.find((one) => one.id === which.value) : undefined;
+    const file = `${alone ? alone.name.replace(/\.[^.]*$/, "") : stem}-edited${ending}`;
     const view = camera.value;
     const label = `Writing ${file}`;
     const page = ending === HTML;
     if (page && !view) return;
     const answer = page
       ? await run("export.html", { file: `${stem}${ending}`, camera: view!, turning: turning.value }, label)
-      : await run("export", { file, remove_hidden: removing.value }, label);
+      : await run(
+          "export",
+          {
+            file,
+            remove_hidden: removing.value && (alone !== undefined || now.assets.length === 1),
+            asset: alone?.id ?? null,
+          },
+          label,
+        );
     if (!answer) return;
     download(answer.url, answer.file);
     toast("info", `${answer.file}, ${sizeOf(answer.bytes)}`, page ? "" : "Its receipt is under Receipt.");
@@ -58,6 +70,16 @@ export function ExportAsset() {
   return (
     <>
       <h3 id="formats">Export the asset</h3>
+      {now.assets.length > 1 && (
+        <p class="row">
+          <Choice
+            label="Which"
+            value={which.value}
+            options={[[ALL, "All visible"], ...now.assets.map((one) => [one.id, `${one.name} alone`] as const)]}
+            onChange={(id) => (which.value = id)}
+          />
+        </p>
+      )}
       <div class="formats" role="radiogroup" aria-labelledby="formats">
         {formats.map((one) => (
           <label key={one}>

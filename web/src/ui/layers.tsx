@@ -8,6 +8,7 @@ import { blobUrl, download } from "../net/blobs";
 import { dragged, isPending, moveLayer, setLayer, shownLayers } from "../state/pending-layers";
 import { maskedLayer, readOnly, selectedLayer, spreading, state, tab } from "../state/store";
 import { report, run } from "../state/studio";
+import { nameOfAsset, selectedAsset } from "../state/assets";
 import { openFile } from "./files";
 import { changePlaced } from "../paint/placement";
 import { FillSettings } from "./fill-layer";
@@ -212,6 +213,7 @@ function Name({ layer, chosen, onKeyDown }: NameProps) {
     >
       <b>{layer.name}</b>
       <span class="quiet">
+        {nameOfAsset(layer.asset) && `${nameOfAsset(layer.asset)}: `}
         {layer.strokes !== null && `${layer.strokes} ${layer.strokes === 1 ? "stroke" : "strokes"}, `}
         {count.toLocaleString()} Gaussians{layer.opacity < 1 ? `, ${Math.round(layer.opacity * 100)} %` : ""}
         {layer.blend !== "normal" ? `, ${layer.blend}` : ""}
@@ -249,7 +251,11 @@ function LayerActions({ layer, layers, range }: ActionProps) {
         icon="plus"
         label="New layer to paint into"
         disabled={readOnly.value || !state.value}
-        onClick={() => void run("layer.new", { above: layer?.id ?? null }, "New layer").then(chooseMade)}
+        onClick={() =>
+          void run("layer.new", { above: layer?.id ?? null, asset: selectedAsset.value ?? "" }, "New layer").then(
+            chooseMade,
+          )
+        }
       />
       <Button
         icon="copy"

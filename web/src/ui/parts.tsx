@@ -143,7 +143,7 @@ interface NumberProps {
   onChange: (value: number) => void;
 }
 
-function NumberField({ label, value, min, max, digits, unit, disabled, onChange }: NumberProps) {
+export function NumberField({ label, value, min, max, digits, unit, disabled, onChange }: NumberProps) {
   const formatted = value.toFixed(digits);
   const [draft, setDraft] = useState<string | null>(null);
   const commit = () => {

@@ -12,6 +12,7 @@ from splatpainter.server.commands import layers as _layers  # noqa: F401
 from splatpainter.server.commands import painting as _painting  # noqa: F401
 from splatpainter.server.commands import picture_check as _picture_check  # noqa: F401
 from splatpainter.server.commands import relief as _relief  # noqa: F401
+from splatpainter.server.commands import scene_assets as _scene_assets  # noqa: F401
 from splatpainter.server.commands import selection as _selection  # noqa: F401
 from splatpainter.server.commands import source_edit as _source_edit  # noqa: F401
 from splatpainter.server.commands import surface as _surface  # noqa: F401

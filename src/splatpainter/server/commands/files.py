@@ -78,7 +78,7 @@ def open_asset(context: CommandContext, request: AssetOpen) -> Answer:
         blob = studio.blobs.get(request.blob, "asset")
         name, path = blob.name or f"asset{blob.info.ending}", blob.path
     elif request.file is not None:
-        name, path = request.file, _folder_file(studio, request.file)
+        name, path = request.file, folder_file(studio, request.file)
     with contextlib.nullcontext() if path is None else naming_errors(path, name):
         studio.open(lambda: Session(demo() if path is None else read(path), studio.projects.fresh(name)), name)
     return Answer(python=python_line("session = sp.Session", name))
@@ -136,7 +136,7 @@ def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
         path = studio.projects.find(request.recent)
         name = request.recent.rsplit("_", 1)[0]
     else:
-        path = _folder_file(studio, request.file or "")
+        path = folder_file(studio, request.file or "")
         name = path.stem
         assert studio.folder is not None
         options = {"folder": studio.folder.root}
@@ -232,7 +232,9 @@ class AssetExport(Command):
     ANSWER = Exported
     file: FileName
     remove_hidden: bool = False
-    """Without hidden Gaussians (of opacity 0), for good; the receipt says how many."""
+    """Without hidden Gaussians (of opacity 0), for good; the receipt says how many. Of one asset at a time."""
+    asset: str | None = None
+    """One of several assets alone, in its own space; None: all that are visible, each in its own range of rows."""
 
 
 @command(AssetExport, background=True)
@@ -240,14 +242,16 @@ def export_asset(context: CommandContext, request: AssetExport) -> Exported:
     studio = context.studio
     context.ticket.report(0, "writing and verifying")
     path = studio.downloads.folder() / Path(request.file).name
-    studio.session.export(path, remove_hidden=request.remove_hidden)
+    studio.session.export(path, remove_hidden=request.remove_hidden, asset=request.asset)
     receipt = path.with_name(path.name + ".receipt.json")
     return Exported(
         url=studio.downloads.add(path),
         file=path.name,
         bytes=path.stat().st_size,
         receipt_url=studio.downloads.add(receipt),
-        python=python_line("session.export", path.name, remove_hidden=request.remove_hidden or None),
+        python=python_line(
+            "session.export", path.name, remove_hidden=request.remove_hidden or None, asset=request.asset
+        ),
     )
 
 
@@ -312,7 +316,7 @@ def verify_asset(context: CommandContext, request: AssetVerify) -> Verified:
     )
 
 
-def _folder_file(studio: Studio, name: str) -> Path:
+def folder_file(studio: Studio, name: str) -> Path:
     if studio.folder is None:
         raise ValueError(f"{name}: the studio was started without a folder; drop the file into the page instead")
     return studio.folder.file(name)

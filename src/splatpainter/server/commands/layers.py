@@ -44,17 +44,20 @@ class LayerNew(Command):
     ANSWER = LayerMade
     name: Name | None = None
     above: str | None = None
+    asset: str = ""
+    """Of several assets, the one that it belongs to; above a layer: that layer's."""
 
 
 @command(LayerNew, writes=True)
 def new_layer(context: CommandContext, request: LayerNew) -> LayerMade:
     session = context.studio.session
-    at = None
+    at, asset = None, request.asset
     if request.above is not None:
-        session.layer(request.above)
+        asset = session.layer(request.above).asset
         at = 1 + [layer.id for layer in session.layers].index(request.above)
-    layer = session.new_layer(request.name, index=at)
-    return layer_made(context, layer.id, python_line("session.new_layer", request.name, index=at))
+    layer = session.new_layer(request.name, index=at, asset=asset)
+    line = python_line("session.new_layer", request.name, index=at, asset=asset or None)
+    return layer_made(context, layer.id, line)
 
 
 class LayerSet(Command):

@@ -1,0 +1,129 @@
+"""Several assets in one scene: added, moved, hidden, removed, and matched in colour."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+from pydantic import Field
+
+from splatpainter.scene.placement import Placement
+from splatpainter.server.commands.context import (
+    CommandContext,
+    RawExpr,
+    command,
+    layer_made,
+    naming_errors,
+    progress,
+    python_line,
+)
+from splatpainter.server.commands.files import folder_file
+from splatpainter.server.protocol import Answer, Blob, Command, FileName, LayerMade, Name, Point
+from splatpainter.server.storage import demo
+from splatpainter.session.asset_files import OriginalRule, write_original
+from splatpainter.session.scratch import scratch_folder
+
+
+class AssetAdded(Answer):
+    asset: str
+    """Its id."""
+
+
+class AssetAdd(Command):
+    """One more asset in the scene, to the right of what is there. Exactly one of: a blob that was sent, a file of the
+    studio's folder, the asset of a recent project (as it was read), the demo asset."""
+
+    NAME = "scene.add"
+    ANSWER = AssetAdded
+    blob: Blob | None = None
+    file: FileName | None = None
+    recent: str | None = None
+    demo: bool = False
+
+
+@command(AssetAdd, writes=True)
+def add_asset(context: CommandContext, request: AssetAdd) -> AssetAdded:
+    studio = context.studio
+    if sum(one is not None for one in (request.blob, request.file, request.recent)) + request.demo != 1:
+        raise ValueError("asset: expected one of blob, file, recent or demo")
+    with contextlib.ExitStack() as stack, progress(context, "reading"):
+        if request.blob is not None:
+            blob = studio.blobs.get(request.blob, "asset")
+            asset, name, frame = blob.path, blob.name or f"asset{blob.info.ending}", "auto"
+        elif request.file is not None:
+            asset, name, frame = folder_file(studio, request.file), request.file, "auto"
+        elif request.recent is not None:
+            project = studio.projects.find(request.recent)
+            folder = stack.enter_context(scratch_folder("added"))
+            asset, frame = write_original(project, folder / "asset", OriginalRule(embedded=True))
+            name = request.recent.rsplit("_", 1)[0]
+        else:
+            asset, name, frame = demo(), "demo", "auto"
+        if not request.demo:
+            stack.enter_context(naming_errors(asset, name))  # type: ignore[arg-type]
+        added = studio.session.add_asset(asset, name=name, frame=frame)
+    return AssetAdded(asset=added.id, python=python_line("session.add_asset", name))
+
+
+class AssetSet(Command):
+    """Change an asset of the scene; numbers that are null stay."""
+
+    NAME = "scene.set"
+    asset: str
+    name: Name | None = None
+    visible: bool | None = None
+    move: Point | None = None
+    turn: Point | None = None
+    """Degrees about x, then y, then z."""
+    scale: float | None = None
+    gesture: Name | None = None
+    """As of layer.set."""
+
+
+@command(AssetSet, writes=True)
+def set_asset(context: CommandContext, request: AssetSet) -> Answer:
+    session = context.studio.session
+    before = session.asset(request.asset).placement
+    values: dict[str, Any] = {}
+    if request.move is not None or request.turn is not None or request.scale is not None:
+        (x, y, z), (a, b, c) = request.move or before.move, request.turn or before.turn
+        scale = before.scale if request.scale is None else request.scale
+        made = Placement.of((x, y, z), (a, b, c), scale)
+        if request.turn is None:
+            made = Placement((x, y, z), before.quat, scale)
+        values["placement"] = made
+    values |= {key: value for key in ("name", "visible") if (value := getattr(request, key)) is not None}
+    with progress(context, "moving"):
+        session.set_asset(request.asset, gesture=request.gesture, **values)
+    words = {key: RawExpr(f"sp.{value!r}") if key == "placement" else value for key, value in values.items()}
+    return Answer(python=python_line("session.set_asset", request.asset, **words))
+
+
+class AssetRemove(Command):
+    """Take an asset out of the scene, with its layers."""
+
+    NAME = "scene.remove"
+    asset: str
+
+
+@command(AssetRemove, writes=True)
+def remove_asset(context: CommandContext, request: AssetRemove) -> Answer:
+    context.studio.session.remove_asset(request.asset)
+    return Answer(python=python_line("session.remove_asset", request.asset))
+
+
+class AssetMatchSeam(Command):
+    """An adjustment layer that brings an asset's colours to those of the others where they are near to each other."""
+
+    NAME = "scene.match"
+    ANSWER = LayerMade
+    asset: str
+    falloff: float = Field(default=0.0, ge=0)
+    """World units over which it fades out from the seam; 0: it holds everywhere."""
+
+
+@command(AssetMatchSeam, writes=True)
+def match_colors(context: CommandContext, request: AssetMatchSeam) -> LayerMade:
+    with progress(context, "matching colours"):
+        layer = context.studio.session.match_seam(request.asset, falloff=request.falloff)
+    return layer_made(context, layer.id, python_line("session.match_seam", request.asset, falloff=request.falloff))

@@ -1,0 +1,85 @@
+"""Several assets in the studio's page: added from a file, moved by numbers and by handles, painted, undone, removed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splatpainter.io import write
+from tests.support import studio_scenes
+from tests.support.lift_scenes import sheet
+from tests.support.studio_pages import Page, opened_page
+
+
+@pytest.fixture
+def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
+    with opened_page(browser, tmp_path, still=True) as (live, page):
+        yield live, page
+
+
+def asset(page: Page, number: int) -> dict[str, Any]:
+    return page.state()["assets"][number]
+
+
+def pull(page: Page, title: str, x: float, y: float) -> None:
+    """Drag a handle by CSS pixels."""
+    box = (
+        page.tab.locator(".asset-handles .grab")
+        .filter(has=page.tab.locator(f"title:text-is('{title}')"))
+        .bounding_box()
+    )
+    at = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.tab.mouse.move(*at)
+    page.tab.mouse.down()
+    for k in range(1, 5):
+        page.tab.mouse.move(at[0] + x * k / 4, at[1] + y * k / 4)
+    page.tab.mouse.up()
+
+
+def test_a_second_asset_is_added_moved_painted_and_removed(
+    opened: tuple[studio_scenes.Live, Page], tmp_path: Path
+) -> None:
+    live, page = opened
+    write(tmp_path / "rug.ply", sheet(30, degree=1, half=0.6))
+    page.tab.get_by_role("button", name="Add asset...").click()
+    with page.tab.expect_file_chooser() as chooser:
+        page.tab.locator("dialog").get_by_role("button", name="Choose a file").click()
+    chooser.value.set_files(tmp_path / "rug.ply")
+    page.wait("two assets", lambda: len(page.state()["assets"]) == 2)
+    page.wait("its numbers", lambda: page.tab.get_by_label("Move X, number").count())
+    field = page.tab.get_by_label("Move X, number")
+    field.fill("0.2")
+    field.press("Enter")
+    page.wait("it to move", lambda: asset(page, 1)["move"][0] == 0.2)
+    page.wait("the view", lambda: page.ask("window.studio.viewer.count") == len(live.studio.session.splats))
+    before = asset(page, 1)
+    pull(page, "Move in the view", 60, 10)
+    page.wait("a drag", lambda: asset(page, 1)["move"] != before["move"])
+    pull(page, "Scale: drag to the right or left", 40, 0)
+    page.wait("a larger one", lambda: asset(page, 1)["scale"] > 1.1)
+    pull(page, "Turn about Z", 20, 30)
+    page.wait("a turn", lambda: abs(asset(page, 1)["turn"][2]) > 1)
+    middle = np.array(asset(page, 1)["center"])
+    page.settled()
+    labels = [step["label"] for step in page.state()["history"]]
+    assert labels == ["open", "add asset rug.ply", *["move asset rug.ply"] * 4], labels
+    page.tab.locator(".asset-list .layer-name").last.click()  # no handles over the view
+    page.tab.keyboard.press("b")
+    page.drag((0.45, 0.5), (0.75, 0.5))
+    page.settled()
+    assert {layer["asset"] for layer in page.state()["layers"]} == {"", asset(page, 1)["id"]}
+    assert len(page.state()["history"]) == 7
+    page.tab.get_by_role("button", name="Hide asset rug.ply").click()
+    page.wait("it to be hidden", lambda: not asset(page, 1)["visible"])
+    page.tab.get_by_role("button", name="Remove asset rug.ply").click()
+    page.wait("one asset", lambda: len(page.state()["assets"]) == 1)
+    assert [layer["asset"] for layer in page.state()["layers"]] == [""]
+    for _ in range(2):
+        page.tab.keyboard.press("Control+z")
+    page.wait("both again", lambda: len(page.state()["assets"]) == 2 and asset(page, 1)["visible"])
+    np.testing.assert_allclose(asset(page, 1)["center"], middle, atol=1e-6)
+    page.wait("the view", lambda: page.ask("window.studio.viewer.count") == len(live.studio.session.splats))
