@@ -56,10 +56,12 @@ class Server:
                 return
         raise AssertionError("the studio did not start")
 
-    def kill(self, sign: int = signal.SIGKILL) -> None:
-        """End it; by default as a crash does."""
+    def end(self, crash: bool) -> None:
         if self._process is not None:
-            self._process.send_signal(sign)
+            if crash:
+                self._process.kill()
+            else:
+                self._process.send_signal(signal.SIGINT)
             self._process.communicate()
         self._process = None
 
@@ -163,7 +165,7 @@ def studio(browser: Any, tmp_path: Path) -> Iterator[tuple[Server, Page, Path]]:
         page.tab.close()
     finally:
         with contextlib.suppress(ProcessLookupError):
-            server.kill(signal.SIGINT)
+            server.end(crash=False)
 
 
 @posix_only
@@ -336,7 +338,7 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     # 27-30: the server dies while a stroke is on its way; everything that was acknowledged is there
     listed, history, gaussians = page.names(), len(page.state()["history"]), a.count()
     camera = page.camera()
-    server.kill()
+    server.end(crash=True)
     page.wait("that it is gone", lambda: "Saved" not in tab.locator(".connection").inner_text())
     a.steps.append("the server was killed")
     server.start()

@@ -12,9 +12,10 @@ import pytest
 from splatpainter.io import read, write
 from splatpainter.receipts import Receipt
 from splatpainter.scene.merge import check_merge
+from splatpainter.session import Session
 from tests.support.io_assets import random_splats
 from tests.support.lift_scenes import sheet
-from tests.support.studio_scenes import Live, live, make_studio
+from tests.support.studio_scenes import Live, ball, live, make_studio
 
 
 @pytest.fixture
@@ -23,9 +24,13 @@ def studio(tmp_path: Path) -> Iterator[Live]:
         yield served
 
 
-def sheet_bytes(folder: Path, degree: int = 2) -> bytes:
+def write_sheet(folder: Path, degree: int = 2) -> Path:
     write(folder / "sheet.ply", sheet(8, degree=degree))
-    return (folder / "sheet.ply").read_bytes()
+    return folder / "sheet.ply"
+
+
+def sheet_bytes(folder: Path, degree: int = 2) -> bytes:
+    return write_sheet(folder, degree).read_bytes()
 
 
 def refused(studio: Live, name: str, **fields: object) -> str:
@@ -85,6 +90,23 @@ def test_what_is_selected_ends_with_the_assets_that_it_was_of(studio: Live, tmp_
     studio.post("scene.add", demo=True)
     assert not studio.studio.selection
     assert len(session.splats) > 1000 and session.assets[1].name == "demo"
+
+
+def test_assets_of_recent_projects_are_added_as_they_were_read(tmp_path: Path) -> None:
+    studio = make_studio(tmp_path)
+    turned = read(write_sheet(tmp_path), frame="rub")
+    for name, splats in (("up_1", turned), ("rows_1", ball(50, 3))):
+        with Session(splats, studio.projects.root / f"{name}.splatproj") as session:
+            session.add("look", parameters={"look": "grade", "exposure": 0.5})
+    with live(studio) as served:
+        recents = {entry["name"]: entry["id"] for entry in served.post("project.recent")["recent"]}
+        for name in ("up", "rows"):
+            served.post("scene.add", recent=recents[name])
+        _, first, second = studio.session.assets
+        originals = [studio.session.asset_splats(asset.id) for asset in (first, second)]
+    assert (first.name, second.name) == ("up", "rows")
+    np.testing.assert_allclose(originals[0].means, turned.means)
+    np.testing.assert_array_equal(originals[1].means, ball(50, 3).means)
 
 
 def test_bad_input_is_refused_in_one_line(studio: Live, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from splatpainter.server.commands.context import (
 from splatpainter.server.commands.files import folder_file
 from splatpainter.server.protocol import Answer, Blob, Command, FileName, LayerMade, Name, Point
 from splatpainter.server.storage import demo
-from splatpainter.session.asset_files import OriginalRule, write_original
+from splatpainter.session.asset_files import write_original
 from splatpainter.session.scratch import scratch_folder
 
 
@@ -55,7 +55,7 @@ def add_asset(context: CommandContext, request: AssetAdd) -> AssetAdded:
         elif request.recent is not None:
             project = studio.projects.find(request.recent)
             folder = stack.enter_context(scratch_folder("added"))
-            asset, frame = write_original(project, folder / "asset", OriginalRule(embedded=True))
+            asset, frame = write_original(project, folder / "asset")
             name = request.recent.rsplit("_", 1)[0]
         else:
             asset, name, frame = demo(), "demo", "auto"
