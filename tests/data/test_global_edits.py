@@ -156,7 +156,7 @@ def test_what_it_calls_the_lift_is_the_lift() -> None:
     normals = outward_normals(assets[0])
     change, weight = seen_change(assets[0], views)
     moved = regressed(assets[0], normals, change, weight)
-    lifted = lift_global(assets[0], views, GlobalOptions(last_rounds=0), normals)
+    lifted = lift_global(assets[0], views, GlobalOptions(last_rounds=0, far_side=0), normals)
     old_colors = 0.5 + SH_C0 * assets[0].sh[:, 0]
     expected = np.clip(old_colors + moved, np.minimum(old_colors, 0), np.maximum(old_colors, MAX_COLOR))
     np.testing.assert_allclose(0.5 + SH_C0 * lifted.splats.sh[:, 0], expected, atol=1e-4)

@@ -41,6 +41,31 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
     measure();
     return () => (sizes.disconnect(), contents.disconnect());
   }, []);
+  // Opening moves what is in the bar: not between the two halves of a click, which would then hit something else.
+  const pressed = useRef(false);
+  const waiting = useRef<(() => void) | null>(null);
+  const whenReleased = (action: () => void) => {
+    if (pressed.current) waiting.current = action;
+    else action();
+  };
+  useEffect(() => {
+    const press = (event: PointerEvent) => {
+      pressed.current = section.current!.contains(event.target as Node);
+      waiting.current = null;
+    };
+    const release = () =>
+      setTimeout(() => {
+        pressed.current = false;
+        waiting.current?.();
+        waiting.current = null;
+      });
+    document.addEventListener("pointerdown", press, true);
+    for (const name of ["pointerup", "pointercancel"]) document.addEventListener(name, release, true);
+    return () => {
+      document.removeEventListener("pointerdown", press, true);
+      for (const name of ["pointerup", "pointercancel"]) document.removeEventListener(name, release, true);
+    };
+  }, []);
   useEffect(() => {
     if (!open) return;
     const outside = (event: PointerEvent) => !section.current!.contains(event.target as Node) && setOpen(false);
@@ -58,11 +83,14 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
       <div
         ref={row}
         class={`options-row${open ? " open" : ""}`}
-        onFocusIn={(event) => isBelow(row.current!, event.target as Element) && setOpen(true)}
-        onScroll={() => {
-          row.current!.scrollTop = 0; // a browser scrolled to something in the lines below
-          setOpen(true);
-        }}
+        onFocusIn={(event) => isBelow(row.current!, event.target as Element) && whenReleased(() => setOpen(true))}
+        onScroll={() =>
+          // a browser scrolled to something in the lines below
+          whenReleased(() => {
+            row.current!.scrollTop = 0;
+            setOpen(true);
+          })
+        }
       >
         {children}
       </div>
