@@ -102,8 +102,8 @@ class Receipt:
     def untouched_rows(self) -> int:
         return self.asset_rows - len(self.touched)
 
-    def to_json(self) -> str:
-        """Indented JSON; `touched_runs` are [first, count] runs of touched rows."""
+    def summary(self) -> dict[str, Any]:
+        """What `to_json` writes, without the rows."""
         record = {
             "asset": {"sha256": self.asset_sha256, "rows": self.asset_rows},
             "output": {"sha256": self.output_sha256, "rows": self.output_rows},
@@ -134,6 +134,11 @@ class Receipt:
             record["merge"] = self.merge
             if len(self.merge_touched):
                 record["merge_touched_rows"] = len(self.merge_touched)
+        return record
+
+    def to_json(self) -> str:
+        """Indented JSON; `touched_runs` are [first, count] runs of touched rows."""
+        record = self.summary()
         text = json.dumps(record, indent=2).removesuffix("\n}")
         for name in ("touched", "replaced", "removed", "merge_touched"):
             rows = getattr(self, name)

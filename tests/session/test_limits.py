@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import splatpainter as sp
+from splatpainter.lift import limits
 from splatpainter.lift.options import LocalOptions
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
@@ -128,3 +129,15 @@ def test_what_will_not_be_painted_follows_the_painter_and_odd_views():
         assert session.left_out(wide).shape == (7, 333)
         away = sp.look_at((0, 0, -3), (0, 0, -9), width=40, height=30, fov=40)
         assert not session.left_out(away).any()
+
+
+def test_limits_and_the_surface_beneath_them_are_both_estimated_once(monkeypatch: pytest.MonkeyPatch):
+    with Session(ball(500), painter=Painter.load("lift")) as session:
+        session.add("paint", [off_centre(session.splats)])
+        calls, estimate = [], limits.coarse_surface
+        monkeypatch.setattr(limits, "coarse_surface", lambda *a: calls.append(1) or estimate(*a))
+        first = session.left_out(CAMERA, angle_limit=40)
+        session.surface_blocks(CAMERA)
+        assert np.array_equal(session.left_out(CAMERA, angle_limit=40), first)
+        session.surface_blocks(CAMERA)
+        assert len(calls) == 2

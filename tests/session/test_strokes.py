@@ -66,6 +66,26 @@ def test_each_stroke_is_one_step_and_only_the_newest_is_computed() -> None:
         assert [stroke.name for stroke in session.layer(layer).strokes][0] == "stroke 0"
 
 
+def test_the_twentieth_stroke_reads_the_file_as_often_as_the_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
+    with flat() as session:
+        read, counts = session._project.rows, []
+        monkeypatch.setattr(session._project, "rows", lambda *a, **k: counts.append(1) or read(*a, **k))
+        needed = []
+        layer = session.new_layer().id
+        for k in range(20):
+            session.paint(layer, [dab((RED, GREEN, BLUE)[k % 3], 10 + 2 * (k % 6))])
+            needed.append(len(counts))
+        assert needed[19] - needed[18] == needed[9] - needed[8]
+        assert [step.label for step in session.history] == [label for _, label in session._project.rows(
+            "SELECT id, label FROM steps ORDER BY id"
+        )]  # fmt: skip
+        for _ in range(3):
+            session.undo()
+        session.paint(layer, [dab(RED, 9)], name="another")
+        assert [step.label for step in session.history][-2:] == ["Stroke in Paint", "another in Paint"]
+        assert len(session.history) == 1 + 1 + 17 + 1 and session.cursor == 19 and session.verify() == []
+
+
 def test_a_reopened_layer_paints_nothing_and_takes_more(path: Path) -> None:
     with flat(project=path) as session:
         layer = painted(session, 14)

@@ -20,7 +20,7 @@ from splatpainter.lift.depth_normals import surface
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.lift.warping import ViewedChange, bilinear, seen_in_both, shrunk
-from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.splats import Splats
 
 SIDE_DEGREES = 35.0
@@ -74,7 +74,7 @@ class SideView:
     expected: np.ndarray
     """[H, W, 3] what it should show."""
     image: np.ndarray
-    """[H, W, 3] what it shows."""
+    """[H, W, 3] what it shows, in the tiles of the painted pixels and their rim; elsewhere the background."""
     unpainted: np.ndarray
     """[H, W, 3] what the asset without the edit shows."""
     painted: np.ndarray
@@ -153,7 +153,8 @@ class _Window:
         depth = np.where(alpha > MIN_ALPHA, depth, 0)
         moved = self.edit.moved(camera, depth)
         painted = moved[..., 3] > MIN_EDITED
-        image = project(after, camera).rasterize()[0]
+        compared = tiles_of_mask(dilated(painted, SPILL_PX + SOFT_PX))
+        image = project(after, camera, tiles=compared).rasterize()[0]
         seen = seen_in_both(camera, depth, self.edit.camera, self.edit.depth) & (self.edit.mask > MIN_EDITED)
         covered = float(seen.sum() / (self.edit.mask > MIN_EDITED).sum())
         return SideView(unpainted + moved[..., :3], image, unpainted, painted, covered)

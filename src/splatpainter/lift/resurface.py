@@ -216,14 +216,15 @@ def _cut(
     inside, zeros = covered.astype(np.float32), np.zeros((*covered.shape, 3), np.float32)
     active, camera = candidates, near.camera
     for turn in range(MAX_RIM_HALVINGS + 1):
-        splats = lattice.splats()
-        view = project(splats, camera, gaussian_mask=active, tiles=tiles)
-        share = np.zeros(len(splats))
+        ids = np.flatnonzero(active)
+        splats = lattice.some(ids).splats()
+        view = project(splats, camera, tiles=tiles)
+        share = np.zeros(len(lattice))
         total = view.backproject(zeros, np.ones_like(inside)).alpha
-        share[view.gaussian_ids] = view.backproject(zeros, inside).alpha / np.maximum(total, 1e-9)
-        touching = np.zeros(len(splats), bool)
-        chosen = np.flatnonzero(active & (share > OUTSIDE))
-        touching[chosen] = near.touches(splats.geometry(chosen))
+        share[ids[view.gaussian_ids]] = view.backproject(zeros, inside).alpha / np.maximum(total, 1e-9)
+        touching = np.zeros(len(lattice), bool)
+        chosen = np.flatnonzero(share[ids] > OUTSIDE)
+        touching[ids[chosen]] = near.touches(splats.geometry(chosen))
         across = touching & (share < INSIDE)
         wide = across & seen[lattice.parent] & (row_max(lattice.widths) > RIM_GOAL_PX)
         if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:

@@ -112,7 +112,12 @@ class Lattice:
     @property
     def widths(self) -> np.ndarray:
         """[S, 2] standard deviations along the two axes, in pixels."""
-        return self.sizes[self.parent] * 0.5**self.level
+        return np.ldexp(self.sizes[self.parent].astype(np.float64), -self.level)
+
+    def some(self, ids: np.ndarray) -> Lattice:
+        """A part of them. ids: [K] int64."""
+        taken = {name: getattr(self, name)[ids] for name in ("parent", "level", "site", "peak", "slot")}
+        return replace(self, **taken)
 
     def splats(self) -> Splats:
         """The S Gaussians. Those that were never halved have their parent's bits."""
@@ -162,19 +167,21 @@ class Lattice:
 
 
 def _merged(lattice: Lattice, source: np.ndarray) -> tuple[Lattice, np.ndarray]:
-    """One Gaussian per (parent, level, site); of several the first one's source stays."""
+    """One Gaussian per (parent, level, site), in this order; of several the first one's source stays. Those that were
+    never halved are alone at theirs."""
     key = lattice.parent
     for level, site in zip(lattice.level.T, lattice.site.T, strict=True):
         key = (key * (MAX_LEVEL + 1) + level) * 2 * _MAX_SITE + (site + _MAX_SITE)
-    _, first, index, number = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
-    total = np.bincount(index, lattice.peak)
+    halved = lattice.level.any(1)
+    alone, ids = np.flatnonzero(~halved), np.flatnonzero(halved)
+    _, first, index, number = np.unique(key[ids], return_index=True, return_inverse=True, return_counts=True)
+    total = np.bincount(index, lattice.peak[ids], len(first))
     slot = np.zeros(len(first), bool)
-    slot[index[lattice.slot]] = True
-    return replace(
-        lattice,
-        parent=lattice.parent[first],
-        level=lattice.level[first],
-        site=lattice.site[first],
-        peak=np.where(number > 1, merged_peak(total), lattice.peak[first]),
-        slot=slot,
-    ), source[first]
+    slot[index[lattice.slot[ids]]] = True
+    first = ids[first]
+    chosen = np.concatenate([alone, first])
+    peak = np.concatenate([lattice.peak[alone], np.where(number > 1, merged_peak(total), lattice.peak[first])])
+    slot = np.concatenate([lattice.slot[alone], slot])
+    order = np.argsort(key[chosen], kind="stable")  # two ascending rows
+    merged = replace(lattice.some(chosen[order]), peak=peak[order], slot=slot[order])
+    return merged, source[chosen[order]]

@@ -107,6 +107,8 @@ MAX_READ_IDS = 1 << 23
 WITHOUT_SHEETS = "lifted without sheets, as it was made; set its method to paint it anew"
 GRID_ATTRIBUTES = ("means", "quats", "scales", "opacities")
 """What a voxel grid depends on."""
+MAX_SEEN = 4
+"""Coarse surfaces that are cached: limits ask for that of the present state, decals for that of the original."""
 MAX_GRIDS = 2
 """Voxel grids that are cached: of the present Gaussians, and of those before."""
 
@@ -214,7 +216,8 @@ class Replay:
         self._merged: tuple[tuple[str, str], Delta] | None = None
         self._strokes = StrokeChains(store, self._painted_stroke)
         self._masks = MaskWeights(store)
-        self._seen: tuple[str, VisibleSurface] | None = None  # of the latest state and view
+        self._seen: OrderedDict[str, VisibleSurface] = OrderedDict()
+        """What views see of states, coarsely: of the latest MAX_SEEN of both."""
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)
 
     def compose(self, document: Document, progress: Progress | None = None, strict: str | None = None) -> LayerState:
@@ -376,7 +379,7 @@ class Replay:
             return None
         below = self.compose(replace(document, layers=document.layers[:at]))
         chain = Chain.of(below.key, target.strokes)
-        count = strokes_to_fold([sizes(key) for key in chain.results])
+        count = strokes_to_fold(chain.results, sizes)
         if not count:
             return None
         first = replace(target, strokes=target.strokes[:count])
@@ -539,7 +542,7 @@ class Replay:
         parent_ids = None if asset.splats.origin is None else asset.splats.origin[len(numbered) :]
         facts: dict[str, Any] = {}
         if asset.receipt is not None:
-            record = json.loads(asset.receipt.to_json())
+            record = asset.receipt.summary()
             names = ("method", "preset", "note", "views", "precision")
             facts = {name: record[name] for name in names if name in record}
             facts["stages"] = record["seconds"]
@@ -611,13 +614,15 @@ class Replay:
         return left_out(self.coarse_surface(state, camera), camera, options.angle_limit, options.depth_edge_limit)
 
     def coarse_surface(self, state: LayerState, camera: Camera) -> VisibleSurface:
-        """What a view sees of a state's surface, on blocks of pixels (lift.limits); cached for the latest one."""
+        """What a view sees of a state's surface, on blocks of pixels (lift.limits); the latest ones are cached."""
         from splatpainter.lift.limits import coarse_surface
 
-        key, seen = f"{state.key} {camera.to_json()}", self._seen
-        if seen is None or seen[0] != key:
-            seen = self._seen = (key, coarse_surface(self.surface, state.splats, camera))
-        return seen[1]
+        key = f"{state.key} {camera.to_json()}"
+        seen = self._seen.pop(key, None) or coarse_surface(self.surface, state.splats, camera)
+        self._seen[key] = seen
+        while len(self._seen) > MAX_SEEN:
+            self._seen.popitem(last=False)
+        return seen
 
     @property
     def surface(self) -> Surface:

@@ -75,6 +75,9 @@ class Project:
         self._database, self._db, self._lock = bounded, bounded.connection, lock
         self._mutex = threading.RLock()
         self._bookmarks: list[Bookmark] | None = None
+        self._steps: list[Step] | None = None
+        self._sizes: dict[str, int] = {}
+        """Bytes of results, by key. This and the steps: only while nobody else can write."""
         self._parsed: dict[str, Layer] = {}
         """Strokes by the hash of their row: most are the same in all documents."""
 
@@ -219,7 +222,14 @@ class Project:
 
     def result_bytes(self, key: str) -> int:
         """Bytes that a result's delta takes; 0: there is none."""
-        return self.rows("SELECT coalesce(sum(length(bytes)), 0) FROM deltas WHERE result = ?", key)[0][0]
+        with self._mutex:
+            size = self._sizes.get(key)
+            if size is None:
+                query = "SELECT coalesce(sum(length(bytes)), 0) FROM deltas WHERE result = ?"
+                size = self.rows(query, key)[0][0]
+                if not self.read_only:
+                    self._sizes[key] = size
+            return size
 
     def result(self, key: str) -> LayerResult | None:
         """A stored result; its parts are decoded one at a time. Raises ValueError where it is damaged."""
@@ -256,12 +266,16 @@ class Project:
 
     def steps(self) -> tuple[list[Step], int]:
         """(the history, oldest first; index of the step in effect)."""
-        steps = [Step(*row) for row in self.rows("SELECT id, label FROM steps ORDER BY id", kinds=(int, str))]
-        cursor = self.fact("cursor") or ""
-        indices = [k for k, step in enumerate(steps) if str(step.id) == cursor]
-        if not indices:
-            raise ValueError(f"{self.path}: damaged project file (step {cursor[:20]!r} of its history is missing)")
-        return steps, indices[0]
+        with self._mutex:
+            steps = self._steps
+            if steps is None or self.read_only:
+                query = "SELECT id, label FROM steps ORDER BY id"
+                steps = self._steps = [Step(*row) for row in self.rows(query, kinds=(int, str))]
+            cursor = self.fact("cursor") or ""
+            for index in reversed(range(len(steps))):
+                if str(steps[index].id) == cursor:
+                    return list(steps), index
+        raise ValueError(f"{self.path}: damaged project file (step {cursor[:20]!r} of its history is missing)")
 
     def document(self, step: int) -> Document:
         """The layers as they were after a step. Raises ValueError: damaged."""
@@ -353,11 +367,17 @@ class Project:
                 _store_result(db, key, result, new.previous.get(key))
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
             _set_cursor(db, step)
-            return _sweep(db) if dropped else set()
+            removed = _sweep(db) if dropped else set()
+            self._forget_sizes(new.results, removed)
+            steps, self._steps = self._steps, None  # until it is done
+        if steps is not None and not dropped:
+            self._steps = [*steps, Step(step, label)]
+        return removed
 
     def move(self, step: int, results: Iterable[str], new: Transaction) -> None:
         """Another step takes effect (undo, redo). results: of its asset, in case some had to be made anew."""
         with self._writing() as db:
+            self._forget_sizes(new.results)
             for key, result in new.results.items():
                 _store_result(db, key, result, new.previous.get(key))
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
@@ -373,10 +393,15 @@ class Project:
             db.executemany("DELETE FROM step_results WHERE result = ?", rows)
             db.executemany("DELETE FROM results WHERE key = ?", rows)
             removed = _sweep(db).union(keys)
+            self._forget_sizes([key], removed)
         with self._mutex, contextlib.suppress(sqlite3.Error):  # a full disk: the room is free within the file
             self._database.start()
             self._db.executescript("PRAGMA incremental_vacuum")  # execute() would free one page
         return removed
+
+    def _forget_sizes(self, *groups: Iterable[str]) -> None:
+        for key in (key for group in groups for key in group):
+            self._sizes.pop(key, None)
 
     def add_bookmark(self, name: str, camera: Camera) -> str:
         query = "INSERT INTO bookmarks (name, camera) VALUES (?, ?)"

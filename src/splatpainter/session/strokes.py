@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,9 @@ CHECKPOINT = 8
 start from there."""
 SPARE_ROOM = 0.25
 """Share of the Gaussians by which arrays grow when appended ones do not fit."""
+
+MAX_LINKS = 1 << 13
+"""Names of strokes that are cached."""
 
 MAX_RESULT_BYTES = 12 << 20
 """Bytes that the results of a layer's strokes may take, each by itself; ..."""
@@ -58,10 +62,17 @@ class Chain:
     def of(below_key: str, strokes: tuple[Layer, ...]) -> Chain:
         keys, results = [below_key], []
         for stroke in strokes:
-            base = f" {below_key}" if stroke.kind == "erase" else ""
-            results.append(digest(f"{keys[-1]} {stroke.key}{base}"))
-            keys.append(digest(f"{results[-1]} 1.0 normal []"))
+            result, key = _linked(keys[-1], stroke.key, f" {below_key}" if stroke.kind == "erase" else "")
+            results.append(result)
+            keys.append(key)
         return Chain(tuple(keys), tuple(results))
+
+
+@lru_cache(maxsize=MAX_LINKS)
+def _linked(key: str, stroke_key: str, base: str) -> tuple[str, str]:
+    """(name of a stroke's result on a state, name of the state after it); cached, as commands share most strokes."""
+    result = digest(f"{key} {stroke_key}{base}")
+    return result, digest(f"{result} 1.0 normal []")
 
 
 @dataclass(frozen=True)
@@ -218,17 +229,18 @@ def folded(painted: Painted, below: LayerState) -> LayerResult:
     return LayerResult(painted.delta(below), facts, painter_state=painted.state.painter_state)
 
 
-def strokes_to_fold(sizes: Sequence[int]) -> int:
-    """How many of the first strokes are to become one result. sizes: bytes that the result of each takes, 0 where it is
-    part of one already."""
-    if sum(sizes) <= MAX_RESULT_BYTES:
-        return 0
-    total = 0
-    for latest, size in enumerate(reversed(sizes)):
+def strokes_to_fold(results: Sequence[str], size_of: Callable[[str], int]) -> int:
+    """How many of the first strokes are to become one result. results: their keys; size_of: bytes that one takes, 0
+    where it is part of one already, as all before it are then."""
+    total, count = 0, 0
+    for latest, key in enumerate(reversed(results)):
+        size = size_of(key)
         total += size
-        if total > LATEST_BYTES and latest >= MIN_LATEST:
-            return len(sizes) - latest
-    return 0
+        if not count and total > LATEST_BYTES and latest >= MIN_LATEST:
+            count = len(results) - latest
+        if not size or (count and total > MAX_RESULT_BYTES):
+            break
+    return count if total > MAX_RESULT_BYTES else 0
 
 
 def _after(painted: Painted, below: LayerState, result: LayerResult, chain: Chain, count: int) -> Painted:
