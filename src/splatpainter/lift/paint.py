@@ -190,8 +190,10 @@ def _tiles_at_work(splats: Splats, camera: Camera, reach: np.ndarray, view: Proj
 
 def _drawn_in(splats: Splats, camera: Camera, tiles: np.ndarray, view: ProjectedView) -> np.ndarray:
     """[S] int64 ascending: Gaussians that touch some tiles ([TH, TW] bool). view: of some of these tiles."""
-    beyond = project(splats, camera, tiles=tiles & ~view.tiles)
-    return np.union1d(view.gaussian_ids, beyond.gaussian_ids)
+    drawn = np.zeros(len(splats), bool)
+    drawn[view.gaussian_ids] = True
+    drawn[project(splats, camera, tiles=tiles & ~view.tiles).gaussian_ids] = True
+    return np.flatnonzero(drawn)
 
 
 def _then_split(

@@ -223,13 +223,10 @@ class Project:
     def result_bytes(self, key: str) -> int:
         """Bytes that a result's delta takes; 0: there is none."""
         with self._mutex:
-            size = self._sizes.get(key)
-            if size is None:
+            if key not in self._sizes or self.read_only:
                 query = "SELECT coalesce(sum(length(bytes)), 0) FROM deltas WHERE result = ?"
-                size = self.rows(query, key)[0][0]
-                if not self.read_only:
-                    self._sizes[key] = size
-            return size
+                self._sizes[key] = self.rows(query, key)[0][0]
+            return self._sizes[key]
 
     def result(self, key: str) -> LayerResult | None:
         """A stored result; its parts are decoded one at a time. Raises ValueError where it is damaged."""

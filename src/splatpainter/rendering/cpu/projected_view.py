@@ -20,6 +20,8 @@ from splatpainter.rendering.cpu.geometry import COLUMNS, TILE
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import ATTRIBUTES, MAX_MAGNITUDE, Splats
 
+MIN_PRESELECTED = 1 << 16
+"""From so many Gaussians on, a first pass finds those that may touch the drawn tiles, where not all tiles are."""
 MAX_PAIRS = 1 << 30
 """Pairs of a Gaussian and a tile in one view, 12 GiB of lists; beyond 2^31 their numbers would not fit into int32."""
 
@@ -266,7 +268,7 @@ def project(
     attributes = [simd.readonly(getattr(splats, name), dtype) for name in ATTRIBUTES]
     cam = geometry.camera_vector(camera, window, dtype)
     if gaussian_mask is None:
-        gaussian_mask = np.empty(n if len(tile_ids) < tiles.size else 0, bool)
+        gaussian_mask = np.empty(n if len(tile_ids) < tiles.size and n >= MIN_PRESELECTED else 0, bool)
         if len(gaussian_mask):
             run(projection.select_near_window, *(attributes[k] for k in (0, 2, 3)), cam, gaussian_mask)
     selected = simd.readonly(gaussian_mask, np.bool_)

@@ -9,6 +9,7 @@ import numpy as np
 
 from splatpainter.cameras import look_at
 from splatpainter.kernels import simd
+from splatpainter.rendering.cpu import geometry, projection
 from splatpainter.rendering.cpu.geometry import COLUMNS
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import CachedWeights
@@ -23,7 +24,9 @@ def warm_projection() -> None:
     shapes = {"means": (2, 3), "quats": (2, 4), "scales": (2, 3), "opacities": (2,), "sh": (2, 4, 3)}
     splats = Splats(**{name: rng.uniform(0.1, 0.5, shape).astype(np.float32) for name, shape in shapes.items()})
     view = project(splats, CAMERA)
-    project(splats, CAMERA, tiles=np.eye(2, dtype=bool))
+    cam = geometry.camera_vector(CAMERA, np.array([0, 32, 0, 32]), np.dtype(np.float32))
+    attributes = (simd.readonly(getattr(splats, name), np.float32) for name in ("means", "scales", "opacities"))
+    projection.select_near_window(*attributes, cam, np.empty(2, bool), 0, 1)
     sums = simd.aligned((len(view.flatten_ids), COLUMNS), np.dtype(np.float32))
     sums[:] = 0
     view.project_backward(splats, sums, tuple(np.empty_like(getattr(splats, name)) for name in ATTRIBUTES))
