@@ -9,6 +9,7 @@ import numpy as np
 
 from splatpainter.cameras import look_at
 from splatpainter.kernels import simd
+from splatpainter.kernels.parallel import run
 from splatpainter.rendering.cpu import geometry, projection
 from splatpainter.rendering.cpu.geometry import COLUMNS
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
@@ -26,7 +27,7 @@ def warm_projection() -> None:
     view = project(splats, CAMERA)
     cam = geometry.camera_vector(CAMERA, np.array([0, 32, 0, 32]), np.dtype(np.float32))
     attributes = (simd.readonly(getattr(splats, name), np.float32) for name in ("means", "scales", "opacities"))
-    projection.select_near_window(*attributes, cam, np.empty(2, bool), 0, 1)
+    run(projection.select_near_window, *attributes, cam, np.empty(2, bool))
     sums = simd.aligned((len(view.flatten_ids), COLUMNS), np.dtype(np.float32))
     sums[:] = 0
     view.project_backward(splats, sums, tuple(np.empty_like(getattr(splats, name)) for name in ATTRIBUTES))
