@@ -41,9 +41,11 @@ def lift_colors(
     editable: np.ndarray,
     rounds: int,
     hold: np.ndarray | None = None,
+    relaxation: float = 1.0,
 ) -> np.ndarray:
     """Colours [M, 3] towards this view after `rounds`. target: [H, W, 3]; weights: [H, W] m_p; editable: [M] bool,
-    Gaussians that may move; hold: [M] >= 0, what each one's old colour weighs beside sum_p w_ip m_p."""
+    Gaussians that may move; hold: [M] >= 0, what each one's old colour weighs beside sum_p w_ip m_p; relaxation: share
+    of each step that is taken."""
     out = view.colors.copy()
     if not rounds:
         return out
@@ -52,7 +54,7 @@ def lift_colors(
     towards = sirt_steps(view, target, weights, editable)
     total = towards.weight
     pull = np.zeros_like(total) if hold is None else hold[editable].astype(total.dtype)
-    step = np.where(total > 0, 1 / np.maximum(total + pull, 1e-6), 0).astype(colors.dtype)[:, None]
+    step = np.where(total > 0, relaxation / np.maximum(total + pull, 1e-6), 0).astype(colors.dtype)[:, None]
     for _ in range(rounds):
         gain = towards.residual(colors)
         colors = np.clip(colors + step * (gain - pull[:, None] * (colors - first)), 0, ceiling)

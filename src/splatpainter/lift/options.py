@@ -39,11 +39,11 @@ class LocalOptions:
     fine_px: float = 12.0
     """Painted pixels per Gaussian that makes them up to which most of a side is split, not covered by sheets (0: never;
     `paint.is_fine`)."""
-    sheet_rounds: int = 4
+    sheet_rounds: int = 2
     """Colour rounds of sheets."""
     max_pieces: int = 12_000
     """Pieces of Gaussians across the edge of a sheet from which on none is halved any more."""
-    angle_limit: float = 80.0
+    angle_limit: float = 85.0
     """Degrees between the line of sight and the surface's normal from which one view's paint fades; 0: no limit."""
     depth_edge_limit: float = 0.0
     """Pixels beside an edge in depth that one view does not paint; 0: none."""

@@ -116,7 +116,7 @@ def _paint_part(
     may, none = gaussians_in_mask(splats, camera, mask, None, view), np.zeros(0, np.int64)
     sheet = None
     if not is_fine(painted, may, first_appended, originals, options):
-        sheet = resurface(splats, view, visible, before, target, pixels, options, first_appended)
+        sheet = resurface(splats, view, visible, before, alpha, target, pixels, options, first_appended)
     if sheet is None:
         lifted = lift_local(splats, camera, target, painted, options, may)
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, limited)

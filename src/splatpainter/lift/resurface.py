@@ -15,6 +15,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
+from splatpainter.lift.fringe import FringedSurface, fringe_of, fringe_paint
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LocalOptions
@@ -44,10 +45,18 @@ MAX_CUT_PX = 8.0
 """Gaussians longer than this (standard deviation) are not cut at the sheet's edge, ..."""
 MIN_HANDLED = 0.85
 """... and where less than this share of the light comes from those that a sheet replaces there is none, ..."""
+FAR_WINDOWS = 3.0
+"""... (what lies behind the surface by more than this many of its windows, seen through cracks, does not count, ..."""
+MIN_TOUCHING = 0.5
+"""... as long as this share of the light comes from the surface), ..."""
 CLEAR_RADIUS_PX = 2
 """... by the majority of the pixels around; ..."""
 MIN_CLEAR = 0.5
 """... if that leaves less than this share of the pixels, the edit gets no sheet at all."""
+UNEDITED_WEIGHT = 0.35
+"""Of an unedited pixel in colour rounds, beside an edited one."""
+RELAXATION = 0.75
+"""Share of a colour round's step that sheets take."""
 MIN_PEAK = 0.02
 """Old Gaussians that remain before the sheet, and give some pixel of it more than this share, ..."""
 MIN_SHEET_SHARE = 0.6
@@ -90,6 +99,7 @@ def resurface(
     view: ProjectedView,
     visible: VisibleSurface,
     before: np.ndarray,
+    alpha: np.ndarray,
     target: np.ndarray,
     pixels: np.ndarray,
     options: LocalOptions,
@@ -117,6 +127,16 @@ def resurface(
         return None
     if not np.array_equal(remaining, covered):
         covered, near = remaining, NearSurface.of(visible, remaining)
+    painted = (target != before).any(-1)
+    fringe, surface = fringe_of(painted, covered, depth > 0, alpha), visible
+    colors, cover = target, np.ones(alpha.shape, np.float32)
+    if fringe.any():
+        surface = FringedSurface.of(visible, covered, fringe)
+        colors, cover = fringe_paint(target, surface, np.asarray(camera.background, np.float32))
+        covered = covered | fringe
+        near = NearSurface.of(surface, covered)
+        ys, xs = np.nonzero(fringe)
+        depth[ys, xs] = surface.at(np.stack([xs, ys], 1) + 0.5).depth
     candidates = np.zeros(len(splats), bool)
     sums = view.backproject(np.zeros_like(before), covered.astype(np.float32))
     candidates[view.gaussian_ids[sums.alpha > 0]] = True
@@ -127,14 +147,15 @@ def resurface(
     patch = splats.take(ids)
     lattice, gone = _cut(Lattice.of(patch, camera), candidates[ids], seen[ids], near, covered, tiles, options)
     cells = flat_cells(target, covered, depth, camera.fx)
-    geometry, index = sheet_geometry(visible, cells, target)
+    geometry, index = sheet_geometry(surface, cells, target)
     cells = Cells(cells.centers[index], cells.sizes[index])
     rest = lattice.splats()
-    sheet, hosts = _sheet(rest, gone, geometry, cells, target, tiles, camera)
+    sheet, hosts = _sheet(rest, gone, geometry, cells, colors, cover, tiles, camera)
     remaining = np.flatnonzero(~gone)
     goal = np.where(covered[..., None], target, project(patch, camera, tiles=tiles).rasterize()[0])
     split = row_max(lattice.level[remaining]) > 0
-    joined = _painted(rest.take(remaining).append(sheet), split, camera, tiles, goal, covered, options)
+    weights = np.where(painted, covered, UNEDITED_WEIGHT).astype(np.float32)
+    joined = _painted(rest.take(remaining).append(sheet), split, camera, tiles, goal, covered, weights, options)
     return _assemble(splats, ids, lattice, gone, joined, hosts, covered, first_appended)
 
 
@@ -155,15 +176,19 @@ def _is_clear(splats: Splats, view: ProjectedView, near: NearSurface, covered: n
     handled = sums.weight > 0
     unsure = np.flatnonzero(handled & (share <= INSIDE))
     handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < MAX_CUT_PX
-    handled[handled] = near.touches(splats.geometry(ids[handled]))
-    # One channel for their light, one for what nothing stops.
+    touching, far = handled.copy(), np.zeros(len(ids), bool)
+    touching[handled] = near.touches(splats.geometry(ids[handled]))
+    reached = np.flatnonzero(sums.weight > 0)
+    far[reached] = near.far_behind(splats.geometry(ids[reached]))
+    # One channel for their light, one for that of what the sheet will hide, one for what nothing stops.
     red = view.camera.background[0]
     view = replace(view, camera=replace(view.camera, background=(red, red, red)))
     colors = np.zeros((len(ids), 3), np.float32)
-    colors[:, 0] = handled
+    colors[:, 0], colors[:, 1] = touching, far
     image, alpha, _ = view.rasterize(colors)
-    weight = image[..., 0] - image[..., 1]  # over black
-    return box_mean((weight > MIN_HANDLED * alpha).astype(np.float32), CLEAR_RADIUS_PX) > 0.5
+    weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
+    clear = (weight > MIN_HANDLED * (alpha - hidden)) & (weight > MIN_TOUCHING * alpha)
+    return box_mean(clear.astype(np.float32), CLEAR_RADIUS_PX) > 0.5
 
 
 @dataclass(frozen=True)
@@ -178,7 +203,7 @@ class NearSurface:
     camera: Camera
 
     @staticmethod
-    def of(visible: VisibleSurface, covered: np.ndarray) -> NearSurface:
+    def of(visible: VisibleSurface | FringedSurface, covered: np.ndarray) -> NearSurface:
         ys, xs = np.nonzero(covered)
         entry = np.full(covered.shape, -1, np.int64)
         entry[ys, xs] = np.arange(len(ys))
@@ -186,6 +211,16 @@ class NearSurface:
 
     def touches(self, splats: Splats) -> np.ndarray:
         """[S] bool Gaussians that lie on the surface at the covered pixel nearest to their centre."""
+        height, limit, _ = self._heights(splats)
+        return np.abs(height) < limit
+
+    def far_behind(self, splats: Splats) -> np.ndarray:
+        """[S] bool Gaussians that lie so far behind it that they are no part of a thick or foggy one."""
+        height, limit, window = self._heights(splats)
+        return height < -limit - FAR_WINDOWS * window
+
+    def _heights(self, splats: Splats) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """([S] over the surface, along its normal; NaN behind the camera; [S] up to which they touch it; [S] window)"""
         camera = self.camera
         uv, z = camera.project(splats.means.astype(np.float64))
         limits = np.array([camera.width - 1.0, camera.height - 1.0])
@@ -199,7 +234,7 @@ class NearSurface:
         extent = np.sqrt(((np.einsum("nik,ni->nk", axes, normal) * splats.scales) ** 2).sum(1))
         height = ((camera.to_camera(splats.means.astype(np.float64)) - point) * normal).sum(1)
         limit = NORMAL_SIGMAS * extent + SURFACE_WINDOWS * self.surface.windows[at] + 2 * self.surface.residuals[at]
-        return (z > 0) & (np.abs(height) < limit)
+        return np.where(z > 0, height, np.nan), limit, self.surface.windows[at]
 
 
 def _cut(
@@ -239,7 +274,8 @@ def _sheet(
     gone: np.ndarray,
     geometry: SheetGeometry,
     cells: Cells,
-    target: np.ndarray,
+    colors: np.ndarray,
+    cover: np.ndarray,
     tiles: np.ndarray,
     camera: Camera,
 ) -> tuple[Splats, np.ndarray]:
@@ -259,8 +295,8 @@ def _sheet(
         _within_horizon(rest, hosts, heaviest, geometry, cells.centers, camera).astype(dtype),
         geometry.quats.astype(dtype),
         geometry.scales.astype(dtype),
-        np.full(len(hosts), SHEET_OPACITY, dtype),
-        recolor(parents.sh, toward[hosts], target[ys, xs]),
+        (SHEET_OPACITY * cover[ys, xs]).astype(dtype),
+        recolor(parents.sh, toward[hosts], colors[ys, xs]),
         rest.antialiased,
         rest.color_space,
         parents.source,
@@ -312,6 +348,7 @@ def _painted(
     tiles: np.ndarray,
     goal: np.ndarray,
     covered: np.ndarray,
+    weights: np.ndarray,
     options: LocalOptions,
 ) -> Splats:
     """Colour rounds of the sheet, of the pieces around it and of what hangs before it. split: [S] bool, which of the
@@ -324,7 +361,7 @@ def _painted(
     hanging = (inside.peak > MIN_PEAK) & (inside.weight > MIN_SHEET_SHARE * total)
     hanging &= inside.weight > MIN_VISIBLE * inside.alpha
     editable = added | piece | hanging
-    lifted = lift_colors(view, goal, everywhere, editable, options.sheet_rounds)
+    lifted = lift_colors(view, goal, weights, editable, options.sheet_rounds, relaxation=RELAXATION)
     before = view.unclamped_colors
     moved = editable & (row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE)
     sh = joined.sh.copy()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.lift.fringe import FringedSurface
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
 from splatpainter.transforms import matrix_to_quat
 
@@ -22,7 +23,7 @@ PIXEL_WIDTH, CELL_WIDTH = 0.55, 0.65
 pixel) and of larger ones: four of the latter stop 95 % of the light at the corner between them."""
 EDGE_CONTRAST = 0.15
 """Range of the colours around a pixel from which it lies on an edge of the picture, ..."""
-EDGE_WIDTH = 0.7
+EDGE_WIDTH = 0.6
 """... where its Gaussian is narrower by this factor."""
 THICKNESS = 0.1
 """Of a sheet Gaussian over its width."""
@@ -139,7 +140,7 @@ def _is_plane(inverse: np.ndarray, size: int, fx: float) -> np.ndarray:
     return bend < FLAT_DEPTH_CELLS * size / fx * np.maximum(middle, 1e-30)
 
 
-def sheet_geometry(surface: VisibleSurface, cells: Cells, target: np.ndarray) -> tuple[SheetGeometry, np.ndarray]:
+def sheet_geometry(surface: VisibleSurface | FringedSurface, cells: Cells, target: np.ndarray) -> tuple[SheetGeometry, np.ndarray]:
     """(G Gaussians on the surface under C cells, [G] int64 the cell of each; cells without a surface have none).
     target: [H, W, 3]; Gaussians of single pixels are narrower where it has edges."""
     at = surface.at(cells.centers)
@@ -168,7 +169,7 @@ def sheet_geometry(surface: VisibleSurface, cells: Cells, target: np.ndarray) ->
     return geometry, index
 
 
-def _stretch(surface: VisibleSurface, cells: Cells, at: PixelSurface, chosen: np.ndarray) -> np.ndarray:
+def _stretch(surface: VisibleSurface | FringedSurface, cells: Cells, at: PixelSurface, chosen: np.ndarray) -> np.ndarray:
     """[G] >= 1 how much longer than its projection the surface is under each chosen cell, along its slant: by its
     normal, but no farther than its neighbours on both sides along the slant are apart, as a round surface turns away
     from its tangent plane; next to where there is no surface, hardly."""

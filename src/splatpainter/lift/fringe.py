@@ -1,0 +1,89 @@
+"""The fringe of a sheet: painted pixels beside it that show a surface, but too little of it to be trusted.
+
+At the outline of an object, and in cracks between its Gaussians, a pixel's own surface is not known; that of the
+nearest covered pixel goes on there for a pixel or two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatpainter.cameras import Camera
+from splatpainter.lift.masks import dilated
+from splatpainter.lift.nearest import nearest_pixels
+from splatpainter.surface.visible import PixelSurface, VisibleSurface
+
+FRINGE_PX = 2
+"""Pixels that a fringe is wide, at most."""
+MIN_FRINGE_ALPHA = 0.5
+"""Alpha of a pixel below which it has no fringe."""
+MAX_BEND_PX = 2.0
+"""By how much the depth of a fringe may differ from that of the nearest covered pixel, pixels."""
+MAX_MIX_ERROR = 0.1
+"""Distance of a fringe pixel's colour, 0..1, from the mixtures of paint and background up to which it is one."""
+
+
+@dataclass(frozen=True)
+class FringedSurface:
+    """A visible surface that goes on into a fringe."""
+
+    visible: VisibleSurface
+    source: np.ndarray = field(repr=False)
+    """[H, W] int64 flat index of the pixel whose surface each pixel of the fringe takes; -1: not in the fringe."""
+
+    @staticmethod
+    def of(visible: VisibleSurface, covered: np.ndarray, fringe: np.ndarray) -> FringedSurface:
+        """covered, fringe: [H, W] bool, apart."""
+        source = np.full(covered.shape, -1, np.int64)
+        source[fringe] = nearest_pixels(covered)[fringe]
+        return FringedSurface(visible, source)
+
+    @property
+    def camera(self) -> Camera:
+        return self.visible.camera
+
+    def at(self, pixels: np.ndarray) -> PixelSurface:
+        """As `VisibleSurface.at`, the fringe's pixels included."""
+        out, camera = self.visible.at(pixels), self.camera
+        x, y = np.clip(pixels, 0, (camera.width - 1, camera.height - 1)).astype(np.int64).T
+        source = self.source[y, x]
+        chosen = np.flatnonzero(source >= 0)
+        if not len(chosen):
+            return out
+        there = np.stack(np.divmod(source[chosen], camera.width)[::-1], 1) + 0.5
+        near = self.visible.at(there)
+        points = camera.to_camera(camera.unproject(near.depth, there))
+        rays = camera.to_camera(camera.unproject(np.ones(len(chosen)), pixels[chosen]))
+        slope = (rays * near.normals).sum(1)
+        depth = (points * near.normals).sum(1) / np.where(slope < -0.05, slope, -0.05)
+        reach = MAX_BEND_PX * near.depth / camera.fx
+        depth = np.clip(depth, near.depth - reach, near.depth + reach)
+        full = [out.depth.copy(), out.normals.copy(), out.windows.copy(), out.residuals.copy()]
+        for values, new in zip(full, (depth, near.normals, near.windows, near.residuals), strict=True):
+            values[chosen] = new
+        return PixelSurface(*full)
+
+
+def fringe_of(painted: np.ndarray, covered: np.ndarray, known: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """[H, W] bool: painted pixels within FRINGE_PX of covered ones that have no surface of their own. known: [H, W]
+    bool pixels that have one; alpha: [H, W] of the asset."""
+    return painted & ~known & ~covered & (alpha > MIN_FRINGE_ALPHA) & dilated(covered, FRINGE_PX)
+
+
+def fringe_paint(
+    target: np.ndarray, fringe: FringedSurface, background: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """([H, W, 3] float32 the picture with paint alone in the fringe's pixels, [H, W] float32 0..1 how much of them it
+    covers; 1 elsewhere). A pixel of the outline may be a mixture of the paint beside it and of the background."""
+    colors, cover = target.copy(), np.ones(target.shape[:2], np.float32)
+    ys, xs = np.nonzero(fringe.source >= 0)
+    paint = target.reshape(-1, 3)[fringe.source[ys, xs]]
+    way, seen = paint - background, target[ys, xs] - background
+    share = np.clip((way * seen).sum(1) / np.maximum((way * way).sum(1), 1e-6), 0, 1)
+    error = np.abs(seen - share[:, None] * way).max(1)
+    mixed = error < MAX_MIX_ERROR
+    colors[ys[mixed], xs[mixed]] = paint[mixed]
+    cover[ys[mixed], xs[mixed]] = share[mixed]
+    return colors, cover
