@@ -20,9 +20,11 @@ RECORDED_NAMES = {
     "rim_px": "rim",
 }
 """Fields of LocalOptions -> their names in projects: results of layers are found by them."""
-SHEETS = "sheets-2"
-"""What stands in the fingerprints of painters that lay sheets. Layers of older ones are lifted as they were made:
-split, without sheets, blended and erased from the colours of parents."""
+SHEETS = "sheets-3"
+"""What stands in the fingerprints of painters that lay sheets. Layers of painters that knew none are lifted as they
+were made: split, without sheets, blended and erased from the colours of parents."""
+OLDER_SHEETS = ("sheets-2",)
+"""Of earlier ways to lay sheets: their results are kept; where one is computed anew it is laid as now."""
 
 
 def fingerprint(painter: Painter, method: Method) -> str:
@@ -44,7 +46,7 @@ def fingerprint(painter: Painter, method: Method) -> str:
 
 def lays_sheets(painter: str) -> bool:
     """Whether a painter of this fingerprint knows sheets."""
-    return SHEETS in painter.split()
+    return not {SHEETS, *OLDER_SHEETS}.isdisjoint(painter.split())
 
 
 _DIGESTS: WeakKeyDictionary[SplatPainterModel, str] = WeakKeyDictionary()

@@ -30,7 +30,7 @@ export const recentColors = signal<string[]>([]);
 export const paintMode = signal<PaintMode>("normal");
 export const method = signal<"auto" | "ttt" | "lift" | "fit">("auto");
 /** What one view may paint, and whether the view shows what it may not. */
-export const limits = signal({ angle: 80, depthEdge: 0, show: false });
+export const limits = signal({ angle: 85, depthEdge: 0, show: false });
 /** Whether strokes go on over the painted material, how sure it must be, and whether the view shows how sure it is. */
 export const spreading = signal({ on: false, threshold: 0.5, show: false });
 export const fill = signal({ tolerance: 0.12, contiguous: true });
