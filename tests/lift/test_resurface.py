@@ -9,6 +9,7 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import look_at
+from splatpainter.lift.fringe import FringedSurface, fringe_paint
 from splatpainter.lift.limits import paintable
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
@@ -17,7 +18,7 @@ from splatpainter.lift.sheet import MAX_CELL_PX, flat_cells
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
-from splatpainter.surface.visible import visible_surface
+from splatpainter.surface.visible import VisibleSurface, visible_surface
 from splatpainter.transforms import fibonacci_sphere, matrix_to_quat
 from tests.support.lift_scenes import back, db, differing, disk, front, same_bits, sheet
 from tests.support.surface_shapes import sphere
@@ -277,3 +278,57 @@ def test_cells_cover_every_pixel_once_and_are_large_only_where_nothing_changes()
             assert min(abs(low_x - 64), abs(low_x + size - 64)) >= size or not 0 < 64 - low_x + size < 3 * size
     np.testing.assert_array_equal(count, covered)
     assert cells.sizes.max() == MAX_CELL_PX
+
+
+def outline_of_a_ball() -> tuple[Splats, np.ndarray, np.ndarray]:
+    """(the ball, [H, W] its alpha, [H, W] bool pixels to paint, of its left third)."""
+    splats = ball()
+    alpha = sp.render(splats, FRONT).alphas[0, ..., 0]
+    return splats, alpha, (alpha > 0.5) & (np.arange(128) < 40)
+
+
+def test_paint_over_the_outline_covers_its_pixels():
+    splats, alpha, mask = outline_of_a_ball()
+    after = draw(paint(splats, mask, options=LocalOptions(angle_limit=0)).splats)
+    outline = mask & (alpha < 0.9)
+    assert outline.sum() > 40
+    assert np.abs(after[outline] - RED).mean() < 0.08
+
+
+def test_paint_that_fades_into_the_background_leaves_the_outline_as_it_is():
+    splats, alpha, mask = outline_of_a_ball()
+    mixed = alpha[..., None] * RED + (1 - alpha[..., None]) * FRONT.background
+    picture = np.where(mask[..., None], mixed, draw(splats)).astype(np.float32)
+    result = paint_view(splats, Surface.of(splats), FRONT, picture, mask, LocalOptions(angle_limit=0))
+    outline = mask & (alpha < 0.9)
+    drawn = sp.render(result.splats, FRONT)
+    assert np.abs(drawn.alphas[0, ..., 0] - alpha)[outline].mean() < 0.25
+    assert np.abs(drawn.colors[0] - picture)[outline].mean() < 0.08
+
+
+def test_a_mixture_of_paint_and_background_is_taken_apart():
+    visible = seen_surface(wall())
+    covered, fringe = np.zeros((128, 128), bool), np.zeros((128, 128), bool)
+    covered[64, 60:64], fringe[64, 64:66] = True, True
+    target = np.zeros((128, 128, 3), np.float32)
+    target[64, 60:64], target[64, 64], target[64, 65] = RED, 0.6 * RED, (0.1, 0.9, 0.9)
+    colors, cover = fringe_paint(target, FringedSurface.of(visible, covered, fringe), np.zeros(3, np.float32))
+    np.testing.assert_allclose(colors[64, 64], RED)
+    np.testing.assert_allclose(colors[64, 65], target[64, 65])
+    np.testing.assert_allclose(cover[64, 62:66], (1, 1, 0.6, 1), atol=1e-6)
+
+
+def seen_surface(splats: Splats) -> VisibleSurface:
+    view = project(splats, FRONT)
+    return visible_surface(Surface.of(splats), splats, view, np.ones((128, 128), bool))
+
+
+def test_a_far_wall_seen_through_cracks_is_no_fog():
+    front_wall = sheet(45, degree=1, opacity=0.98)
+    cracked = front_wall.take(np.flatnonzero(np.random.default_rng(3).random(len(front_wall)) > 0.4))
+    splats = cracked.append(sheet(45, z=-1.0, degree=1, opacity=0.98))
+    mask = np.zeros((128, 128), bool)
+    mask[50:78, 50:78] = True
+    result = paint(splats, mask)
+    assert len(result.splats) - len(splats) < 550  # splitting beside cracks takes 630
+    assert np.abs(draw(result.splats)[52:76, 52:76] - RED).mean() < 0.01

@@ -16,7 +16,7 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.options import LocalOptions
 from splatpainter.painter import Edit, Painter
 from splatpainter.session import Session
-from splatpainter.session.fingerprint import SHEETS
+from splatpainter.session.fingerprint import OLDER_SHEETS, SHEETS, lays_sheets
 from splatpainter.splats import Splats
 from tests.support.lift_scenes import differing, disk, front, same_bits, sheet
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, SIZE, dab, print_of
@@ -121,6 +121,11 @@ def old_project(path: Path) -> Session:
     database.executescript(V2.read_text(encoding="utf-8"))
     database.close()
     return Session.load(path, painter=Painter.load("lift"))
+
+
+def test_layers_with_sheets_of_earlier_versions_are_not_split():
+    assert all(lays_sheets(f"lift None None {sheets}") for sheets in (SHEETS, *OLDER_SHEETS))
+    assert not lays_sheets("lift None None")
 
 
 def test_layers_of_older_projects_stay_split_until_they_are_painted_anew(tmp_path) -> None:

@@ -1,6 +1,6 @@
 """The fringe of a sheet: painted pixels beside it that show a surface, but too little of it to be trusted.
 
-At the outline of an object, and in cracks between its Gaussians, a pixel's own surface is not known; that of the
+At the outline of an object, and in cracks between its Gaussians, a pixel's own surface cannot be estimated; that of the
 nearest covered pixel goes on there for a pixel or two.
 """
 
@@ -66,15 +66,13 @@ class FringedSurface:
         return PixelSurface(*full)
 
 
-def fringe_of(painted: np.ndarray, covered: np.ndarray, known: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """[H, W] bool: painted pixels within FRINGE_PX of covered ones that have no surface of their own. known: [H, W]
+def fringe_of(painted: np.ndarray, covered: np.ndarray, trusted: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """[H, W] bool: painted pixels within FRINGE_PX of covered ones that have no surface of their own. trusted: [H, W]
     bool pixels that have one; alpha: [H, W] of the asset."""
-    return painted & ~known & ~covered & (alpha > MIN_FRINGE_ALPHA) & dilated(covered, FRINGE_PX)
+    return painted & ~trusted & ~covered & (alpha > MIN_FRINGE_ALPHA) & dilated(covered, FRINGE_PX)
 
 
-def fringe_paint(
-    target: np.ndarray, fringe: FringedSurface, background: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def fringe_paint(target: np.ndarray, fringe: FringedSurface, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([H, W, 3] float32 the picture with paint alone in the fringe's pixels, [H, W] float32 0..1 how much of them it
     covers; 1 elsewhere). A pixel of the outline may be a mixture of the paint beside it and of the background."""
     colors, cover = target.copy(), np.ones(target.shape[:2], np.float32)

@@ -140,7 +140,9 @@ def _is_plane(inverse: np.ndarray, size: int, fx: float) -> np.ndarray:
     return bend < FLAT_DEPTH_CELLS * size / fx * np.maximum(middle, 1e-30)
 
 
-def sheet_geometry(surface: VisibleSurface | FringedSurface, cells: Cells, target: np.ndarray) -> tuple[SheetGeometry, np.ndarray]:
+def sheet_geometry(
+    surface: VisibleSurface | FringedSurface, cells: Cells, target: np.ndarray
+) -> tuple[SheetGeometry, np.ndarray]:
     """(G Gaussians on the surface under C cells, [G] int64 the cell of each; cells without a surface have none).
     target: [H, W, 3]; Gaussians of single pixels are narrower where it has edges."""
     at = surface.at(cells.centers)
@@ -169,7 +171,9 @@ def sheet_geometry(surface: VisibleSurface | FringedSurface, cells: Cells, targe
     return geometry, index
 
 
-def _stretch(surface: VisibleSurface | FringedSurface, cells: Cells, at: PixelSurface, chosen: np.ndarray) -> np.ndarray:
+def _stretch(
+    surface: VisibleSurface | FringedSurface, cells: Cells, at: PixelSurface, chosen: np.ndarray
+) -> np.ndarray:
     """[G] >= 1 how much longer than its projection the surface is under each chosen cell, along its slant: by its
     normal, but no farther than its neighbours on both sides along the slant are apart, as a round surface turns away
     from its tangent plane; next to where there is no surface, hardly."""
