@@ -98,7 +98,7 @@ def test_paint_up_to_the_outline_does_not_hang_beside_the_object():
         camera = look_at(eye, (0, 0, 0), width=128, height=128, background=FRONT.background)
         before, after = (sp.render(s, camera).alphas[0, ..., 0] for s in (splats, result.splats))
         beside += int(((after > 0.3) & (before < 0.05)).sum())
-    assert beside <= 16, "91 where the planes go on"
+    assert beside <= 24, "more than 90 where the planes go on"
 
 
 def test_what_is_as_fine_as_its_pixels_is_split_where_most_of_a_side_is_painted():
