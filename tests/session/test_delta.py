@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +50,7 @@ def test_round_trip(degree, seed):
     np.testing.assert_array_equal(again.gaussian_ids, delta.gaussian_ids)
 
 
-def test_a_base_makes_it_version_2_and_travels_with_it():
+def test_a_base_travels_with_it():
     before = asset(6, 1)
     after = edited(before, 2)
     delta = between(before, after)
@@ -64,6 +65,35 @@ def test_a_base_makes_it_version_2_and_travels_with_it():
     for damaged in ([plain[0], *parts[1:]], [parts[0], *plain[1:]], [*parts[:-1], parts[1]]):
         with pytest.raises(ValueError, match=r"^delta: damaged \(.*\)$"):
             decode(damaged)
+
+
+def in_older_layout(parts: list[bytes], version: int) -> list[bytes]:
+    """Parts as versions 1 (no base, none faded), 2 (a base) and 3 had them: small deltas, a part for each column."""
+    raw = [zstandard.decompress(part) for part in parts]
+    head = json.loads(raw[0])
+    floats = [np.frombuffer(part, np.uint8).reshape(4, -1).T.tobytes() for part in raw[4:]]
+    if version < 3:
+        del head["base"]
+    flags = [raw[3]] if version == 3 else []
+    head = json.dumps(head | {"version": version}).encode()
+    return [zstandard.compress(part) for part in (head, *raw[1:3], *flags, *floats)]
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_older_layouts_are_read(version: int):
+    before = asset(6, 1)
+    after = edited(before, 2)
+    delta = between(before, after)
+    if version > 1:
+        delta = replace(delta, base=np.ones((len(delta.gaussian_ids) + len(delta.appended), 4, 3), np.float32))
+    if version > 2:
+        emptied = replace(before, opacities=np.zeros_like(before.opacities))
+        after = replace(emptied, sh=emptied.sh.copy())
+        after.sh[3] += 1
+        delta = between(before, after)
+        assert delta.faded is not None and delta.faded.sum() == len(before) - 1
+    again = decode(in_older_layout(list(encode(delta)), version))
+    assert same_bits(again.apply(before), after) and (again.base is not None) == (version == 2)
 
 
 @pytest.mark.parametrize("base", [False, True])

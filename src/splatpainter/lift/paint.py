@@ -15,6 +15,7 @@ from splatpainter.lift.local_edit import NOTHING_THERE, gaussians_in_mask, is_wi
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.resurface import MIN_COVER, RING_PX, resurface
+from splatpainter.lift.rounding import rounded
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
@@ -79,7 +80,7 @@ def paint_view(
     originals = len(splats) if first_appended is None else first_appended
     first = int(np.searchsorted(ids, originals))
     part = _paint_part(splats.take(ids), surface, view, edited, mask, options, first, originals, tiles)
-    return _put_back(splats, ids, part)
+    return _put_back(splats, ids, _new_rounded(part, len(ids)) if options.resurface else part)
 
 
 def _paint_part(
@@ -125,6 +126,16 @@ def _paint_part(
     if left.sum() <= options.max_left_px:
         return result
     return _then_split(result, camera, target, left, options, may, tiles)
+
+
+def _new_rounded(part: PaintedView, count: int) -> PaintedView:
+    """Its new Gaussians (those after the first `count` and those in the place of others) rounded (rounding.py)."""
+    new = np.concatenate([part.replaced, np.arange(count, len(part.splats))])
+    values = rounded(part.splats.take(new))
+    arrays = {name: getattr(part.splats, name).copy() for name in ATTRIBUTES}
+    for name, array in arrays.items():
+        array[new] = getattr(values, name)
+    return replace(part, splats=replace(part.splats, **arrays))
 
 
 def _put_back(splats: Splats, ids: np.ndarray, part: PaintedView) -> PaintedView:

@@ -22,6 +22,8 @@ from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
 
 PART_BYTES = 1 << 20
 """Bytes before compression of one part of a stored delta: what reading or writing one holds in memory at a time."""
+VERSION = 4
+"""Of the layout that `encode` writes."""
 MAX_GAUSSIANS = 1 << 27
 """Of an asset that a delta may speak of."""
 UNPACKED_FREE_BYTES = 512 << 20
@@ -129,27 +131,28 @@ def no_delta(below: Splats) -> Delta:
 
 
 def encode(delta: Delta) -> Iterator[bytes]:
-    """Parts of zstd with checksums, made one at a time: a JSON head, then ids, parents and the attributes of the
-    changed and of the appended Gaussians, little-endian float32, one after the other; then the base where there is one.
-    Version 1 has none, version 2 has one; version 3 says whether, and holds after the parents the bits of `faded`,
-    whose values but the opacities are left out."""
+    """Parts of zstd with checksums, made one at a time: a JSON head, then ids, parents, the bits of `faded`, and the
+    attributes of the changed and of the appended Gaussians, little-endian float32, one after the other; then the base
+    where there is one. Of faded Gaussians all values but the opacities are left out. The bytes of each part's floats
+    are stored as four planes, the lowest bytes first.
+
+    Older versions, which are still read, have floats as they are; version 1 has no base, version 2 has one, version 3
+    says whether; the bits of `faded` are in version 3 only."""
     import zstandard
 
     pack = zstandard.ZstdCompressor(level=3, write_checksum=True).compress
     head = {"count": delta.count, "rows": len(delta.gaussian_ids), "appended": len(delta.appended)}
     head["coefficients"] = int(delta.values.sh.shape[1])
-    version, base = (1, ()) if delta.base is None else (2, (np.asarray(delta.base, "<f4"),))
-    faded: tuple[np.ndarray, ...] = ()
-    values = [np.asarray(getattr(delta.values, name), "<f4") for name in ATTRIBUTES]
-    if delta.faded is not None and delta.faded.any():
-        version, head["base"], faded = 3, bool(base), (np.packbits(delta.faded),)
-        values = [np.asarray(delta.written(name)[1], "<f4") for name in ATTRIBUTES]
-    yield pack(json.dumps({"version": version, **head}).encode())
+    faded = np.zeros(len(delta.gaussian_ids), bool) if delta.faded is None else delta.faded
+    yield pack(json.dumps({"version": VERSION, **head, "base": delta.base is not None}).encode())
     steps = np.diff(delta.gaussian_ids, prepend=0)  # small numbers, most of them 1
-    for column in (steps, delta.parent_ids, *faded, *values, *_columns(delta.appended), *base):
+    values = [np.asarray(delta.written(name)[1], "<f4") for name in ATTRIBUTES]
+    base = () if delta.base is None else (np.asarray(delta.base, "<f4"),)
+    for column in (steps, delta.parent_ids, np.packbits(faded), *values, *_columns(delta.appended), *base):
         data = np.ascontiguousarray(column).reshape(-1).view(np.uint8)
         for start in range(0, max(len(data), 1), PART_BYTES):
-            yield pack(data[start : start + PART_BYTES].tobytes())
+            part = data[start : start + PART_BYTES]
+            yield pack((part.reshape(-1, 4).T if column.dtype == np.float32 else part).tobytes())
 
 
 def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
@@ -158,7 +161,7 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
 
     decompress = zstandard.ZstdDecompressor().decompress
     source = iter(parts)
-    packed = unpacked = 0
+    packed = unpacked = version = 0
 
     def unpack(part: bytes) -> bytes:
         nonlocal packed, unpacked
@@ -176,6 +179,10 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
         pieces, got = [], 0
         while got < size or not pieces:
             piece = unpack(next(source))
+            if dtype == "<f4" and version == VERSION:
+                if len(piece) % 4:
+                    raise ValueError("a part ends within a number")
+                piece = np.frombuffer(piece, np.uint8).reshape(4, -1).T.tobytes()
             pieces.append(piece)
             got += len(piece)
             if len(piece) < PART_BYTES and got < size:
@@ -186,7 +193,8 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
 
     try:
         head = json.loads(unpack(next(source)))
-        if head["version"] not in (1, 2, 3) or head["coefficients"] not in SH_COUNTS:
+        version = head["version"]
+        if version not in (1, 2, 3, VERSION) or head["coefficients"] not in SH_COUNTS:
             raise ValueError(f"unknown layout {head}")
         n, t, a, k = (int(head[name]) for name in ("count", "rows", "appended", "coefficients"))
         if not (0 <= t <= n <= MAX_GAUSSIANS and 0 <= a <= MAX_GAUSSIANS):
@@ -198,11 +206,12 @@ def decode(parts: Iterable[bytes], where: str = "delta") -> Delta:
         if a and not (parent_ids.min() >= -1 and parent_ids.max() < n):
             raise ValueError("parents are out of range")
         faded = None
-        if head["version"] == 3:
+        if version >= 3:
             faded = np.unpackbits(column(-(-t // 8), "u1"), count=t).astype(bool)
+            faded = faded if faded.any() else None
         values, appended = _gaussians(column, t, k, faded), _gaussians(column, a, k)
         base = None
-        if head["version"] == 2 or (head["version"] == 3 and head["base"]):
+        if version == 2 or (version >= 3 and head["base"]):
             base = column((t + a) * k * 3, "<f4").reshape(t + a, k, 3).copy()
         if next(source, None) is not None:
             raise ValueError("more parts than expected")

@@ -36,9 +36,9 @@ SPARE_ROOM = 0.25
 MAX_LINKS = 1 << 13
 """Names of strokes that are cached."""
 
-MAX_RESULT_BYTES = 12 << 20
+MAX_RESULT_BYTES = 8 << 20
 """Bytes that the results of a layer's strokes may take, each by itself; ..."""
-LATEST_BYTES = 8 << 20
+LATEST_BYTES = 5 << 20
 """... beyond that those of the latest strokes go on to take so many, and all before become one result."""
 MIN_LATEST = 4
 """Strokes that keep results of their own in any case."""
