@@ -165,6 +165,31 @@ def test_cmyk_is_shown_in_rgb(tmp_path: Path) -> None:
     flat[:] = (10, 200, 30)
     picture = read_picture(save(tmp_path / "a.tif", flat, "CMYK"))
     assert np.abs(picture.colors[0, 0] * 255 - flat[0, 0]).max() <= 2
+    with pytest.raises(ValueError, match=r"a\.tif: expected RGB colours, got CMYK; save it as RGB$"):
+        read_picture(tmp_path / "a.tif", inks=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("a.png", "expected a still picture, got PNG with 2 frames; save one of them as PNG"),
+        ("a.webp", "expected a still picture, got WEBP with 2 frames; save one of them as PNG"),
+        ("a.tif", "expected one picture, got a TIFF of several pages or layers; flatten it, or save a PNG"),
+    ],
+)
+def test_of_several_pictures_in_a_file_none_is_guessed(tmp_path: Path, name: str, line: str) -> None:
+    frames = [Image.new("RGB", (8, 8), (shade, 0, 0)) for shade in (20, 200)]
+    frames[0].save(tmp_path / name, save_all=True, append_images=frames[1:])
+    for read in (read_picture, read_mask):
+        with pytest.raises(ValueError) as refusal:
+            read(tmp_path / name)
+        assert str(refusal.value) == f"{tmp_path / name}: {line}"
+
+
+def test_the_preview_in_a_phones_jpeg_is_no_second_frame(tmp_path: Path) -> None:
+    frames = [Image.new("RGB", (8, 8), (shade, 0, 0)) for shade in (200, 20)]
+    frames[0].save(tmp_path / "a.jpg", format="MPO", save_all=True, append_images=frames[1:])
+    assert read_picture(tmp_path / "a.jpg").colors[0, 0, 0] > 0.7
 
 
 def test_masks(tmp_path: Path) -> None:

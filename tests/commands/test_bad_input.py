@@ -16,6 +16,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from splatpainter.commands.info import Config as InfoConfig
+from splatpainter.commands.option_parsing import parse
+from splatpainter.commands.render import Config as RenderConfig
 from tests.support.cli_scenes import (
     Capture,
     ball,
@@ -105,6 +108,14 @@ def test_files_that_are_not_what_they_say(case: str, tmp_path: Path, capfd: Capt
 def test_missing_words(words: list[str], capfd: Capture) -> None:
     line = run(capfd, *words).error
     assert line.startswith(f"splatpainter {words[0]}: ") and line.endswith(f"see splatpainter {words[0]} --help")
+
+
+def test_a_terminal_without_unicode(capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(io.BytesIO(), encoding="cp1252"))  # as of a pipe on Windows
+    with pytest.raises(ValueError, match=r"^splatpainter info: missing ASSET; see splatpainter info --help$"):
+        parse(InfoConfig, "splatpainter info", [])
+    with pytest.raises(ValueError, match=r"^splatpainter render: invalid choice 'sky' .* --help$"):
+        parse(RenderConfig, "splatpainter render", ["X", "--out", "D", "--up", "sky"])
 
 
 @pytest.mark.parametrize(

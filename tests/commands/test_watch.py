@@ -14,6 +14,10 @@ from splatpainter.commands import watch
 from splatpainter.receipts import Receipt
 from splatpainter.sources.saved_pictures import SavedPictures
 from tests.support.cli_scenes import Capture, ball_and_painted_view, run
+from tests.support.fake_services import animated, inks
+
+REFUSED = {"broken.png": "Truncated", "inks.jpg": "got CMYK; save it as RGB", "moving.png": "got PNG with 2 frames"}
+"""Files that are saved among the others -> the reason in their line."""
 
 
 @pytest.fixture()
@@ -70,6 +74,9 @@ def test_saves_are_lifted_and_bad_files_are_lines(painted: Path, capfd: Capture)
 
     def person() -> None:
         (views / "broken.png").write_bytes(edited[:200])
+        (views / "moving.png").write_bytes(animated())
+        (views / "inks.json").write_bytes((views / "view_000.json").read_bytes())
+        (views / "inks.jpg").write_bytes(inks())
         (views / "painted.mask.png").write_bytes(edited)
         (views / "notes.txt").write_bytes(b"")
         time.sleep(0.1)
@@ -79,9 +86,11 @@ def test_saves_are_lifted_and_bad_files_are_lines(painted: Path, capfd: Capture)
     with meanwhile(person):
         output = run(capfd, *words, "--once", "--timeout", 60)
     assert output.code == 0, output.err
-    assert output.err.count("\n") == 1 and "broken.png: " in output.err
+    lines = sorted(output.err.splitlines())
+    for line, (name, reason) in zip(lines, REFUSED.items(), strict=True):
+        assert f"{views / name}: " in line and reason in line
     assert output.out.splitlines()[1].startswith(f"painted.png: 1 picture on {out}, ")
-    assert output.out.splitlines()[2] == "ended: 1 save lifted, 1 picture refused"
+    assert output.out.splitlines()[2] == "ended: 1 save lifted, 3 pictures refused"
     receipt = Receipt.from_json((folder / "out.ply.receipt.json").read_text("utf-8"))
     assert len(receipt.touched) and run(capfd, "verify", folder / "ball.ply", out).code == 0
     assert (views / "view_000.png").read_bytes() == plain

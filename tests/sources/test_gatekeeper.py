@@ -262,6 +262,45 @@ def test_enlarged_pictures_are_consistent_with_the_render() -> None:
     assert np.abs(held - pooled(held, 2).repeat(2, 0).repeat(2, 1)).mean() > 0.02  # detail stays
 
 
+def test_a_larger_answer_that_nobody_asked_for_changes_only_what_was_edited() -> None:
+    fine, alpha = drawn_scene(2 * SIZE, 5)
+    render = pooled(fine, 2)
+    request = PictureRequest(render, pooled(np.repeat(alpha[..., None], 3, -1), 2)[..., 0])
+    larger = resample(render, 2 * SIZE, 2 * SIZE)  # softer than a render of that size everywhere
+    with pytest.raises(SourceError, match="unchanged"):
+        admit(larger, request, enlarged=lambda k: fine)
+    larger[200:240, 180:220] = (0.1, 0.8, 0.2)
+    result = admit(larger, request, enlarged=lambda k: fine)
+    away = np.ones((2 * SIZE, 2 * SIZE), bool)
+    away[184:256, 164:236] = False
+    assert result.factor == 2 and not result.changed[away].any() and result.changed[204:236, 184:216].all()
+    assert np.array_equal(result.image[away], fine[away])
+    assert admit(larger, replace(request, scale=2), enlarged=lambda k: fine).changed[away].any()
+
+
+def test_what_a_drift_clipped_is_no_edit() -> None:
+    image, alpha = drawn_scene(SIZE, 1)
+    request = PictureRequest(np.clip(2 * image, 0, 0.93).astype(np.float32), alpha)
+    painted = request.image.copy()
+    painted[BOX] = (0.1, 0.2, 0.9)
+    drifted = linear(painted, (1.35, 1.0, 0.85))
+    assert np.any(drifted > 0.999, axis=-1)[request.alpha > 0.5].mean() > 0.03
+    result = admit(drifted, request)
+    away = np.ones((SIZE, SIZE), bool)
+    away[70:140, 60:130] = False
+    assert result.drift.kind.startswith("gain") and not result.changed[away].any()
+    inner = (box_mask(-5) > 0) & (alpha > 0.9)
+    assert result.changed[inner].all() and np.abs(result.image - painted)[inner].max() < 0.02
+
+
+def test_a_mirror_image_is_refused_as_one() -> None:
+    image, alpha = drawn_scene(SIZE, 2)
+    round_image = 0.5 * (image + image[:, ::-1])  # as of a turned pot: the edges of both halves are alike
+    request = PictureRequest((0.5 * round_image + 0.5 * image).astype(np.float32), alpha)
+    with pytest.raises(SourceError, match=r"came back mirrored: its edges agree by 0\.\d\d of 1, flipped.* by 1\.00"):
+        admit(request.image[:, ::-1], request)
+
+
 def test_the_report_is_one_page_of_pictures() -> None:
     request, painted = scene()
     answer = PictureAnswer(np.concatenate([painted, np.ones((SIZE, SIZE, 1), np.float32)], -1), "tool")

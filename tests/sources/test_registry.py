@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import sys
 import traceback
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -157,6 +158,13 @@ def test_no_key_leaves_a_source(error: Exception, monkeypatch: pytest.MonkeyPatc
     noted = PictureAnswer(np.zeros((2, 2, 3)), KEY, None, f"for {KEY}", (f"with {KEY}",))
     answer = edit(CheckedSource(Painted(Capabilities(), noted), "painted"), request())
     assert KEY not in repr(answer) and without_secrets(f"a{KEY}b") == "a<RUST_API_KEY>b"
+
+
+def test_every_line_says_which_source_it_is_of() -> None:
+    progress = Progressed()
+    source = open_source("command", {"run": f"{sys.executable} {{depth}} {{out}}"})
+    with pytest.raises(SourceError, match="^source command: depth: this view has no depth map; give an asset"):
+        source.edit(request(), progress, progress.cancel)
 
 
 def test_cancelled_before_it_starts() -> None:

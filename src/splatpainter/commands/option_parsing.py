@@ -33,9 +33,9 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
     marks = (tyro.conf.FlagCreatePairsOff,)
     if "--help" in words or "-h" in words:
         return tyro.cli(kind, prog=program, args=list(words), config=marks)
-    box = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(box), _environment("COLUMNS", WIDE):
+    box, unicode = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    try:  # tyro looks at stdout's encoding for how it frames what it writes to stderr
+        with contextlib.redirect_stderr(box), contextlib.redirect_stdout(unicode), _environment("COLUMNS", WIDE):
             return tyro.cli(kind, prog=program, args=list(words), config=marks)
     except SystemExit as done:
         if done.code in (0, None):

@@ -94,6 +94,6 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
     if blob.info.kind != "picture":
         raise ValueError("expected a picture")
     with naming_errors(blob.path, name):
-        read_picture(blob.path)  # half a file has a whole header
+        read_picture(blob.path, inks=False)  # half a file has a whole header
     studio.written[name] = sha256
     return blob

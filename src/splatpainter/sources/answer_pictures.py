@@ -11,14 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.image_files import CAMERA_KEYWORD, MAX_PICTURE_PIXELS, encode_png, is_exr, quantized
+from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
 from splatpainter.sources.picture_reader import Picture, read_picture
 from splatpainter.sources.picture_source import PictureRequest, SourceError
 
 MAX_ANSWER_BYTES = 256 << 20
 """Of a picture file that a source gives."""
-ANSWER_MODES = ("RGB", "RGBA", "RGBa", "L", "LA", "La", "P", "PA", "1", "I", "I;16", "I;16B", "I;16L", "F", "YCbCr")
-"""Pillow's modes of an answer: no inks (CMYK) and no LAB, whose colours depend on a profile that is mostly missing."""
 
 
 def image_png(request: PictureRequest, transparent: bool = False) -> bytes:
@@ -98,9 +96,7 @@ def read_answer_file(path: Path, source: str) -> tuple[np.ndarray, tuple[str, ..
     try:
         if path.is_file() and path.stat().st_size > MAX_ANSWER_BYTES:
             raise SourceError(f"{what}: expected at most {MAX_ANSWER_BYTES >> 20} MiB")
-        if path.is_file() and not is_exr(path):
-            _check_kind(path, what)
-        picture = read_picture(path)
+        picture = read_picture(path, inks=False)
     except SourceError:
         raise
     except ValueError as error:
@@ -113,23 +109,3 @@ def with_alpha(picture: Picture) -> np.ndarray:
     if picture.alpha is None:
         return picture.colors
     return np.concatenate([picture.colors, picture.alpha[..., None]], -1)
-
-
-def _check_kind(path: Path, what: str) -> None:
-    """What `read_picture` would take the first frame of, or guess the colours of; what is no picture it says itself."""
-    import warnings
-
-    from PIL import Image
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path) as image:
-                kind, mode, frames = image.format, image.mode, getattr(image, "n_frames", 1)
-                pixels = image.width * image.height
-    except Exception:  # decoders of damaged files raise anything
-        return
-    if frames > 1 and pixels <= MAX_PICTURE_PIXELS:
-        raise SourceError(f"{what}: expected a still picture, got {kind} with {frames} frames; save one of them as PNG")
-    if mode not in ANSWER_MODES:
-        raise SourceError(f"{what}: expected RGB colours, got {mode}; save it as RGB")

@@ -103,14 +103,14 @@ def edit_from_files(picture: Path, camera: Path | None = None, mask: Path | None
     sidecar NAME.json) and its mask. A larger picture of the camera's shape is a larger render of the same view: the
     edit is made at its size. Another picture of another size but the same aspect ratio is resampled.
 
-    Raises ValueError, one line naming the file: unreadable or too large a picture, no camera or a broken one, an aspect
-    ratio more than 1 % off, an empty mask."""
+    Raises ValueError, one line naming the file: an unreadable, too large or animated picture, inks (CMYK), no camera or
+    a broken one, an aspect ratio more than 1 % off, an empty mask."""
     declared = declared_size(picture)
     view = camera_from(camera) if camera is not None else find_camera(picture)
     _check_size(view, camera or picture)
     target_size = (view.width, view.height)
     _check_declared(picture, "the picture", declared, target_size)
-    decoded = read_picture(picture)
+    decoded = read_picture(picture, inks=False)
     notes = list(decoded.notes)
     _check_aspect(picture, "the picture", decoded.size, target_size)
     larger = larger_view(view, *decoded.size)

@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated
-from splatpainter.sources.color_drift import MIN_TONE, NO_DRIFT, ColorDrift, estimate_drift, tone_change
+from splatpainter.sources.color_drift import CLIPPED, MIN_TONE, NO_DRIFT, ColorDrift, estimate_drift, tone_change
 from splatpainter.sources.picture_reader import resample
 from splatpainter.sources.picture_source import PictureRequest, SourceError
 from splatpainter.sources.registration import Registration, edge_strength, register, warped
@@ -54,6 +54,8 @@ SLACK_PX = 0.2
 """By which a picture that was moved back may still be off: that much of the slope is no change."""
 MOSTLY = 0.6
 """Share of what may change from which all of it counts as changed: a new style leaves some pixels by chance."""
+MAX_MIRRORED, MIRROR_GAIN = 0.75, 0.2
+"""Scores below which a picture may be a mirror image, and by which its mirror image must agree better to be one."""
 MIN_COVER = 0.02
 """Alpha from which a pixel shows the asset."""
 CONSISTENT_ROUNDS = 8
@@ -162,7 +164,8 @@ def admit(
         raise SourceError(f"{name}: the mask is empty; expected some pixels above 0 (1: may change)")
     limits = LIMITS[strictness]
     outside = np.ones(render.shape[:2], bool) if mask is None else ~dilated(mask > 0.01, RIM_PX)
-    registration = register(colors, render, None if mask is None else outside.astype(np.float32), content)
+    compared = None if mask is None else outside.astype(np.float32)
+    registration = register(colors, render, compared, content)
     if registration.score < limits.score:
         _complain_of_polarity(colors, render, mask, content, name, limits)
         where, advice = "", "mask what is to change, or ask again"
@@ -172,6 +175,7 @@ def admit(
             f"{name}: the picture shows something else than what was sent: its edges agree{where} by "
             f"{registration.score:.2f} of 1, expected {limits.score:g} (strictness {strictness}); {advice}"
         )
+    _check_mirror(registration, colors, render, compared, content, name)
     _check_moves(registration, render.shape, limits, strictness, name)
     size = render.shape[1], render.shape[0]
     still = registration.is_still(*size)
@@ -199,8 +203,8 @@ def admit(
         )
     if toned:  # as was asked: within a mask, if there is one
         drift = NO_DRIFT
-    aligned = drift.corrected(aligned)
     like = _like(render, registration, colors.shape, still)
+    aligned = _corrected(drift, aligned, like)
     if regraded and mask is None and not change_mask(aligned, like)[cover & inside].mean() > MAX_UNTOUCHED:
         _check_regraded(aligned, like, cover & inside, name)
     changed = _changed(aligned, like, mask, cover, regraded or toned) & inside
@@ -223,12 +227,15 @@ def admit(
         aligned, inside = _laid(colors, finer, large, still)
         if content is not None:
             inside &= _laid(content, finer, large, still)[0] > 0.5
-        aligned = drift.corrected(aligned)
+        aligned = _corrected(drift, aligned, base)
         edited = changed if mask is not None else _edited(pooled(aligned, factor), render)
         aligned = consistent(aligned, render, dilated(edited, GROWN_PX))
         cover = _repeated(cover, factor)
         larger = None if mask is None else _repeated(mask, factor)
+        reach = _repeated(dilated(changed, GROWN_PX), factor)
         changed = _changed(aligned, base, larger, cover, regraded or toned) & inside
+        if request.scale == 1:  # nobody asked for a sharper picture: what was merely enlarged is no edit
+            changed &= reach
     allowed = cover.astype(np.float32) if mask is None else _soft_mask(mask) * (request.alpha > MIN_COVER)
     if factor > 1 and mask is not None:
         allowed = np.where(_repeated(allowed > 0, factor), resample(allowed, *large), 0)
@@ -252,6 +259,17 @@ def admit(
         where = "" if mask is None else " within the mask"
         raise RefusedPicture(f"{name}: the picture came back unchanged{where}; there is nothing to paint")
     return result
+
+
+def _corrected(drift: ColorDrift, colors: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """[H, W, 3] colours without their drift. What the drift clipped says "at least so bright" (or dark): there the
+    render's value stands where it is beyond the corrected one."""
+    out = drift.corrected(colors)
+    if drift.kind not in ("gain", "gain and offset"):  # a matrix carries what was clipped into other channels
+        return out
+    low, high = CLIPPED
+    out = np.where((colors >= high) & (out < like), like, out)
+    return np.where((colors <= low) & (out > like), like, out)
 
 
 def _changed(
@@ -381,6 +399,25 @@ def _check_moves(
         raise RefusedPicture(
             f"{name}: the picture came back {registration.framing}, expected all of the view (strictness {strictness})"
         )
+
+
+def _check_mirror(
+    registration: Registration,
+    colors: np.ndarray,
+    render: np.ndarray,
+    compared: np.ndarray | None,
+    content: np.ndarray | None,
+    name: str,
+) -> None:
+    """Raises RefusedPicture where the picture is a mirror image: round objects have nearly the edges of theirs."""
+    if registration.score < MAX_MIRRORED:
+        flipped = None if content is None else np.ascontiguousarray(content[:, ::-1])
+        score = register(np.ascontiguousarray(colors[:, ::-1]), render, compared, flipped).score
+        if score > max(registration.score + MIRROR_GAIN, MAX_MIRRORED):
+            raise RefusedPicture(
+                f"{name}: the picture came back mirrored: its edges agree by {registration.score:.2f} of 1, flipped "
+                f"from left to right by {score:.2f}; ask again, or flip it"
+            )
 
 
 def _complain_of_polarity(

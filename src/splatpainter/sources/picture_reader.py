@@ -26,6 +26,8 @@ SIZE_LIMIT = f"at most {MAX_PICTURE_PIXELS // 10**6} megapixels"
 Kernel = Literal["nearest", "bilinear", "bicubic", "lanczos"]
 PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WEBP")
+INKS = ("CMYK", "LAB")
+"""Pillow's modes whose colours depend on a profile and do not come back as they were painted."""
 MAX_LOSSY_NOISE = 16
 """8-bit levels that lossy compression leaves on black."""
 EXIF_STEPS = {2: (-1, 1), 3: (-1, -1), 4: (1, -1), 6: (-1, 1), 7: (-1, -1), 8: (1, -1)}
@@ -61,15 +63,18 @@ class Picture:
         return replace(self, colors=np.clip(solid, 0, 1).astype(np.float32), alpha=alpha)
 
 
-def read_picture(path: Path) -> Picture:
+def read_picture(path: Path, *, inks: bool = True) -> Picture:
     """Decode a PNG, JPEG, WebP or TIFF file as its owner sees it: turned as EXIF says, converted from its embedded
-    profile to sRGB; or an OpenEXR file of linear light (sRGB primaries). Raises ValueError: missing, unreadable,
-    damaged, another kind of file, more than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
+    profile to sRGB; or an OpenEXR file of linear light (sRGB primaries). inks: whether colours may be of INKS, not in
+    pictures that are compared with a render. Raises ValueError: missing, unreadable, damaged, another kind of file,
+    animated, more than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
     if is_exr(path):
         return _light(read_deep(path, MAX_PICTURE_PIXELS))
     with _opened(path) as image:
         from PIL import ImageOps
 
+        if not inks and image.mode in INKS:
+            raise ValueError(f"{path}: expected RGB colours, got {image.mode}; save it as RGB")
         turned = ImageOps.exif_transpose(image)
         notes: list[str] = []
         if turned.mode.startswith("I") or turned.mode == "F":
@@ -148,6 +153,7 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
             if image.width * image.height > MAX_PICTURE_PIXELS:
                 got = f"{image.width}x{image.height}"
                 raise ValueError(f"{path}: expected {SIZE_LIMIT}, got {got}; scale it down")
+            _check_still(path, image)
             try:
                 if decode:
                     image.load()
@@ -159,6 +165,19 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
                 if isinstance(error, MemoryError) or (type(error) is ValueError and str(path) in str(error)):
                     raise
                 raise ValueError(f"{path}: damaged picture ({_short(error)})") from None
+
+
+def _check_still(path: Path, image: Image) -> None:
+    """Raises ValueError: frames, or pages (GIMP's layers in a TIFF), of which the first alone would count. The second
+    picture in JPEG files of phones is a preview."""
+    kind = image.format
+    if kind in ("PNG", "WEBP") and getattr(image, "is_animated", False):
+        got = f"{kind} with {getattr(image, 'n_frames', 'several')} frames"
+        raise ValueError(f"{path}: expected a still picture, got {got}; save one of them as PNG")
+    if kind == "TIFF" and getattr(getattr(image, "tag_v2", None), "next", 0):
+        raise ValueError(
+            f"{path}: expected one picture, got a TIFF of several pages or layers; flatten it, or save a PNG"
+        )
 
 
 def _short(error: Exception) -> str:

@@ -84,6 +84,8 @@ class CheckedSource:
             raise
         except SourceError as error:
             line = str(error)
+            if not line.startswith(f"source {self.name}: "):
+                line = f"source {self.name}: {line}"
         except Exception as error:  # of another's code, or a case that one of ours forgot
             line = f"source {self.name}: failed ({type(error).__name__}: {error})"
         raise SourceError(without_secrets(line))  # outside of the handler: the first one may hold an address or a key

@@ -409,7 +409,7 @@ def edit_from_upload(context: CommandContext, view: EditedView, mode: Mode) -> E
     blob = context.studio.blobs.get(view.picture, "picture")
     name = Path(blob.name or "picture")
     with naming_errors(blob.path, str(name)):
-        picture = read_picture(blob.path)
+        picture = read_picture(blob.path, inks=False)
     check_shape(str(name), picture.size, (camera.width, camera.height))
     mask = None if view.mask is None else mask_from_upload(context, view.mask, camera)
     alpha = find_alpha(blob.path)

@@ -71,7 +71,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     studio = context.studio
     blob = studio.blobs.get(request.picture, "picture")
     name = request.name or blob.name or "picture"
-    picture = read_picture(blob.path)
+    picture = read_picture(blob.path, inks=False)
     camera, source = _camera(context, request, blob, name, picture)
     alpha = _alpha_kind(context, blob, name)
     picture = unmultiplied(picture, alpha)

@@ -75,7 +75,7 @@ class ComfyUIOptions:
     """Options of the source `comfyui`."""
 
     workflow: Path = option(
-        "Workflow in API format (File > Export (API)), its nodes titled splatpainter:image, splatpainter:out, ..."
+        "Workflow in API format (File > Export (API)), with nodes titled splatpainter:image and splatpainter:out"
     )
     url: str = option("Address of the server", "http://127.0.0.1:8188")
     timeout: float = option("Seconds for one picture, its time in the queue included", 600.0, least=0.1)
