@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import zstandard
 
-from splatpainter.lift.rounding import MEAN_STEPS, SIGNIFICANT_BITS, rounded
+from splatpainter.lift.rounding import MEAN_STEPS, SH_STEP, SIGNIFICANT_BITS, rounded
+from splatpainter.splats import ATTRIBUTES
 from tests.support.io_assets import random_splats
 from tests.support.lift_scenes import same_bits
 
@@ -16,10 +17,12 @@ def test_errors_stay_below_what_it_promises(away: float) -> None:
     splats = random_splats(500, 2)
     splats.means[:] += away
     result = rounded(splats)
-    for name in ("quats", "scales", "opacities", "sh"):
+    assert all(getattr(result, name).dtype == getattr(splats, name).dtype for name in ATTRIBUTES)
+    assert np.abs(result.sh - splats.sh).max() <= SH_STEP / 2
+    assert not np.remainder(result.sh, SH_STEP).any()
+    for name in ("quats", "scales", "opacities"):
         values, new = getattr(splats, name), getattr(result, name)
-        assert new.dtype == values.dtype
-        assert (np.abs(new - values) <= 2.0 ** -(SIGNIFICANT_BITS + 1) * np.abs(values) * 2).all(), name
+        assert (np.abs(new - values) <= 2.0**-SIGNIFICANT_BITS * np.abs(values)).all(), name
         assert not (new.view(np.uint32) & ((1 << (24 - SIGNIFICANT_BITS)) - 1)).any(), name
     moved = np.abs(result.means.astype(float) - splats.means.astype(float))
     assert (moved <= splats.scales.min(1, keepdims=True) / MEAN_STEPS).all()

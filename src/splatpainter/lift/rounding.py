@@ -1,7 +1,7 @@
 """New Gaussians with fewer significant bits than float32 has, so that projects which store them stay small.
 
-Floats of Gaussians hardly compress: their low mantissa bits are noise. Twelve significant bits are more than any
-compressed file format of splats keeps; means keep all that their Gaussian's own thickness can tell.
+Floats of Gaussians hardly compress: their low mantissa bits are noise. What stays is finer than any compressed file
+format of splats is; means keep all that their Gaussian's own thickness can tell.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from splatpainter.splats import Splats
 from splatpainter.transforms import row_max
 
 SIGNIFICANT_BITS = 12
-"""Of quats, scales, opacities and SH: a relative error of 2^-13 at most."""
+"""Of quats, scales and opacities: a relative error of 2^-12 at most."""
+SH_STEP = 2.0**-11
+"""Of SH coefficients: 0.00007 of a colour where there is one band, 0..1."""
 MEAN_STEPS = 16
 """Steps of a mean within the smallest standard deviation, at least; a power of two."""
 
@@ -24,8 +26,9 @@ def rounded(splats: Splats) -> Splats:
     smallest = -row_max(-splats.scales)
     step = np.ldexp(np.ones(len(splats)), np.frexp(smallest)[1] - 1 - int(np.log2(MEAN_STEPS)))[:, None]
     means = np.rint(splats.means.astype(np.float64) / step) * step
-    arrays = {name: _significant(getattr(splats, name)) for name in ("quats", "scales", "opacities", "sh")}
-    return replace(splats, means=means.astype(splats.means.dtype), **arrays)
+    arrays = {name: _significant(getattr(splats, name)) for name in ("quats", "scales", "opacities")}
+    sh = np.rint(splats.sh / SH_STEP) * SH_STEP
+    return replace(splats, means=means.astype(splats.means.dtype), sh=sh.astype(splats.sh.dtype), **arrays)
 
 
 def _significant(values: np.ndarray) -> np.ndarray:
