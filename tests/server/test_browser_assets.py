@@ -14,6 +14,12 @@ from tests.support import studio_scenes
 from tests.support.lift_scenes import sheet
 from tests.support.studio_pages import Page, opened_page
 
+COVERED = """[...document.querySelectorAll(".asset-handles .grab.ring, .asset-handles .middle")].filter((handle) => {
+  const box = handle.getBoundingClientRect();
+  return document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2) !== handle;
+}).map((handle) => handle.textContent)"""
+"""Handles that another one lies over."""
+
 
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
@@ -45,12 +51,14 @@ def test_a_second_asset_is_added_moved_painted_and_removed(
 ) -> None:
     live, page = opened
     write(tmp_path / "rug.ply", sheet(30, degree=1, half=0.6))
+    near = page.ask("window.studio.pose.value.distance")
     page.tab.get_by_role("button", name="Add asset...").click()
     with page.tab.expect_file_chooser() as chooser:
         page.tab.locator("dialog").get_by_role("button", name="Choose a file").click()
     chooser.value.set_files(tmp_path / "rug.ply")
     page.wait("two assets", lambda: len(page.state()["assets"]) == 2)
     page.wait("its numbers", lambda: page.tab.get_by_label("Move X, number").count())
+    page.wait("both in the window", lambda: page.ask("window.studio.pose.value.distance") > 1.2 * near)
     field = page.tab.get_by_label("Move X, number")
     field.fill("0.2")
     field.press("Enter")
@@ -63,6 +71,9 @@ def test_a_second_asset_is_added_moved_painted_and_removed(
     page.wait("a larger one", lambda: asset(page, 1)["scale"] > 1.1)
     pull(page, "Turn about Z", 20, 30)
     page.wait("a turn", lambda: abs(asset(page, 1)["turn"][2]) > 1)
+    page.tab.keyboard.press("Numpad1")  # along an axis: its disc stands aside
+    page.wait("no handle under another", lambda: page.ask(COVERED) == [])
+    page.tab.keyboard.press("Numpad0")
     middle = np.array(asset(page, 1)["center"])
     page.settled()
     labels = [step["label"] for step in page.state()["history"]]

@@ -283,6 +283,7 @@ def test_the_eraser_takes_the_layers_paint_and_leaves_what_is_below(opened: tupl
         height, width, _ = pixels.shape
         return pixels[height // 2 - 3 : height // 2 + 4, width // 2 - 3 : width // 2 + 4].mean((0, 1))
 
+    bare = middle()
     page.drag((0.4, 0.5), (0.6, 0.5))
     page.settled()
     red = middle()
@@ -298,6 +299,20 @@ def test_the_eraser_takes_the_layers_paint_and_leaves_what_is_below(opened: tupl
     assert np.abs(middle() - red).max() < 0.05 and page.names() == ["Paint", "Paint 2"]
     page.tab.keyboard.press("Control+z")
     page.wait("the blue again", lambda: middle()[2] > 0.5)
+    page.tab.keyboard.down("Shift")
+    page.drag((0.5, 0.42), (0.5, 0.58))
+    page.wait("a layer of its own", lambda: page.names() == ["Paint", "Paint 2", "Erase to original"])
+    page.settled()
+    assert np.abs(middle() - bare).max() < 0.1, "below all paint"
+    page.drag((0.47, 0.42), (0.47, 0.58))
+    page.settled()
+    page.tab.keyboard.up("Shift")
+    page.tab.locator("#stage").press("ArrowRight")
+    page.drag((0.53, 0.42), (0.53, 0.58))
+    page.wait("one of the other view", lambda: page.names()[-1] == "Erase to original 2")
+    page.settled()
+    labels = [step["label"] for step in page.state()["history"]][-3:]
+    assert labels == ["add Erase to original", "Erase to original", "add Erase to original 2"]
 
 
 def test_masks_hide_and_show_a_layer(opened: tuple[studio_scenes.Live, Page]) -> None:
@@ -349,6 +364,13 @@ def test_masks_hide_and_show_a_layer(opened: tuple[studio_scenes.Live, Page]) ->
     panel.get_by_role("textbox", name="To, number").press("Enter")
     page.wait("all heights", lambda: red(page.pixels(), 0.5) > 0.9)
     assert len(page.state()["history"]) == steps
+    panel.get_by_label("By").select_option("coverage")
+    panel.get_by_label("Shows", exact=True).select_option("As in the original")
+    page.wait("by coverage", lambda: page.state()["history"][-1]["label"] == "mask (coverage) of Paint")
+    page.settled()
+    page.wait("all of it", lambda: red(page.pixels(), 0.5) > 0.9)
+    panel.get_by_label("Shows", exact=True).select_option("Predicted")
+    page.wait("nothing of it", lambda: red(page.pixels(), 0.5) < 0.1)
     panel.get_by_role("button", name="Hide all").click()
     page.wait("nothing of it", lambda: np.array_equal(page.pixels(), before))
     panel.get_by_role("button", name="Off").click()

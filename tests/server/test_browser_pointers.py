@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splatpainter.server.image_registration import png_bytes
 from tests.support import studio_scenes
 from tests.support.studio_pages import Page, opened_page
 
@@ -55,6 +56,23 @@ def test_every_tool_answers(opened: tuple[studio_scenes.Live, Page], kind: str) 
     hand.tool("Brush")
     hand.drag((0.42, 0.45), (0.5, 0.45), (0.58, 0.45))
     hand.step("Brush in Paint")
+    tab.get_by_role("tab", name="Brush").click()
+    tab.locator(".tips input[type=file]").set_input_files(
+        {"name": "cross.png", "mimeType": "image/png", "buffer": cross()}
+    )
+    page.wait("the tip of the picture", lambda: "A picture" in tab.locator(".tips").inner_text())
+    hand.drag((0.45, 0.4), (0.55, 0.4))
+    hand.step("Brush in Paint")
+    tab.locator(".presets").get_by_title("Round", exact=True).click()
+    tab.get_by_role("button", name="Mask of the layer").click()
+    mask = tab.get_by_role("group", name="Mask of Paint")
+    mask.get_by_role("button", name="Paint").click()
+    page.wait("the mask", lambda: page.state()["layers"][0]["mask"])
+    hand.drag((0.42, 0.45), (0.45, 0.45))
+    hand.step("Hide in the mask of Paint")
+    mask.get_by_role("button", name="Remove").click()
+    page.wait("no mask", lambda: page.state()["layers"][0]["mask"] is None)
+    tab.get_by_role("button", name="Mask of the layer").click()
     hand.tool("Line")
     hand.drag((0.42, 0.55), (0.58, 0.58))
     hand.step("Line in Paint")
@@ -139,3 +157,10 @@ def test_symmetry_mirrors_strokes_and_says_where_it_does_not(opened: tuple[studi
     keys.press("b")
     tab.locator(".options").get_by_role("button", name="Symmetry").click()
     page.wait("no hint", lambda: "Symmetry:" not in tab.locator(".options").inner_text())
+
+
+def cross() -> bytes:
+    """A PNG of a dark cross on white."""
+    pixels = np.full((16, 16), 255, np.uint8)
+    pixels[6:10] = pixels[:, 6:10] = 0
+    return png_bytes(np.repeat(pixels[..., None], 3, -1))

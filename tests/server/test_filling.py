@@ -16,7 +16,11 @@ from tests.support.studio_pages import opened_page
 from tests.support.studio_scenes import Live, view, wire
 
 TOOL = """
-import sys
+import pathlib, sys, time
+mark = pathlib.Path(sys.argv[3])
+if not mark.exists():  # this call hangs until it is cancelled
+    mark.touch()
+    time.sleep(600)
 from PIL import Image
 image = Image.open(sys.argv[1]).convert("RGB")
 w, h = image.size
@@ -27,9 +31,10 @@ image.save(sys.argv[2])
 
 @pytest.fixture
 def tool(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A picture source that paints the middle of a view green."""
+    """A picture source that paints the middle of a view green; it hangs where there is no file `mark`."""
     (tmp_path / "tool.py").write_text(TOOL, encoding="utf-8")
-    run = f"{sys.executable} {tmp_path / 'tool.py'} {{image}} {{out}}"
+    (tmp_path / "mark").touch()
+    run = f"{sys.executable} {tmp_path / 'tool.py'} {{image}} {{out}} {tmp_path / 'mark'}"
     monkeypatch.setenv("SPLATPAINTER_COMMAND_RUN", run)
     monkeypatch.setenv("SPLATPAINTER_COMMAND_STRICTNESS", "loose")
 
@@ -98,6 +103,13 @@ def test_the_page_removes_fills_asks_and_takes_it_back(browser: Any, tool: None,
         page.tab.get_by_text("Filled from its surroundings").click()
         ask = page.tab.get_by_role("button", name="Ask", exact=True)
         page.wait("the sources", ask.is_enabled)
+        (tmp_path / "mark").unlink()
+        ask.click()
+        page.wait("the program", (tmp_path / "mark").exists)
+        page.tab.locator(".jobs").get_by_role("button", name="Cancel").click()
+        page.settled()
+        page.wait("the end of the job", lambda: page.tab.locator(".jobs .job").count() == 0)
+        assert not page.state()["layers"][1]["views"] and np.array_equal(page.pixels(), filled), "cancelled: as it was"
         ask.click()
         page.wait("its colours", lambda: page.state()["layers"][1]["views"])
         page.settled()

@@ -374,3 +374,27 @@ def test_folding_gives_room_back(path: Path) -> None:
         assert result is not None
         project.fold([], first, result, second)
         assert project.rows("PRAGMA freelist_count")[0][0] == 0
+
+
+def test_erasing_back_to_the_original_goes_on_in_one_layer_and_thumbnails_stay_those_of_paint() -> None:
+    with flat() as session:
+        paint = painted(session, 2)
+        thumbnail = session.layer(paint).thumbnail
+        session.paint(paint, [dab(RED, 10)], kind="erase")
+        assert session.layer(paint).thumbnail == thumbnail
+        left, right = dab(RED, 11, radius=4), dab(RED, 20, radius=4)
+        assert left.mask is not None and right.mask is not None
+        both = replace(left, mask=left.mask | right.mask)
+        eraser = session.add("erase", [left]).id
+        session.erase_more(eraser, [right])
+        grown = print_of(session)
+        assert len(session.layers) == 2 and len(session.layer(eraser).views) == 1
+        assert session.verify(repaint=True) == []
+        session.undo()
+        session.delete(eraser)
+        session.add("erase", [both])
+        assert print_of(session) == grown
+        with pytest.raises(ValueError, match="of the same views"):
+            session.erase_more(session.layers[1].id, [replace(right, camera=SIDE)])
+        with pytest.raises(ValueError, match="of the same views"):
+            session.erase_more(paint, [right])

@@ -251,7 +251,8 @@ class AssetCommands(StrokeCommands):
             stroke, pictures = new_layer(below, kind, pieces, name, dict(parameters or {}), settings, cut_out=True)
             stroke, thumbnail = replace(stroke, thumbnail=None), stroke.thumbnail
             document, stroke = add_stroke(document, target, stroke)
-            document = change_layer(document, target, thumbnail=thumbnail)
+            if kind != "erase":  # that of an eraser is its mask
+                document = change_layer(document, target, thumbnail=thumbnail)
             blobs |= pictures
             targets.append(target)
             stroke_ids.append(stroke.id)

@@ -18,7 +18,7 @@ from splatpainter.painter import Asset, Edit, Method, Painter
 from splatpainter.session.delta import bare
 from splatpainter.session.document import STROKE_KINDS, Document, Kind, Layer, add_layer, add_stroke, change_layer
 from splatpainter.session.fingerprint import fingerprint
-from splatpainter.session.layer_factory import decode_mask_part, encode_mask_part, new_layer
+from splatpainter.session.layer_factory import decode_mask, decode_mask_part, encode_mask_part, new_layer
 from splatpainter.session.layer_mask import MAX_PARTS, LayerMask, MaskPart, over
 from splatpainter.session.project_file import Transaction
 from splatpainter.session.scene_asset import MAIN, SceneAsset
@@ -138,7 +138,8 @@ class StrokeCommands(ABC):
         stroke, thumbnail = replace(stroke, thumbnail=None), stroke.thumbnail
         document, stroke = add_stroke(document, layer, stroke)
         self._transaction.blobs = blobs
-        document = change_layer(document, layer, thumbnail=thumbnail)
+        if kind != "erase":  # that of an eraser is its mask
+            document = change_layer(document, layer, thumbnail=thumbnail)
         self._commit(f"{name} in {target.name}", document, strict=stroke.id)
         self._fold(layer)
         return self.layer(layer)
@@ -236,6 +237,36 @@ class StrokeCommands(ABC):
             fields |= {"name": fresh.name, "parameters": fresh.parameters}
             document = change_layer(self._document, layer, **fields)
             self._commit(f"change {before.name}", document, strict=layer, gesture=gesture)
+            return self.layer(layer)
+
+    def erases_on(self, layer: str, cameras: Sequence[Camera]) -> bool:
+        """Whether a layer is an eraser (back to the original) of just these views, so that `erase_more` can go on."""
+        target = self.layer(layer)
+        cameras = [self._camera_of(target, camera) for camera in cameras]
+        views = [view.camera for view in target.views]
+        return (
+            target.kind == "erase"
+            and len(views) == len(cameras)
+            and all(any(_same(view, camera) for camera in cameras) for view in views)
+        )
+
+    def erase_more(self, layer: str, edits: Sequence[Edit], *, name: str = "Erase to original") -> Layer:
+        """Back to the original where the masks of edits reach, too: those of an eraser layer that `add` made grow. It
+        is one step of the history. Raises ValueError as `add`, for other layers, and for other views than the layer
+        has: each would say that what it shows beside its mask stays."""
+        with self._command():
+            if not self.erases_on(layer, [edit.camera for edit in edits]):
+                raise ValueError(f"{self.layer(layer).title}: expected an eraser of the same views")
+            target, grown = self.layer(layer), []
+            for edit in self._edits_of(target, edits):
+                (view,) = (one for one in target.views if _same(one.camera, edit.camera))
+                earlier = decode_mask(self._transaction.blob(view.mask or ""), view.camera, target.title)
+                grown.append(replace(edit, mask=earlier if edit.mask is None else earlier | edit.mask))
+            settings = {"mode": "local", "method": target.method, "painter": target.painter}
+            fresh, blobs = new_layer(self.below(layer), "erase", grown, target.name, {}, settings)
+            self._transaction.blobs = blobs
+            document = change_layer(self._document, layer, views=fresh.views, thumbnail=fresh.thumbnail)
+            self._commit(name, document, strict=layer)
             return self.layer(layer)
 
     def set_mask(self, layer: str, mask: LayerMask | None, *, what: str = "mask", gesture: str | None = None) -> Layer:

@@ -8,6 +8,7 @@ import { DabPath, Stabiliser, type Brush } from "./dabs";
 import {
   beginStroke,
   cancelStroke,
+  chosenEraser,
   chosenMask,
   chosenPaintLayer,
   cloneFrom,
@@ -99,9 +100,10 @@ export const paintBrush = along(() => {
 export const eraser = along((pen) => {
   if (chosenMask()) return maskStroke(!maskShows.value);
   const chosen = pen.shift ? null : chosenPaintLayer();
+  const more = chosenEraser();
   const stroke = chosen
     ? beginStroke("erase", "Erase")
-    : beginStroke("erase", "Erase to original", brush.value.opacity, {});
+    : beginStroke("erase", "Erase to original", brush.value.opacity, more ? { layer: more.id } : {});
   if (!stroke) return null;
   let original: Pixels | null = null;
   stroke.setSource(picture(() => original ?? stroke.base));

@@ -79,6 +79,13 @@ export function chosenPaintLayer(): LayerInfo | null {
   return layer && layer.strokes !== null ? layer : null;
 }
 
+/** The chosen layer, if strokes back to the original can go on in it; from another view they make a new one. */
+export function chosenEraser(): LayerInfo | null {
+  const layer = state.value?.layers.find((one) => one.id === selectedLayer.value);
+  const fits = layer?.kind === "erase" && layer.visible && layer.opacity === brush.value.opacity;
+  return fits ? layer : null;
+}
+
 /** The layer whose mask is being painted, while it is the chosen one. */
 export function chosenMask(): LayerInfo | null {
   const layer = state.value?.layers.find((one) => one.id === maskedLayer.value);
@@ -138,7 +145,7 @@ export function beginStroke(
     onScreen: () => camera.value === now,
     kind,
     layer: kind === "erase" && !single ? (chosen?.id ?? null) : null,
-    name: single && !(target as StrokeTarget).replaces && kind !== "mask" ? unused(name) : name,
+    name: single && !target.replaces && !target.layer ? unused(name) : name,
     target: single ? () => target : paintTarget(),
     commit: async (fields) => {
       const { layer: id, into_new, replaces } = fields;

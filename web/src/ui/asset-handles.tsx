@@ -15,6 +15,10 @@ const AXES = [
 const ARROW = 62;
 const DISC = 84;
 const GRAB = 9;
+/** Where the square that scales is. */
+const SQUARE = 46;
+/** An axis that is seen shorter has its disc aside: the others would lie over it. */
+const END_ON = 24;
 const GROW_PX = 140;
 type Point = readonly [number, number];
 type Part = "move" | "scale" | `${"along" | "about"} ${0 | 1 | 2}`;
@@ -23,6 +27,19 @@ type Part = "move" | "scale" | `${"along" | "about"} ${0 | 1 | 2}`;
 function project(now: CameraJson, p: Vec3): { at: Point; depth: number } | null {
   const [x, y, z] = now.world_to_camera.map((row) => row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3]);
   return z > 1e-6 ? { at: [(now.fx * x) / z + now.cx, (now.fy * y) / z + now.cy], depth: z } : null;
+}
+
+/** The diagonal direction, so many pixels long, that leads farthest from all points. */
+function freeDiagonal(length: number, points: readonly Point[]): Point {
+  const side = length / Math.SQRT2;
+  const corners: Point[] = [
+    [side, side],
+    [-side, side],
+    [-side, -side],
+    [side, -side],
+  ];
+  const room = ([x, y]: Point) => Math.min(...points.map((point) => Math.hypot(x - point[0], y - point[1])));
+  return corners.reduce((best, corner) => (room(corner) > room(best) + 1 ? corner : best));
 }
 
 interface Drag {
@@ -50,6 +67,13 @@ export function AssetHandles() {
     const [x, y] = end ? [end.at[0] * shrink - at[0], end.at[1] * shrink - at[1]] : [0, 0];
     return [x, y] as const;
   });
+  const discs: Point[] = [];
+  for (const [x, y] of tips) {
+    const length = Math.hypot(x, y);
+    const out = (length + DISC - ARROW) / length;
+    discs.push(length > END_ON ? [x * out, y * out] : freeDiagonal(DISC, [...tips, ...discs]));
+  }
+  const [squareX, squareY] = freeDiagonal(SQUARE, [...tips, ...discs]);
   const grab = (part: Part) => (event: PointerEvent) => {
     event.preventDefault();
     event.stopPropagation();
@@ -97,9 +121,7 @@ export function AssetHandles() {
       <g transform={`translate(${at[0]} ${at[1]})`}>
         {AXES.map(([name, color], k) => {
           const [x, y] = tips[k];
-          const length = Math.hypot(x, y);
-          const [ox, oy] =
-            length > 1 ? [(x / length) * (length + DISC - ARROW), (y / length) * (length + DISC - ARROW)] : [0, 0];
+          const [ox, oy] = discs[k];
           return (
             <g key={name} stroke={color} fill={color}>
               <line x2={x} y2={y} stroke-width="2.5" />
@@ -115,7 +137,7 @@ export function AssetHandles() {
         <circle class="grab middle" r={GRAB} {...handle("move")}>
           <title>Move in the view</title>
         </circle>
-        <rect class="grab middle" x={26} y={26} width={14} height={14} {...handle("scale")}>
+        <rect class="grab middle" x={squareX - 7} y={squareY - 7} width={14} height={14} {...handle("scale")}>
           <title>Scale: drag to the right or left</title>
         </rect>
       </g>

@@ -7,6 +7,7 @@ import { sendBlob } from "../net/blobs";
 import { assets, chosenAsset, draggedAsset, selectedAsset } from "../state/assets";
 import { readOnly, selectedLayer } from "../state/store";
 import { report, run } from "../state/studio";
+import { frameAll } from "./header";
 import { Button, Dialog, FileButton, NumberField } from "./parts";
 
 const FORMATS = ".ply,.splat,.ksplat,.spz,.sog,.glb,.gltf,.zip";
@@ -154,12 +155,21 @@ function Stand({ asset, several }: { asset: SceneAssetInfo; several: boolean }) 
   );
 }
 
+/** Choose an asset, with all of the scene in the window, as soon as it is there. */
+function chooseAdded(asset: string): void {
+  selectedAsset.value = asset;
+  const stop = assets.subscribe((all) => {
+    if (!all.some((one) => one.id === asset)) return;
+    queueMicrotask(() => (stop(), frameAll()));
+  });
+}
+
 function Adding({ onClose }: { onClose: () => void }) {
   const [projects, setProjects] = useState<RecentProjects | null>(null);
   useEffect(() => void run("project.recent", {}).then(setProjects), []);
   const added = async (work: Promise<{ asset: string } | null>) => {
     const answer = await work;
-    if (answer) selectedAsset.value = answer.asset;
+    if (answer) chooseAdded(answer.asset);
     onClose();
   };
   const send = async (file: File) => {
@@ -181,7 +191,7 @@ function Adding({ onClose }: { onClose: () => void }) {
           onClick={() => void added(run("scene.add", { demo: true }, "Demo asset"))}
         />
       </p>
-      <p class="quiet">It stands to the right of what is there. Its layers go with it wherever it is moved.</p>
+      <p class="quiet">It stands beside what is there. Its layers go with it wherever it is moved.</p>
       <h3>Recent projects, as they were opened</h3>
       <ul class="list">
         {projects?.recent.map((one) => (

@@ -25,6 +25,13 @@ const SHOWS = [
   ["hide", "Hide"],
   ["show", "Show"],
 ] as const;
+/** What coverage can be (session/layer_mask.py), as ranges "low high". */
+const COVERAGES = [
+  ["0 0", "As in the original"],
+  ["1 1", "Seen by an edited view"],
+  ["2 2", "Predicted"],
+  ["1 2", "Seen or predicted"],
+] as const;
 /** The rule in hand, and of which layer: its sliders are there then. */
 const rule = signal<{ layer: string; name: RuleName; low: number; high: number; soft: number } | null>(null);
 
@@ -150,8 +157,23 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
           </>
         )}
       </p>
+      {r?.name === "coverage" && (
+        <p class="row">
+          <Choice
+            label="Shows"
+            value={`${r.low} ${r.high}`}
+            options={COVERAGES}
+            disabled={off}
+            onChange={(range) => {
+              const [low, high] = range.split(" ").map(Number);
+              byRule(layer, { low, high }, true);
+            }}
+          />
+        </p>
+      )}
       {r &&
         measure &&
+        r.name !== "coverage" &&
         (["low", "high", "soft"] as const).map((key) => (
           <Slider
             key={key}

@@ -121,12 +121,17 @@ export function SelectionPanel() {
       <ByValue />
       <details>
         <summary>Floaters</summary>
-        <Percent
+        <Slider
           label="Up to"
-          value={Math.sqrt(floaterShare.value)}
+          value={floaterShare.value * 100}
           min={0.01}
-          onInput={(v) => (floaterShare.value = v * v)}
+          max={100}
+          log
+          digits={2}
+          unit=" %"
+          onInput={(v) => (floaterShare.value = v / 100)}
         />
+        <p class="quiet">of the surface of the largest part</p>
         <p class="row">
           <Button
             label="Small parts in the air, and haze that touches nothing"

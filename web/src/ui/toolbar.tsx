@@ -65,17 +65,20 @@ export function Toolbar() {
           onChange={(event) => setColor(event.currentTarget.value)}
         />
       </label>
-      <span class="second-color" style={{ background: secondColor.value }}>
-        <Button
-          icon="swap"
-          command="color.swap"
-          onClick={() => {
-            const second = secondColor.value;
-            secondColor.value = color.value;
-            setColor(second);
-          }}
-        />
-      </span>
+      <span
+        class="second-color"
+        title={`Second colour: ${secondColor.value}`}
+        style={{ background: secondColor.value }}
+      />
+      <Button
+        icon="swap"
+        command="color.swap"
+        onClick={() => {
+          const second = secondColor.value;
+          secondColor.value = color.value;
+          setColor(second);
+        }}
+      />
     </nav>
   );
 }

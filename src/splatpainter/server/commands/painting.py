@@ -6,6 +6,7 @@ import base64
 import binascii
 import secrets
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -167,8 +168,8 @@ class PaintEnd(Command):
     ANSWER = LayerMade
     stroke: str
     layer: str | None = None
-    """Paint layer that it goes into; None: a new layer. Paint for one that is gone or hidden by now goes into a new
-    one."""
+    """Paint layer that it goes into, or of an eraser also a layer that goes back to the original, if it is of this
+    view (else a new one); None: a new layer. Paint for one that is gone or hidden by now goes into a new one."""
     into_new: Name | None = None
     """Name of a new paint layer on top that it is the first stroke of."""
     replaces: str | None = None
@@ -207,7 +208,7 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
     kind = "erase" if stroke.erase else "paint"
     parameters: dict[str, Any] = {} if stroke.erase else dict(request.limits.parameters())
     with progress(context, "painting"):
-        if request.layer is not None:
+        if request.layer is not None and session.layer(request.layer).kind != "erase":
             splats = session.painted_on(request.layer)
         elif request.replaces is not None:
             splats = session.below(request.replaces)
@@ -224,6 +225,12 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
         if half is not None and (half.mask & (render_alpha(splats, half.camera) > MIN_MIRRORED_ALPHA)).any():
             image = half.over(render_display(splats, half.camera)).astype(np.float32)
             edits.append(Edit(from_display(image, splats.color_space), half.camera, half.mask, request.name))
+        if request.layer is not None and session.layer(request.layer).kind == "erase":
+            if not session.erases_on(request.layer, [edit.camera for edit in edits]):
+                taken = {layer.name for layer in session.layers}
+                names = (f"{request.name} {k}" if k > 1 else request.name for k in count(1))
+                name = next(name for name in names if name not in taken)
+                request = request.model_copy(update={"layer": None, "name": name})
         layer, line = _committed(context, request, edits, kind, parameters)
     context.page.strokes.pop(request.stroke, None)
     context.page.mirrored.pop(request.stroke, None)
@@ -271,6 +278,9 @@ def _committed(
         options: dict[str, Any] = {"name": request.name, "parameters": parameters}
         layer = session.replace_views(request.replaces, edits, **options, gesture=request.gesture, attached=attached).id
         return layer, python_line("session.replace_views", layer, words, **options)
+    if request.layer is not None and kind == session.layer(request.layer).kind == "erase":
+        layer = session.erase_more(request.layer, edits, name=request.name).id
+        return layer, python_line("session.erase_more", layer, words, name=request.name)
     if request.layer is not None or request.into_new is not None:
         options = {"name": request.name, "kind": kind, "method": request.method}
         options |= {"parameters": parameters} if parameters else {}
