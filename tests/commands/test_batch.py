@@ -162,8 +162,8 @@ def test_a_decal_in_another_format(folder: Path, capfd: Capture) -> None:
     assert (folder / "out/shoe1.spz").read_bytes() == (folder / "d.spz").read_bytes()
 
 
-def test_pictures_of_a_source_are_asked_for_once(folder: Path, capfd: Capture) -> None:
-    """A program paints; of two variants the second one fails after it, and later the program is not asked again."""
+def counted_source(folder: Path) -> dict:
+    """The keys of a `source` that paints by a program, which appends its prompt to the file `calls`."""
     program = folder / "paint.py"
     program.write_text(
         "import sys; from PIL import Image\n"
@@ -172,7 +172,13 @@ def test_pictures_of_a_source_are_asked_for_once(folder: Path, capfd: Capture) -
         f"open({str(folder / 'calls')!r}, 'a').write(sys.argv[3] + ' ')\n"
     )
     run_option = f"{sys.executable} {program} {{image}} {{out}} {{prompt}}"
-    source = {"name": "command", "prompt": "moss on {asset}", "options": {"run": run_option}, "view": "cam.json"}
+    return {"name": "command", "prompt": "moss on {asset}", "options": {"run": run_option}, "view": "cam.json"}
+
+
+def test_pictures_of_a_source_are_asked_for_once(folder: Path, capfd: Capture) -> None:
+    """A program paints; the edit after it fails, and later the program is not asked again."""
+    source = counted_source(folder)
+    run_option = source["options"]["run"]
     edits = [{"source": source}, {"grade": {"lut": "{asset}.cube"}}]
     jobs = jobs_file(folder, json.dumps({"assets": ["shoes/shoe0.ply"], "edits": edits}))
     (folder / "shoe0.cube").write_text("LUT_1D_SIZE 2\n0 0 0\n")
@@ -188,6 +194,27 @@ def test_pictures_of_a_source_are_asked_for_once(folder: Path, capfd: Capture) -
     assert run(capfd, "edit", folder / "shoes/shoe0.ply", *words, "--out", painted).code == 0
     assert run(capfd, "grade", painted, "--lut", folder / "shoe0.cube", "--out", out).code == 0
     assert out.read_bytes() == (folder / "out/shoe0.ply").read_bytes()
+
+
+def test_what_variants_have_in_common_is_asked_for_once(folder: Path, capfd: Capture) -> None:
+    source = counted_source(folder)
+    variants = [{"name": f"v{k}", "edits": [{"grade": {"exposure": k}}]} for k in (1, 2)]
+    batch = {"assets": ["shoes/shoe0.ply"], "edits": [{"source": source}], "variants": [*variants, {"name": "plain"}]}
+    jobs = jobs_file(folder, json.dumps(batch))
+    assert run(capfd, "batch", jobs, "--dry-run").out.endswith("3 of 3 jobs to do: 1 free call\n")
+    (folder / "out").mkdir()
+    (folder / "out" / "shoe0-v2.ply").write_bytes(b"mine")  # this job fails, and is made later
+    assert run(capfd, "batch", jobs).code == 1
+    assert run(capfd, "batch", jobs, "--dry-run").out.endswith("1 of 3 jobs to do\n")
+    (folder / "out" / "shoe0-v2.ply").unlink()
+    assert run(capfd, "batch", jobs).code == 0 and (folder / "calls").read_text() == "moss on shoe0 "
+    assert not (folder / "out" / "jobs" / ".common").exists()
+    graded = folder / "graded.ply"
+    assert run(capfd, "grade", folder / "out/shoe0-plain.ply", "--exposure", 2, "--out", graded).code == 0
+    assert graded.read_bytes() == (folder / "out/shoe0-v2.ply").read_bytes()
+    source["prompt"] = "moss on {variant}"
+    jobs = jobs_file(folder, json.dumps({**batch, "out": "each"}))
+    assert run(capfd, "batch", jobs, "--dry-run").out.endswith("3 of 3 jobs to do: 3 free calls\n")
 
 
 def test_views_are_refined(folder: Path, capfd: Capture) -> None:

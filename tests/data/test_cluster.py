@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -54,6 +56,21 @@ def test_cancelled_work_ends_with_its_workers(tmp_path: Path) -> None:
     for process in multiprocessing.active_children():
         process.join(60)
     assert multiprocessing.active_children() == []
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    program = (
+        "import sys; from splatpainter.data.cluster import run_in_pool; from tests.support.killers import Work\n"
+        "list(run_in_pool(Work(sys.argv[1], hangs=0), range(1), 1))"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE)
+    for _ in range(600):
+        if attempts(tmp_path, 0):
+            break
+        time.sleep(0.1)
+    assert attempts(tmp_path, 0) == 1
+    parent.kill()
+    parent.communicate(timeout=60)  # ends when nobody holds its stdout any more
 
 
 def test_an_error_of_the_work_itself_is_raised(tmp_path: Path) -> None:

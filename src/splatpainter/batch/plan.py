@@ -64,6 +64,8 @@ class Job:
     preview_px: int = 320
     overwrite: bool = False
     """Replace a result that no batch made."""
+    common: int = 0
+    """Of the steps, the first ones that other variants of the asset have as well."""
 
     def hashes(self) -> list[str]:
         """Per step, a hash of all that its result depends on: the asset's bytes and every edit up to it. Raises
@@ -128,7 +130,7 @@ def read_jobs(path: Path, overwrite: bool = False) -> JobList:
             ]
             jobs.append(
                 Job(name, asset, variant, target, out / "jobs" / name, tuple(steps), batch.frame, preview,
-                    batch.preview.size, overwrite)
+                    batch.preview.size, overwrite, len(batch.edits) if len(variants) > 1 else 0)
             )  # fmt: skip
     return JobList(path, out, tuple(jobs))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
+import threading
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -128,8 +129,21 @@ def _pool(workers: int) -> ProcessPoolExecutor:
     # spawn: a forked child of a process with threads (torch, numba, Mitsuba) can hang.
     limit = 61 if sys.platform == "win32" else workers  # what Windows can wait for at once
     return ProcessPoolExecutor(
-        min(workers, limit), multiprocessing.get_context("spawn"), initializer=limit_threads, initargs=(share,)
+        min(workers, limit), multiprocessing.get_context("spawn"), initializer=_begin_worker, initargs=(share,)
     )
+
+
+def _begin_worker(threads: int) -> None:
+    limit_threads(threads)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would go on writing beside the next run, and then wait for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def limit_threads(count: int) -> None:

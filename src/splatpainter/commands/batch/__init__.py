@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -63,7 +64,7 @@ class Config:
 def run(config: Config) -> Outcome:
     """Plan, lock the folder, work, summarise."""
     from splatpainter.batch.plan import read_jobs
-    from splatpainter.commands.batch.work import BatchWork
+    from splatpainter.commands.batch.work import COMMON, BatchWork
     from splatpainter.commands.targets import check_folder, make_folder
 
     if config.workers < 1:
@@ -88,6 +89,8 @@ def run(config: Config) -> Outcome:
         records = follow_jobs(work, plan.jobs, config) if config.events else run_jobs(work, plan.jobs, config)
         write_summary(plan, records)
         write_page(plan, records)
+        if all(record["status"] == "done" for record in records):
+            shutil.rmtree(plan.out / "jobs" / COMMON, ignore_errors=True)
     return _outcome(plan, records, config)
 
 
@@ -207,11 +210,12 @@ def _dry_run(plan: JobList) -> Outcome:
     from splatpainter.commands.batch.work import calls_of, finished
 
     jobs, lines, totals = [], [], {True: 0, False: 0}
+    counted: set[Path] = set()
     for job in plan.jobs:
         calls: list[dict[str, Any]] = []
         try:
             state, reason = ("done", "") if finished(job, job.hashes()) else ("to do", "")
-            calls = calls_of(job) if state == "to do" else []
+            calls = calls_of(job, counted) if state == "to do" else []
         except (ValueError, OSError) as error:
             state, reason = "fails", str(error)
         for call in calls:

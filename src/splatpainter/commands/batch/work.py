@@ -2,8 +2,9 @@
 
 A step is a run of `splatpainter edit` or `grade` (or a project's layers, exported), from a file to a file in the job's
 folder. A step that is done leaves its hash beside its file, so after a kill only what was in work is done again, and
-what a paid source has answered is not asked for twice. The last file takes its name at the end, with the receipt from
-the asset to it: of one edit that of the command, of several one of the whole way.
+what a paid source has answered is not asked for twice. What all variants of an asset begin with is made once for all of
+them: they would pay for a source's picture each, and get different ones. The last file takes its name at the end, with
+the receipt from the asset to it: of one edit that of the command, of several one of the whole way.
 """
 
 from __future__ import annotations
@@ -28,12 +29,17 @@ from splatpainter.commands.verify import read_receipt, receipt_of
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, read
 from splatpainter.io.sog import META
 from splatpainter.receipts import Receipt, prove
+from splatpainter.session.lock import ProjectLock
 from splatpainter.sources.registry import open_source
 from splatpainter.sources.source_options import option_words
 from splatpainter.splats import Frame, Splats
 
 RECORD, BEFORE, AFTER = "record.json", "before.webp", "after.webp"
 """Files of a finished job's folder."""
+COMMON = ".common"
+"""Folder beside those of the jobs, for steps that variants have in common."""
+TURN_SECONDS = 0.1
+"""Between looks at whether another worker has made such a step."""
 MAX_RECORD_BYTES = 1 << 20
 PREVIEW_QUALITY = 85
 """Of WebP, 0..100."""
@@ -95,7 +101,10 @@ def run_job(job: Job) -> dict[str, Any]:
     for k, (step, digest) in enumerate(zip(job.steps, hashes, strict=True)):
         target = _step_file(job, k)
         if not _step_done(job, k, digest):
-            run_step(step, asset, target, frame)
+            if k < job.common:
+                _copy(make_common(job, k, digest, asset, frame), target)
+            else:
+                run_step(step, asset, target, frame)
             write_text(job.folder / f"step-{k}.done", digest)
         # Numbers of one format keep their axes from file to file; another format has its own.
         frame = frame if format_of_name(target) == format_of_name(asset) else "auto"
@@ -168,6 +177,32 @@ def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
         replay_layers(cast(LayersEdit, values), asset, target, frame)
 
 
+def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame) -> Path:
+    """The file of a step that variants have in common, with its receipt; made by whoever comes first. Errors as of
+    `run_step`."""
+    target = common_file(job, k, digest)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    while (lock := ProjectLock.take(target)) is None:
+        time.sleep(TURN_SECONDS)
+    try:
+        if not is_proved(target):
+            run_step(job.steps[k], asset, target, frame)
+    finally:
+        lock.release()
+    return target
+
+
+def common_file(job: Job, k: int, digest: str) -> Path:
+    """Where it lies: by its hash, and in the format that this job wants."""
+    _, _, ending = _step_file(job, k).name.partition(".")
+    return job.folder.parent / COMMON / f"{digest[:32]}.{ending}"
+
+
+def _copy(made: Path, target: Path) -> None:
+    shutil.copyfile(made, target)
+    shutil.copyfile(receipt_of(made), receipt_of(target))
+
+
 def source_config(step: SourceStep, asset: Path, target: Path, frame: Frame, dry_run: bool = False) -> edit.Config:
     """The options of `splatpainter edit` of a step."""
     names = ("prompt", "azimuth", "elevation", "size", "views", "max_views", "seed", "enlarge", "mode", "method")
@@ -188,11 +223,18 @@ def source_config(step: SourceStep, asset: Path, target: Path, frame: Frame, dry
     )
 
 
-def calls_of(job: Job) -> list[dict[str, Any]]:
-    """What the sources of a job would be asked: per step, `source`, `calls` and `paid`; nothing is sent."""
+def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
+    """What the sources of a job would be asked: per step, `source`, `calls` and `paid`; nothing is sent, and nothing
+    counted that was asked before a kill. counted: steps that variants have in common and that are counted already;
+    this job's are added."""
     out = []
     with tempfile.TemporaryDirectory() as folder:  # an existing one; nothing is written
-        for step in job.steps:
+        for k, (step, digest) in enumerate(zip(job.steps, job.hashes(), strict=True)):
+            common = common_file(job, k, digest)
+            if _step_done(job, k, digest) or (k < job.common and (common in counted or is_proved(common))):
+                continue
+            if k < job.common:
+                counted.add(common)
             if isinstance(step.step, SourceStep):
                 config = source_config(step.step, job.asset, Path(folder) / "plan.ply", job.frame, dry_run=True)
                 out.append(edit.run(config).record)
@@ -273,9 +315,16 @@ def _step_file(job: Job, k: int) -> Path:
 def _step_done(job: Job, k: int, digest: str) -> bool:
     """Whether a step was finished before, and its file is what its receipt says."""
     try:
-        target = _step_file(job, k)
         mark = files.read_head(job.folder / f"step-{k}.done", 100).decode(errors="replace")
-        return mark == digest and _file_sha256(target) == read_receipt(receipt_of(target)).output_sha256
+    except (ValueError, OSError):
+        return False
+    return mark == digest and is_proved(_step_file(job, k))
+
+
+def is_proved(target: Path) -> bool:
+    """Whether a file is there and is what its receipt says."""
+    try:
+        return _file_sha256(target) == read_receipt(receipt_of(target)).output_sha256
     except (ValueError, OSError):
         return False
 
