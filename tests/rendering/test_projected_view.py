@@ -99,6 +99,40 @@ def test_tiles_of_covers_every_pixel_a_gaussian_draws():
     assert loose < 0.15 * len(view.flatten_ids)
 
 
+@pytest.mark.parametrize("share", [1.1, 0.4, 0.1])
+def test_a_part_of_a_view_is_that_view_projected_anew(share: float):
+    splats, camera = with_odd_gaussians(scene(300, seed=4, dtype=np.float32)), cameras(150, 110)[0]
+    rng = np.random.default_rng(1)
+    view, tiles = project(splats, camera), rng.random(tile_shape(camera)) < share
+    some = rng.random(len(splats)) < 0.6
+    for kept in (np.ones(len(splats), bool), some):
+        part, anew = (
+            view.part(tiles=tiles, gaussian_mask=kept),
+            project(splats, camera, tiles=tiles, gaussian_mask=kept),
+        )
+        drawn = np.diff(anew.pair_offsets) > 0  # where all tiles are drawn some may touch none
+        np.testing.assert_array_equal(part.gaussian_ids, anew.gaussian_ids[drawn])
+        np.testing.assert_array_equal(part.projected, anew.projected[drawn])
+        np.testing.assert_array_equal(part.gaussian_ids[part.flatten_ids], anew.gaussian_ids[anew.flatten_ids])
+        for name in ("tiles", "pair_ids", "tile_ids", "isect_offsets"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(anew, name))
+        for one, other in zip(part.rasterize(), anew.rasterize(), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_touched_tiles_are_also_those_that_are_not_drawn():
+    splats, camera = scene(200, seed=5, dtype=np.float32), cameras(150, 110)[0]
+    tiles = np.zeros(tile_shape(camera), bool)
+    tiles[0] = True
+    part = project(splats, camera, tiles=tiles)
+    chosen = np.arange(len(part)) % 3 == 0
+    mask = np.zeros(len(splats), bool)
+    mask[part.gaussian_ids[chosen]] = True
+    touched = part.touched_tiles(chosen)
+    np.testing.assert_array_equal(touched, project(splats, camera, gaussian_mask=mask).tiles_of(mask))
+    assert (touched & ~tiles).any()
+
+
 def test_what_a_frame_exposes():
     splats, camera = scene(30, 2, 4, dtype=np.float32), cameras(40, 30)[0]
     view = project(splats, camera)

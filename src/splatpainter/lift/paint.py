@@ -74,12 +74,16 @@ def paint_view(
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, 0.0)
     reach = dilated(mask, RING_PX)
     view = project(splats, camera, tiles=tiles_of_mask(reach))
-    tiles = _tiles_at_work(splats, camera, reach, view)
-    ids = _drawn_in(splats, camera, tiles, view)
-    view = replace(view, gaussian_ids=np.searchsorted(ids, view.gaussian_ids), num_gaussians=len(ids))
+    around = project(splats, camera, tiles=_tiles_at_work(reach, view))
+    around = around.part() if around.tiles.all() else around  # without those that only might touch a tile
+    order = np.argsort(around.gaussian_ids)
+    ids, number = around.gaussian_ids[order], np.empty(len(order), np.int64)
+    number[order] = np.arange(len(order))
+    around = replace(around, gaussian_ids=number, num_gaussians=len(ids))
+    view = around.part(tiles=view.tiles)
     originals = len(splats) if first_appended is None else first_appended
     first = int(np.searchsorted(ids, originals))
-    part = _paint_part(splats.take(ids), surface, view, edited, mask, options, first, originals, tiles)
+    part = _paint_part(splats.take(ids), surface, view, around, edited, mask, options, first, originals)
     return _put_back(splats, ids, _new_rounded(part, len(ids)) if options.resurface else part)
 
 
@@ -87,15 +91,15 @@ def _paint_part(
     splats: Splats,
     surface: Surface,
     view: ProjectedView,
+    around: ProjectedView,
     edited: np.ndarray,
     mask: np.ndarray,
     options: LocalOptions,
     first_appended: int,
     originals: int,
-    tiles: np.ndarray,
 ) -> PaintedView:
-    """`paint_view` on the Gaussians that it depends on. view: of them, the tiles of the mask and its ring; originals:
-    how many the whole asset has; tiles: [TH, TW] bool, of `read_by_edit`."""
+    """`paint_view` on the Gaussians that it depends on. view: of them, the tiles of the mask and its ring; around: the
+    tiles of `read_by_edit`; originals: how many the whole asset has."""
     camera, reach = view.camera, dilated(mask, RING_PX)
     before, alpha, _ = view.rasterize()
     solid = alpha > MIN_COVER
@@ -117,7 +121,7 @@ def _paint_part(
     may, none = gaussians_in_mask(splats, camera, mask, None, view), np.zeros(0, np.int64)
     sheet = None
     if not is_fine(painted, may, first_appended, originals, options):
-        sheet = resurface(splats, view, visible, before, alpha, target, pixels, options, first_appended)
+        sheet = resurface(splats, view, around, visible, before, alpha, target, pixels, options, first_appended)
     if sheet is None:
         lifted = lift_local(splats, camera, target, painted, options, may)
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, limited)
@@ -125,7 +129,7 @@ def _paint_part(
     left = painted & ~sheet.covered
     if left.sum() <= options.max_left_px:
         return result
-    return _then_split(result, camera, target, left, options, may, tiles)
+    return _then_split(result, camera, target, left, options, may, around.tiles)
 
 
 def _new_rounded(part: PaintedView, count: int) -> PaintedView:
@@ -188,23 +192,13 @@ def read_by_edit(
     ValueError where no Gaussian contributes to the masked pixels."""
     reach = dilated(mask, RING_PX)
     view = view or project(splats, camera, tiles=tiles_of_mask(reach))
-    return _tiles_at_work(splats, camera, reach, view), gaussians_in_mask(splats, camera, mask, None, view)
+    return _tiles_at_work(reach, view), gaussians_in_mask(splats, camera, mask, None, view)
 
 
-def _tiles_at_work(splats: Splats, camera: Camera, reach: np.ndarray, view: ProjectedView) -> np.ndarray:
+def _tiles_at_work(reach: np.ndarray, view: ProjectedView) -> np.ndarray:
     """[TH, TW] bool tiles of `view`, and of all Gaussians that make pixels of `reach` ([H, W] bool)."""
     sums = view.backproject(np.zeros((*reach.shape, 3), np.float32), reach.astype(np.float32))
-    touching = np.zeros(len(splats), bool)
-    touching[view.gaussian_ids[sums.alpha > 0]] = True
-    return view.tiles | project(splats, camera, gaussian_mask=touching).tiles_of(touching)
-
-
-def _drawn_in(splats: Splats, camera: Camera, tiles: np.ndarray, view: ProjectedView) -> np.ndarray:
-    """[S] int64 ascending: Gaussians that touch some tiles ([TH, TW] bool). view: of some of these tiles."""
-    drawn = np.zeros(len(splats), bool)
-    drawn[view.gaussian_ids] = True
-    drawn[project(splats, camera, tiles=tiles & ~view.tiles).gaussian_ids] = True
-    return np.flatnonzero(drawn)
+    return view.tiles | view.touched_tiles(sums.alpha > 0)
 
 
 def _then_split(

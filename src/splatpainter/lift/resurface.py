@@ -97,6 +97,7 @@ class Resurfaced:
 def resurface(
     splats: Splats,
     view: ProjectedView,
+    around: ProjectedView,
     visible: VisibleSurface,
     before: np.ndarray,
     alpha: np.ndarray,
@@ -107,10 +108,10 @@ def resurface(
 ) -> Resurfaced | None:
     """Lay a sheet under some pixels as far as the surface is trusted; None where it is nowhere.
 
-    view: of `splats`, at least the tiles of `pixels`; visible: the surface at these; before: [H, W, 3] its picture;
-    target: [H, W, 3] float32 the picture to reach (equal to `before` in the ring); pixels: [H, W] bool;
-    first_appended: Gaussians from this index on are no part of the original, and their indices may take any sheet
-    Gaussian."""
+    view: of `splats`, at least the tiles of `pixels`; around: those of all Gaussians that make these pixels;
+    visible: the surface at these; before: [H, W, 3] its picture; target: [H, W, 3] float32 the picture to reach
+    (equal to `before` in the ring); pixels: [H, W] bool; first_appended: Gaussians from this index on are no part of
+    the original, and their indices may take any sheet Gaussian."""
     camera = view.camera
     ys, xs = np.nonzero(pixels)
     depth = np.zeros(pixels.shape)
@@ -137,26 +138,78 @@ def resurface(
         near = NearSurface.of(surface, covered)
         ys, xs = np.nonzero(fringe)
         depth[ys, xs] = surface.at(np.stack([xs, ys], 1) + 0.5).depth
-    candidates = np.zeros(len(splats), bool)
     sums = view.backproject(np.zeros_like(before), covered.astype(np.float32))
+    candidates, seen = np.zeros((2, len(splats)), bool)
     candidates[view.gaussian_ids[sums.alpha > 0]] = True
-    seen = np.zeros(len(splats), bool)
     seen[view.gaussian_ids[sums.peak > options.min_share]] = True
-    tiles = project(splats, camera, gaussian_mask=candidates).tiles_of(candidates) | tiles_of_mask(pixels)
-    ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
-    patch = splats.take(ids)
-    lattice, gone = _cut(Lattice.of(patch, camera), candidates[ids], seen[ids], near, covered, tiles, options)
+    tiles = view.touched_tiles(sums.alpha > 0) | tiles_of_mask(pixels)
+    around = around.part(tiles=tiles)
+    ids = np.flatnonzero(candidates)
+    base, first = splats.take(ids), _numbered(around.part(gaussian_mask=candidates), candidates)
+    lattice, gone = _cut(Lattice.of(base, camera), first, seen[ids], near, covered, options)
+    rest = _Rest.of(candidates, ids, lattice, gone)
     cells = flat_cells(target, covered, depth, camera.fx)
     geometry, index = sheet_geometry(surface, cells, target)
     cells = Cells(cells.centers[index], cells.sizes[index])
-    rest = lattice.splats()
-    sheet, hosts = _sheet(rest, gone, geometry, cells, colors, cover, tiles, camera)
-    remaining = np.flatnonzero(~gone)
-    goal = np.where(covered[..., None], target, project(patch, camera, tiles=tiles).rasterize()[0])
-    split = row_max(lattice.level[remaining]) > 0
+    replaced = np.flatnonzero(gone)
+    if len(replaced):
+        hidden, owners = lattice.some(replaced).splats(), ids[lattice.parent[replaced]]
+    else:
+        hidden, owners = rest.splats(splats, lattice), rest.owners
+    sheet, hosts = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
+    goal = np.where(covered[..., None], target, around.rasterize()[0])
     weights = np.where(painted, covered, UNEDITED_WEIGHT).astype(np.float32)
-    joined = _painted(rest.take(remaining).append(sheet), split, camera, tiles, goal, covered, weights, options)
-    return _assemble(splats, ids, lattice, gone, joined, hosts, covered, first_appended)
+    joined = rest.splats(splats, lattice, sheet)
+    joined, moved = _painted(joined, rest.split, camera, tiles, goal, covered, weights, options)
+    emptied = ids[lattice.parent[gone & lattice.slot]]
+    return _assemble(splats, rest, emptied, joined, moved, owners[hosts], covered, first_appended)
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """The R Gaussians that remain beside a sheet, pieces of those that were cut at the place of their parents."""
+
+    owners: np.ndarray = field(repr=False)
+    """[R] int64 ascending: the Gaussian that each is, or is a piece of."""
+    pieces: np.ndarray = field(repr=False)
+    """[R] int64 index in the lattice; -1: not in it."""
+    split: np.ndarray = field(repr=False)
+    """[R] bool: pieces."""
+    slot: np.ndarray = field(repr=False)
+    """[R] bool: those that stay at their owner's index."""
+
+    @staticmethod
+    def of(candidates: np.ndarray, ids: np.ndarray, lattice: Lattice, gone: np.ndarray) -> _Rest:
+        """candidates: [N] bool, those of the lattice; ids: [C] their indices; gone: [S'] bool, which the sheet
+        replaces."""
+        others, chosen = np.flatnonzero(~candidates), np.flatnonzero(~gone)
+        owners = np.concatenate([others, ids[lattice.parent[chosen]]])
+        pieces = np.concatenate([np.full(len(others), -1), chosen])
+        order = np.argsort(owners, kind="stable")
+        owners, pieces = owners[order], pieces[order]
+        split, slot = np.append(lattice.level.any(1), False), np.append(lattice.slot, True)  # the latter: of index -1
+        return _Rest(owners, pieces, split[pieces], slot[pieces])
+
+    def splats(self, base: Splats, lattice: Lattice, more: Splats | None = None) -> Splats:
+        """They, followed by `more`. base: all Gaussians, N."""
+        halved = np.flatnonzero(self.split)
+        cut = lattice.some(self.pieces[halved]).splats()
+        out = base.take(self.owners)
+        arrays = {}
+        for name in ATTRIBUTES:
+            values = getattr(out, name)
+            values[halved] = getattr(cut, name)
+            arrays[name] = values if more is None else np.concatenate([values, getattr(more, name)])
+        origin = out.origin
+        if more is not None and origin is not None and more.origin is not None:
+            origin = np.concatenate([origin, more.origin])
+        return replace(out, **arrays, origin=origin)
+
+
+def _numbered(view: ProjectedView, gaussian_mask: np.ndarray) -> ProjectedView:
+    """A view of some Gaussians ([N] bool) alone, numbered in their order."""
+    number = np.cumsum(gaussian_mask) - 1
+    return replace(view, gaussian_ids=number[view.gaussian_ids], num_gaussians=int(gaussian_mask.sum()))
 
 
 def without_islands(mask: np.ndarray) -> np.ndarray:
@@ -239,21 +292,18 @@ class NearSurface:
 
 def _cut(
     lattice: Lattice,
-    candidates: np.ndarray,
+    view: ProjectedView,
     seen: np.ndarray,
     near: NearSurface,
     covered: np.ndarray,
-    tiles: np.ndarray,
     options: LocalOptions,
 ) -> tuple[Lattice, np.ndarray]:
-    """Halve Gaussians that lie across the sheet's edge: (the lattice, [S'] bool those that go). candidates: [S] bool;
-    seen: [S] bool, those that make the picture: what is hidden behind them goes or stays as one."""
+    """Halve Gaussians that lie across the sheet's edge: (the lattice, [S'] bool those that go). lattice: of S that make
+    covered pixels, nothing halved; view: of these; seen: [S] bool, those that make the picture: what is hidden behind
+    them goes or stays as one."""
     inside, zeros = covered.astype(np.float32), np.zeros((*covered.shape, 3), np.float32)
-    active, camera = candidates, near.camera
+    ids, splats = np.arange(len(lattice)), lattice.base
     for turn in range(MAX_RIM_HALVINGS + 1):
-        ids = np.flatnonzero(active)
-        splats = lattice.some(ids).splats()
-        view = project(splats, camera, tiles=tiles)
         share = np.zeros(len(lattice))
         total = view.backproject(zeros, np.ones_like(inside)).alpha
         share[ids[view.gaussian_ids]] = view.backproject(zeros, inside).alpha / np.maximum(total, 1e-9)
@@ -261,17 +311,19 @@ def _cut(
         chosen = np.flatnonzero(share[ids] > OUTSIDE)
         touching[ids[chosen]] = near.touches(splats.geometry(chosen))
         across = touching & (share < INSIDE)
-        wide = across & seen[lattice.parent] & (row_max(lattice.widths) > RIM_GOAL_PX)
+        wide = across & seen[lattice.parent]
+        wide[wide] = row_max(lattice.some(np.flatnonzero(wide)).widths) > RIM_GOAL_PX
         if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:
             break
         lattice, source = lattice.halved(wide, RIM_GOAL_PX)
-        active = touching[source]
+        ids = np.flatnonzero(touching[source])
+        splats = lattice.some(ids).splats()
+        view = project(splats, view.camera, tiles=view.tiles)
     return lattice, touching & (share > np.where(across, 0.5, INSIDE))
 
 
 def _sheet(
-    rest: Splats,
-    gone: np.ndarray,
+    hidden: Splats,
     geometry: SheetGeometry,
     cells: Cells,
     colors: np.ndarray,
@@ -279,26 +331,26 @@ def _sheet(
     tiles: np.ndarray,
     camera: Camera,
 ) -> tuple[Splats, np.ndarray]:
-    """(C Gaussians in the picture's colours, [C] their hosts among `rest`: the Gaussians that go and weigh most in
-    their pixels)."""
+    """(C Gaussians in the picture's colours, [C] their hosts: those of the `hidden` ones, in place of which the sheet
+    lies, that weigh most in their pixels)."""
     xs, ys = cells.centers.astype(np.int64).T
-    view = project(rest, camera, gaussian_mask=gone, tiles=tiles) if gone.any() else project(rest, camera, tiles=tiles)
+    view = project(hidden, camera, tiles=tiles)
     heaviest = view.heaviest_gaussians()
     hosts = heaviest[ys, xs]
     if (hosts < 0).any():
         nearest = nearest_pixels(heaviest >= 0)
         hosts = heaviest.ravel()[nearest[ys, xs]]
-    toward = np.zeros((len(rest), 3), np.float32)
+    toward = np.zeros((len(hidden), 3), np.float32)
     toward[view.gaussian_ids] = view.unclamped_colors
-    parents, dtype = rest.take(hosts), rest.means.dtype
+    parents, dtype = hidden.take(hosts), hidden.means.dtype
     sheet = Splats(
-        _within_horizon(rest, hosts, heaviest, geometry, cells.centers, camera).astype(dtype),
+        _within_horizon(hidden, hosts, heaviest, geometry, cells.centers, camera).astype(dtype),
         geometry.quats.astype(dtype),
         geometry.scales.astype(dtype),
         (SHEET_OPACITY * cover[ys, xs]).astype(dtype),
         recolor(parents.sh, toward[hosts], colors[ys, xs]),
-        rest.antialiased,
-        rest.color_space,
+        hidden.antialiased,
+        hidden.color_space,
         parents.source,
         parents.origin,
     )
@@ -306,26 +358,26 @@ def _sheet(
 
 
 def _within_horizon(
-    rest: Splats, hosts: np.ndarray, heaviest: np.ndarray, geometry: SheetGeometry, pixels: np.ndarray, camera: Camera
+    hidden: Splats, hosts: np.ndarray, heaviest: np.ndarray, geometry: SheetGeometry, pixels: np.ndarray, camera: Camera
 ) -> np.ndarray:
     """[C, 3] float64 the means of sheet Gaussians. Those near the horizon and beyond MAX_HOST_SIGMAS of all Gaussians
     that make the pixels around are moved along the lines of sight of their pixels ([C, 2]) to where their host ([C],
-    ids of `rest`) is densest: the edited view stays as it is. heaviest: [H, W] ids of `rest`, -1: none."""
+    ids of `hidden`) is densest: the edited view stays as it is. heaviest: [H, W] ids of `hidden`, -1: none."""
     means = geometry.means
     normals = quat_to_matrix(geometry.quats)[:, :, 2]
     sight = means - camera.position
     facing = np.abs((normals * sight).sum(1)) / np.maximum(np.linalg.norm(sight, axis=1), 1e-30)
     far = np.flatnonzero(facing < math.cos(math.radians(HORIZON_DEGREES)))
-    far = far[_sigmas(rest, hosts[far], means[far]) > MAX_HOST_SIGMAS]
+    far = far[_sigmas(hidden, hosts[far], means[far]) > MAX_HOST_SIGMAS]
     height, width = heaviest.shape
     xs, ys = pixels[far].astype(np.int64).T
     for dy in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
         for dx in range(-HOST_REACH_PX, HOST_REACH_PX + 1):
             beside = heaviest[np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)]
-            outside = (beside < 0) | (_sigmas(rest, np.maximum(beside, 0), means[far]) > MAX_HOST_SIGMAS)
+            outside = (beside < 0) | (_sigmas(hidden, np.maximum(beside, 0), means[far]) > MAX_HOST_SIGMAS)
             far, xs, ys = far[outside], xs[outside], ys[outside]
     x, y = ((pixels[far] - (camera.cx, camera.cy)) / (camera.fx, camera.fy)).T
-    depth, _ = depths_along(rest.geometry(hosts[far]), camera, np.stack([x, y, np.ones(len(far))], 1))
+    depth, _ = depths_along(hidden.geometry(hosts[far]), camera, np.stack([x, y, np.ones(len(far))], 1))
     ahead = depth > 0
     out = means.copy()
     out[far[ahead]] = camera.unproject(depth[ahead], pixels[far[ahead]])
@@ -350,9 +402,10 @@ def _painted(
     covered: np.ndarray,
     weights: np.ndarray,
     options: LocalOptions,
-) -> Splats:
-    """Colour rounds of the sheet, of the pieces around it and of what hangs before it. split: [S] bool, which of the
-    first S Gaussians are pieces; the ones behind them are the sheet."""
+) -> tuple[Splats, np.ndarray]:
+    """(the Gaussians after colour rounds of the sheet, of the pieces around it and of what hangs before it; bool of
+    each, whether its colour changed). split: [S] bool, which of the first S Gaussians are pieces; the ones behind them
+    are the sheet."""
     view, first = project(joined, camera, tiles=tiles), len(split)
     added = view.gaussian_ids >= first
     zeros, everywhere = np.zeros_like(goal), np.ones(covered.shape, np.float32)
@@ -368,27 +421,29 @@ def _painted(
     for chosen, damping in ((moved & added, 1.0), (moved & ~added, options.damping)):
         ids = view.gaussian_ids[chosen]
         sh[ids] = recolor(sh[ids], before[chosen], lifted[chosen], damping)
-    return replace(joined, sh=sh)
+    changed = np.zeros(len(joined), bool)
+    changed[view.gaussian_ids[moved]] = True
+    return replace(joined, sh=sh), changed
 
 
 def _assemble(
     splats: Splats,
-    ids: np.ndarray,
-    lattice: Lattice,
-    gone: np.ndarray,
+    rest: _Rest,
+    emptied_ids: np.ndarray,
     joined: Splats,
-    hosts: np.ndarray,
+    moved: np.ndarray,
+    host: np.ndarray,
     covered: np.ndarray,
     first_appended: int,
 ) -> Resurfaced:
     """Everything at its index: pieces of a Gaussian at that of their parent, one sheet Gaussian at that of its host,
-    further ones at emptied indices that are no part of the original; the rest is appended."""
-    slot, parent = lattice.slot[~gone], ids[lattice.parent[~gone]]
-    first = len(slot)
+    further ones at emptied indices that are no part of the original; the rest is appended. joined: the rest, then the
+    sheet; moved: [R + C] bool those of other colours than before; emptied_ids: indices that nothing of the rest has;
+    host: [C]."""
+    first = len(rest.owners)
     emptied = np.zeros(len(splats), bool)
-    emptied[ids[lattice.parent[gone & lattice.slot]]] = True
-    host = ids[lattice.parent[hosts]]
-    index = np.full(len(hosts), -1, np.int64)
+    emptied[emptied_ids] = True
+    index = np.full(len(host), -1, np.int64)
     fitting = np.flatnonzero(emptied[host])
     _, chosen = np.unique(host[fitting], return_index=True)
     index[fitting[chosen]] = host[fitting[chosen]]
@@ -400,8 +455,10 @@ def _assemble(
     settled = np.flatnonzero(index >= 0)
     removed = np.flatnonzero(emptied)
 
-    written = np.concatenate([parent[slot], index[settled], removed])
-    source = np.concatenate([np.flatnonzero(slot), first + settled])
+    changed = np.flatnonzero(rest.slot & (rest.split | moved[:first]))  # the others have the bits that they had
+    written = np.concatenate([rest.owners[changed], index[settled], removed])
+    source = np.concatenate([changed, first + settled])
+    tail = np.concatenate([np.flatnonzero(~rest.slot), first + np.flatnonzero(index < 0)])
     values, touched = {}, np.zeros(len(splats), bool)
     for name in ATTRIBUTES:
         old = getattr(splats, name)
@@ -409,12 +466,17 @@ def _assemble(
         if name == "opacities":
             new[len(source) :] = 0
         differs = (new.view(np.uint32) != old[written].view(np.uint32)).reshape(len(new), -1).any(1)
+        if len(tail):
+            values[name] = np.concatenate([old, getattr(joined, name)[tail]])
+        elif differs.any():
+            values[name] = old.copy()
         if differs.any():
             touched[written[differs]] = True
-            values[name] = old.copy()
             values[name][written] = new
-    tail = np.concatenate([np.flatnonzero(~slot), first + np.flatnonzero(index < 0)])
-    parents = np.concatenate([parent[~slot], host[index < 0]])
-    result = replace(splats, **values)
-    result = result.append(joined.take(tail)) if len(tail) else result
+    origin = splats.origin
+    if len(tail) and origin is not None:
+        assert joined.origin is not None
+        origin = np.concatenate([origin, joined.origin[tail]])
+    parents = np.concatenate([rest.owners[~rest.slot], host[index < 0]])
+    result = replace(splats, **values, origin=origin)
     return Resurfaced(result, np.flatnonzero(touched), np.sort(index[settled]), removed, parents, covered)

@@ -8,7 +8,7 @@ of the splats. `values[view.gaussian_ids]` goes from the N Gaussians to these, `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,6 +111,46 @@ class ProjectedView:
         out = np.zeros(self.tiles.size, bool)
         out[self.tile_ids[hit]] = True
         return out.reshape(self.tiles.shape)
+
+    def touched_tiles(self, entries: np.ndarray) -> np.ndarray:
+        """[TH, TW] bool: all tiles, drawn or not, that the ellipses of these entries ([M] bool) touch."""
+        grid = np.array([0, self.tiles.shape[1], 0, self.tiles.shape[0]])
+        hit = np.zeros((threads(), self.tiles.size), bool)
+        run(tile_binning.mark_tiles, self.projected, simd.readonly(entries, np.bool_), grid, hit)
+        return np.any(hit, axis=0).reshape(self.tiles.shape)
+
+    def part(self, *, tiles: np.ndarray | None = None, gaussian_mask: np.ndarray | None = None) -> ProjectedView:
+        """What `project` would give for some of the drawn tiles ([TH, TW] bool; None: all of them) and for some of the
+        Gaussians ([N] bool; None: all of them), bit for bit, without those that touch none of these tiles."""
+        tiles = self.tiles if tiles is None else tiles & self.tiles
+        counts = np.diff(self.isect_offsets)
+        used = tiles.ravel()[self.tile_ids]  # [T]
+        pairs = np.repeat(used, counts)  # [P]
+        if gaussian_mask is not None:
+            pairs &= gaussian_mask[self.gaussian_ids][self.flatten_ids]
+        entries, pair_ids = self.flatten_ids[pairs], self.pair_ids[pairs]
+        per_entry = np.bincount(entries, minlength=len(self))
+        present = per_entry > 0
+        new_entry = np.cumsum(present, dtype=np.int32) - np.int32(1)
+        chosen = np.zeros(len(self.pair_ids), bool)
+        chosen[pair_ids] = True
+        new_pair = np.cumsum(chosen, dtype=np.int32) - np.int32(1)
+        sums = np.append(0, np.cumsum(pairs))
+        per_tile = (sums[self.isect_offsets[1:]] - sums[self.isect_offsets[:-1]])[used]
+        at = np.flatnonzero(present)
+        projected = simd.aligned((len(at), COLUMNS), self.projected.dtype)
+        np.take(self.projected, at, axis=0, out=projected)
+        return replace(
+            self,
+            tiles=tiles,
+            gaussian_ids=self.gaussian_ids[at],
+            projected=simd.readonly(projected, projected.dtype),
+            pair_offsets=np.append(0, np.cumsum(per_entry[at])),
+            flatten_ids=new_entry[entries],
+            pair_ids=new_pair[pair_ids],
+            tile_ids=self.tile_ids[used],
+            isect_offsets=np.append(0, np.cumsum(per_tile)),
+        )
 
     def rasterize(self, colors: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Composite the drawn tiles: (image [H, W, 3] over the camera's background, alpha [H, W], expected z-depth

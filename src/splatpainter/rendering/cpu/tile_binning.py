@@ -123,6 +123,41 @@ def list_pairs(projected, begins, max_tiles, grid, tile_slots, ends, pair_tiles,
 
 
 @kernel
+def mark_tiles(projected, selected, grid, hit, thread, threads):
+    """Set hit [shares, T] where a tile of the grid (all that it spans) is touched by an entry that is selected
+    ([M] bool)."""
+    F = projected.dtype.type
+    m = projected.shape[0]
+    shares = hit.shape[0]
+    width = grid[1] - grid[0]
+    for share in range(thread, shares, threads):
+        for i in range(m * share // shares, m * (share + 1) // shares):
+            if not selected[i]:
+                continue
+            mx = projected[i, MEAN_X]
+            my = projected[i, MEAN_Y]
+            ey = projected[i, EXTENT_Y]
+            ex = projected[i, EXTENT_X]
+            ty0, ty1 = geo.tile_span(my, ey, grid[2], grid[3])
+            tx0, tx1 = geo.tile_span(mx, ex, grid[0], grid[1])
+            for ty in range(ty0, ty1):
+                begin, end = geo.tile_columns(
+                    mx,
+                    my,
+                    projected[i, CONIC_A],
+                    projected[i, CONIC_B],
+                    projected[i, SQUARED_RADIUS],
+                    ex,
+                    ey,
+                    F(ty) * F(TILE),
+                    tx0,
+                    tx1,
+                )
+                for tx in range(begin, end):
+                    hit[share, ty * width + tx] = True
+
+
+@kernel
 def place_pairs(begins, ends, pair_tiles, pair_offsets, first, flatten_ids, pair_ids, thread, threads):
     """Counting sort of the pairs by tile: flatten_ids[p] = entry, pair_ids[p] = the pair's number in order of entries.
     first [shares, T]: where each share of each tile begins."""

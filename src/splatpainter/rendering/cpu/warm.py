@@ -46,5 +46,6 @@ def warm_tiles() -> None:
     view.backproject(image, alpha)
     view.sirt_step(image, alpha)
     view.heaviest_gaussians()
+    view.touched_tiles(np.zeros(0, bool))
     CachedWeights.of(view, image, alpha, np.zeros(0, bool))
     view.rasterize_backward(ends, image, alpha, depth, image, alpha, depth)
