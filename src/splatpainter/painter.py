@@ -540,7 +540,8 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
     """The edit beside what the asset shows; partly: under the edit's mask, where it has one, that is enough. Raises
     ValueError, naming the edit, where there is nothing to do."""
     from splatpainter.lift.edit_views import EditView, errors_name
-    from splatpainter.lift.masks import edited_mask
+    from splatpainter.lift.masks import dilated, edited_mask
+    from splatpainter.lift.resurface import RING_PX
     from splatpainter.rendering.cpu.projected_view import tiles_of_mask
     from splatpainter.rendering.partial import PartialRender
     from splatpainter.voxels.raycast import is_inside
@@ -549,8 +550,10 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
         if is_inside(asset.splats, lambda: asset.grid, edit.camera.position):
             raise ValueError("edit: the camera is inside the object; step back until the surface is in view")
         mask = edit.mask
-        tiles = tiles_of_mask(mask) if partly and mask is not None and mask.any() else None
-        drawn = PartialRender.of(asset.splats, edit.camera, tiles)
+        tiles = beside = None
+        if partly and mask is not None and mask.any():
+            tiles, beside = tiles_of_mask(mask), tiles_of_mask(dilated(mask, RING_PX))
+        drawn = PartialRender.of(asset.splats, edit.camera, tiles, beside)
         if mask is None:
             mask = drawn.alphas > 0.5 if mode == "global" else edited_mask(edit.image, drawn.colors, drawn.alphas)
         if not mask.any():
@@ -559,7 +562,9 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
             )
             what = unchanged if edit.mask is None else "the mask is empty"
             raise ValueError(f"edit: nothing to do, {what}")
-    return EditView(edit.camera, edit.image, mask, drawn.colors, drawn.depths, drawn.alphas, edit.name, drawn.tiles)
+    return EditView(
+        edit.camera, edit.image, mask, drawn.colors, drawn.depths, drawn.alphas, edit.name, drawn.tiles, drawn.view
+    )
 
 
 def _before_and_after(

@@ -109,6 +109,12 @@ class Splats:
         return replace(self, **{k: torch.as_tensor(array).to(device, dtype) for k, array in values.items()})
 
     @cached_property
+    def middle(self) -> np.ndarray:
+        """[3] float64 the median of the centres of what can be drawn; zeros where nothing can."""
+        points = self.numpy().means[self.drawable]
+        return np.median(points, axis=0).astype(np.float64) if len(points) else np.zeros(3)
+
+    @cached_property
     def drawable(self) -> np.ndarray:
         """[N] bool: Gaussians that can be drawn (every attribute finite and in its range, as said at each above). The
         others are counted by `info` and `render`, keep their bytes, and are drawn by no renderer of this package."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.local_edit import gaussians_in_mask
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import VoxelGrid
+
+if TYPE_CHECKING:
+    from splatpainter.rendering.cpu.projected_view import ProjectedView
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,8 @@ class EditView:
     tiles: np.ndarray | None = field(default=None, repr=False)
     """[TH, TW] bool: tiles of the view that were rendered, at least all under the mask; None: all of them. Analytic
     lifts ask for no others."""
+    projected: ProjectedView | None = field(default=None, repr=False, compare=False)
+    """The asset in at least these tiles, if at hand."""
 
     @property
     def target(self) -> np.ndarray:

@@ -178,7 +178,10 @@ def _one_after_the_other(
                 grid = grid if k == 0 else voxelize(splats, grid.resolution)
                 allowed = editable_gaussians(grid, splats, view.camera, view.mask)
             settings = replace(options, max_error=1.0) if again[k] else options
-            painted = paint_view(splats, surface, view.camera, view.edited, view.mask, settings, allowed, first)
+            at_hand = view.projected if k == 0 else None
+            painted = paint_view(
+                splats, surface, view.camera, view.edited, view.mask, settings, allowed, first, view=at_hand
+            )
         changed[painted.touched] = True
         changed = np.append(changed, np.ones(len(painted.parents), bool))
         replaced[painted.replaced[painted.replaced < count]] = True

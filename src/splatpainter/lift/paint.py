@@ -60,20 +60,24 @@ def paint_view(
     options: LocalOptions = LOCAL_DEFAULTS,
     allowed: np.ndarray | None = None,
     first_appended: int | None = None,
+    *,
+    view: ProjectedView | None = None,
 ) -> PaintedView:
     """Write the masked pixels of `edited` onto the splats.
 
     surface: of the original; None, and edits of most of a picture: Gaussians are split, nothing is resurfaced. edited:
     [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may be split and recoloured where there
     is no surface (default: all; where there is one, those that visibly make the masked pixels may); first_appended:
-    number of Gaussians of the original (default: N).
+    number of Gaussians of the original (default: N); view: the splats in any tiles, if at hand.
     Raises ValueError when no Gaussian contributes to the masked pixels."""
     none = np.zeros(0, np.int64)
     if surface is None or is_wide(mask):
         lifted = lift_local(splats, camera, edited, mask, options, allowed)
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, 0.0)
     reach = dilated(mask, RING_PX)
-    view = project(splats, camera, tiles=tiles_of_mask(reach))
+    needed = tiles_of_mask(reach)
+    if view is None or not np.array_equal(view.tiles, needed):
+        view = project(splats, camera, tiles=needed)
     around = project(splats, camera, tiles=_tiles_at_work(reach, view))
     around = around.part() if around.tiles.all() else around  # without those that only might touch a tile
     order = np.argsort(around.gaussian_ids)

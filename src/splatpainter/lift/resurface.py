@@ -128,7 +128,8 @@ def resurface(
         return None
     if not np.array_equal(remaining, covered):
         covered, near = remaining, NearSurface.of(visible, remaining)
-    painted = (target != before).any(-1)
+    differs = target != before
+    painted = differs[..., 0] | differs[..., 1] | differs[..., 2]
     fringe, surface = fringe_of(painted, covered, depth > 0, alpha), visible
     colors, cover = target, np.ones(alpha.shape, np.float32)
     if fringe.any():
@@ -182,9 +183,9 @@ class _Rest:
     def of(candidates: np.ndarray, ids: np.ndarray, lattice: Lattice, gone: np.ndarray) -> _Rest:
         """candidates: [N] bool, those of the lattice; ids: [C] their indices; gone: [S'] bool, which the sheet
         replaces."""
-        others, chosen = np.flatnonzero(~candidates), np.flatnonzero(~gone)
-        owners = np.concatenate([others, ids[lattice.parent[chosen]]])
-        pieces = np.concatenate([np.full(len(others), -1), chosen])
+        beside, chosen = np.flatnonzero(~candidates), np.flatnonzero(~gone)
+        owners = np.concatenate([beside, ids[lattice.parent[chosen]]])
+        pieces = np.concatenate([np.full(len(beside), -1), chosen])
         order = np.argsort(owners, kind="stable")
         owners, pieces = owners[order], pieces[order]
         split, slot = np.append(lattice.level.any(1), False), np.append(lattice.slot, True)  # the latter: of index -1

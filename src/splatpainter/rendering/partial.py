@@ -6,11 +6,15 @@ Tiles are independent of each other, so a tile has the same bits whichever other
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
+
+if TYPE_CHECKING:
+    from splatpainter.rendering.cpu.projected_view import ProjectedView
 
 
 @dataclass(frozen=True)
@@ -28,10 +32,15 @@ class PartialRender:
     """[H, W] float32."""
     depths: np.ndarray = field(repr=False)
     """[H, W] float32 expected z-depth."""
+    view: ProjectedView | None = field(default=None, repr=False)
+    """The Gaussians in these tiles, and in those that were asked for beside them; None where nobody asked."""
 
     @staticmethod
-    def of(splats: Splats, camera: Camera, tiles: np.ndarray | None = None) -> PartialRender:
-        """tiles: [TH, TW] bool; None: all of them. Raises ValueError for sizes that `render` does not draw."""
+    def of(
+        splats: Splats, camera: Camera, tiles: np.ndarray | None = None, beside: np.ndarray | None = None
+    ) -> PartialRender:
+        """tiles: [TH, TW] bool; None: all of them; beside: more that the `view` is to have. Raises ValueError for sizes
+        that `render` does not draw."""
         from splatpainter.rendering import check_views, render
         from splatpainter.rendering.cpu.projected_view import project, tile_shape
 
@@ -42,8 +51,9 @@ class PartialRender:
             return PartialRender(
                 splats, camera, everywhere, picture.colors[0], picture.alphas[0, ..., 0], picture.depths[0, ..., 0]
             )
-        pictures = project(splats, camera, tiles=tiles).rasterize()
-        return PartialRender(splats, camera, tiles, *pictures)
+        view = project(splats, camera, tiles=tiles if beside is None else tiles | beside)
+        pictures = (view if (view.tiles == tiles).all() else view.part(tiles=tiles)).rasterize()
+        return PartialRender(splats, camera, tiles, *pictures, None if beside is None else view)
 
     def with_tiles(self, tiles: np.ndarray) -> PartialRender:
         """These tiles ([TH, TW] bool) drawn too."""
@@ -77,4 +87,4 @@ class PartialRender:
         for name in ("colors", "alphas", "depths"):
             pictures[name] = getattr(self, name).copy()
             pictures[name][pixels] = getattr(part, name)[pixels]
-        return replace(self, splats=splats, tiles=self.tiles | tiles, **pictures)
+        return replace(self, splats=splats, tiles=self.tiles | tiles, **pictures, view=None)

@@ -48,12 +48,6 @@ def home_view(splats: Splats, up: tuple[int, int, int], start: float) -> tuple[n
     return center, radius, view
 
 
-def middle(splats: Splats) -> np.ndarray:
-    """[3] float64 the median of what can be drawn."""
-    points = splats.means[splats.drawable]
-    return np.median(points, axis=0).astype(np.float64) if len(points) else np.zeros(3)
-
-
 def small_view(info: protocol.AssetInfo) -> cameras.Camera:
     """The first view of the asset, as small as a list shows it."""
     camera = info.home.to_camera()
@@ -114,7 +108,7 @@ def scene_assets(session: Session, name: str) -> list[protocol.SceneAssetInfo]:
     out = []
     for asset in session.assets:
         rows, placement = session.asset_original(asset.id), asset.placement
-        center = placement.points(middle(rows)[None])[0]
+        center = placement.points(rows.middle[None])[0]
         is_main = asset.id == MAIN and not session.snapshot.document.assets
         out.append(
             protocol.SceneAssetInfo(

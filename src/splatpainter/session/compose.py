@@ -263,7 +263,7 @@ class Replay:
             delta = result.delta if layer.opacity == 1 and mask is None else fading(result.delta, layer.opacity, mask)
         else:
             delta = blend_delta(below.splats, result.delta, layer.opacity, layer.blend, strength, mask)
-        splats = delta.apply(below.splats)
+        splats = (result if delta is result.delta else delta).apply(below.splats)
         span = (len(below.splats), len(splats))
         confidence = None if result.confidence is None else _fit(result.confidence, len(splats))
         state = LayerState(
@@ -566,7 +566,9 @@ class Replay:
         if layer.mode != "local" and SELECTION in layer.parameters:
             splats = mixed(self._selected(layer, below.splats), below.splats, splats)
         painter_state = None if asset.encoding is None else asset.encoding.state
-        return LayerResult(between(numbered, splats, parent_ids), facts, confidence, painter_state)
+        receipt = asset.receipt if splats is asset.splats and type(self.painter) is Painter else None
+        delta = between(numbered, splats, parent_ids, None if receipt is None else receipt.touched)
+        return LayerResult(delta, facts, confidence, painter_state).with_computed(below.splats, splats)
 
     def _selected(self, layer: Layer, splats: Splats) -> np.ndarray:
         """[N] float32 weights of the selection that a layer keeps to."""

@@ -79,18 +79,25 @@ class Delta:
     def apply(self, below: Splats) -> Splats:
         """The Gaussians after. Arrays in which no bit changes are shared with `below`."""
         assert len(below) == self.count, f"delta of {self.count} Gaussians on {len(below)}"
-        written = {}
+        written: dict[str, np.ndarray] = {}
         for name in ATTRIBUTES:
             old, (ids, new) = getattr(below, name), self.written(name)
-            if np.array_equal(float_bits(old[ids]), float_bits(new)):
+            same = np.array_equal(float_bits(old[ids]), float_bits(new))
+            if same and not len(self.appended):
                 continue
-            written[name] = old.copy()
-            written[name][ids] = new
-        result = replace(below, **written) if written else below
-        if not len(self.appended):
-            return result
-        tail = replace(self.appended, source=below.source, origin=self.origins(below))
-        return result.append(tail)
+            written[name] = np.concatenate([old, getattr(self.appended, name)])
+            if not same:
+                written[name][ids] = new
+        if not written:
+            return below
+        return self.numbered(replace(below, **written), below)
+
+    def numbered(self, after: Splats, below: Splats) -> Splats:
+        """`after`, which has the values that this makes of `below`, with source and origin as `below` has them."""
+        origin, tail = below.origin, self.origins(below)
+        if origin is not None and tail is not None and len(tail):
+            origin = np.concatenate([origin, tail])
+        return replace(after, source=below.source, origin=origin)
 
     def origins(self, below: Splats) -> np.ndarray | None:
         """[A] int64 the original's Gaussian that each appended one comes from, by way of its parent."""
@@ -99,10 +106,13 @@ class Delta:
         return np.where(self.parent_ids >= 0, below.origin[np.maximum(self.parent_ids, 0)], -1)
 
 
-def between(before: Splats, after: Splats, parent_ids: np.ndarray | None = None) -> Delta:
-    """The delta that makes `after` of `before`. parent_ids: [A], default none."""
+def between(
+    before: Splats, after: Splats, parent_ids: np.ndarray | None = None, changed: np.ndarray | None = None
+) -> Delta:
+    """The delta that makes `after` of `before`. parent_ids: [A], default none; changed: `changed_rows` of them, if at
+    hand."""
     n = len(before)
-    changed = changed_rows(before, after)
+    changed = changed_rows(before, after) if changed is None else changed
     tail = np.arange(n, len(after))
     parent_ids = np.full(len(tail), -1, np.int64) if parent_ids is None else parent_ids.astype(np.int64)
     values = bare(after.take(changed))

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
     from splatpainter.spread.spread import SpreadOptions
 
 MAX_PICTURE_PIXELS = 64_000_000
+MAX_RECENT_BYTES = 1 << 22
+"""Of pixels that were encoded lately and are at hand when they are asked for, each; ..."""
+_recent: deque[tuple[bytes, np.ndarray]] = deque(maxlen=3)
+"""... (bytes, pixels) of the latest picture, its mask, and a third one."""
 THUMBNAIL_PX = 96
 """Longer side of a thumbnail."""
 THUMBNAIL_COLORS = 64
@@ -67,8 +72,9 @@ def new_layer(
     blobs: dict[str, bytes] = {}
 
     def put(data: bytes) -> str:
-        blobs[files.sha256(data)] = data
-        return files.sha256(data)
+        sha = files.sha256(data)
+        blobs[sha] = data
+        return sha
 
     views, small = [], None
     for edit in edits:
@@ -167,13 +173,12 @@ def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = Fal
     THUMBNAIL_COLORS, a third of the bytes."""
     from PIL import Image
 
-    pixels = to_uint8(image)
     if mask is not None and mask.any():
-        ys, xs = np.nonzero(mask)
+        ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
         margin = 4 + max(np.ptp(ys), np.ptp(xs)) // 4
-        top, left = max(ys.min() - margin, 0), max(xs.min() - margin, 0)
-        pixels = pixels[top : ys.max() + margin + 1, left : xs.max() + margin + 1]
-    small = Image.fromarray(pixels)
+        top, left = max(ys[0] - margin, 0), max(xs[0] - margin, 0)
+        image = image[top : ys[-1] + margin + 1, left : xs[-1] + margin + 1]
+    small = Image.fromarray(to_uint8(image))
     small.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX))
     return _png(small.convert("RGB").quantize(THUMBNAIL_COLORS) if few_colors else small)
 
@@ -196,12 +201,32 @@ def _png(pixels: np.ndarray | Image.Image) -> bytes:
     file = io.BytesIO()
     image = Image.fromarray(pixels) if isinstance(pixels, np.ndarray) else pixels
     image.save(file, "PNG", compress_level=1)
-    return file.getvalue()
+    data = file.getvalue()
+    if isinstance(pixels, np.ndarray) and pixels.nbytes <= MAX_RECENT_BYTES:
+        copy = pixels.copy()
+        copy.flags.writeable = False
+        _recent.append((data, copy))
+    return data
+
+
+def _recently_encoded(data: bytes, camera: Camera, mode: str) -> np.ndarray | None:
+    """What `_pixels` would read of bytes that `_png` has just made of an array; None where it has not."""
+    for png, pixels in tuple(_recent):
+        if png is data and pixels.shape[:2] == (camera.height, camera.width):
+            channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+            if (mode, channels) in (("L", 1), ("LA", 2), ("RGB", 3), ("RGBA", 4)):
+                return pixels
+            if (mode, channels) == ("RGB", 4):
+                return pixels[..., :3]
+    return None
 
 
 def _pixels(data: bytes, camera: Camera, where: str, mode: str) -> np.ndarray:
     from PIL import Image
 
+    recent = _recently_encoded(data, camera, mode)
+    if recent is not None:
+        return recent
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own size warning: judged here
         try:

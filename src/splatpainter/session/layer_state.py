@@ -28,6 +28,20 @@ class LayerResult:
     """[N + A] uint8, of a global edit."""
     painter_state: Any = field(default=None, repr=False)
     """What the painter has learnt so far (fast weights), where it learns."""
+    computed: tuple[Splats, Splats] | None = field(default=None, repr=False, compare=False)
+    """(Gaussians below, what the delta makes of them), where the painter has just made these. Never stored."""
+
+    def with_computed(self, below: Splats, after: Splats) -> LayerResult:
+        """The same, where `after` has the values of what the delta makes of `below`."""
+        if not len(self.delta.appended) or after.means.dtype != np.float32:  # arrays that did not change are shared
+            return self
+        return replace(self, computed=(below, self.delta.numbered(after, below)))
+
+    def apply(self, below: Splats) -> Splats:
+        """What the delta makes of the Gaussians below."""
+        if self.computed is not None and self.computed[0] is below:
+            return self.computed[1]
+        return self.delta.apply(below)
 
     @property
     def problem(self) -> str:

@@ -246,7 +246,7 @@ def strokes_to_fold(results: Sequence[str], size_of: Callable[[str], int]) -> in
 def _after(painted: Painted, below: LayerState, result: LayerResult, chain: Chain, count: int) -> Painted:
     """With one more stroke, number `count` of the chain."""
     delta, before = result.delta, painted.state
-    splats = delta.apply(before.splats)
+    splats = result.apply(before.splats)
     state = replace(
         before,
         key=chain.keys[count],

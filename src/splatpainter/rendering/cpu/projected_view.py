@@ -156,8 +156,9 @@ class ProjectedView:
         """Composite the drawn tiles: (image [H, W, 3] over the camera's background, alpha [H, W], expected z-depth
         [H, W]). colors: [M, 3] in place of the SH colours, used as they are. Other tiles stay background, 0 and 0."""
         dtype, shape = self.projected.dtype, (self.camera.height, self.camera.width)
-        image, alpha, depth = np.empty((*shape, 3), dtype), np.empty(shape, dtype), np.empty(shape, dtype)
-        self.rasterize_into(image, alpha, depth, colors)
+        # Zeros that nobody writes cost nothing: the system hands out pages when they are touched.
+        image, alpha, depth = np.zeros((*shape, 3), dtype), np.zeros(shape, dtype), np.zeros(shape, dtype)
+        self.rasterize_into(image, alpha, depth, colors, empty=not any(self.camera.background))
         return image, alpha, depth
 
     def rasterize_into(
@@ -167,11 +168,13 @@ class ProjectedView:
         depth: np.ndarray,
         colors: np.ndarray | None = None,
         profile: Profile = "inria",
+        *,
+        empty: bool = False,
     ) -> np.ndarray:
-        """`rasterize` into given C-contiguous arrays. Returns [T] int64 where in `flatten_ids` each drawn tile stopped,
-        for `rasterize_backward`."""
+        """`rasterize` into given C-contiguous arrays. empty: they hold what undrawn tiles show already. Returns
+        [T] int64 where in `flatten_ids` each drawn tile stopped, for `rasterize_backward`."""
         background = self._background()
-        if len(self.tile_ids) < self.tiles.size:
+        if len(self.tile_ids) < self.tiles.size and not empty:
             image[:], alpha[:], depth[:] = background, 0, 0
         ends = np.empty(len(self.tile_ids), np.int64)
         lists = (self.with_colors(colors), self.flatten_ids, self.tile_ids, self.isect_offsets)
