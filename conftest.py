@@ -79,6 +79,33 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
         gc.enable()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """xdist's workers start with equal runs of the tests, and take from the ends of each other's runs when theirs is
+    over. So each run starts with a share of what takes longest, the files that drive a browser, and ends with short
+    tests: none waits for the last long ones of another."""
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    runs: list[list[pytest.Item]] = [[] for _ in range(workers)]
+    rest: list[pytest.Item] = []
+    for tests in files.values():
+        in_browser = any("browser" in getattr(test, "fixturenames", ()) for test in tests)
+        (min(runs, key=_weight) if in_browser else rest).extend(tests)
+    items.clear()
+    for left, run in zip(range(workers, 0, -1), runs, strict=True):
+        count = max((len(rest) + sum(map(len, runs[-left:]))) // left - len(run), 0)
+        items += run + rest[:count]
+        del rest[:count]
+    items += rest
+
+
+def _weight(tests: list[pytest.Item]) -> int:
+    """About how long tests in a browser take."""
+    return sum(4 if test.get_closest_marker("slow") else 1 for test in tests)
+
+
 def _remember_parsers() -> None:
     """A parser is built once per process and command, not a thousand times: 10 ms each. What tyro makes of a dataclass
     is frozen, and knows none of the words. It has no public name: where it gets another one, all parsers are built."""

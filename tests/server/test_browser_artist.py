@@ -159,7 +159,7 @@ def studio(browser: Any, tmp_path: Path) -> Iterator[tuple[Server, Page, Path]]:
     server = Server(asset, tmp_path)
     try:
         server.start()
-        page = Page(browser, server.url)
+        page = Page(browser, server.url, resolution="0.5")  # holes and letters are looked at
         page.tab.emulate_media(reduced_motion="reduce")
         yield server, page, asset
         page.tab.close()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.support import studio_scenes
-from tests.support.studio_pages import Page, opened_page
+from tests.support.studio_pages import FEW_PIXELS, Page, opened_page
 
 
 @pytest.fixture
@@ -26,10 +26,11 @@ def test_brushes_are_sized_chosen_kept_and_loaded(opened: tuple[studio_scenes.Li
     _, page = opened
     tab = page.tab
     radius = "window.studio.brushRadius(0.5, 0.5) / window.studio.camera.value.height"
+    tab.get_by_label("Pixels").select_option("0.5")
     half = page.ask(radius)
     tab.get_by_label("Pixels").select_option("1")
     assert page.ask(radius) == pytest.approx(half, rel=1e-2)
-    tab.get_by_label("Pixels").select_option("0.5")
+    tab.get_by_label("Pixels").select_option(FEW_PIXELS)
     tab.get_by_label("Unit of the size").select_option("world")
     page.wait("the surface", lambda: page.ask("window.studio.surface()"))
     far = page.ask(radius)

@@ -38,7 +38,7 @@ def opened(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     monkeypatch.setenv("SPLATPAINTER_COMMAND_RUN", run)
     monkeypatch.setattr(coverage, "CANDIDATES", 8)
     monkeypatch.setattr(source_edit, "PLAN_PX", 96)
-    with opened_page(browser, tmp_path) as both:
+    with opened_page(browser, tmp_path, resolution="0.5") as both:
         yield both
 
 

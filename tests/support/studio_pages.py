@@ -36,6 +36,9 @@ WEB = Path(__file__).resolve().parents[2] / "web"
 IDLE_TABS: dict[Any, Any] = {}
 """Browser -> a tab that a page has left. A new tab would be a new process, which compiles the code and its shaders
 anew: a third of the time of most tests."""
+FEW_PIXELS = "0.25"
+"""Pixels of the view per pixel of the screen, in each direction: fewer than users can choose. SwiftShader's time
+for those of a view at half resolution was half of the time of all browser tests."""
 PATIENCE = 90.0
 """Seconds until something that must happen is taken as not happening."""
 
@@ -86,6 +89,12 @@ DROP = """([name, text, kind]) => {
   document.querySelector(".app").dispatchEvent(drop);
 }"""
 
+SET_RESOLUTION = """(select, resolution) => {
+  if (select.value === resolution) return;
+  if (![...select.options].some((option) => option.value === resolution)) select.add(new Option("Few", resolution));
+  select.value = resolution;
+  select.dispatchEvent(new Event("change", { bubbles: true }));
+}"""
 POINTER = """([type, id, kind, x, y, pressure]) => {
   const stage = document.getElementById("stage");
   const box = stage.getBoundingClientRect();
@@ -109,14 +118,16 @@ class Page:
         *,
         gpu_compositing: bool = False,
         tab: Any = None,
+        resolution: str = FEW_PIXELS,
     ) -> None:
         """gpu_compositing: that the browser was started without SOFTWARE_COMPOSITING. tab: one that another page has
-        left; default: a new one."""
+        left; default: a new one. resolution: pixels of the view per pixel of the screen."""
         self.problems: list[str] = []
         """What the page's console complained of."""
         self.gpu_compositing = gpu_compositing
         self.requests: list[str] = []
-        self.tab = browser.new_page(viewport={"width": width, "height": height}) if tab is None else tab
+        self.tab = browser.new_page() if tab is None else tab
+        self.tab.set_viewport_size({"width": width, "height": height})
         self.listeners: dict[str, Callable[[Any], None]] = {
             "console": self.hear,
             "pageerror": lambda error: self.problems.append(str(error)),
@@ -125,6 +136,7 @@ class Page:
         for event, listener in self.listeners.items():
             self.tab.on(event, listener)
         self.url = url
+        self.resolution = resolution
         self.open()
 
     def hear(self, message: Any) -> None:
@@ -136,9 +148,8 @@ class Page:
     def open(self) -> None:
         """(Re)load and wait for the Gaussians."""
         self.tab.goto(self.url)
+        self.tab.get_by_label("Pixels").evaluate(SET_RESOLUTION, self.resolution)
         self.wait("rows", lambda: self.ask("window.studio?.viewer.count ?? 0") > 0)
-        if self.tab.get_by_label("Pixels").input_value() != "0.5":
-            self.tab.get_by_label("Pixels").select_option("0.5")
 
     def leave(self) -> None:
         """Make the tab as good as new: what it listened to, stored, emulated and pointed at. It goes to a file of the
@@ -222,10 +233,12 @@ class Page:
 
 
 @contextlib.contextmanager
-def opened_page(browser: Any, folder: Path, *, still: bool = False) -> Iterator[tuple[studio_scenes.Live, Page]]:
+def opened_page(
+    browser: Any, folder: Path, *, still: bool = False, resolution: str = FEW_PIXELS
+) -> Iterator[tuple[studio_scenes.Live, Page]]:
     """A studio with the ball, and its page, which must not complain. still: nothing in it glides."""
     with studio_scenes.live(studio_scenes.make_studio(folder)) as live:
-        page = Page(browser, live.url, tab=IDLE_TABS.pop(browser, None))
+        page = Page(browser, live.url, tab=IDLE_TABS.pop(browser, None), resolution=resolution)
         if still:
             page.tab.emulate_media(reduced_motion="reduce")
         try:
