@@ -88,7 +88,7 @@ def paint_view(
     originals = len(splats) if first_appended is None else first_appended
     first = int(np.searchsorted(ids, originals))
     part = _paint_part(splats.take(ids), surface, view, around, edited, mask, options, first, originals)
-    return _put_back(splats, ids, _new_rounded(part, len(ids)) if options.resurface else part)
+    return _put_back(splats, ids, part, options.resurface)
 
 
 def _paint_part(
@@ -136,24 +136,20 @@ def _paint_part(
     return _then_split(result, camera, target, left, options, may, around.tiles)
 
 
-def _new_rounded(part: PaintedView, count: int) -> PaintedView:
-    """Its new Gaussians (those after the first `count` and those in the place of others) rounded (rounding.py)."""
-    new = np.concatenate([part.replaced, np.arange(count, len(part.splats))])
-    values = rounded(part.splats.take(new))
-    arrays = {name: getattr(part.splats, name).copy() for name in ATTRIBUTES}
-    for name, array in arrays.items():
-        array[new] = getattr(values, name)
-    return replace(part, splats=replace(part.splats, **arrays))
-
-
-def _put_back(splats: Splats, ids: np.ndarray, part: PaintedView) -> PaintedView:
-    """What became of the Gaussians `ids` ([S] int64 ascending), at their indices among all."""
+def _put_back(splats: Splats, ids: np.ndarray, part: PaintedView, rounds: bool) -> PaintedView:
+    """What became of the Gaussians `ids` ([S] int64 ascending), at their indices among all. rounds: whether new ones
+    (those after the first S and those in the place of others) are rounded (rounding.py)."""
     count = len(ids)
-    tail = part.splats.take(np.arange(count, len(part.splats)))
+    tail, changed = part.splats.take(np.arange(count, len(part.splats))), part.splats.take(part.touched)
     touched = ids[part.touched]
+    if rounds:
+        tail, at = rounded(tail), np.flatnonzero(np.isin(part.touched, part.replaced))
+        values = rounded(changed.take(at))
+        for name in ATTRIBUTES:
+            getattr(changed, name)[at] = getattr(values, name)
     arrays = {}
     for name in ATTRIBUTES:
-        old, new = getattr(splats, name), getattr(part.splats, name)[part.touched]
+        old, new = getattr(splats, name), getattr(changed, name)
         if not len(tail) and np.array_equal(old[touched], new):
             continue
         arrays[name] = np.concatenate([old, getattr(tail, name)])

@@ -230,10 +230,10 @@ def _is_clear(splats: Splats, view: ProjectedView, near: NearSurface, covered: n
     handled = sums.weight > 0
     unsure = np.flatnonzero(handled & (share <= INSIDE))
     handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < MAX_CUT_PX
-    touching, far = handled.copy(), np.zeros(len(ids), bool)
-    touching[handled] = near.touches(splats.geometry(ids[handled]))
-    reached = np.flatnonzero(sums.weight > 0)
-    far[reached] = near.far_behind(splats.geometry(ids[reached]))
+    far, reached = np.zeros(len(ids), bool), np.flatnonzero(sums.weight > 0)
+    on_surface, far[reached] = near.touches_or_far_behind(splats.geometry(ids[reached]))
+    touching = handled.copy()
+    touching[reached] &= on_surface
     # One channel for their light, one for that of what the sheet will hide, one for what nothing stops.
     red = view.camera.background[0]
     view = replace(view, camera=replace(view.camera, background=(red, red, red)))
@@ -268,10 +268,11 @@ class NearSurface:
         height, limit, _ = self._heights(splats)
         return np.abs(height) < limit
 
-    def far_behind(self, splats: Splats) -> np.ndarray:
-        """[S] bool Gaussians that lie so far behind it that they are no part of a thick or foggy one."""
+    def touches_or_far_behind(self, splats: Splats) -> tuple[np.ndarray, np.ndarray]:
+        """([S] bool as `touches`, [S] bool Gaussians that lie so far behind the surface that they are no part of a
+        thick or foggy one)."""
         height, limit, window = self._heights(splats)
-        return height < -limit - FAR_WINDOWS * window
+        return np.abs(height) < limit, height < -limit - FAR_WINDOWS * window
 
     def _heights(self, splats: Splats) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """([S] over the surface, along its normal; NaN behind the camera; [S] up to which they touch it; [S] window)"""

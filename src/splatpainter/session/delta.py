@@ -11,6 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -243,12 +244,20 @@ class AssetDelta:
     retained: int
     gaussian_ids: np.ndarray = field(repr=False)
     """[T] int64 ascending, all below `retained`."""
-    values: Splats = field(repr=False)
-    """T Gaussians."""
-    appended: Splats = field(repr=False)
-    """A Gaussians, which become number retained, retained + 1, ..."""
+    splats: Splats = field(repr=False)
+    """All Gaussians of `version`."""
     recolored: bool = False
     """Whether means, scales and rotations of all Gaussians are as they were."""
+
+    @cached_property
+    def values(self) -> Splats:
+        """T Gaussians; made when they are asked for."""
+        return bare(self.splats.take(self.gaussian_ids))
+
+    @cached_property
+    def appended(self) -> Splats:
+        """A Gaussians, which become number retained, retained + 1, ..."""
+        return bare(self.splats.take(np.arange(self.retained, len(self.splats))))
 
 
 class VersionLog:
@@ -278,10 +287,8 @@ class VersionLog:
             retained = min([len(splats), *(step[1] for step in steps)])
             changed = np.unique(np.concatenate([np.zeros(0, np.int64), *(step[2] for step in steps)])).astype(np.int64)
             changed = changed[changed < retained]
-        tail = np.arange(retained, len(splats))
         recolored = version is not None and all(step[3] for step in steps)
-        values, appended = bare(splats.take(changed)), bare(splats.take(tail))
-        return AssetDelta(version, now, retained, changed, values, appended, recolored)
+        return AssetDelta(version, now, retained, changed, splats, recolored)
 
 
 def _columns(splats: Splats) -> Iterator[np.ndarray]:
