@@ -5,13 +5,16 @@ import { BatchChip } from "./batch";
 import { aside } from "../state/aside";
 import { Button } from "./parts";
 
+/** What went wrong before what to do about it: one sentence, if it is none by itself. */
+const before = (hint: string, message: string): string => (hint && !/[.!?:;]$/.test(message) ? `${message};` : message);
+
 export function Toasts() {
   return (
     <div class="toasts" aria-live="polite">
       {toasts.value.map((one) => (
         <div key={one.id} class={`toast ${one.level}`} role={one.level === "error" ? "alert" : "status"}>
           <p>
-            {one.message}
+            {before(one.hint, one.message)}
             {one.hint && <span class="quiet"> {one.hint}</span>}
           </p>
           <Button icon="close" label="Dismiss" onClick={() => dismiss(one.id)} />
@@ -85,8 +88,8 @@ export function StatusLine() {
         </span>
       )}
       {refused && (
-        <span class="refusal" role="status" title={`${refused.message} ${refused.hint}`}>
-          <b>Not done{refused.what && `: ${refused.what}`}</b> {refused.message} {refused.hint}
+        <span class="refusal" role="status" title={`${before(refused.hint, refused.message)} ${refused.hint}`}>
+          <b>Not done{refused.what && `: ${refused.what}`}</b> {before(refused.hint, refused.message)} {refused.hint}
           <Button icon="close" label="Close the reason" onClick={() => (refusal.value = null)} />
         </span>
       )}

@@ -78,12 +78,6 @@ export function SelectionPanel() {
           disabled={off}
           onClick={() => void hideSelected(true, "Crop")}
         />
-        <Button
-          label="Fill what is selected of this view from what lies around it"
-          text="Heal"
-          disabled={off || !selection.value}
-          onClick={() => void fillFromAround().catch(report)}
-        />
       </p>
       <p class="row">
         <Button
@@ -98,6 +92,12 @@ export function SelectionPanel() {
           text="Fill hole"
           disabled={off}
           onClick={() => void fillSelected(false)}
+        />
+        <Button
+          label="Fill what is selected of this view from what lies around it"
+          text="Heal"
+          disabled={off || !selection.value}
+          onClick={() => void fillFromAround().catch(report)}
         />
       </p>
       <details open>
