@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import socket
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterable
@@ -15,6 +16,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
+from urllib.parse import urlsplit
 
 from splatpainter.kernels.parallel import cpus
 
@@ -23,6 +25,8 @@ RETRIES = 3
 """Of one piece of work, after its worker died."""
 POLL_SECONDS = 0.1
 """Between two looks at whether it was cancelled."""
+CONNECT_SECONDS = 10.0
+"""That a cluster has to take a connection."""
 AHEAD = 2
 """Pieces handed out per worker: one in work, one waiting, so that results do not pile up."""
 
@@ -182,6 +186,7 @@ def run_on_ray(
         options |= {"num_cpus": count * cpus_per_worker, "object_store_memory": 1 << 28}
     else:
         options = {"address": address, "log_to_driver": False, "logging_level": "ERROR"}
+        _check_reachable(address)
     try:
         ray.init(**options)
     except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
@@ -193,6 +198,19 @@ def run_on_ray(
         yield from _ray_results(ray, work, numbers, workers, retries, cpus_per_worker)
     finally:
         ray.shutdown()
+
+
+def _check_reachable(address: str) -> None:
+    """Raises ValueError: nobody answers at HOST:PORT or ray://HOST:PORT, of which Ray would complain for ten minutes;
+    "auto" it looks up itself."""
+    parts = urlsplit(address if "://" in address else f"ray://{address}")
+    try:
+        host, port = parts.hostname, parts.port
+        if host and port:
+            socket.create_connection((host, port), CONNECT_SECONDS).close()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ValueError(f"--ray: {address} cannot be reached ({' '.join(reason.split())[:200]})") from None
 
 
 def _ray_results(

@@ -438,7 +438,7 @@ def _complain_of_polarity(
 def _wrong_polarity(name: str) -> str:
     return (
         f"{name}: the picture changed outside the mask and not inside it: the mask is the wrong way round for this "
-        "source; white (1) means: may change"
+        "source (white, 1, means: may change)"
     )
 
 

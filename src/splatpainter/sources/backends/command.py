@@ -65,7 +65,11 @@ class CommandOptions:
         "write, {prompt} {seed} {scale} words, {references} files as words of their own"
     )
     timeout: float = option("Seconds after which the program is ended", 600.0, least=0.1)
-    ending: str = option("Kind of the picture that it writes", "png", choices=("png", "jpg", "webp", "tif", "exr"))
+    ending: str = option(
+        "Kind of the picture that it writes: png, jpg, webp, tif or exr",
+        "png",
+        choices=("png", "jpg", "webp", "tif", "exr"),
+    )
     scales: str = option("Enlargements that it can be asked for, where it takes {scale}", "1,2,4")
 
 
