@@ -574,7 +574,8 @@ def _before_and_after(
     from splatpainter.rendering.partial import PartialRender
 
     assert view.alpha is not None and view.depth is not None and view.tiles is not None
-    drawn = PartialRender(asset.splats, view.camera, view.tiles, view.before, view.alpha, view.depth)
+    pictures = (view.before, view.alpha, view.depth)
+    drawn = PartialRender(asset.splats, view.camera, view.tiles, *pictures, view.projected)
     before, after = drawn.after(result.splats, touched)
     return before.colors, after.colors
 

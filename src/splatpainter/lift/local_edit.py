@@ -90,7 +90,7 @@ def _split_patch(
     view = project(splats, camera, tiles=tiles_of_mask(mask))
     reached = gaussians_in_mask(splats, camera, mask, allowed, view)
     editable = reached & ~_hopeless(splats, view, mask, reached, options)
-    tiles = project(splats, camera, gaussian_mask=editable).tiles_of(editable)
+    tiles = view.touched_tiles(editable[view.gaussian_ids])  # all of them make masked pixels
     tiles = tiles if within is None else tiles & within
     ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
     patch = before = Patch.of(splats.take(ids), camera, tiles, target, mask, editable[ids])

@@ -66,8 +66,15 @@ class PartialRender:
         from splatpainter.rendering.cpu.projected_view import project
 
         count, tiles = len(self.splats), np.zeros(self.tiles.shape, bool)
-        new = np.concatenate([changed, np.arange(count, len(splats))])
-        for asset, ids in ((self.splats, changed), (splats, new)):
+        old, new = changed, np.concatenate([changed, np.arange(count, len(splats))])
+        if self.view is not None:
+            left = np.zeros(count, bool)
+            left[changed] = True
+            tiles |= self.view.touched_tiles(left[self.view.gaussian_ids])
+            left[self.view.gaussian_ids] = False
+            old = np.flatnonzero(left)
+        new = new[splats.opacities[new] > 0]
+        for asset, ids in ((self.splats, old), (splats, new)):
             if len(ids):
                 some = np.ones(len(ids), bool)
                 tiles |= project(asset.take(ids), self.camera).tiles_of(some)
