@@ -47,7 +47,7 @@ def test_everything_that_a_template_can_name(tmp_path: Path) -> None:
     prompt = "a 'rusty\"; touch x\n$(touch y) {seed} `z`"
     answer = run(template, request(prompt, True, 7, 2, 4, True))
     assert answer.image.shape == (48, 64, 4) and answer.image[0, 0, 3] == pytest.approx(128 / 255)
-    assert (answer.seed, answer.model) == (7, Path(sys.executable).name)
+    assert (answer.seed, answer.model) == (7, f"{Path(sys.executable).name} tool.py")
     words = json.loads(report.read_text("utf-8"))
     assert words["words"][6:9] == [f"--prompt={prompt}", "7", "x4"] and words["words"][-1] == prompt
     assert words["files"] == {

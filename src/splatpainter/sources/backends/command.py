@@ -137,7 +137,10 @@ class CommandSource:
 
     @property
     def _program(self) -> str:
-        return Path(self.words[0]).name
+        """Its name, with that of the script that an interpreter runs: receipts and errors say so."""
+        script = self.words[1] if len(self.words) > 1 else ""
+        names = [self.words[0], script] if script[:1] not in ("-", "") and Path(script).is_file() else self.words[:1]
+        return " ".join(Path(name).name for name in names)
 
     def _command(self, request: PictureRequest, folder: Path, out: Path) -> list[str]:
         """The words with everything put in; writes the files that they name."""
