@@ -14,14 +14,23 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SYSTEMS = {"linux": "Linux", "darwin": "Darwin", "win32": "Windows"}
-EVERYWHERE = (
-    "environ", "path", "pathsep", "sep", "fspath", "PathLike", "getpid", "devnull", "replace", "access", "cpu_count",
-    "W_OK", "X_OK", "listdir", "scandir", "urandom", "utime", "stat", "fsync", "close", "open", "name", "kill",
-)  # fmt: skip
+EVERYWHERE = {
+    "os": "environ|path|pathsep|sep|fspath|PathLike|getpid|devnull|replace|access|cpu_count|W_OK|X_OK|listdir|scandir"
+    "|DirEntry|urandom|utime|stat|fstat|fsync|open|read|write|fdopen|close|dup2?|pipe|link|SEEK_END|O_RDONLY|O_WRONLY|name"
+    "|kill|abort|_exit|system|mkdir|makedirs|getcwd|strerror|waitpid",
+    "signal": "signal|getsignal|default_int_handler|Signals|SIGINT|SIGTERM|SIG_IGN|SIG_DFL",
+    # methods as well: sockets are often called so
+    "socket": "socket|create_connection|gethostname|AF_INET6?|SOCK_STREAM|SOL_SOCKET|SO_REUSEADDR|SO_RCVBUF|IPPROTO_TCP"
+    "|accept|send|recv|close|setsockopt|settimeout|send_bytes|send_text|receive_text",
+}
+"""Module -> what it has on every system, with the same types."""
 DIFFERS = re.compile(
-    rf"\bos\.(?!({'|'.join(EVERYWHERE)})\b)|\bsys\.platform\b|\bsubprocess\.[A-Z][A-Z_]+\b(?<!PIPE)(?<!DEVNULL)(?<!STDOUT)"
-    r"|\b(signal|socket|mmap|select|ctypes|asyncio)\.[a-zA-Z_]|\btime\.(clock_|tzset|pthread)"
-    r"|^\s*(import|from) (fcntl|resource|pwd|grp|termios|tty|pty|msvcrt|winreg|_winapi|syslog)\b",
+    "|".join(rf"\b{module}\.(?!({names})\b)[a-zA-Z_]" for module, names in EVERYWHERE.items())
+    + r"|\bsys\.platform\b|\bsubprocess\.[A-Z][A-Z_]+\b(?<!PIPE)(?<!DEVNULL)(?<!STDOUT)"
+    r"|\basyncio\.\w*(EventLoop|Policy|Watcher|Pipe|unix|Iocp)|\bmmap\.[a-zA-Z_]|\bselect\.(\w*poll|k(queue|event))"
+    r"|\bctypes\.(win|Win|WIN|ole|Ole|HRESULT|FormatError|\w+_last_error|pythonapi)|\btime\.(clock_|tzset|pthread)"
+    r"|^\s*(import|from) (fcntl|resource|pwd|grp|termios|tty|pty|msvcrt|winreg|_winapi|syslog)\b"
+    r"|^\s*from (os|sys|signal|socket|asyncio|mmap|select|ctypes) import ",
     re.MULTILINE,
 )
 

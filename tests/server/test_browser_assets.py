@@ -23,7 +23,7 @@ COVERED = """[...document.querySelectorAll(".asset-handles .grab.ring, .asset-ha
 
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
-    with opened_page(browser, tmp_path, still=True, resolution="0.5") as (live, page):
+    with opened_page(browser, tmp_path, still=True, resolution="0.35") as (live, page):
         yield live, page
 
 
