@@ -15,9 +15,9 @@ from splatpainter.atomic import write_text
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import CameraFiles
-from splatpainter.commands.render import MOST_VIEWS, color, given_cameras, rgb
 from splatpainter.commands.targets import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, decibels, progress, to_json
+from splatpainter.commands.view_options import BACKGROUND, MOST_VIEWS, check_ranges, color, given_cameras, rgb
 from splatpainter.io import read
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.rendering.profiles import Profile
@@ -117,7 +117,7 @@ def run(config: Config) -> Outcome:
         up=config.up,
         elevation=config.elevation,
         fov=config.fov,
-        background=color(config.background or "0.25,0.25,0.25", first),
+        background=color(config.background or BACKGROUND, first),
     )
     if given and config.background is not None:
         cameras = [replace(camera, background=color(config.background, first)) for camera in cameras]
@@ -246,14 +246,13 @@ def _thumb(picture: np.ndarray) -> np.ndarray:
 
 def _check(config: Config) -> None:
     size = 512 if config.size is None else config.size
-    for name, value, low, high in (
-        ("--views", config.views, 1, MOST_VIEWS),
-        ("--size", size, MIN_SIDE_PX, MAX_SIDE_PX // 3),  # three of them stand side by side
-        ("--elevation", config.elevation, -90, 90),
-        ("--fov", config.fov, 1, 170),
-        ("--amplify", config.amplify, 1, 255),
-    ):
-        if not low <= value <= high:
-            raise ValueError(f"splatpainter compare: expected {name} from {low} to {high}, got {value}")
+    values = {
+        "--views": (config.views, 1, MOST_VIEWS),
+        "--size": (size, MIN_SIDE_PX, MAX_SIDE_PX // 3),  # three of them stand side by side
+        "--elevation": (config.elevation, -90, 90),
+        "--fov": (config.fov, 1, 170),
+        "--amplify": (config.amplify, 1, 255),
+    }
+    check_ranges("compare", values)
     if config.background is not None:
         rgb(config.background)

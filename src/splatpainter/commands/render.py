@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from splatpainter.cameras import Camera, orbit_cameras
-from splatpainter.color import from_display
+from splatpainter.cameras import Camera
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOption
 from splatpainter.commands.targets import check_folder, check_target, make_folder
 from splatpainter.commands.terminal import count, progress
+from splatpainter.commands.view_options import MOST_VIEWS, check_ranges, check_ring, color, given_cameras, ring_of_views
 from splatpainter.io import files, frame_is_news, frame_line, read
-from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.rendering.profiles import Profile
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
     from splatpainter.view_files import PictureOptions
-
-MOST_VIEWS = 1000
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ def run(config: Config) -> Outcome:
         for name in (name for stem in stems for name in options.file_names(stem)):
             check_target(config.out / name, config.overwrite)
     splats = read(config.asset, frame=config.frame, lenient=config.lenient)
-    cameras = given or _ring(config, splats)
+    cameras = given or ring_of_views(config, splats, config.views)
     if given and config.background is not None:
         cameras = [replace(camera, background=color(config.background, splats)) for camera in cameras]
     cameras = [replace(camera, asset_sha256=splats.sha256) for camera in cameras]
@@ -142,24 +139,6 @@ def _save_all(
         yield
 
 
-def _ring(config: Config, splats: Splats) -> list[Camera]:
-    """Views around the asset, which fills the shorter side."""
-    size = config.size or 800
-    width, height = config.width or size, config.height or size
-    short = min(width, height)
-    cameras = orbit_cameras(
-        splats,
-        config.views,
-        size=short,
-        up=config.up,
-        elevation=config.elevation,
-        fov=config.fov,
-        distance=config.distance,
-        background=color(config.background or "0.25,0.25,0.25", splats),
-    )
-    return [camera.cropped((short - width) // 2, (short - height) // 2, width, height) for camera in cameras]
-
-
 def _options(config: Config) -> PictureOptions:
     from splatpainter.view_files import PictureOptions
 
@@ -175,55 +154,5 @@ def _options(config: Config) -> PictureOptions:
 
 
 def _check(config: Config) -> None:
-    for name, value, low, high in (
-        ("--views", config.views, 1, MOST_VIEWS),
-        ("--size", 1 if config.size is None else config.size, 1, MAX_SIDE_PX),
-        ("--width", 1 if config.width is None else config.width, 1, MAX_SIDE_PX),
-        ("--height", 1 if config.height is None else config.height, 1, MAX_SIDE_PX),
-        ("--elevation", config.elevation, -90, 90),
-        ("--fov", config.fov, 1, 170),
-    ):
-        if not low <= value <= high:
-            raise ValueError(f"splatpainter render: expected {name} from {low} to {high}, got {value}")
-    if (config.width is None) != (config.height is None) or (config.width and (config.size or config.camera)):
-        raise ValueError("splatpainter render: expected --width and --height together, without --size and --camera")
-    if config.distance is not None and not 0 < config.distance < float("inf"):
-        raise ValueError(f"splatpainter render: expected --distance above 0, got {config.distance}")
-    if config.background is not None:
-        rgb(config.background)
-
-
-def given_cameras(paths: Sequence[Path], size: int | None) -> list[Camera]:
-    """The cameras in these files; size: pixels of the longer side, None: as they say. Raises ValueError."""
-    from splatpainter.sources.edit_files import camera_from
-
-    cameras = [camera_from(path) for path in paths]
-    if size is None:
-        return cameras
-    scales = [size / max(camera.width, camera.height) for camera in cameras]
-    return [
-        camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        for camera, scale in zip(cameras, scales, strict=True)
-    ]
-
-
-def rgb(text: str) -> tuple[float, float, float]:
-    """Display colour 0..1 from "0.2,0.5,1" or "#3380ff". Raises ValueError."""
-    try:
-        if text.startswith("#") and len(text) == 7:
-            red, green, blue = (int(text[k : k + 2], 16) / 255 for k in (1, 3, 5))
-        else:
-            red, green, blue = (float(part) for part in text.split(","))
-        if all(0 <= value <= 1 for value in (red, green, blue)):
-            return red, green, blue
-    except ValueError:
-        pass
-    raise ValueError(f"splatpainter render: expected --background as R,G,B from 0 to 1, or #rrggbb, got {text!r}")
-
-
-def color(text: str, splats: Splats) -> tuple[float, float, float]:
-    """A display colour, in the asset's colour space."""
-    import numpy as np
-
-    red, green, blue = from_display(np.array(rgb(text)), splats.color_space).tolist()
-    return red, green, blue
+    check_ranges("render", {"--views": (config.views, 1, MOST_VIEWS)})
+    check_ring("render", config)

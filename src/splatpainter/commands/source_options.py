@@ -13,9 +13,9 @@ import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands.decal_options import DecalView
-from splatpainter.commands.render import color, given_cameras
 from splatpainter.commands.targets import check_target
 from splatpainter.commands.terminal import count, watched
+from splatpainter.commands.view_options import color, given_cameras
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.source_edits.coverage import ViewPlan, plan_views

@@ -10,21 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
-from splatpainter.cameras import AUTO_UP, UPS, Camera, bounding_sphere, orbit_cameras
+from splatpainter.cameras import AUTO_UP, UPS, bounding_sphere
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
-from splatpainter.commands.render import color, given_cameras, rgb
 from splatpainter.commands.targets import check_target
 from splatpainter.commands.terminal import progress, size
+from splatpainter.commands.view_options import check_ranges, check_ring, color, given_cameras, ring_of_views
 from splatpainter.io import files, read
-from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.rendering.profiles import Profile
-from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
     from splatpainter.video.turntable import TurntableOptions
 
 MAX_DEGREES = 3600.0
+MIN_SIDE_PX = 16
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def run(config: Config) -> Outcome:
     given = [] if config.camera is None else given_cameras([config.camera], config.size)
     check_target(config.out, config.overwrite, [config.asset])
     splats = read(config.asset, frame=config.frame, lenient=config.lenient)
-    first = given[0] if given else _first(config, splats)
+    first = given[0] if given else ring_of_views(config, splats, 1)[0]
     if given and config.background is not None:
         first = replace(first, background=color(config.background, splats))
     center, up = bounding_sphere(splats)[0], UPS[AUTO_UP if config.up == "auto" else config.up]
@@ -125,24 +124,6 @@ def _bar(total: int) -> Iterator[Callable[[int, int], None]]:
         pass
 
 
-def _first(config: Config, splats: Splats) -> Camera:
-    """The first view: the asset fills the shorter side."""
-    longer = config.size or 800
-    width, height = config.width or longer, config.height or longer
-    short = min(width, height)
-    (camera,) = orbit_cameras(
-        splats,
-        1,
-        size=short,
-        up=config.up,
-        elevation=config.elevation,
-        fov=config.fov,
-        distance=config.distance,
-        background=color(config.background or "0.25,0.25,0.25", splats),
-    )
-    return camera.cropped((short - width) // 2, (short - height) // 2, width, height)
-
-
 def _options(config: Config) -> TurntableOptions:
     from splatpainter.video.turntable import TurntableOptions, format_of
 
@@ -154,19 +135,5 @@ def _options(config: Config) -> TurntableOptions:
 
 
 def _check(config: Config) -> None:
-    for name, value, low, high in (
-        ("--size", 16 if config.size is None else config.size, 16, MAX_SIDE_PX),
-        ("--width", 16 if config.width is None else config.width, 16, MAX_SIDE_PX),
-        ("--height", 16 if config.height is None else config.height, 16, MAX_SIDE_PX),
-        ("--elevation", config.elevation, -90, 90),
-        ("--fov", config.fov, 1, 170),
-        ("--degrees", config.degrees, -MAX_DEGREES, MAX_DEGREES),
-    ):
-        if not low <= value <= high:
-            raise ValueError(f"splatpainter turntable: expected {name} from {low} to {high}, got {value}")
-    if (config.width is None) != (config.height is None) or (config.width and (config.size or config.camera)):
-        raise ValueError("splatpainter turntable: expected --width and --height together, without --size and --camera")
-    if config.distance is not None and not 0 < config.distance < float("inf"):
-        raise ValueError(f"splatpainter turntable: expected --distance above 0, got {config.distance}")
-    if config.background is not None:
-        rgb(config.background)
+    check_ring("turntable", config, least_px=MIN_SIDE_PX)
+    check_ranges("turntable", {"--degrees": (config.degrees, -MAX_DEGREES, MAX_DEGREES)})
