@@ -217,6 +217,24 @@ def test_what_variants_have_in_common_is_asked_for_once(folder: Path, capfd: Cap
     assert run(capfd, "batch", jobs, "--dry-run").out.endswith("3 of 3 jobs to do: 3 free calls\n")
 
 
+def test_what_variants_have_in_common_fails_once(folder: Path, capfd: Capture) -> None:
+    """A picture that is refused was paid for: not by every variant, and a dry run counts no calls of a broken asset."""
+    source = counted_source(folder) | {"size": 64, "strictness": "strict"}
+    (folder / "paint.py").write_text((folder / "paint.py").read_text().replace("picture.paste((20, 120, 40), ", "("))
+    variants = [{"name": f"v{k}", "edits": [{"grade": {"exposure": k}}]} for k in (1, 2)]
+    batch = {"assets": ["shoes/shoe0.ply"], "edits": [{"source": source}], "variants": variants}
+    jobs = jobs_file(folder, json.dumps(batch))
+    for calls in (1, 2):  # another run asks again
+        done = run(capfd, "batch", jobs, "--json").json
+        assert done["failed"] == 2 and (folder / "calls").read_text() == calls * "moss on shoe0 "
+        assert all("came back unchanged" in job["error"] for job in done["jobs"])
+        kept = Path(done["jobs"][1]["error"].rsplit(" ", 1)[-1])
+        assert kept.name.endswith(f".answer_{calls}.png") and kept.is_file() and folder in kept.parents
+    (folder / "shoes/shoe0.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nend_header\n")
+    dry = run(capfd, "batch", jobs, "--dry-run", "--json")
+    assert dry.code == 1 and [job["state"] for job in dry.json["jobs"]] == ["fails", "fails"]
+
+
 def test_views_are_refined(folder: Path, capfd: Capture) -> None:
     text = "assets: [shoes/shoe0.ply]\nedits: [{refine: {views: [cam.json]}}]\n"
     jobs = jobs_file(folder, text)

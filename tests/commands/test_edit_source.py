@@ -9,12 +9,14 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.commands.source_options import InterruptibleSource
+from splatpainter.commands.source_options import InterruptibleSource, notes_of_views
 from splatpainter.io import read, write
 from splatpainter.source_edits import coverage
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled
@@ -94,8 +96,6 @@ def test_views_auto_writes_one_receipt(capfd: Capture, folder: Path) -> None:
     ("kind", "more", "message"),
     [
         ("fail", (), "no such style"),
-        ("noise", (), "shows something else than what was sent"),
-        ("same", (), "came back unchanged"),
         ("exchange", ("--seed", 3), "a seed"),
         ("exchange", ("--view", "missing.json"), "no such file"),
         ("exchange", ("--max-views", 3), "--max-views from 1 to 16, with --views auto"),
@@ -107,6 +107,29 @@ def test_nothing_is_written_where_it_fails(capfd: Capture, folder: Path, kind: s
     before = listing(folder)
     assert message in sourced(capfd, folder, kind, *more).error
     assert listing(folder) == before
+
+
+def test_what_came_back_is_kept_where_it_is_refused(capfd: Capture, folder: Path) -> None:
+    """It may have been paid for: the picture, with its camera, and the page are there; painting it asks nobody."""
+    before = listing(folder)
+    done = sourced(capfd, folder, "noise", "--source-report", folder / "report.png")
+    first, second = (folder / f"out.ply.answer_{number}.png" for number in (1, 2))
+    assert "shows something else than what was sent" in done.error and f"what came back is kept: {first}" in done.error
+    assert {*listing(folder)} - {*before} == {first.name, "report.png"}
+    noise = np.random.default_rng(0).integers(0, 255, (96, 96, 3), np.uint8)
+    with Image.open(first) as picture:
+        assert np.array_equal(np.asarray(picture), noise)
+    with Image.open(folder / "report.png") as page:
+        assert page.width > 1000 and page.height > 360
+    assert str(second) in sourced(capfd, folder, "same").error
+    assert run(capfd, "edit", folder / "ball.ply", first, "--out", folder / "out.ply").code == 0
+
+
+def test_what_all_views_have_in_common_is_said_once() -> None:
+    notes = [("no mask", "moved"), ("no mask",)]
+    edits: list[Any] = [SimpleNamespace(notes=entry) for entry in notes]
+    assert notes_of_views(edits) == [("no mask (all 2 views)", "moved"), ()]
+    assert notes_of_views(edits[:1]) == notes[:1]
 
 
 def test_options_of_sources_need_a_source(capfd: Capture, folder: Path) -> None:

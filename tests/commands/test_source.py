@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
-from splatpainter.sources.registry import source_names
+from splatpainter.sources.registry import describe_sources, source_names
 from splatpainter.sources.source_options import is_installed
 from tests.support.cli_scenes import Capture, run
 from tests.support.fake_services import pixels, png
 from tests.support.picture_requests import script
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 KEY = "AIza-0123456789-the-key"
 COPY = "import shutil, sys; print('90%', flush=True); shutil.copy(sys.argv[1], sys.argv[2])"
 
@@ -35,6 +37,8 @@ def test_list(capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     assert output.code == 0 and KEY not in output.out
     assert all(f"\n{name:<10} " in f"\n{output.out}" for name in source_names())
     assert "key: in GEMINI_API_KEY" in output.out and "missing: no key: set OPENAI_API_KEY" in output.out
+    extras = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    assert {status.description.extra for status in describe_sources()} - {""} <= {*extras}
     records = {record["name"]: record for record in run(capfd, "source", "list", "--json").json["sources"]}
     assert records["gemini"]["keys"] == {"variables": ["GEMINI_API_KEY", "GOOGLE_API_KEY"], "set": True}
     assert records["gemini"]["ready"] and records["gemini"]["paid"] and not records["openai"]["ready"]

@@ -14,7 +14,7 @@ from splatpainter.painter import Edit, Painter
 from splatpainter.receipts import Receipt, changed_rows
 from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
-from splatpainter.source_edits.edit import cover, edit_with_source, refine
+from splatpainter.source_edits.edit import cover, edit_with_source, refine, usual_scale
 from splatpainter.source_edits.turns import ask_in_turn
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
 from splatpainter.sources.gatekeeper import RefusedPicture
@@ -238,6 +238,7 @@ def test_views_are_refined_from_python() -> None:
     assert score.psnr_after is not None and score.psnr_before is not None
     assert score.psnr_after > score.psnr_before + 1 and refined.receipt.appended_rows > 50
     assert (source.requests[0].scale, source.requests[0].prompt) == (2, "finer")
+    assert usual_scale(FunctionSource(striped, Capabilities(scales=(1, 4)))) == 1  # such as image services
     plain = refine(splats, [camera], painter=LIFT)
     assert plain.receipt is not None and plain.receipt.source is not None and plain.receipt.source["name"] == "upscale"
     with pytest.raises(ValueError, match="1 to 16 cameras"):

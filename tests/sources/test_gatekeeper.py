@@ -212,6 +212,10 @@ def test_a_mask_the_wrong_way_round_is_recognised() -> None:
     assert admit(picture, replace(request, mask=1 - mask)).share > 0.2
     with pytest.raises(SourceError, match="mask is empty"):
         admit(picture, replace(request, mask=0 * mask))
+    rim = np.convolve(mask[0], np.ones(7) / 7, "same").astype(np.float32)  # of a mask that was drawn at another size
+    softened = (request.image + (1 - rim[:, None]) * (picture - request.image)).astype(np.float32)
+    with pytest.raises(SourceError, match="wrong way round"):
+        admit(softened, replace(request, mask=np.tile(rim, (SIZE, 1))))
 
 
 def test_strictness_says_how_far_a_picture_may_be_off() -> None:
@@ -309,6 +313,8 @@ def test_the_report_is_one_page_of_pictures() -> None:
     assert page.dtype == np.uint8 and page.shape[1] > 4 * 360 and page.shape[0] > 2 * 360
     two = report_page([(request, answer, admitted)] * 2)
     assert two.shape[0] > 1.8 * page.shape[0]
+    refused = report_page([(request, answer, admitted), (request, answer, None)])
+    assert page.shape[0] < refused.shape[0] < two.shape[0]
     assert "agrees 1.00; full" in numbers(admitted) or "agrees 0.9" in numbers(admitted)
 
 

@@ -122,6 +122,16 @@ def test_more_than_a_source_takes_is_refused(excess: PictureRequest, line: str) 
     assert not inner.requests
 
 
+def test_seeds_and_what_would_help() -> None:
+    able = Capabilities(seed=True, max_seed=9, scales=(2,), hint="say --scale 2")
+    source = CheckedSource(Painted(able), "painted")
+    for seed in (-1, 10):
+        with pytest.raises(SourceError, match=rf"expected a seed of 0 to 9, got {seed}$"):
+            edit(source, request(seed=seed, scale=2))
+    with pytest.raises(SourceError, match=r"an enlargement of 1; .*a side; say --scale 2$"):
+        edit(source, request(seed=9))
+
+
 def test_a_prompt_that_is_needed() -> None:
     source = CheckedSource(Painted(Capabilities(prompt=True, needs_prompt=True)), "painted")
     with pytest.raises(SourceError, match="needs a prompt"):

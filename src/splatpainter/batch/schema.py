@@ -127,7 +127,8 @@ class RefineEdit:
     """1 to 16 cameras."""
     upscale: str = field(default="", metadata=FILE)
     """A super-resolution model."""
-    scale: Literal[1, 2, 4] = 2
+    scale: Literal[1, 2, 4] | None = None
+    """None: 2, or 1 of sources that do not enlarge."""
     name: str = "upscale"
     """Another source."""
     options: dict[str, Any] = field(default_factory=dict)

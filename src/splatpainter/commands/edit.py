@@ -16,6 +16,7 @@ from splatpainter.commands.option_parsing import AssetFile, CameraFiles, FrameOp
 from splatpainter.commands.proved import check_outputs, proved_record, write_proved
 from splatpainter.commands.source_options import (
     check_source_options,
+    keeping_answers,
     paint_from_source,
     plan_lines,
     source_from_options,
@@ -160,7 +161,8 @@ def run(config: Config) -> Outcome:
     pictures = _pictures(config)
     sources: Sequence[FileEdit | DecalView]
     clock = time.perf_counter()
-    with stages(4) as bar:
+    answers = keeping_answers(None if source_edit is None else source_edit.source, config.out)
+    with answers, stages(4) as bar:
         painter = _painter(config)
         sources = pictures = _of_size(pictures, config.mode, config.method, painter)
         bar.enter("reading")

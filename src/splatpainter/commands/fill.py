@@ -13,7 +13,7 @@ from tyro.conf import arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
 from splatpainter.commands.proved import check_outputs, proved_record, write_proved
-from splatpainter.commands.source_options import InterruptibleSource, SourceBar
+from splatpainter.commands.source_options import InterruptibleSource, SourceBar, keeping_answers
 from splatpainter.commands.terminal import count, seconds, stages
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.commands.view_options import given_cameras
@@ -93,7 +93,7 @@ def run(config: Config) -> Outcome:
     )
     source = _source(config, open_source, option_words)
     cameras = given_cameras([config.view], config.size) if config.view is not None else []
-    with stages(4) as bar:
+    with keeping_answers(source, config.out), stages(4) as bar:
         bar.enter("reading")
         clock = time.perf_counter()
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)

@@ -13,7 +13,7 @@ from tyro.conf import arg
 from splatpainter.commands import Outcome
 from splatpainter.commands.option_parsing import AssetFile, FrameOption, OutFile
 from splatpainter.commands.proved import check_outputs, proved_record, write_proved
-from splatpainter.commands.source_options import InterruptibleSource, SourceBar
+from splatpainter.commands.source_options import InterruptibleSource, SourceBar, keeping_answers
 from splatpainter.commands.terminal import count, decibels, seconds, stages
 from splatpainter.commands.verify import receipt_of, same_words
 from splatpainter.commands.view_options import given_cameras
@@ -45,8 +45,8 @@ class Config:
     """1 to 16 cameras of the views (CAM.json, or pictures that `render` made)."""
     upscale: Annotated[Path | None, arg(metavar="MODEL.safetensors", help_behavior_hint="")] = None
     """Super-resolution model."""
-    scale: Literal[1, 2, 4] = 2
-    """How many times larger than the view its picture is made; 1: a model that restores without enlarging."""
+    scale: Annotated[Literal[1, 2, 4] | None, arg(metavar="1|2|4", help_behavior_hint="")] = None
+    """How many times larger than the view its picture is made; default: 2, or 1 of sources that do not enlarge."""
     source: Annotated[str, arg(metavar="NAME")] = "upscale"
     """Another picture source (`splatpainter source list`)."""
     source_option: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
@@ -74,7 +74,7 @@ class Config:
 def run(config: Config) -> Outcome:
     """Check, read, ask, lift, write, verify."""
     from splatpainter.kernels.compile import ensure_compiled
-    from splatpainter.source_edits.edit import refine_views
+    from splatpainter.source_edits.edit import refine_views, usual_scale
     from splatpainter.source_edits.view_edit import SourceBrief
     from splatpainter.sources.registry import open_source
     from splatpainter.sources.source_options import option_words
@@ -93,7 +93,7 @@ def run(config: Config) -> Outcome:
     source = InterruptibleSource(open_source(config.source, options))
     cameras = given_cameras(config.view, config.size)
     painter = replace(Painter.load("lift"), aside=True)
-    with stages(4) as bar:
+    with keeping_answers(source, config.out), stages(4) as bar:
         bar.enter("reading")
         clock = time.perf_counter()
         splats = read(config.asset, frame=config.frame, lenient=config.lenient)
@@ -101,7 +101,7 @@ def run(config: Config) -> Outcome:
         ensure_compiled()
         bar.enter("refining")
         with SourceBar() as progress:
-            brief = SourceBrief(config.prompt, scale=config.scale)
+            brief = SourceBrief(config.prompt, scale=config.scale or usual_scale(source))
             asset = painter.encode(splats, config.method, ["local"])
             made = refine_views(
                 painter,

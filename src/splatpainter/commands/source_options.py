@@ -3,26 +3,36 @@ run, and the asset that comes of it."""
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from splatpainter.atomic import writing
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands.decal_options import DecalView
 from splatpainter.commands.targets import check_target
-from splatpainter.commands.terminal import count, watched
+from splatpainter.commands.terminal import complain, count, watched
 from splatpainter.commands.view_options import color, given_cameras
+from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
 from splatpainter.rendering import MAX_SIDE_PX
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import cover, edit_view
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit
-from splatpainter.sources.gatekeeper import Strictness
-from splatpainter.sources.picture_source import CancelFlag, PictureAnswer, PictureRequest, PictureSource, Progress
+from splatpainter.sources.gatekeeper import RefusedPicture, Strictness
+from splatpainter.sources.picture_source import (
+    CancelFlag,
+    PictureAnswer,
+    PictureRequest,
+    PictureSource,
+    Progress,
+    SourceError,
+)
 from splatpainter.splats import Splats
 
 COMMAND = "splatpainter edit"
@@ -30,6 +40,8 @@ BACKGROUND = "0.25,0.25,0.25"
 """Behind the asset in views that are chosen here, as in `render`."""
 POLL_SECONDS = 0.1
 """Between two looks at whether a source has answered."""
+MAX_ANSWER_FILES = 1000
+"""Names OUT.answer_1.png ... that are tried."""
 CANCEL_SECONDS = 15.0
 """A source that was told to stop is waited for at most so long."""
 
@@ -68,6 +80,8 @@ class SourceConfig(Protocol):
     @property
     def source_report(self) -> Path | None: ...
     @property
+    def out(self) -> Path: ...
+    @property
     def dry_run(self) -> bool: ...
     @property
     def mode(self) -> Mode: ...
@@ -81,7 +95,7 @@ class SourceConfig(Protocol):
 class SourceJob:
     """A source and what it is asked, with every file read."""
 
-    source: PictureSource
+    source: InterruptibleSource
     brief: SourceBrief
     camera: Camera | None
     """Of --view; None: of azimuth and elevation, or chosen by the plan."""
@@ -132,7 +146,7 @@ def source_from_options(config: SourceConfig) -> SourceJob | None:
     brief = SourceBrief(config.prompt, references, config.seed, config.enlarge, config.source_strictness)
     cameras = given_cameras([] if config.view is None else [config.view], config.size)
     mask = _mask(config.mask[0]) if config.mask else None
-    source = open_source(config.source, option_words(config.source_option))
+    source = InterruptibleSource(open_source(config.source, option_words(config.source_option)))
     return SourceJob(source, brief, cameras[0] if cameras else None, mask, config)
 
 
@@ -141,40 +155,52 @@ def paint_from_source(splats: Splats, request: SourceJob, painter: Painter) -> t
     Raises SourceError and what `Painter.apply` raises."""
     config, cancel = request.config, threading.Event()
     asset = painter.encode(splats, config.method, [config.mode])
-    with SourceBar() as bar:
-        source = InterruptibleSource(request.source)
-        if config.views == "auto":
-            plan = request.plan(asset.splats)
-            made = cover(
-                painter,
-                asset,
-                source,
-                request.brief,
-                plan,
-                method=config.method,
-                progress=bar,
-                cancel=cancel,
-            )
-        else:
-            camera = request.view_camera(asset.splats)
-            made = edit_view(
-                painter,
-                asset,
-                source,
-                request.brief,
-                camera,
-                _fitted(request.mask, camera),
-                mode=config.mode,
-                method=config.method,
-                progress=bar,
-                cancel=cancel,
-            )
-    if config.source_report is not None:
-        _write_report(config.source_report, made.edits, f"{request.source.name}: {request.brief.prompt}".rstrip(": "))
-    entries = [DecalView(edit.edit.name, edit.notes) for edit in made.edits]
-    if entries and made.refused:
-        entries[-1] = replace(entries[-1], notes=(*entries[-1].notes, *made.refused))
+    source = request.source
+    try:
+        with SourceBar() as bar:
+            if config.views == "auto":
+                plan = request.plan(asset.splats)
+                made = cover(
+                    painter,
+                    asset,
+                    source,
+                    request.brief,
+                    plan,
+                    method=config.method,
+                    progress=bar,
+                    cancel=cancel,
+                )
+            else:
+                camera = request.view_camera(asset.splats)
+                made = edit_view(
+                    painter,
+                    asset,
+                    source,
+                    request.brief,
+                    camera,
+                    _fitted(request.mask, camera),
+                    mode=config.mode,
+                    method=config.method,
+                    progress=bar,
+                    cancel=cancel,
+                )
+    except ValueError:  # a refused picture is what a report is looked at for
+        _write_report(request, ())
+        raise
+    _write_report(request, made.edits)
+    entries = [
+        DecalView(edit.edit.name, notes) for edit, notes in zip(made.edits, notes_of_views(made.edits), strict=True)
+    ]
+    more = (*made.refused, *_answers_line(source.write_answers(config.out, made.edits)))
+    entries[-1] = replace(entries[-1], notes=(*entries[-1].notes, *more))
     return made.asset, entries
+
+
+def notes_of_views(edits: Sequence[SourcedEdit]) -> list[tuple[str, ...]]:
+    """Of each view; what all of several have in common is said once."""
+    common = [note for note in edits[0].notes if len(edits) > 1 and all(note in edit.notes for edit in edits)]
+    notes = [tuple(note for note in edit.notes if note not in common) for edit in edits]
+    return [(*(f"{note} (all {len(edits)} views)" for note in common), *notes[0]), *notes[1:]]
 
 
 def plan_lines(splats: Splats, request: SourceJob) -> tuple[dict, list[str]]:
@@ -196,11 +222,13 @@ def plan_lines(splats: Splats, request: SourceJob) -> tuple[dict, list[str]]:
 
 
 class InterruptibleSource:
-    """A source that works in a thread, so that Ctrl-C reaches it as `cancel` at once."""
+    """A source that works in a thread, so that Ctrl-C reaches it as `cancel` at once. It keeps what came back: a
+    picture that cannot be painted was made, and often paid for, all the same."""
 
     def __init__(self, source: PictureSource) -> None:
         self._source = source
         self.name, self.capabilities = source.name, source.capabilities
+        self.answers: list[tuple[PictureRequest, PictureAnswer]] = []
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
         """As the source's. An interrupt cancels it, waits for its end and goes on."""
@@ -228,7 +256,43 @@ class InterruptibleSource:
         (result,) = outcome
         if isinstance(result, BaseException):
             raise result
+        self.answers.append((request, result))
         return result
+
+    def write_answers(self, out: Path, painted: Sequence[SourcedEdit] = ()) -> list[Path]:
+        """Write what came back and was not painted beside OUT, as OUT.answer_1.png and so on with their cameras inside,
+        over no file that is there. Returns their names; none where they cannot be written."""
+        paths: list[Path] = []
+        for request, answer in self.answers:
+            if any(edit.answer is answer for edit in painted):
+                continue
+            names = (out.with_name(f"{out.name}.answer_{number}.png") for number in range(1, MAX_ANSWER_FILES))
+            path = next((name for name in names if not name.exists()), None)
+            carried = {CAMERA_KEYWORD: request.camera.to_json()} if request.camera is not None else None
+            with contextlib.suppress(OSError, ValueError):
+                if path is not None:
+                    with writing(path) as file:
+                        file.write(encode_png(quantized(answer.image), carried))
+                    paths.append(path)
+        return paths
+
+
+@contextlib.contextmanager
+def keeping_answers(source: InterruptibleSource | None, out: Path) -> Iterator[None]:
+    """Where the block fails, what the source answered is written beside OUT, and the error says where."""
+    try:
+        yield
+    except BaseException as error:
+        lines = [] if source is None else _answers_line(source.write_answers(out))
+        if lines and type(error) in (ValueError, SourceError, RefusedPicture):
+            raise type(error)(f"{error}; {lines[0]}") from None
+        for line in lines:
+            complain(line)
+        raise
+
+
+def _answers_line(paths: Sequence[Path]) -> list[str]:
+    return [f"what came back is kept: {', '.join(map(str, paths))}"] if paths else []
 
 
 class SourceBar:
@@ -322,8 +386,15 @@ def _fitted(mask: np.ndarray | None, camera: Camera) -> np.ndarray | None:
     return resample(mask, camera.width, camera.height)
 
 
-def _write_report(path: Path, edits: Sequence[SourcedEdit], title: str) -> None:
+def _write_report(request: SourceJob, edits: Sequence[SourcedEdit]) -> None:
+    """The page of all that came back, where one is wanted."""
     from splatpainter.contact_sheet import write_sheet
     from splatpainter.sources.gate_report import report_page
 
-    write_sheet(path, report_page([(edit.request, edit.answer, edit.admitted) for edit in edits], title))
+    path, source = request.config.source_report, request.source
+    views = []
+    for sent, answer in source.answers:
+        edit = next((edit for edit in edits if edit.answer is answer), None)
+        views.append((sent, answer, None) if edit is None else (edit.request, answer, edit.admitted))
+    if path is not None and views:
+        write_sheet(path, report_page(views, f"{source.name}: {request.brief.prompt}".rstrip(": ")))

@@ -130,7 +130,7 @@ def refine(
     upscale: str | Path | None = None,
     source: PictureSource | None = None,
     prompt: str = "",
-    scale: int = 2,
+    scale: int | None = None,
     strictness: Strictness = "normal",
     method: Method = "lift",
     painter: Painter | None = None,
@@ -142,8 +142,9 @@ def refine(
 
     cameras: 1 to 16. upscale: a super-resolution model that spandrel opens (.safetensors); None: Lanczos and gentle
     sharpening, which invent nothing. source: another picture source instead; prompt: for one that takes it. scale: how
-    many times larger than its view each picture is made. method: "lift", or "fit" for seconds of optimisation after it.
-    The receipt's `source` says who made the pictures. Raises as `edit_with_source`."""
+    many times larger than its view each picture is made; None: `usual_scale`. method: "lift", or "fit" for
+    seconds of optimisation after it. The receipt's `source` says who made the pictures. Raises as
+    `edit_with_source`."""
     from splatpainter.sources.registry import open_source
 
     if source is not None and upscale is not None:
@@ -152,16 +153,22 @@ def refine(
         raise ValueError(f"refine: expected 1 to {MAX_VIEWS} cameras, got {len(cameras)}")
     options = {} if upscale is None else {"model": str(upscale)}
     painter = painter or Painter.load("lift")
+    source = source or open_source("upscale", options)
     return refine_views(
         painter,
         painter.encode(splats, method, ["local"]),
-        source or open_source("upscale", options),
-        SourceBrief(prompt, scale=scale, strictness=strictness),
+        source,
+        SourceBrief(prompt, scale=scale or usual_scale(source), strictness=strictness),
         cameras,
         method=method,
         progress=progress or (lambda share, words: None),
         cancel=cancel or threading.Event(),
     ).asset
+
+
+def usual_scale(source: PictureSource) -> int:
+    """How many times larger `refine` has pictures made where nobody says it: 2, or 1 of sources that do not enlarge."""
+    return 2 if 2 in source.capabilities.scales else min(source.capabilities.scales)
 
 
 def refine_views(

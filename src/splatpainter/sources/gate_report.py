@@ -15,30 +15,40 @@ CELL_PX = 360
 """Side of a picture on the page."""
 
 
-def report_page(views: Sequence[tuple[PictureRequest, PictureAnswer, AdmittedPicture]], title: str = "") -> np.ndarray:
+def report_page(
+    views: Sequence[tuple[PictureRequest, PictureAnswer, AdmittedPicture | None]], title: str = ""
+) -> np.ndarray:
     """[H, W, 3] uint8: for each view the render, the answer as it came, the answer over the render, its difference to
-    the render, the mask, what was taken (red), and the picture that is painted with, under a line of numbers."""
+    the render, the mask, what was taken (red), and the picture that is painted with, under a line of numbers. None: the
+    picture was not taken; then the first two and the mask."""
     strips = []
     for number, (request, answer, admitted) in enumerate(views, 1):
         size = request.image.shape[1], request.image.shape[0]
+        name = f"{number}. " if len(views) > 1 else ""
+        mask = np.ones(size[::-1], np.float32) if request.mask is None else request.mask
+        words = "mask: white may change" if request.mask is not None else "no mask"
+        mask_cell = (words, np.repeat(mask[..., None], 3, -1))
+        height, width = answer.image.shape[:2]
+        came = (("sent", request.image), (f"came back, {width} x {height}", over_grey(answer.image)))
+        if admitted is None:
+            strips.append(Strip(f"{name}not taken", (*came, mask_cell)))
+            continue
         image, aligned = (_fitted(picture, size) for picture in (admitted.image, admitted.aligned))
         weight = _fitted(admitted.weight, size)
-        mask = np.ones(size[::-1], np.float32) if request.mask is None else request.mask
+        # An enlarged picture is the enlarged render outside of what was taken, which is no difference.
+        painted = np.where(weight[..., None] > 0, image, request.image) if admitted.factor > 1 else image
         tinted = 0.6 * request.image + 0.4 * request.image.mean(-1, keepdims=True)
         tinted = tinted + 0.6 * weight[..., None] * (np.array([1.0, 0.15, 0.1]) - tinted)
-        height, width = answer.image.shape[:2]
-        name = f"{number}. " if len(views) > 1 else ""
         cells = (
-            ("sent", request.image),
-            (f"came back, {width} x {height}", over_grey(answer.image)),
+            *came,
             ("over the render, colours corrected", aligned),
             ("difference to the render", error_map(aligned, request.image)),
         )
         lower = (
-            ("mask: white may change" if request.mask is not None else "no mask", np.repeat(mask[..., None], 3, -1)),
+            mask_cell,
             (f"taken: {100 * admitted.share:.1f} % of the asset", np.clip(tinted, 0, 1)),
             ("painted with", image),
-            ("its difference to the render", error_map(image, request.image)),
+            ("its difference to the render", error_map(painted, request.image)),
         )
         strips += [Strip(name + numbers(admitted), cells), Strip("", lower)]
     return sheet(strips, CELL_PX, title)

@@ -211,7 +211,7 @@ def admit(
     if not still:
         changed &= np.abs(aligned - like).max(-1) > MAX_ROUNDING + SLACK_PX * edge_strength(render)
     spilled = _share(changed & outside, outside & cover) if mask is not None else 0.0
-    if mask is not None and _share(changed, (mask > 0.5) & cover) < MAX_UNTOUCHED and spilled > MIN_SPILLED:
+    if mask is not None and _share(changed, _heart(mask, cover)) < MAX_UNTOUCHED and spilled > MIN_SPILLED:
         raise RefusedPicture(_wrong_polarity(name))
     if spilled > limits.spilled:
         raise RefusedPicture(
@@ -449,6 +449,14 @@ def _factor(registration: Registration, size: tuple[int, int], requested: int) -
         return 1
     limit = max(1, MAX_ADMITTED_PX // max(size))
     return max(1, min(requested if 1 < requested <= scale + 0.25 else int(scale + 0.25), limit))
+
+
+def _heart(mask: np.ndarray, cover: np.ndarray) -> np.ndarray:
+    """[H, W] bool: where a mask shows the asset, without its rim: there a picture that was edited beside it changes a
+    little, too. All of a mask that is all rim."""
+    region = (mask > 0.5) & cover
+    inner = region & ~dilated(mask <= 0.5, RIM_PX)
+    return inner if inner.any() else region
 
 
 def _soft_mask(mask: np.ndarray) -> np.ndarray:

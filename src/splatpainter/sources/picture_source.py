@@ -86,6 +86,8 @@ class Capabilities:
     references: int = 0
     """How many reference pictures it takes."""
     seed: bool = False
+    max_seed: int = 2**64 - 1
+    """The largest that it takes."""
     maps: frozenset[str] = field(default_factory=frozenset)
     """Of {"depth", "normal"}: the maps that it takes."""
     scales: tuple[int, ...] = (1,)
@@ -94,6 +96,8 @@ class Capabilities:
     """Longest side of a picture that it takes."""
     paid: bool = False
     """Whether a call costs money: dry runs count these."""
+    hint: str = ""
+    """How it can be made to take more, in words for the line that refuses a request."""
 
 
 class PictureSource(Protocol):
@@ -117,6 +121,9 @@ def check_request(request: PictureRequest, capabilities: Capabilities, name: str
     Raises: SourceError naming what was asked and what the source takes.
     """
     sides = request.image.shape[:2]
+    hint = f"; {capabilities.hint}" if capabilities.hint else ""
+    if capabilities.seed and request.seed is not None and not 0 <= request.seed <= capabilities.max_seed:
+        raise SourceError(f"source {name}: expected a seed of 0 to {capabilities.max_seed}, got {request.seed}")
     demands = {
         "a prompt": bool(request.prompt) and not capabilities.prompt,
         "a mask": request.mask is not None and not capabilities.mask,
@@ -127,7 +134,7 @@ def check_request(request: PictureRequest, capabilities: Capabilities, name: str
     }
     for what, refused in demands.items():
         if refused:
-            raise SourceError(f"source {name}: does not take {what}; it takes {describe(capabilities)}")
+            raise SourceError(f"source {name}: does not take {what}; it takes {describe(capabilities)}{hint}")
     if capabilities.needs_prompt and not request.prompt.strip():
         raise SourceError(f"source {name}: needs a prompt (--prompt TEXT)")
 

@@ -68,7 +68,7 @@ def openai(service: FakeService, query: PictureRequest | None = None, **options:
 def test_gemini_there_and_back(service: FakeService) -> None:
     usage = {"usageMetadata": {"totalTokenCount": 1548}, "modelVersion": "gemini-2.5-flash-image-001"}
     service.replies = [drawn(png(64, 48), **usage)]
-    answer = gemini(service, request("make it rusty", True, 2**40 + 5, 2), size="1K")
+    answer = gemini(service, request("make it rusty", True, 2**31 - 1, 2), size="1K")
     assert answer.image.shape == (48, 64, 3) and (answer.image == (1, 0, 0)).all()
     assert (answer.model, answer.cost) == ("gemini-2.5-flash-image-001", "1,548 tokens")
     assert "takes no mask: it was sent as a second picture" in answer.notes[0]
@@ -78,7 +78,7 @@ def test_gemini_there_and_back(service: FakeService) -> None:
     body = call.json()
     assert body["generationConfig"] == {
         "responseModalities": ["TEXT", "IMAGE"],
-        "seed": 5,
+        "seed": 2**31 - 1,
         "imageConfig": {"imageSize": "1K"},
     }
     (content,) = body["contents"]

@@ -12,10 +12,11 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import secrets
 import shutil
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -50,13 +51,15 @@ class BatchWork:
     """number -> what became of that job; picklable, for workers. Raises nothing: a job that fails says why."""
 
     jobs: tuple[Job, ...]
+    run: str = field(default_factory=lambda: secrets.token_hex(8))
+    """Of this run of the batch: what failed in it is not tried again for every variant."""
 
     def __call__(self, number: int) -> dict[str, Any]:
         job, start = self.jobs[number], time.perf_counter()
         lines = io.StringIO()
         with contextlib.redirect_stderr(lines):  # bars and warnings of several workers on one terminal
             try:
-                result = run_job(job)
+                result = run_job(job, self.run)
             except (ValueError, OSError, MemoryError) as error:
                 result = failure(job, f"{error}" if not isinstance(error, MemoryError) else "out of memory")
             except Exception as error:  # one bad asset stops nothing
@@ -86,8 +89,8 @@ def finished(job: Job, hashes: list[str]) -> dict[str, Any] | None:
         return None
 
 
-def run_job(job: Job) -> dict[str, Any]:
-    """Do what is left of a job. Raises ValueError: an edit that cannot be made; OSError."""
+def run_job(job: Job, run: str) -> dict[str, Any]:
+    """Do what is left of a job. run: as in BatchWork. Raises ValueError: an edit that cannot be made; OSError."""
     hashes = job.hashes()
     if (record := finished(job, hashes)) is not None:
         return {**record, "status": "done", "resumed": True}
@@ -102,7 +105,7 @@ def run_job(job: Job) -> dict[str, Any]:
         target = _step_file(job, k)
         if not _step_done(job, k, digest):
             if k < job.common:
-                _copy(make_common(job, k, digest, asset, frame), target)
+                _copy(make_common(job, k, digest, asset, frame, run), target)
             else:
                 run_step(step, asset, target, frame)
             write_text(job.folder / f"step-{k}.done", digest)
@@ -177,16 +180,23 @@ def run_step(step: JobStep, asset: Path, target: Path, frame: Frame) -> None:
         replay_layers(cast(LayersEdit, values), asset, target, frame)
 
 
-def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame) -> Path:
+def make_common(job: Job, k: int, digest: str, asset: Path, frame: Frame, run: str) -> Path:
     """The file of a step that variants have in common, with its receipt; made by whoever comes first. Errors as of
-    `run_step`."""
+    `run_step`; what failed in this run fails for all variants, and no source is asked again."""
     target = common_file(job, k, digest)
+    failed = target.with_name(f"{target.name}.failed-{run}")
     target.parent.mkdir(parents=True, exist_ok=True)
     while (lock := ProjectLock.take(target)) is None:
         time.sleep(TURN_SECONDS)
     try:
+        if failed.exists():
+            raise ValueError(failed.read_text(encoding="utf-8"))
         if not is_proved(target):
-            run_step(job.steps[k], asset, target, frame)
+            try:
+                run_step(job.steps[k], asset, target, frame)
+            except ValueError as error:
+                write_text(failed, str(error))
+                raise
     finally:
         lock.release()
     return target
@@ -233,8 +243,6 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
             common = common_file(job, k, digest)
             if _step_done(job, k, digest) or (k < job.common and (common in counted or is_proved(common))):
                 continue
-            if k < job.common:
-                counted.add(common)
             if isinstance(step.step, SourceStep):
                 config = source_config(step.step, job.asset, Path(folder) / "plan.ply", job.frame, dry_run=True)
                 out.append(edit.run(config).record)
@@ -242,6 +250,8 @@ def calls_of(job: Job, counted: set[Path]) -> list[dict[str, Any]]:
                 words = option_words(_option_words(step.step.options))
                 paid = open_source(step.step.name, words).capabilities.paid
                 out.append({"source": step.step.name, "calls": len(step.step.views), "paid": paid})
+            if k < job.common:
+                counted.add(common)
     return out
 
 

@@ -62,7 +62,6 @@ INPUTS = {
 MAX_WORKFLOW_BYTES = 16 << 20
 MAX_MESSAGE_BYTES = 64 << 20
 """Of a message of the socket: previews come by it too."""
-MAX_SEED = 2**63 - 1
 HISTORY_SECONDS = 0.5
 """Between looks at the history where the socket is silent or closed."""
 
@@ -89,7 +88,7 @@ DESCRIPTION = SourceDescription(
     keys=KEYS,
     key_optional=True,
     modules=("httpx", "websockets"),
-    extra="sources",
+    extra="comfyui",
 )
 
 
@@ -115,6 +114,7 @@ class ComfyUISource:
             seed="seed" in self.slots,
             maps=frozenset({"depth", "normal"} & {*self.slots}),
             max_side_px=8192,
+            hint="its workflow takes what it has nodes for: title one splatpainter:prompt, mask, seed, depth or normal",
         )
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
@@ -269,7 +269,7 @@ class ComfyJob:
                     elif slot == "prompt":
                         inputs[key] = request.prompt
                     elif request.seed is not None:
-                        inputs[key] = request.seed & MAX_SEED
+                        inputs[key] = request.seed
                 if slot == "mask" and isinstance(inputs.get("channel"), str):
                     inputs["channel"] = "red"
         return graph

@@ -119,6 +119,7 @@ class CommandSource:
             maps=frozenset({"depth", "normal"} & names),
             scales=_scales(options.scales) if "scale" in names else (1,),
             max_side_px=8192,
+            hint="the program takes what run names: {prompt}, {mask}, {seed}, {scale}, {references}",
         )
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ PICKLED_WEIGHTS = ("*.bin", "*.ckpt", "*.pt", "*.pth")
 MULTIPLE_PX = 16
 """Of the sides of pictures that pipelines take: 8 for the autoencoder, 2 for patches of latents."""
 MAX_INDEX_BYTES = 1 << 20
-MAX_SEED = 2**63 - 1
+CAPABILITIES = Capabilities(prompt=True, mask=True, seed=True, max_seed=2**63 - 1, max_side_px=2048)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ DESCRIPTION = SourceDescription(
     name="diffusers",
     summary="a diffusion pipeline on this machine",
     options=DiffusersOptions,
-    capabilities=Capabilities(prompt=True, mask=True, seed=True, max_side_px=2048),
+    capabilities=CAPABILITIES,
     modules=("diffusers", "transformers"),
     extra="diffusers",
 )
@@ -79,7 +79,7 @@ class DiffusersSource:
     def __init__(self, options: DiffusersOptions) -> None:
         self.options = options
         self.pipeline_class = check_model_folder(options.model)
-        self.capabilities = Capabilities(prompt=True, mask=options.task != "img2img", seed=True, max_side_px=2048)
+        self.capabilities = replace(CAPABILITIES, mask=options.task != "img2img")
         self._pipelines: dict[str, Any] = {}
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
@@ -122,7 +122,7 @@ class DiffusersSource:
         if self.options.negative:
             values["negative_prompt"] = self.options.negative
         if request.seed is not None:
-            values["generator"] = torch.Generator("cpu").manual_seed(request.seed & MAX_SEED)
+            values["generator"] = torch.Generator("cpu").manual_seed(request.seed)
         try:
             result = pipeline(**{name: value for name, value in values.items() if name in accepted})
         except SourceCancelled:

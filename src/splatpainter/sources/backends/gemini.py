@@ -39,7 +39,6 @@ MASK_WORDS = (
 )
 FRAME_WORDS = "Answer with the edited picture alone, with the same framing, size and viewpoint as the first picture."
 REFERENCE_WORDS = "The last {count} pictures show what is meant; they are not to be edited."
-MAX_SEED = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,14 @@ class GeminiOptions:
 def _capabilities(model: str) -> Capabilities:
     few = "2.5" in model  # sound with three pictures, says its documentation; later ones with fourteen
     return Capabilities(
-        prompt=True, needs_prompt=True, mask=True, references=2 if few else 11, seed=True, max_side_px=4096, paid=True
+        prompt=True,
+        needs_prompt=True,
+        mask=True,
+        references=2 if few else 11,
+        seed=True,
+        max_seed=2**31 - 1,
+        max_side_px=4096,
+        paid=True,
     )
 
 
@@ -66,7 +72,7 @@ DESCRIPTION = SourceDescription(
     capabilities=_capabilities("gemini-2.5-flash-image"),
     keys=KEYS,
     modules=("httpx",),
-    extra="sources",
+    extra="gemini",
 )
 
 
@@ -104,7 +110,10 @@ class GeminiSource:
         data = run(work, "gemini", self.options.timeout, cancel)
         image, notes = read_answer(picture_of(data), "gemini")
         if request.mask is not None:
-            notes = ("gemini takes no mask: it was sent as a second picture, and nothing holds the model to it", *notes)
+            notes = (
+                "takes no mask: it was sent as a second picture, and nothing holds the model to it",
+                *notes,
+            )
         tokens = at(data, "usageMetadata", "totalTokenCount")
         version = at(data, "modelVersion")
         return PictureAnswer(
@@ -126,7 +135,7 @@ class GeminiSource:
             pictures += [reference_png(picture) for picture in request.references]
         config: dict[str, Any] = {"responseModalities": ["TEXT", "IMAGE"]}
         if request.seed is not None:
-            config["seed"] = request.seed & MAX_SEED
+            config["seed"] = request.seed
         if self.options.size:
             config["imageConfig"] = {"imageSize": self.options.size}
         inline = [{"inlineData": {"mimeType": "image/png", "data": base64.b64encode(png).decode()}} for png in pictures]

@@ -221,7 +221,7 @@ def require_httpx(source: str) -> None:
     try:
         import httpx  # noqa: F401
     except ImportError:
-        raise SourceError(f"source {source}: needs httpx; pip install 'splatpainter[sources]'") from None
+        raise SourceError(f"source {source}: needs httpx; pip install 'splatpainter[{source}]'") from None
 
 
 def read_key(source: str, variables: tuple[str, ...]) -> str:

@@ -67,7 +67,7 @@ DESCRIPTION = SourceDescription(
     capabilities=CAPABILITIES,
     keys=KEYS,
     modules=("httpx",),
-    extra="sources",
+    extra="openai",
 )
 
 

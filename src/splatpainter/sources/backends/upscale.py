@@ -71,7 +71,9 @@ class UpscaleSource:
         if options.model is not None:
             check_model_file(options.model, options.pickles)
         self.capabilities = Capabilities(
-            scales=SCALES if options.model is None else MODEL_SCALES, max_side_px=8192 // 2
+            scales=SCALES if options.model is None else MODEL_SCALES,
+            max_side_px=8192 // 2,
+            hint="say by how much: --enlarge in edit, --scale in refine and source try",
         )
 
     def edit(self, request: PictureRequest, progress: Progress, cancel: CancelFlag) -> PictureAnswer:
