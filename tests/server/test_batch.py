@@ -19,8 +19,11 @@ import pytest
 from splatpainter import processes
 from splatpainter.batch.schema import Batch
 from splatpainter.commands import verify
+from splatpainter.commands.batch import Config as BatchConfig
+from splatpainter.commands.batch import run as run_batch
 from splatpainter.io import read, write
 from splatpainter.rendering import render
+from splatpainter.scene.placement import Placement
 from splatpainter.server import batches
 from splatpainter.server.batch_folder import BatchFolder
 from splatpainter.server.batches import Batches
@@ -228,6 +231,42 @@ def test_without_a_layer_there_is_nothing_to_put_onto_others(studio: Live, tmp_p
     assert refusal(studio, "batch.plan", assets=asset).startswith("batch: there is no visible layer to put onto other")
     assert refusal(studio, "batch.plan", variants=[{"name": "a"}]).startswith("batch: a: changes nothing")
     assert planned(studio, variants=[{"name": "a", "transfer": RED}])["jobs"][0]["name"] == "ball-a.ply"
+
+
+def test_of_several_assets_the_chosen_one_makes_batches(studio: Live, tmp_path: Path) -> None:
+    """Its layers go onto others, and its variants are of its own file; a layer of another asset stays out."""
+    session, data = studio.studio.session, splat_bytes(tmp_path, 3)
+    rug = studio.post("scene.add", blob=studio.send(data, "rug.ply"))["asset"]
+    session.set_asset(rug, placement=Placement.of(move=(0, 9, 0), scale=2))
+    bright = session.add("look", parameters={"look": "grade", "exposure": 1.0}, name="bright", asset=rug)
+    session.add("look", parameters={"look": "grade", "saturation": -1.0}, name="grey", asset="")
+    other = [{"blob": studio.send(splat_bytes(tmp_path, 4), "mat.ply")}]
+    line = refusal(studio, "batch.plan", assets=other)
+    assert line == "batch: several assets are open (asset, rug.ply); choose the one that is meant"
+    assert refusal(studio, "batch.plan", assets=other, asset="nobody").startswith("asset: expected one of '', '")
+
+    def made(**fields: Any) -> list[Path]:
+        batch = planned(studio, asset=rug, **fields)
+        assert "rug.ply" in batch["title"]
+        folder = studio.studio.batches.get(batch["id"]).folder
+        assert (outcome := run_batch(BatchConfig(folder / "batch.yaml"))).code == 0, outcome.lines
+        return sorted((folder / "out").glob("*.ply"))
+
+    (mat,) = made(assets=other)
+    with Session(tmp_path / "asset4.ply") as alone:
+        alone.add("look", parameters={"look": "grade", "exposure": 1.0})
+        assert np.array_equal(read(mat).sh, alone.splats.sh)
+    unnamed = mat.parents[1] / "unnamed.yaml"
+    text = (mat.parents[1] / "batch.yaml").read_text().replace('"asset": "2"', '"asset": ""')
+    unnamed.write_text(text.replace('"out": "out"', '"out": "unnamed"'))
+    assert "expected asset to be one of 'asset', 'rug.ply', got ''" in run_batch(BatchConfig(unnamed)).lines[1]
+    session.save_selection("all", np.ones(len(session.splats), np.float32))
+    rows: list[dict[str, Any]] = [{"name": "plain"}, {"name": "red", "transfer": RED, "on": "selection", "of": "all"}]
+    plain, red = made(variants=rows)
+    assert plain.name == "rug-plain.ply" and np.array_equal(read(plain).sh, session.asset_splats(rug).sh)
+    assert (read(red).sh[:, 0, 0] > read(red).sh[:, 0, 2]).all() and np.array_equal(read(red).means, read(plain).means)
+    studio.post("layer.set", layer=bright.id, visible=False)
+    assert "there is no visible layer of rug.ply to put" in refusal(studio, "batch.plan", assets=other, asset=rug)
 
 
 def test_a_full_disk_and_too_many_results_are_one_line(

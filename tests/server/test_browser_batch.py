@@ -40,7 +40,7 @@ def picture(page: Page, name: str) -> None:
 def test_assets_are_sent_planned_made_found_again_and_downloaded(
     opened: tuple[studio_scenes.Live, Page], tmp_path: Path
 ) -> None:
-    _, page = opened
+    live, page = opened
     tab, dialog = page.tab, page.tab.get_by_role("dialog", name="Batch")
     tab.get_by_role("button", name="Batch").click()
     assert "There is no visible layer yet" in dialog.inner_text() and page.serious() == []
@@ -84,6 +84,13 @@ def test_assets_are_sent_planned_made_found_again_and_downloaded(
     assert bundle.namelist() == ["shoe.ply", "shoe.ply.receipt.json", "index.html"]
     dialog.get_by_role("button", name="New batch").click()
     page.wait("the beginning", lambda: dialog.get_by_role("button", name="Plan").count())
+    live.post("scene.add", blob=live.send(data, "hat.ply"))  # then one of both makes batches
+    page.wait("the choice", lambda: dialog.get_by_label("Of", exact=True).count())
+    assert "The visible layers (Paint" in dialog.inner_text()
+    dialog.get_by_label("Of", exact=True).select_option(label="hat.ply")
+    page.wait("the other's layers", lambda: "There is no visible layer yet" in dialog.inner_text())
+    assert page.serious() == []
+    picture(page, "several")
 
 
 def test_variants_from_a_table_and_from_csv(opened: tuple[studio_scenes.Live, Page]) -> None:

@@ -144,6 +144,8 @@ class LayersEdit:
     project: str = field(metadata=FILE)
     only: tuple[str, ...] = ()
     """Names of layers; none: all."""
+    asset: str = ""
+    """Of a project with several assets, the name of the one whose layers are meant, or its number ("1": the first)."""
 
 
 @dataclass(frozen=True)

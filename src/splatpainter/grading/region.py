@@ -279,18 +279,24 @@ def _of_project(name: str, text: str) -> Weigh:
             weights = session.selection(title) if name == "selection" else session.painted(title)
         except ValueError as error:
             raise ValueError(f"{project}: {error}") from None
-        original = session.original
-        chosen = Selection.of(weights, session.splats, original)
+        parts = session.selected_parts(weights)
 
     def weigh(splats: Splats) -> np.ndarray:
-        count = min(len(original), len(splats))
-        extent = float(np.ptp(original.means[original.drawable], axis=0).max())
-        far = np.linalg.norm(splats.means[:count] - original.means[:count], axis=1)
-        if len(splats) < len(original) or not np.median(far) <= SAME_ASSET_SHARE * extent:
-            raise ValueError(f"--where {name}={ascii(title)}: expected the asset of {project}, or one made from it")
-        return chosen.on(splats, original)
+        for part in parts:
+            if _is_made_from(splats, part.original):
+                return Selection.of(part.weights, part.splats, part.original).on(splats, part.original)
+        raise ValueError(f"--where {name}={ascii(title)}: expected the asset of {project}, or one made from it")
 
     return weigh
+
+
+def _is_made_from(splats: Splats, original: Splats) -> bool:
+    """Whether an asset may be one that was made from the original: as many Gaussians or more, where they were."""
+    if len(splats) < len(original):
+        return False
+    extent = float(np.ptp(original.means[original.drawable], axis=0).max())
+    far = np.linalg.norm(splats.means[: len(original)] - original.means, axis=1)
+    return bool(np.median(far) <= SAME_ASSET_SHARE * extent)
 
 
 _TERMS: dict[str, Callable[[str, str], Weigh]] = {

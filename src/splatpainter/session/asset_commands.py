@@ -262,7 +262,7 @@ class AssetCommands(StrokeCommands):
             self._fold(target)
         return self.layer(targets[0])
 
-    def _selected_parts(self, weights: np.ndarray) -> list[SelectedPart]:
+    def selected_parts(self, weights: np.ndarray) -> list[SelectedPart]:
         """Weights of the scene by asset, those of which anything is selected, the most first. Those of one asset: as
         they are."""
         if not self._document.assets:

@@ -149,13 +149,18 @@ def restore(project: Project, rule: OriginalRule) -> Splats:
     return numbered(splats)
 
 
-def write_original(path: Path, target: Path, original: Splats | None = None) -> tuple[Path, Frame]:
+def write_original(
+    path: Path, target: Path, original: Splats | None = None, added: SceneAsset | None = None
+) -> tuple[Path, Frame]:
     """The original of the project at `path` as a file: `target` with the ending of its format, else PLY. Returns that
     file and the `frame` to read it with. A file's bytes stay what they are where the project holds them. original: the
     Gaussians, where they are known: then no file that a project names is opened. Without them the frame is "auto".
-    Raises ValueError."""
+    added: that of an asset that was added, of a project with several. Raises ValueError."""
     with contextlib.closing(Project.open(path, readonly=True)) as project:
         facts = {name: project.fact(name) or "" for name in ("name", "format", "path", "frame")}
+        if added is not None:
+            format = format_of_name(Path(added.file)) or ""
+            facts = {"name": added.file, "format": format, "path": "", "frame": added.frame}
         entry = FORMATS.get(facts["format"])
         if facts["path"] or entry is None or facts["name"] == "meta.json" or (facts["frame"] and original is None):
             splats = restore(project, OriginalRule(embedded=True)) if original is None else original
@@ -169,7 +174,7 @@ def write_original(path: Path, target: Path, original: Splats | None = None) -> 
         file = target.with_name(target.name + (entry.suffixes[0] if entry.suffixes else ".ply"))
         try:
             with open(file, "xb") as stream:
-                for name, data in project.original():
+                for name, data in project.original(added.folder if added is not None else ""):
                     if name != facts["name"]:
                         raise ValueError(f"{path}: damaged project file (several files as its original)")
                     stream.write(data)

@@ -68,7 +68,7 @@ class GeometryCommands(ABC):
     def _commit(self, label: str, document: Document, *, strict: Any = None, gesture: str | None = None) -> None: ...
 
     @abstractmethod
-    def _selected_parts(self, weights: np.ndarray) -> list[SelectedPart]: ...
+    def selected_parts(self, weights: np.ndarray) -> list[SelectedPart]: ...
 
     @abstractmethod
     def _relief_of(self, relief: Relief) -> tuple[str, Relief]: ...
@@ -175,7 +175,7 @@ class GeometryCommands(ABC):
         """Layers without ids, one for each asset, that with the most weight first; their selections are among the blobs
         of the transaction."""
         layers, blobs = [], {}
-        for part in self._selected_parts(weights):
+        for part in self.selected_parts(weights):
             data = Selection.of(part.weights, part.splats, part.original).to_png()
             blobs[files.sha256(data)] = data
             parameters = {SELECTION: files.sha256(data)}

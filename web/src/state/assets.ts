@@ -14,6 +14,9 @@ export const assets = computed<SceneAssetInfo[]>(() => state.value?.assets ?? []
 /** The chosen asset; null: none is. */
 export const chosenAsset = computed(() => assets.value.find((one) => one.id === selectedAsset.value) ?? null);
 
+/** Of several assets, the one that batches are made of: the chosen one, else the first. Null: there is one. */
+export const batchAsset = computed(() => (assets.value.length > 1 ? (chosenAsset.value ?? assets.value[0]) : null));
+
 /** The name of an asset, where there are several; "" where there is one. */
 export const nameOfAsset = (id: string): string =>
   assets.value.length > 1 ? (assets.value.find((one) => one.id === id)?.name ?? "") : "";

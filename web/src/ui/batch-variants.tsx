@@ -4,6 +4,7 @@ import { signal } from "@preact/signals";
 
 import { selectedCount } from "../paint/selection";
 import { sendBlob } from "../net/blobs";
+import { batchAsset } from "../state/assets";
 import { newRow, rowsFromCsv, type VariantKind, type VariantRow } from "../state/batch";
 import { state } from "../state/store";
 import { Button, FileButton } from "./parts";
@@ -39,6 +40,7 @@ function regions(): (readonly [string, string])[] {
     ...(now?.selection.names ?? []).map((name) => [`selection:${name}`, name] as const),
     ...(now?.layers ?? [])
       .filter((layer) => layer.visible && PAINTS.includes(layer.kind))
+      .filter((layer) => !batchAsset.value || layer.asset === batchAsset.value.id)
       .map((layer) => [`layer:${layer.id}`, `Layer ${layer.name}`] as const),
   ];
 }

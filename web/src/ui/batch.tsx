@@ -10,6 +10,7 @@ import type { Fields } from "../net/connection";
 import { CommandError } from "../net/connection";
 import { download } from "../net/blobs";
 import { atWork, batch, batchOpen, countOf, variantOf } from "../state/batch";
+import { assets as sceneAssets, batchAsset, selectedAsset } from "../state/assets";
 import { camera, state } from "../state/store";
 import { link } from "../state/studio";
 import { BatchAssets, chosenAssets } from "./batch-assets";
@@ -62,7 +63,8 @@ async function ask(words: string, work: () => Promise<BatchAnswer | void>): Prom
 const plan = () =>
   ask("Planning", async () => {
     const wanted = what.value === "assets" ? { assets: chosenAssets() } : { variants: rows.value.map(variantOf) };
-    return link.do("batch.plan", { ...wanted, format: format.value, camera: camera.value });
+    const asset = batchAsset.value?.id;
+    return link.do("batch.plan", { ...wanted, asset, format: format.value, camera: camera.value });
   });
 const start = (id: string) => ask("Starting", () => link.do("batch.start", { batch: id }));
 const cancel = (id: string) => ask("Cancelling", () => link.do("batch.cancel", { batch: id }));
@@ -98,7 +100,8 @@ export function BatchDialog() {
 }
 
 function Setup() {
-  const layers = state.value?.layers.filter((layer) => layer.visible) ?? [];
+  const present = batchAsset.value;
+  const layers = state.value?.layers.filter((one) => one.visible && (!present || one.asset === present.id)) ?? [];
   const kinds: readonly (readonly [What, string])[] = [
     ["assets", "These layers on other assets"],
     ["variants", "Variants of this asset"],
@@ -115,6 +118,16 @@ function Setup() {
           </label>
         ))}
       </div>
+      {present && (
+        <p class="row">
+          <Choice
+            label="Of"
+            value={present.id}
+            options={sceneAssets.value.map((one) => [one.id, one.name] as const)}
+            onChange={(id) => (selectedAsset.value = id)}
+          />
+        </p>
+      )}
       <p class="quiet">
         {assets
           ? layers.length

@@ -18,7 +18,7 @@ import tempfile
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from splatpainter.atomic import replace as replace_file
 from splatpainter.atomic import sync_folder, write_text
@@ -34,6 +34,9 @@ from splatpainter.session.lock import ProjectLock
 from splatpainter.sources.registry import open_source
 from splatpainter.sources.source_options import option_words
 from splatpainter.splats import Frame, Splats
+
+if TYPE_CHECKING:
+    from splatpainter.session import Session
 
 RECORD, BEFORE, AFTER = "record.json", "before.webp", "after.webp"
 """Files of a finished job's folder."""
@@ -261,12 +264,15 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
     from splatpainter.session import Session
 
     with Session.load(step.project, readonly=True) as source, tempfile.TemporaryDirectory() as folder:
-        missing = sorted(set(step.only) - {layer.name for layer in source.layers})
-        chosen = [layer for layer in source.layers if layer.visible and (not step.only or layer.name in step.only)]
+        asset_id = _asset_of(source, step)
+        layers = [layer for layer in source.layers if layer.asset == asset_id]
+        missing = sorted(set(step.only) - {layer.name for layer in layers})
+        chosen = [layer for layer in layers if layer.visible and (not step.only or layer.name in step.only)]
         if missing or not chosen:
             raise ValueError(f"{step.project}: expected visible layers, got none called {', '.join(missing) or 'so'}")
-        if not step.only and _is_original(source.original, asset, frame):
-            source.export(target, overwrite=True)  # what the layers make of it is in the project
+        if not step.only and _is_original(source.asset_original(asset_id), asset, frame):
+            # What the layers make of it is in the project.
+            source.export(target, overwrite=True, asset=asset_id if len(source.assets) > 1 else None)
             return
         with Session(asset, frame=frame) as session:
             ids: dict[str, str] = {}
@@ -284,6 +290,15 @@ def replay_layers(step: LayersEdit, asset: Path, target: Path, frame: Frame) -> 
                 if lower in ids and upper in ids:
                     session.resolve_conflict(ids[lower], ids[upper], policy)
             session.export(target, overwrite=True)
+
+
+def _asset_of(source: Session, step: LayersEdit) -> str:
+    """The id of the asset of a project whose layers are meant. Raises ValueError: several, and none of them named."""
+    for number, one in enumerate(source.assets, 1):
+        if step.asset in (one.name, str(number)) or (not step.asset and len(source.assets) == 1):
+            return one.id
+    names = ", ".join(repr(one.name) for one in source.assets)
+    raise ValueError(f"{step.project}: expected asset to be one of {names}, got {step.asset!r:.80}")
 
 
 def _is_original(original: Splats, asset: Path, frame: Frame) -> bool:

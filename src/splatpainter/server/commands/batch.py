@@ -13,14 +13,17 @@ from typing import Any, Literal
 from pydantic import Field
 
 from splatpainter.batch.plan import JobList
+from splatpainter.io import format_of_name
 from splatpainter.server.batch_folder import LOOKS, BatchFolder
 from splatpainter.server.commands.color_grading import ColorTransfer, GradeSliders, settings_of
 from splatpainter.server.commands.context import CommandContext, command, naming_errors
 from splatpainter.server.describe_batch import batch_info
 from splatpainter.server.protocol import Answer, BatchInfo, Blob, CameraInfo, Command, FileName, Message
 from splatpainter.server.storage import PROJECT
+from splatpainter.session import Session
 from splatpainter.session.annotations import keep_selection
 from splatpainter.session.asset_files import write_original
+from splatpainter.session.scene_asset import MAIN, SceneAsset
 
 MAX_ASSETS, MAX_VARIANTS = 500, 200
 MAX_LISTED_LAYERS = 5
@@ -64,6 +67,8 @@ class BatchPlan(Command):
     ANSWER = BatchAnswer
     assets: list[BatchAsset] = Field(default=[], max_length=MAX_ASSETS)
     variants: list[BatchVariant] = Field(default=[], max_length=MAX_VARIANTS)
+    asset: str | None = Field(default=None, max_length=100)
+    """Of several assets in the session, the one whose layers or variants are meant: its id."""
     format: Literal["", "ply", "compressed.ply", "splat", "spz", "sog", "glb"] = ""
     """Of the results; "": that of each asset."""
     camera: CameraInfo | None = None
@@ -111,27 +116,32 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
         batch = BatchFolder(folder)
         context.ticket.report(0, "copying the project")
         session = studio.session
-        if session.snapshot.document.assets:
-            raise ValueError("batch: expected one asset in the session, got several; open one of them alone")
+        present, number = _present_asset(session, request.asset)
+        name = present.name if number else studio.state.asset.name
         session.save_copy(batch.project)
-        visible = [layer.name for layer in session.layers if layer.visible]
-        replay = [{"layers": {"project": batch.project.name}}] if visible else []
+        visible = [layer.name for layer in session.layers if layer.visible and layer.asset == present.id]
+        replay = [{"layers": {"project": batch.project.name, "asset": number}}] if visible else []
         names = f"{', '.join(visible[:MAX_LISTED_LAYERS])}{', ...' if len(visible) > MAX_LISTED_LAYERS else ''}"
         if request.assets:
             if not replay:
-                raise ValueError("batch: there is no visible layer to put onto other assets; paint something first")
+                on = f" of {name}" if number else ""
+                raise ValueError(
+                    f"batch: there is no visible layer{on} to put onto other assets; paint something first"
+                )
             batch.edits = replay
             for number, asset in enumerate(request.assets):
                 context.ticket.report(number / len(request.assets), "collecting assets")
                 _add_asset(context, batch, asset)
-            title = f"Layers of {studio.state.asset.name} on {_count(len(request.assets), 'asset')}"
+            title = f"Layers of {name} on {_count(len(request.assets), 'asset')}"
             words = [f"layers: {names}"] * len(request.assets)
         else:
-            stem = batch.stem(studio.state.asset.name, f".{studio.state.asset.format}")
-            asset, batch.frame = write_original(batch.project, stem, session.original)
+            added = present if present.id != MAIN else None
+            format = studio.state.asset.format if added is None else format_of_name(Path(added.file))
+            original = session.asset_original(present.id)
+            asset, batch.frame = write_original(batch.project, batch.stem(name, f".{format}"), original, added)
             batch.assets.append(asset)
             batch.variants, words = _variants(context, batch, request.variants, replay)
-            title = f"{_count(len(request.variants), 'variant')} of {studio.state.asset.name}"
+            title = f"{_count(len(request.variants), 'variant')} of {name}"
         return batch.plan(request.format, camera), words, title
 
     return BatchAnswer(batch=batch_info(studio, studio.batches.make(prepare)))
@@ -157,6 +167,18 @@ def discard_batch(context: CommandContext, request: BatchDiscard) -> Answer:
 def show_batch(context: CommandContext, request: BatchStatus) -> BatchAnswer:
     batch = context.studio.batches.present
     return BatchAnswer(batch=None if batch is None else batch_info(context.studio, batch))
+
+
+def _present_asset(session: Session, asset: str | None) -> tuple[SceneAsset, str]:
+    """The asset whose layers or variants are meant, and its number among several, or "". Raises ValueError: none of
+    several is chosen; unknown."""
+    if len(session.assets) == 1:
+        return session.assets[0], ""
+    if asset is None:
+        names = ", ".join(one.name for one in session.assets)
+        raise ValueError(f"batch: several assets are open ({names}); choose the one that is meant")
+    present = session.asset(asset)
+    return present, str(1 + session.assets.index(present))
 
 
 def _add_asset(context: CommandContext, batch: BatchFolder, asset: BatchAsset) -> None:
