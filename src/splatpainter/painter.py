@@ -43,6 +43,9 @@ LOW_ASIDE_DB = 20.0
 MIN_ASIDE_COVERED = 0.25
 """Share of the paint that side views must be able to check for that."""
 
+MARGIN_TILES = 1
+"""Around an edit, of a view that somebody holds: those of most Gaussians that make its pixels."""
+
 
 @dataclass(frozen=True)
 class Edit:
@@ -543,6 +546,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
     from splatpainter.lift.masks import dilated, edited_mask
     from splatpainter.lift.resurface import RING_PX
     from splatpainter.rendering.cpu.projected_view import tiles_of_mask
+    from splatpainter.rendering.cpu.recent_views import recent_view
     from splatpainter.rendering.partial import PartialRender
     from splatpainter.voxels.raycast import is_inside
 
@@ -550,10 +554,12 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
         if is_inside(asset.splats, lambda: asset.grid, edit.camera.position):
             raise ValueError("edit: the camera is inside the object; step back until the surface is in view")
         mask = edit.mask
-        tiles = beside = None
+        tiles = beside = view = None
         if partly and mask is not None and mask.any():
             tiles, beside = tiles_of_mask(mask), tiles_of_mask(dilated(mask, RING_PX))
-        drawn = PartialRender.of(asset.splats, edit.camera, tiles, beside)
+            held = recent_view(asset.splats, edit.camera)
+            view = None if held is None else held.part(tiles=dilated(beside, MARGIN_TILES))
+        drawn = PartialRender.of(asset.splats, edit.camera, tiles, beside, view)
         if mask is None:
             mask = drawn.alphas > 0.5 if mode == "global" else edited_mask(edit.image, drawn.colors, drawn.alphas)
         if not mask.any():

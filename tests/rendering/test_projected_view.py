@@ -120,6 +120,21 @@ def test_a_part_of_a_view_is_that_view_projected_anew(share: float):
             np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.parametrize("share", [1.1, 0.3])
+def test_two_views_merged_are_that_of_both_projected_anew(share: float):
+    splats, camera = with_odd_gaussians(scene(300, seed=6, dtype=np.float32)), cameras(150, 110)[0]
+    splats = splats.take(np.concatenate([np.arange(len(splats)), np.arange(40)]))  # some at equal depths
+    rng = np.random.default_rng(2)
+    tiles, first = rng.random(tile_shape(camera)) < share, rng.random(len(splats)) < 0.5
+    parts = [project(splats, camera, tiles=tiles, gaussian_mask=mask) for mask in (first, ~first)]
+    merged, anew = parts[0].merged(parts[1]), project(splats, camera, tiles=tiles)
+    assert min(map(len, parts)) > 20 and (np.diff(anew.depths) == 0).any()
+    for name in ("tiles", "gaussian_ids", "projected", "pair_offsets", "flatten_ids", "pair_ids", "isect_offsets"):
+        np.testing.assert_array_equal(getattr(merged, name), getattr(anew, name))
+    for one, other in zip(merged.rasterize(), anew.rasterize(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_touched_tiles_are_also_those_that_are_not_drawn():
     splats, camera = scene(200, seed=5, dtype=np.float32), cameras(150, 110)[0]
     tiles = np.zeros(tile_shape(camera), bool)

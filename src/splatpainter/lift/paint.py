@@ -17,6 +17,7 @@ from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.resurface import MIN_COVER, RING_PX, resurface
 from splatpainter.lift.rounding import rounded
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.recent_views import recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import visible_surface
@@ -76,15 +77,19 @@ def paint_view(
         return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, 0.0)
     reach = dilated(mask, RING_PX)
     needed = tiles_of_mask(reach)
-    if view is None or not np.array_equal(view.tiles, needed):
+    if view is None or (needed & ~view.tiles).any():
         view = project(splats, camera, tiles=needed)
-    around = project(splats, camera, tiles=_tiles_at_work(reach, view))
+    local = view if np.array_equal(view.tiles, needed) else view.part(tiles=needed)
+    tiles = _tiles_at_work(reach, local)
+    if (tiles & ~view.tiles).any():
+        view = recent_view(splats, camera)
+    around = project(splats, camera, tiles=tiles) if view is None else view.part(tiles=tiles)
     around = around.part() if around.tiles.all() else around  # without those that only might touch a tile
     order = np.argsort(around.gaussian_ids)
     ids, number = around.gaussian_ids[order], np.empty(len(order), np.int64)
     number[order] = np.arange(len(order))
     around = replace(around, gaussian_ids=number, num_gaussians=len(ids))
-    view = around.part(tiles=view.tiles)
+    view = around.part(tiles=needed)
     originals = len(splats) if first_appended is None else first_appended
     first = int(np.searchsorted(ids, originals))
     part = _paint_part(splats.take(ids), surface, view, around, edited, mask, options, first, originals)

@@ -1,6 +1,6 @@
 """A view drawn in some of its 16 x 16 tiles only: around an edit, and again where the edit changed it. Knows no edit.
 
-Tiles are independent of each other, so a tile has the same bits whichever others are drawn with it.
+Tiles are independent of each other, so a tile has the same bits whichever fresh are drawn with it.
 """
 
 from __future__ import annotations
@@ -37,10 +37,14 @@ class PartialRender:
 
     @staticmethod
     def of(
-        splats: Splats, camera: Camera, tiles: np.ndarray | None = None, beside: np.ndarray | None = None
+        splats: Splats,
+        camera: Camera,
+        tiles: np.ndarray | None = None,
+        beside: np.ndarray | None = None,
+        view: ProjectedView | None = None,
     ) -> PartialRender:
-        """tiles: [TH, TW] bool; None: all of them; beside: more that the `view` is to have. Raises ValueError for sizes
-        that `render` does not draw."""
+        """tiles: [TH, TW] bool; None: all of them; beside: more that the `view` is to have; view: one of the splats
+        that has these, if at hand. Raises ValueError for sizes that `render` does not draw."""
         from splatpainter.rendering import check_views, render
         from splatpainter.rendering.cpu.projected_view import project, tile_shape
 
@@ -51,14 +55,15 @@ class PartialRender:
             return PartialRender(
                 splats, camera, everywhere, picture.colors[0], picture.alphas[0, ..., 0], picture.depths[0, ..., 0]
             )
-        view = project(splats, camera, tiles=tiles if beside is None else tiles | beside)
+        if view is None:
+            view = project(splats, camera, tiles=tiles if beside is None else tiles | beside)
         pictures = (view if (view.tiles == tiles).all() else view.part(tiles=tiles)).rasterize()
         return PartialRender(splats, camera, tiles, *pictures, None if beside is None else view)
 
     def with_tiles(self, tiles: np.ndarray) -> PartialRender:
         """These tiles ([TH, TW] bool) drawn too."""
         missing = tiles & ~self.tiles
-        return self._redrawn(self.splats, missing) if missing.any() else self
+        return self._redrawn(self.splats, missing, self.view) if missing.any() else self
 
     def after(self, splats: Splats, changed: np.ndarray) -> tuple[PartialRender, PartialRender]:
         """(this with all tiles that differ, what `splats` show, drawn in the same tiles). splats: the same Gaussians at
@@ -79,19 +84,39 @@ class PartialRender:
                 some = np.ones(len(ids), bool)
                 tiles |= project(asset.take(ids), self.camera).tiles_of(some)
         before = self.with_tiles(tiles)
-        return before, before._redrawn(splats, tiles) if tiles.any() else replace(before, splats=splats)
+        if not tiles.any():
+            return before, replace(before, splats=splats)
+        view = None
+        if self.view is not None and self._has(self.view, tiles):
+            same = np.ones(count, bool)
+            same[changed] = False
+            fresh = project(splats.take(new), self.camera, tiles=tiles)
+            fresh = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
+            view = self.view.part(tiles=tiles, gaussian_mask=same).merged(fresh)
+        return before, before._redrawn(splats, tiles, view)
 
-    def _redrawn(self, splats: Splats, tiles: np.ndarray) -> PartialRender:
-        """What it shows is of `splats` in these tiles, and as it was in all others."""
+    @staticmethod
+    def _has(view: ProjectedView, tiles: np.ndarray) -> bool:
+        """Whether a view can show these tiles; all tiles are drawn by `render`."""
+        return not tiles.all() and not (tiles & ~view.tiles).any()
+
+    def _redrawn(self, splats: Splats, tiles: np.ndarray, view: ProjectedView | None = None) -> PartialRender:
+        """What it shows is of `splats` in these tiles, and as it was in all fresh. view: of `splats`, if at hand."""
         from splatpainter.rendering.cpu.projected_view import TILE
 
-        part = PartialRender.of(splats, self.camera, tiles)
-        if part.tiles.all():
-            return part
+        names = ("colors", "alphas", "depths")
+        if view is not None and self._has(view, tiles):
+            part = view if np.array_equal(view.tiles, tiles) else view.part(tiles=tiles)
+            drawn = dict(zip(names, part.rasterize(), strict=True))
+        else:
+            part = PartialRender.of(splats, self.camera, tiles)
+            if part.tiles.all():
+                return part
+            drawn = {name: getattr(part, name) for name in names}
         height, width = self.alphas.shape
         pixels = tiles.repeat(TILE, 0).repeat(TILE, 1)[:height, :width]
         pictures = {}
-        for name in ("colors", "alphas", "depths"):
+        for name in names:
             pictures[name] = getattr(self, name).copy()
-            pictures[name][pixels] = getattr(part, name)[pixels]
+            pictures[name][pixels] = drawn[name][pixels]
         return replace(self, splats=splats, tiles=self.tiles | tiles, **pictures, view=None)

@@ -18,6 +18,7 @@ from splatpainter.lift.colors import MAX_COLOR, recolor
 from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE
 from splatpainter.lift.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
+from splatpainter.rendering.cpu.recent_views import note_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.session import Session
 from splatpainter.splats import Splats
@@ -84,6 +85,7 @@ class Stroke:
         if self._canvas is not None and self._canvas.version == version:
             return
         frame = project(splats, self.camera)
+        note_view(splats, frame)
         base = frame.rasterize()[0]
         erased = project(self._beneath or original, self.camera).rasterize()[0] if self.erase else base
         everywhere = np.ones(base.shape[:2], np.float32)

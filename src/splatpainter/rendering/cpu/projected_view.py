@@ -123,33 +123,55 @@ class ProjectedView:
         """What `project` would give for some of the drawn tiles ([TH, TW] bool; None: all of them) and for some of the
         Gaussians ([N] bool; None: all of them), bit for bit, without those that touch none of these tiles."""
         tiles = self.tiles if tiles is None else tiles & self.tiles
-        counts = np.diff(self.isect_offsets)
         used = tiles.ravel()[self.tile_ids]  # [T]
-        pairs = np.repeat(used, counts)  # [P]
-        if gaussian_mask is not None:
-            pairs &= gaussian_mask[self.gaussian_ids][self.flatten_ids]
-        entries, pair_ids = self.flatten_ids[pairs], self.pair_ids[pairs]
-        per_entry = np.bincount(entries, minlength=len(self))
-        present = per_entry > 0
-        new_entry = np.cumsum(present, dtype=np.int32) - np.int32(1)
-        chosen = np.zeros(len(self.pair_ids), bool)
-        chosen[pair_ids] = True
-        new_pair = np.cumsum(chosen, dtype=np.int32) - np.int32(1)
-        sums = np.append(0, np.cumsum(pairs))
-        per_tile = (sums[self.isect_offsets[1:]] - sums[self.isect_offsets[:-1]])[used]
-        at = np.flatnonzero(present)
-        projected = simd.aligned((len(at), COLUMNS), self.projected.dtype)
-        np.take(self.projected, at, axis=0, out=projected)
+        selected = np.zeros(0, bool) if gaussian_mask is None else gaussian_mask[self.gaussian_ids]
+        lists = (self.flatten_ids, self.isect_offsets, used, selected)
+        per_entry, per_tile = np.zeros(len(self), np.int32), np.empty(len(used), np.int64)
+        tile_binning.count_pairs(*lists, per_entry, per_tile)
+        at = np.flatnonzero(per_entry)
+        m, total = len(at), int(per_tile.sum())
+        pair_offsets = np.append(0, np.cumsum(per_entry[at], dtype=np.int64))
+        new_entry, begins = np.empty((2, len(self)), np.int32)
+        new_entry[at], begins[at] = np.arange(m), pair_offsets[:-1]
+        flatten_ids, pair_ids = np.empty((2, total), np.int32)
+        tile_binning.take_pairs(*lists, new_entry, begins, flatten_ids, pair_ids)
+        projected, gaussian_ids = simd.aligned((m, COLUMNS), self.projected.dtype), np.empty(m, np.int64)
+        run(tile_binning.take_entries, at, self.projected, self.gaussian_ids, projected, gaussian_ids)
         return replace(
             self,
             tiles=tiles,
-            gaussian_ids=self.gaussian_ids[at],
+            gaussian_ids=gaussian_ids,
             projected=simd.readonly(projected, projected.dtype),
-            pair_offsets=np.append(0, np.cumsum(per_entry[at])),
-            flatten_ids=new_entry[entries],
-            pair_ids=new_pair[pair_ids],
+            pair_offsets=pair_offsets,
+            flatten_ids=flatten_ids,
+            pair_ids=pair_ids,
             tile_ids=self.tile_ids[used],
-            isect_offsets=np.append(0, np.cumsum(per_tile)),
+            isect_offsets=np.append(0, np.cumsum(per_tile[used])),
+        )
+
+    def merged(self, other: ProjectedView) -> ProjectedView:
+        """What `project` would give for the Gaussians of both in one, bit for bit. other: of other Gaussians, numbered
+        as here (from the same N), with the same camera and tiles."""
+        m = len(self) + len(other)
+        entry, entry2 = np.empty(len(self), np.int32), np.empty(len(other), np.int32)
+        pair_offsets, dtype = np.empty(m + 1, np.int64), self.projected.dtype
+        depths = [np.ascontiguousarray(view.depths) for view in (self, other)]
+        sides = [(z, v.gaussian_ids, v.pair_offsets) for z, v in zip(depths, (self, other), strict=True)]
+        tile_binning.merge_entries(*sides[0], *sides[1], entry, entry2, pair_offsets)
+        projected, gaussian_ids = simd.aligned((m, COLUMNS), dtype), np.empty(m, np.int64)
+        for view, numbers in ((self, entry), (other, entry2)):
+            run(tile_binning.put_entries, numbers, view.projected, view.gaussian_ids, projected, gaussian_ids)
+        flatten_ids, pair_ids = np.empty((2, len(self.flatten_ids) + len(other.flatten_ids)), np.int32)
+        lists = [(v.flatten_ids, v.pair_ids, v.isect_offsets, v.pair_offsets) for v in (self, other)]
+        run(tile_binning.merge_pairs, *lists[0], entry, *lists[1], entry2, pair_offsets, flatten_ids, pair_ids)
+        return replace(
+            self,
+            gaussian_ids=gaussian_ids,
+            projected=simd.readonly(projected, dtype),
+            pair_offsets=pair_offsets,
+            flatten_ids=flatten_ids,
+            pair_ids=pair_ids,
+            isect_offsets=self.isect_offsets + other.isect_offsets,
         )
 
     def rasterize(self, colors: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,4 +1,7 @@
-"""Depth order, and which Gaussians each tile draws, front to back. Stable, so equal for any number of threads."""
+"""Depth order, and which Gaussians each tile draws, front to back. Stable, so equal for any number of threads.
+
+Also of views that are there: some of their tiles and entries, and two of them as one.
+"""
 
 from __future__ import annotations
 
@@ -171,3 +174,99 @@ def place_pairs(begins, ends, pair_tiles, pair_offsets, first, flatten_ids, pair
                 first[share, tile] = p + 1
                 flatten_ids[p] = i
                 pair_ids[p] = pair_offsets[i] + k
+
+
+@kernel
+def count_pairs(flatten_ids, isect_offsets, used, selected, per_entry, per_tile):
+    """Pairs in the tiles in use ([T] bool) of selected entries ([M] bool, or [0]: all): added to per_entry [M], which
+    begins as zeros, and per_tile [T]."""
+    for k in range(used.shape[0]):
+        per_tile[k] = 0
+        if used[k]:
+            for p in range(isect_offsets[k], isect_offsets[k + 1]):
+                i = flatten_ids[p]
+                if selected.shape[0] == 0 or selected[i]:
+                    per_entry[i] += 1
+                    per_tile[k] += 1
+
+
+@kernel
+def take_pairs(flatten_ids, isect_offsets, used, selected, new_entry, at, to, pairs):
+    """These pairs, tile after tile: their entries' new numbers [M] into `to`, their own into `pairs`. at [M]: where the
+    pairs of each entry begin; pairs of one entry are in the order of their tiles."""
+    q = 0
+    for k in range(used.shape[0]):
+        if used[k]:
+            for p in range(isect_offsets[k], isect_offsets[k + 1]):
+                i = flatten_ids[p]
+                if selected.shape[0] == 0 or selected[i]:
+                    to[q] = new_entry[i]
+                    pairs[q] = at[i]
+                    at[i] += 1
+                    q += 1
+
+
+@kernel
+def take_entries(at, projected, gaussian_ids, new_projected, new_ids, thread, threads):
+    """Entries `at` [M']."""
+    m = at.shape[0]
+    for i in range(m * thread // threads, m * (thread + 1) // threads):
+        for c in range(COLUMNS):
+            new_projected[i, c] = projected[at[i], c]
+        new_ids[i] = gaussian_ids[at[i]]
+
+
+@kernel
+def merge_entries(depths, ids, offsets, depths2, ids2, offsets2, entry, entry2, new_offsets):
+    """Numbers of the entries of two views in the depth order of both, ties by id, and where their pairs begin."""
+    m, m2 = ids.shape[0], ids2.shape[0]
+    a = 0
+    b = 0
+    pairs = 0
+    for k in range(m + m2):
+        new_offsets[k] = pairs
+        first = b == m2
+        if a < m and b < m2:
+            first = depths[a] < depths2[b] or (depths[a] == depths2[b] and ids[a] < ids2[b])
+        if first:
+            entry[a] = k
+            pairs += offsets[a + 1] - offsets[a]
+            a += 1
+        else:
+            entry2[b] = k
+            pairs += offsets2[b + 1] - offsets2[b]
+            b += 1
+    new_offsets[m + m2] = pairs
+
+
+@kernel
+def put_entries(entry, projected, gaussian_ids, new_projected, new_ids, thread, threads):
+    """Entries of a view at their new numbers."""
+    m = entry.shape[0]
+    for i in range(m * thread // threads, m * (thread + 1) // threads):
+        for c in range(COLUMNS):
+            new_projected[entry[i], c] = projected[i, c]
+        new_ids[entry[i]] = gaussian_ids[i]
+
+
+@kernel
+def merge_pairs(
+    flatten_ids, pair_ids, isect_offsets, pair_offsets, entry,
+    flatten_ids2, pair_ids2, isect_offsets2, pair_offsets2, entry2,
+    new_offsets, to, pairs, thread, threads,
+):  # fmt: skip
+    """The pairs of each tile of two views with the same tiles, front to back."""
+    for k in range(thread, isect_offsets.shape[0] - 1, threads):
+        p, end = isect_offsets[k], isect_offsets[k + 1]
+        p2, end2 = isect_offsets2[k], isect_offsets2[k + 1]
+        for q in range(p + p2, end + end2):
+            if p2 == end2 or (p < end and entry[flatten_ids[p]] < entry2[flatten_ids2[p2]]):
+                i = flatten_ids[p]
+                to[q] = entry[i]
+                pairs[q] = new_offsets[entry[i]] + (pair_ids[p] - pair_offsets[i])
+                p += 1
+            else:
+                i = flatten_ids2[p2]
+                to[q] = entry2[i]
+                pairs[q] = new_offsets[entry2[i]] + (pair_ids2[p2] - pair_offsets2[i])
+                p2 += 1

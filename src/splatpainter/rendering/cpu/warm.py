@@ -47,5 +47,6 @@ def warm_tiles() -> None:
     view.sirt_step(image, alpha)
     view.heaviest_gaussians()
     view.touched_tiles(np.zeros(0, bool))
+    view.part().merged(view)
     CachedWeights.of(view, image, alpha, np.zeros(0, bool))
     view.rasterize_backward(ends, image, alpha, depth, image, alpha, depth)
