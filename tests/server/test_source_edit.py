@@ -62,6 +62,34 @@ def test_a_view_comes_back_as_a_checked_picture_and_becomes_a_layer(studio: Live
     assert again["camera_source"] == "chunk"
 
 
+NOISY = """
+import pathlib
+import sys
+import numpy as np
+from PIL import Image
+pixels, calls = np.asarray(Image.open(sys.argv[1]).convert("RGB")), pathlib.Path(__file__).with_name("calls")
+noise = np.random.default_rng(0).integers(0, 255, pixels.shape, np.uint8)
+Image.fromarray(pixels[..., [2, 0, 1]] if calls.read_text() == "xx" else noise).save(sys.argv[2])
+calls.write_text(calls.read_text() + "x")
+"""
+
+
+@pytest.mark.usefixtures("few_views")
+def test_refused_pictures_are_shown_with_their_reason(studio: Live, tmp_path: Path) -> None:
+    """They may have been paid for: they come as dropped ones would, and are not painted until somebody does."""
+    (tmp_path / "tool.py").write_text(NOISY, encoding="utf-8")
+    (tmp_path / "calls").write_text("")
+    answer = studio.post("source.edit", source="command", camera=wire(view()))
+    (warning,) = answer["warnings"]
+    assert warning["message"].startswith("Refused, and shown as it came: command: the picture shows something else")
+    picture = np.asarray(Image.open(io.BytesIO(studio.http.get(f"/api/blobs/{answer['picture']}").content)))
+    assert picture.shape == (96, 96, 3) and np.ptp(picture) > 200 and answer["share"] > 0.2
+    cameras = [one["camera"] for one in studio.post("source.plan", source="command", max_views=2)["views"]]
+    made = studio.post("source.cover", source="command", views=cameras, method="lift")
+    (refused,) = made["refused"]
+    assert made["painted"] == 1 and "view 1: the picture shows" in refused["warnings"][0]["message"]
+
+
 def test_pages_give_no_options_and_mistakes_are_one_line(studio: Live) -> None:
     fields = {"camera": wire(view()), "source": "command"}
     refused = studio.http.post("/api/do/source.edit", json=fields | {"options": {"run": "rm"}})

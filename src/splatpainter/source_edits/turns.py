@@ -34,6 +34,8 @@ class Turns:
     notes: tuple[str, ...] = ()
     """Why further views were not, one line each."""
     cancelled: bool = False
+    refused: tuple[RefusedPicture, ...] = ()
+    """With what came back."""
 
 
 def ask_in_turn(
@@ -66,6 +68,7 @@ def ask_in_turn(
     normals, count = normals_of(splats), len(plan.cameras)
     edits: list[SourcedEdit] = []
     notes: list[str] = []
+    refused: list[RefusedPicture] = []
     reached: list[tuple[SurfaceView, np.ndarray]] = []
     error: ValueError | None = None
     try:
@@ -94,6 +97,7 @@ def ask_in_turn(
                 )
             except RefusedPicture as refusal:
                 error = refusal
+                refused.append(refusal)
                 notes.append(str(refusal))
                 continue
             except SourceError as failure:
@@ -112,10 +116,10 @@ def ask_in_turn(
     except SourceCancelled:
         if not (keep_when_cancelled and edits):
             raise
-        return Turns(tuple(edits), tuple(notes), cancelled=True)
+        return Turns(tuple(edits), tuple(notes), True, tuple(refused))
     if not edits:
         raise error or ValueError("views auto: no view shows a surface that could be painted")
-    return Turns(tuple(edits), tuple(notes))
+    return Turns(tuple(edits), tuple(notes), refused=tuple(refused))
 
 
 def part_of(progress: Progress, index: int, count: int) -> Progress:

@@ -17,7 +17,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
 from splatpainter.image_files import to_uint8
 from splatpainter.painter import Edit, Mode
-from splatpainter.sources.gatekeeper import AdmittedPicture, Strictness, admit
+from splatpainter.sources.gatekeeper import AdmittedPicture, RefusedPicture, Strictness, admit
 from splatpainter.sources.picture_source import (
     CancelFlag,
     PictureAnswer,
@@ -114,15 +114,19 @@ def ask_for_edit(
     )
     sent = request if source.capabilities.mask else replace(request, mask=None)
     answer = source.edit(sent, progress, cancel)
-    admitted = admit(
-        answer.image,
-        request,
-        strictness=brief.strictness,
-        regraded=mode == "global",
-        mask_sent=source.capabilities.mask,
-        enlarged=lambda factor: displayed(splats, _times(camera, factor))[0],
-        name=name,
-    )
+    try:
+        admitted = admit(
+            answer.image,
+            request,
+            strictness=brief.strictness,
+            regraded=mode == "global",
+            mask_sent=source.capabilities.mask,
+            enlarged=lambda factor: displayed(splats, _times(camera, factor))[0],
+            name=name,
+        )
+    except RefusedPicture as refusal:
+        refusal.request, refusal.answer = request, answer
+        raise
     colors = from_display(admitted.image, splats.color_space)
     return SourcedEdit(
         Edit(np.ascontiguousarray(colors, np.float32), _times(camera, admitted.factor), admitted.changed, name),

@@ -24,7 +24,7 @@ import numpy as np
 from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated
 from splatpainter.sources.color_drift import CLIPPED, MIN_TONE, NO_DRIFT, ColorDrift, estimate_drift, tone_change
 from splatpainter.sources.picture_reader import resample
-from splatpainter.sources.picture_source import PictureRequest, SourceError
+from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceError
 from splatpainter.sources.registration import Registration, edge_strength, register, warped
 
 Strictness = Literal["strict", "normal", "loose"]
@@ -64,6 +64,10 @@ CONSISTENT_ROUNDS = 8
 
 class RefusedPicture(SourceError):
     """A picture that came back and is not painted with; the line says why."""
+
+    request: PictureRequest | None = None
+    answer: PictureAnswer | None = None
+    """What came back, where a source was asked."""
 
 
 @dataclass(frozen=True)

@@ -222,7 +222,9 @@ async function ask(source: SourceInfo, refine: boolean): Promise<void> {
     { ...given(source), camera: view, mask, enlarge: larger },
     `Asking ${source.name}`,
   );
-  if (answer) addChecked(answer.name, answer);
+  if (!answer) return;
+  addChecked(answer.name, answer);
+  for (const warning of answer.warnings) toast("warning", warning.message);
 }
 
 async function cover(source: SourceInfo): Promise<void> {
@@ -233,6 +235,7 @@ async function cover(source: SourceInfo): Promise<void> {
     `Asking ${source.name}`,
   );
   if (!answer) return;
+  for (const picture of answer.refused) addChecked(picture.name, picture);
   selectedLayer.value = answer.layers.at(-1)?.id ?? selectedLayer.value;
   if (answer.notes.length || answer.painted < views.length)
     toast(

@@ -19,7 +19,7 @@ from splatpainter.color import to_display
 from splatpainter.painter import MAX_VIEWS
 from splatpainter.server import image_registration as registration
 from splatpainter.server.commands.context import CommandContext, command, mask_from_upload
-from splatpainter.server.commands.picture_check import PictureChecked
+from splatpainter.server.commands.picture_check import PictureChecked, PictureWarning
 from splatpainter.server.describe import layer_info
 from splatpainter.server.protocol import (
     MAX_VIEW_PIXELS,
@@ -38,6 +38,8 @@ from splatpainter.session.source_layers import add_source_views
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.edit import BACKGROUND, source_record
 from splatpainter.source_edits.view_edit import SourceBrief, ask_for_edit
+from splatpainter.sources.gatekeeper import RefusedPicture
+from splatpainter.sources.picture_reader import resample
 from splatpainter.sources.picture_source import Capabilities, PictureSource, SourceCancelled, SourceError, describe
 from splatpainter.sources.registry import SourceStatus, describe_sources, open_source
 
@@ -88,7 +90,8 @@ class SourceEdited(PictureChecked):
 
 
 class SourceEdit(Command):
-    """Send a view to a source. What comes back can be edited with like a picture that was checked. Changes nothing."""
+    """Send a view to a source. What comes back can be edited with like a picture that was checked; one that the
+    gatekeeper refuses comes with a warning that says so. Changes nothing."""
 
     NAME = "source.edit"
     ANSWER = SourceEdited
@@ -148,6 +151,10 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
         )
     except SourceCancelled:
         raise Cancelled from None
+    except RefusedPicture as refusal:
+        if (refused := _refused(context, source, request.prompt, refusal)) is None:
+            raise
+        return refused
     context.ticket.check()
     image = to_display(made.edit.image, splats.color_space)
     camera = replace(made.edit.camera, asset_sha256=studio.session.opened.sha256)
@@ -168,6 +175,41 @@ def edit_by_source(context: CommandContext, request: SourceEdit) -> SourceEdited
         warnings=[],
         name=name_of(source, request.prompt),
         python=f"sp.edit_with_source(splats, open_source({source.name!r}), {request.prompt!r}, camera=camera)",
+    )
+
+
+def _refused(
+    context: CommandContext, source: PictureSource, prompt: str, refusal: RefusedPicture
+) -> SourceEdited | None:
+    """A picture that was refused, as one that was dropped would be: it may have been paid for, and people see what came
+    back and judge it. None: nothing came back that shows a change."""
+    request, answer = refusal.request, refusal.answer
+    if request is None or request.camera is None or answer is None:
+        return None
+    height, width = request.image.shape[:2]
+    colors = resample(np.ascontiguousarray(answer.image[..., :3]), width, height)
+    if answer.image.shape[2] == 4:
+        alpha = resample(np.ascontiguousarray(answer.image[..., 3]), width, height)[..., None]
+        colors = alpha * colors + (1 - alpha) * request.image
+    changed = registration.changed_mask(colors, request.image, request.alpha, None)
+    if request.mask is not None:
+        changed &= request.mask > 0
+    if not changed.any():
+        return None
+    studio = context.studio
+    camera, name = replace(request.camera, asset_sha256=studio.session.opened.sha256), name_of(source, prompt)
+    cost = [answer.cost] if answer.cost else []
+    return SourceEdited(
+        camera=CameraInfo.of(camera),
+        camera_source="given",
+        picture=studio.blobs.put(registration.png_bytes(colors, camera), f"{name}.png").sha256,
+        mask=studio.blobs.put(registration.png_bytes(changed), "mask.png").sha256,
+        share=float(changed.mean()),
+        shift=(0, 0),
+        notes=[*answer.notes, *cost],
+        warnings=[PictureWarning(message=f"Refused, and shown as it came: {refusal}")],
+        name=name,
+        python="",
     )
 
 
@@ -206,6 +248,8 @@ class SourceCovered(Answer):
     """Whether it was cancelled after some of them; those stay."""
     notes: list[str]
     """Why views were not painted, and what they cost, one line each."""
+    refused: list[SourceEdited]
+    """Pictures that were not painted, as of `source.edit`."""
 
 
 class SourceCover(Command):
@@ -285,6 +329,11 @@ def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCove
         layers=[layer_info(session, session.layer(layer.id)) for layer in made.layers],
         painted=len(made.turns.edits),
         cancelled=made.turns.cancelled,
+        refused=[
+            picture
+            for one in made.turns.refused
+            if (picture := _refused(context, source, request.prompt, one)) is not None
+        ],
         notes=[*notes, *([f"cost: {', '.join(costs)}"] if costs else [])],
         python=f"add_source_views(session, open_source({source.name!r}), {brief_line}, plan_views(session.splats))",
     )
