@@ -84,9 +84,18 @@ def compare(original: Splats, edited: Splats) -> Comparison:
     )
 
 
-def changed_rows(before: Splats, after: Splats) -> np.ndarray:
-    """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself)."""
+def changed_rows(before: Splats, after: Splats, among: np.ndarray | None = None) -> np.ndarray:
+    """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself). among: [C] int64
+    ascending, rows that both have, where no other can differ."""
     n = min(len(before), len(after))
+    if among is not None and before.sh.shape[1:] == after.sh.shape[1:]:
+        changed = np.zeros(len(among), bool)
+        for name in ATTRIBUTES:
+            old, new = getattr(before, name), getattr(after, name)
+            if old is not new:
+                differs = float_bits(old[among]) != float_bits(new[among])
+                changed |= differs.any(tuple(range(1, differs.ndim)))
+        return among[changed]
     changed = np.zeros(n, bool)
     for name in ATTRIBUTES:
         old, new = getattr(before, name), getattr(after, name)

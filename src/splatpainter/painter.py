@@ -303,7 +303,10 @@ class Painter:
             notes.append("polished: two rounds of the lift after the network" if self.polish else "")
             if self.model.config.representation == "copy":
                 notes.append(f"the asset is a copy of {len(asset.splats)} rows that the model made")
-        touched = changed_rows(asset.splats, result.splats)
+        # Those that a lift may have changed it names; a proof does not believe it.
+        by_lift = not self.proof and chosen == "lift" and mode == "local"
+        among = lifted.ids[: np.searchsorted(lifted.ids, len(asset.splats))] if by_lift else None
+        touched = changed_rows(asset.splats, result.splats, among)
         hashes = untouched_hashes(asset.splats, result.splats, touched) if self.proof else ("", "")
         aside = self._aside(asset, result, views) if self.aside and mode != "global" else ()
         notes.append(_seen_aside(aside))
@@ -317,7 +320,7 @@ class Painter:
             method=chosen,
             preset=self.preset if chosen == "ttt" else "lift",
             touched=touched,
-            replaced=np.intersect1d(lifted.replaced, touched),
+            replaced=lifted.replaced[np.isin(lifted.replaced, touched, assume_unique=True)],
             removed=lifted.removed,
             aside=tuple((score.psnr, score.covered) for score in aside),
             limited_px=tuple(round(value, 1) for value in lifted.limited),

@@ -17,13 +17,13 @@ from splatpainter import cameras
 from splatpainter.cameras import FRAME_MARGIN, UPS, bounding_sphere
 from splatpainter.color import to_display
 from splatpainter.io import FORMATS, frame_line
-from splatpainter.receipts import changed_rows
 from splatpainter.server import protocol
 from splatpainter.server.fine_detail import has_fine_detail
 from splatpainter.session import Layer, Session
 from splatpainter.session.document import PLACED
 from splatpainter.session.layer_mask import LayerMask
 from splatpainter.session.project_file import Bookmark, Step
+from splatpainter.session.recent_changes import changes as changes_between
 from splatpainter.session.scene_asset import MAIN
 from splatpainter.splats import Splats
 
@@ -99,7 +99,7 @@ def asset_info(session: Session, name: str) -> protocol.AssetInfo:
 
 def counted(info: protocol.AssetInfo, original: Splats, now: Splats) -> protocol.AssetInfo:
     """The same with the counts of now, every Gaussian compared with the original."""
-    same = len(original) - len(changed_rows(original, now))
+    same = len(original) - len(changes_between(original, now))
     return info.model_copy(update={"gaussians": len(now), "gaussians_unchanged": same})
 
 

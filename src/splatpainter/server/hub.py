@@ -176,7 +176,7 @@ def _frames(session: Session, since: int | None, stale_ids: np.ndarray) -> tuple
     changed_ids = np.concatenate([delta.gaussian_ids, np.arange(delta.retained, count)])
     if since != now.version:
         out.append(frames.delta(now.splats, changed_ids, since, now.version, delta.recolored))
-    stale_ids = np.setdiff1d(stale_ids[stale_ids < count], changed_ids)
+    stale_ids = np.setdiff1d(stale_ids[stale_ids < count], changed_ids, assume_unique=True)
     if len(stale_ids):
         out.append(frames.preview(now.splats.take(stale_ids), stale_ids, count, now.version))
     return now.version, out

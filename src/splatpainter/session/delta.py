@@ -19,6 +19,7 @@ from splatpainter.comparison import float_bits
 from splatpainter.io.files import printable
 from splatpainter.receipts import changed_rows
 from splatpainter.session.document import MAX_REASON
+from splatpainter.session.recent_changes import changes
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
 
 PART_BYTES = 1 << 20
@@ -269,7 +270,7 @@ class VersionLog:
 
     def note(self, version: int, before: Splats, after: Splats) -> None:
         """`after` is what `version` shows, `before` what the one before it showed."""
-        changed = changed_rows(before, after).astype(np.int32)
+        changed = changes(before, after).astype(np.int32)
         recolored = all(getattr(before, name) is getattr(after, name) for name in GEOMETRY)
         step = (version, min(len(before), len(after)), changed, recolored)
         with self._lock:
@@ -285,8 +286,9 @@ class VersionLog:
             version, retained, changed = None, 0, np.zeros(0, np.int64)
         else:
             retained = min([len(splats), *(step[1] for step in steps)])
-            changed = np.unique(np.concatenate([np.zeros(0, np.int64), *(step[2] for step in steps)])).astype(np.int64)
-            changed = changed[changed < retained]
+            rows = [step[2] for step in steps]
+            changed = rows[0] if len(rows) == 1 else np.unique(np.concatenate([np.zeros(0, np.int32), *rows]))
+            changed = changed[: np.searchsorted(changed, retained)].astype(np.int64)
         recolored = version is not None and all(step[3] for step in steps)
         return AssetDelta(version, now, retained, changed, splats, recolored)
 

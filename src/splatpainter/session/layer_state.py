@@ -11,6 +11,7 @@ import numpy as np
 
 from splatpainter.session.conflicts import EditedIds
 from splatpainter.session.delta import Delta
+from splatpainter.session.recent_changes import note_changes
 from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ class LayerResult:
         """The same, where `after` has the values of what the delta makes of `below`."""
         if not len(self.delta.appended) or after.means.dtype != np.float32:  # arrays that did not change are shared
             return self
+        note_changes(below, after, self.delta.gaussian_ids)
         return replace(self, computed=(below, self.delta.numbered(after, below)))
 
     def apply(self, below: Splats) -> Splats:
