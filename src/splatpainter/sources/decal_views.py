@@ -232,16 +232,7 @@ def survey(
         requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
         seen = surface_pixels(asset, surface, view, requested, depth)
         near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
-        new, facing, new_rough = seen.points[near], seen.normals[near], seen.rough[near]
-        line = camera.position - new
-        cosine = (line * facing).sum(1) / np.linalg.norm(line, axis=1)
-        # Grazing points are rough: leave them to another camera.
-        good = cosine > 0.17
-        points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
-        best, rough = np.concatenate([best, cosine[good]]), np.concatenate([rough, new_rough[good]])
-        order = np.concatenate([[0], 1 + np.argsort(-(best[1:] > GRAZING).astype(int), kind="stable")])
-        order = order[thinned(points[order], normals[order], spacing)]
-        points, normals, best, rough = points[order], normals[order], best[order], rough[order]
+        points, normals, best, rough = _joined((points, normals, best, rough), seen, near, camera, spacing)
         even, turned = points, normals
         scatters = rough.mean() > MAX_ROUGH
         for _ in range(SMOOTHING_ROUNDS if scatters else 0):
@@ -272,6 +263,29 @@ def survey(
         direction /= np.linalg.norm(direction)
         target = start[0]
     return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0)
+
+
+def _joined(
+    samples: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    seen: SurfacePixels,
+    near: np.ndarray,
+    camera: Camera,
+    spacing: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Samples (points [S, 3], normals [S, 3], [S] cosines towards the cameras that saw them, [S] bool rough) and those
+    that another camera sees near the decal (near: [Q] bool of `seen`), no nearer to each other than the spacing. The
+    first one stays the first."""
+    points, normals, best, rough = samples
+    new, facing, new_rough = seen.points[near], seen.normals[near], seen.rough[near]
+    line = camera.position - new
+    cosine = (line * facing).sum(1) / np.linalg.norm(line, axis=1)
+    # Grazing points are rough: leave them to another camera.
+    good = cosine > 0.17
+    points, normals = np.concatenate([points, new[good]]), np.concatenate([normals, facing[good]])
+    best, rough = np.concatenate([best, cosine[good]]), np.concatenate([rough, new_rough[good]])
+    order = np.concatenate([[0], 1 + np.argsort(-(best[1:] > GRAZING).astype(int), kind="stable")])
+    order = order[thinned(points[order], normals[order], spacing)]
+    return points[order], normals[order], best[order], rough[order]
 
 
 def _surveyed(camera: Camera, depth: np.ndarray, points: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
@@ -444,29 +458,33 @@ def _filled(uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float)
     """uv [H, W, 2] and sample [H, W] of pixels in `region` without them, continued linearly from neighbours up to
     FILL_PX away: creases, outlines and specks of surface that is not trusted. limit: largest step per pixel, world
     units."""
-    height, width = region.shape
-    reach = 2
     for _ in range(FILL_PX):
-        padded = np.pad(uv, [(reach, reach), (reach, reach), (0, 0)], constant_values=np.nan)
-        ids = np.pad(index, reach, constant_values=-1)
-        total, count, source = np.zeros_like(uv), np.zeros((height, width, 1)), index.copy()
-        for dy in (-1, 0, 1):
-            for dx in (-1, 0, 1):
-                if not (dy or dx):
-                    continue
-                first = padded[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
-                second = padded[2 + 2 * dy : 2 + 2 * dy + height, 2 + 2 * dx : 2 + 2 * dx + width]
-                with np.errstate(invalid="ignore"):
-                    sound = np.all(np.abs(first - second) < limit, axis=-1)[..., None]
-                total += np.where(sound, 2 * first - second, 0)
-                count += sound
-                source = np.where(
-                    sound[..., 0] & (source < 0), ids[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width], source
-                )
-        empty = region & (index < 0) & (count[..., 0] >= 2)
-        uv = np.where(empty[..., None], total / np.maximum(count, 1), uv)
-        index = np.where(empty, source, index)
+        uv, index = _filled_by_one(uv, index, region, limit)
     return uv, index
+
+
+def _filled_by_one(
+    uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `_filled`, one pixel far."""
+    height, width = region.shape
+    padded = np.pad(uv, [(2, 2), (2, 2), (0, 0)], constant_values=np.nan)
+    ids = np.pad(index, 2, constant_values=-1)
+    total, count, source = np.zeros_like(uv), np.zeros((height, width, 1)), index.copy()
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            if not (dy or dx):
+                continue
+            first = padded[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
+            second = padded[2 + 2 * dy : 2 + 2 * dy + height, 2 + 2 * dx : 2 + 2 * dx + width]
+            with np.errstate(invalid="ignore"):
+                sound = np.all(np.abs(first - second) < limit, axis=-1)[..., None]
+            total += np.where(sound, 2 * first - second, 0)
+            count += sound
+            neighbour = ids[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
+            np.copyto(source, neighbour, where=sound[..., 0] & (source < 0))
+    empty = region & (index < 0) & (count[..., 0] >= 2)
+    return np.where(empty[..., None], total / np.maximum(count, 1), uv), np.where(empty, source, index)
 
 
 def _directions(points: np.ndarray, normals: np.ndarray, limit: int) -> list[tuple[np.ndarray, np.ndarray]]:
