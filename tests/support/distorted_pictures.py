@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from functools import cache
 
 import numpy as np
 from PIL import Image
@@ -11,8 +12,9 @@ from PIL import Image
 from splatpainter.sources.registration import warped
 
 
+@cache
 def drawn_scene(size: int = 240, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """([size, size, 3] overlapping shaded disks with grain on grey, [size, size] alpha: where they are)."""
+    """([size, size, 3] overlapping shaded disks with grain on grey, [size, size] alpha: where they are), read-only."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:size, :size] + 0.5
     image, alpha = np.full((size, size, 3), 0.25), np.zeros((size, size))
@@ -25,7 +27,10 @@ def drawn_scene(size: int = 240, seed: int = 0) -> tuple[np.ndarray, np.ndarray]
         color = rng.uniform(0.15, 0.85, 3) * (light * stripes)[..., None]
         image = image * (1 - cover[..., None]) + color * cover[..., None]
         alpha = np.maximum(alpha, cover)
-    return np.clip(image, 0.02, 0.98).astype(np.float32), alpha.astype(np.float32)
+    pictures = np.clip(image, 0.02, 0.98).astype(np.float32), alpha.astype(np.float32)
+    for picture in pictures:
+        picture.flags.writeable = False
+    return pictures
 
 
 def moved(

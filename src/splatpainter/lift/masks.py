@@ -34,13 +34,13 @@ def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
     before = np.clip(render, 0, 1)
     signed = np.clip(edited, 0, 1) - before
     signed[np.abs(signed) < 0.51 / 255] = 0  # what rounding to 8 bits leaves
-    difference = _largest(np.abs(signed))
+    difference = largest_channel(np.abs(signed))
     near, contrast = box_mean(difference, 1), _contrast(before)
     detailed = contrast > 0.5 / 255
     if not detailed.any() or np.quantile(near[detailed], 0.05) <= MAX_LOSSLESS:
         core = near > MAX_ROUNDING
     else:
-        shift = _largest(np.abs(box_mean(signed, 2)))
+        shift = largest_channel(np.abs(box_mean(signed, 2)))
         noise = _noise(shift, box_mean(contrast, 8))  # 17 x 17: the reach of JPEG's blocks
         core = (shift > np.clip(MAX_ROUNDING + 6 * noise, MAX_ROUNDING, MAX_NOISE)) | (near > MAX_NOISE)
     core &= box_mean(core, 1) > 3.5 / 9
@@ -65,7 +65,7 @@ def changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray
     median = median_change(edited, render, alpha)
     if median < MIN_MEDIAN_CHANGE:
         return False
-    smooth = _largest(np.abs(box_mean(np.clip(edited, 0, 1) - np.clip(render, 0, 1), 4)))[solid]
+    smooth = largest_channel(np.abs(box_mean(np.clip(edited, 0, 1) - np.clip(render, 0, 1), 4)))[solid]
     share = MIN_SMOOTH_SHARE if median < LARGE_MEDIAN_CHANGE else MIN_SMOOTH_SHARE_LARGE
     return float(np.quantile(smooth, 0.75)) > MIN_UPPER_CHANGE and float(np.median(smooth)) > share * median
 
@@ -76,7 +76,7 @@ def median_change(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> 
     solid = alpha > 0.9
     if not solid.any():
         return 0.0
-    return float(np.median(_largest(np.abs(np.clip(edited, 0, 1) - np.clip(render, 0, 1)))[solid]))
+    return float(np.median(largest_channel(np.abs(np.clip(edited, 0, 1) - np.clip(render, 0, 1)))[solid]))
 
 
 def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
@@ -96,7 +96,7 @@ def _contrast(image: np.ndarray) -> np.ndarray:
     return np.abs(np.diff(grey, axis=1, append=grey[:, -1:])) + np.abs(np.diff(grey, axis=0, append=grey[-1:]))
 
 
-def _largest(values: np.ndarray) -> np.ndarray:
+def largest_channel(values: np.ndarray) -> np.ndarray:
     """[H, W, 3] -> [H, W]; numpy's own max over so short an axis is several times slower."""
     return np.maximum(np.maximum(values[..., 0], values[..., 1]), values[..., 2])
 

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
-from splatpainter.lift.masks import box_mean
+from splatpainter.lift.masks import box_mean, largest_channel
 
 DriftKind = Literal["none", "gain", "gain and offset", "matrix"]
 ROUNDS = 30
@@ -110,7 +110,7 @@ def estimate_drift(picture: np.ndarray, render: np.ndarray, reference: np.ndarra
     for kind in _models(source):
         matrix = _fitted(source, target, kind)
         after = ColorDrift(kind, matrix).corrected(display)
-        distance = np.abs(after - expected).max(-1)
+        distance = largest_channel(np.abs(after - expected))
         rest = float(np.minimum(distance, 2 * AGREEING).mean()) + 0.25 / 255
         mixed = np.abs(matrix[:, :3] - np.diag(np.diag(matrix[:, :3]))).max()
         if rest < MIN_IMPROVEMENT * error and mixed < MAX_MIXED:
@@ -145,7 +145,8 @@ def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) 
         spread = max(float(np.median(distance)), MIN_SPREAD)
         share = np.maximum(1 - (distance / (TUKEY * spread)) ** 2, 0) ** 2
     expected = np.clip(_powers(render.reshape(-1, 3)) @ coefficients, 0, 1).reshape(render.shape)
-    left = (np.abs(box_mean((picture - expected) * reference[..., None], 1)).max(-1) > MAX_TONE_ERROR) & reference
+    left = largest_channel(np.abs(box_mean((picture - expected) * reference[..., None], 1))) > MAX_TONE_ERROR
+    left &= reference
     if left.sum() > (1 - MIN_TONED) * reference.sum() or (box_mean(left, PAINTED_PX) > PAINTED_SHARE).any():
         return None
     return float(np.abs(picture - render)[reference].mean(0).max())

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated
+from splatpainter.lift.masks import MAX_NOISE, MAX_ROUNDING, box_mean, change_mask, dilated, largest_channel
 from splatpainter.sources.color_drift import CLIPPED, MIN_TONE, NO_DRIFT, ColorDrift, estimate_drift, tone_change
 from splatpainter.sources.picture_reader import resample
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceError
@@ -213,7 +213,7 @@ def admit(
         _check_regraded(aligned, like, cover & inside, name)
     changed = _changed(aligned, like, mask, cover, regraded or toned) & inside
     if not still:
-        changed &= np.abs(aligned - like).max(-1) > MAX_ROUNDING + SLACK_PX * edge_strength(render)
+        changed &= largest_channel(np.abs(aligned - like)) > MAX_ROUNDING + SLACK_PX * edge_strength(render)
     spilled = _share(changed & outside, outside & cover) if mask is not None else 0.0
     if mask is not None and _share(changed, _heart(mask, cover)) < MAX_UNTOUCHED and spilled > MIN_SPILLED:
         raise RefusedPicture(_wrong_polarity(name))
@@ -281,7 +281,7 @@ def _changed(
 ) -> np.ndarray:
     """[H, W] bool: pixels that were edited. Within a mask every difference counts that is no rounding, elsewhere those
     above the picture's noise; where most of what may change did, all of it did."""
-    changed, difference = change_mask(picture, render), np.abs(picture - render).max(-1)
+    changed, difference = change_mask(picture, render), largest_channel(np.abs(picture - render))
     if changed.any() and not changed.all() and np.quantile(difference[~changed], 0.9) > MAX_LOSSLESS:
         changed &= box_mean(changed, SPECK_PX) > SPECK_SHARE
     region = cover if mask is None else cover & (mask > 0)
@@ -296,7 +296,7 @@ def _changed(
 def _edited(picture: np.ndarray, render: np.ndarray) -> np.ndarray:
     """[H, W] bool: where an enlarged picture shows something else, and not only sharper edges, whose differences
     average out."""
-    return np.abs(box_mean(picture - render, 2)).max(-1) > MAX_NOISE
+    return largest_channel(np.abs(box_mean(picture - render, 2))) > MAX_NOISE
 
 
 def consistent(picture: np.ndarray, render: np.ndarray, changed: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.masks import change_mask, changed_throughout, dilated
+from splatpainter.lift.masks import change_mask, changed_throughout, dilated, largest_channel
 from splatpainter.sources.picture_reader import Kernel, resample
 
 MIN_SCALE = 1.1
@@ -48,7 +48,9 @@ def edited_in_larger(picture: np.ndarray, large: np.ndarray, small: np.ndarray, 
     before = np.clip(large, 0, 1)
     enlarged = [resample(np.clip(small, 0, 1), width, height, kernel) for kernel in KERNELS]
     solid = cover > 0.9
-    errors = [float(np.median(np.abs(picture - one).max(-1)[solid])) if solid.any() else 0.0 for one in enlarged]
+    errors = [
+        float(np.median(largest_channel(np.abs(picture - one))[solid])) if solid.any() else 0.0 for one in enlarged
+    ]
     nearest = enlarged[int(np.argmin(errors))]
     if changed_throughout(picture, before, cover) and changed_throughout(picture, nearest, cover):
         return np.ones(cover.shape, bool)

@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from splatpainter.lift.masks import box_mean
+from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.sources.edit_files import MAX_ASPECT_ERROR
 from splatpainter.sources.picture_reader import resample
 
@@ -272,7 +272,7 @@ def _features(image: np.ndarray) -> np.ndarray:
 def edge_strength(image: np.ndarray) -> np.ndarray:
     """[H, W] length of the gradient in the channel where it is steepest."""
     steps = np.hypot(np.gradient(image, axis=0), np.gradient(image, axis=1))
-    return steps.max(-1)
+    return largest_channel(steps)
 
 
 def _normalised(values: np.ndarray) -> np.ndarray:
@@ -308,6 +308,7 @@ def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarr
     for channel in range(target.shape[2]):
         down, across = np.gradient(target[..., channel])
         slopes.append(np.stack([(across * x + down * y) / reach, (down * x - across * y) / reach, across, down], -1))
+    strong = [(slope[..., 2:] ** 2).sum(-1) > 0.01 for slope in slopes]
     to_level = np.linalg.inv(level.to_render)
     full = level.to_picture @ _square(frame)
     rim = np.zeros((height, width), bool)
@@ -320,8 +321,7 @@ def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarr
         normal, gain = np.zeros((4, 4)), np.zeros(4)
         for channel, slope in enumerate(slopes):
             error = image[..., channel] - target[..., channel]
-            strength = (slope[..., 2:] ** 2).sum(-1)
-            steep = (strength > 0.01) & (trust > 0.5)
+            steep = strong[channel] & (trust > 0.5)
             if steep.sum() < 32:
                 continue
             spread = 1.4826 * float(np.median(np.abs(error[steep]))) + 1e-3
