@@ -50,15 +50,20 @@ def test_the_main_paths_need_nothing_that_only_posix_has(tmp_path: Path) -> None
     assert done.returncode == 0 and done.stdout.endswith("done\n"), done.stderr[-3000:]
 
 
+OPENERS = {"open", "fdopen", "read_text", "write_text", "_read_text", "NamedTemporaryFile", "TemporaryFile"}
+
+
 def unsaid_encodings(source: str) -> list[int]:
     """Lines of calls that open text in whatever encoding the system prefers (cp1252 on Windows)."""
     lines = []
     for node in ast.walk(ast.parse(source)):
         if not isinstance(node, ast.Call):
             continue
-        name = ast.unparse(node.func)
+        last = str(getattr(node.func, "attr", getattr(node.func, "id", "")))
         given = {keyword.arg: keyword.value for keyword in node.keywords}
-        last = name.rsplit(".", 1)[-1]
+        if last not in OPENERS and not given.keys() & {"text", "universal_newlines"}:
+            continue
+        name = ast.unparse(node.func)
         text = False
         if name in ("open", "io.open", "os.fdopen"):
             mode = given.get("mode", node.args[1] if len(node.args) > 1 else None)

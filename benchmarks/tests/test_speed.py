@@ -223,7 +223,9 @@ def test_scenes_of_any_size_show_the_same_surface(count: int) -> None:
     assert psnr(render(other, camera).colors[0], render(splats, camera).colors[0]) > 20
 
 
-def test_bench_speed_writes_its_table(tmp_path: Path) -> None:
+def test_bench_speed_writes_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed, "REFERENCE_GAUSSIANS", 300)
+    monkeypatch.setattr(speed, "REFERENCE_PX", 32)
     words = ("voxel", "open PLY", "small scene")
     messages: list[str] = []
     lines = speed.run(speed.SpeedBench(tmp_path / "out", only=words, quick=True), messages.append)

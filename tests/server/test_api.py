@@ -290,11 +290,12 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
 def test_what_was_painted_before_is_offered_again(studio: Live, tmp_path: Path) -> None:
     """The same original, opened anew: its project with layers is named, with its picture; copies are no doubles."""
     write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
+    write(tmp_path / "shared" / "third.ply", ball(100, seed=6))
     studio.post("asset.open", file="other.ply")
     layer = studio.post("layer.new")["layer"]
     project = studio.http.get("/api/state").json()["project"]["id"]
     digest = rows_sha256(studio.studio.session.splats)
-    studio.post("asset.open", demo=True)
+    studio.post("asset.open", file="third.ply")
     assert studio.http.get("/api/state").json()["earlier"] == []
     studio.post("asset.open", file="other.ply")
     (offer,) = studio.http.get("/api/state").json()["earlier"]
@@ -308,7 +309,7 @@ def test_what_was_painted_before_is_offered_again(studio: Live, tmp_path: Path) 
     data = studio.http.get(studio.post("project.download")["url"]).content
     for _ in range(2):
         studio.post("project.open", blob=studio.send(data, "copy.splatproj"))
-    studio.post("asset.open", demo=True)
+    studio.post("asset.open", file="third.ply")
     names = [entry["name"] for entry in studio.post("project.recent")["recent"]]
     assert len(names) == len(set(names)) and "copy" in names
     image, _ = edited(studio)
