@@ -14,10 +14,12 @@ demo: .venv/installed
 studio: .venv/installed-studio
 	.venv/bin/splatpainter studio
 
-# Workers take tests from each other when they have none left.
+# One more worker than two cores can feed: tests that wait for a browser, a cluster or a program leave theirs idle half of
+# the time. Workers take tests from each other when they have none left.
+WORKERS ?= 3
 test: .venv/installed-dev
 	scripts/web test
-	OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist worksteal
+	OMP_NUM_THREADS=1 $(PY) -m pytest -n $(WORKERS) --dist worksteal
 
 # Hostile inputs for all readers, projects and the studio: make fuzz SECONDS=3600 JOBS=2 TARGETS=ply,spz SEED=7
 SECONDS ?= 600

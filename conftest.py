@@ -65,12 +65,13 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
     """What is imported while tests are collected stays: the garbage collector need not walk through torch for it, and
     not again in every test. In tests it comes after many objects, not after 700: kernels and networks are made of many.
 
-    The second of two workers imports test files from the last one on: each file is rewritten by one of them, and the
-    other finds its bytecode."""
+    Of several workers each but the first imports a share of the test files of its own before all others: each file is
+    rewritten by one worker, and the rest find its bytecode."""
     gc.disable()
     try:
-        if os.environ.get("PYTEST_XDIST_WORKER") == "gw1":
-            _import_backwards(session)
+        worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+        if worker > 0:
+            _import_share(session, worker, int(os.environ["PYTEST_XDIST_WORKER_COUNT"]))
         return (yield)
     finally:
         _remember_parsers()
@@ -126,12 +127,12 @@ def _remember_parsers() -> None:
     specification.from_callable_or_type = staticmethod(remembered)
 
 
-def _import_backwards(session: pytest.Session) -> None:
-    """Import the test files of the folders that were asked for as pytest will, in the reverse of its order. A file that
-    cannot be imported is for its collection to show."""
+def _import_share(session: pytest.Session, worker: int, workers: int) -> None:
+    """Import one of so many equal parts of the test files of the folders that were asked for, as pytest will. A file
+    that cannot be imported is for its collection to show."""
     folders = [session.config.invocation_params.dir / word.split("::")[0] for word in session.config.args]
-    files = {file for folder in folders if folder.is_dir() for file in folder.rglob("test_*.py")}
-    for file in sorted(files, reverse=True):
+    files = sorted({file for folder in folders if folder.is_dir() for file in folder.rglob("test_*.py")})
+    for file in files[len(files) * worker // workers : len(files) * (worker + 1) // workers]:
         with contextlib.suppress(Exception):
             import_path(file, mode="importlib", root=session.config.rootpath, consider_namespace_packages=False)
 
