@@ -39,10 +39,10 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that it is installed into. Its kernels are those of the checkout, as long as the code is: compiling
-    them again would take longer than all tests here."""
+    """The folder that it is installed into. Its kernels and bytecode are those of the checkout, as long as the code is:
+    compiling them again would take longer than all tests here."""
     folder = tmp_path_factory.mktemp("site")
-    words = ["install", "--no-deps", "--no-index", "--target", str(folder), str(wheel)]
+    words = ["install", "--no-compile", "--no-deps", "--no-index", "--target", str(folder), str(wheel)]
     done = subprocess.run([*PIP, *words], capture_output=True, encoding="utf-8", errors="replace")
     assert done.returncode == 0, done.stderr
     ensure_compiled(progress=False)
@@ -51,7 +51,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         copy = folder / "splatpainter" / source.relative_to(checkout)
         assert copy.read_bytes() == source.read_bytes()
         os.utime(copy, ns=(source.stat().st_atime_ns, source.stat().st_mtime_ns))  # what numba's cache goes by
-    for pattern in ("*.nbi", "*.nbc", "*.json"):
+    for pattern in ("*.nbi", "*.nbc", "*.json", "*.pyc"):
         for cached in checkout.rglob(f"__pycache__/{pattern}"):
             target = folder / "splatpainter" / cached.relative_to(checkout)
             target.parent.mkdir(exist_ok=True)
