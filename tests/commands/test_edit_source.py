@@ -16,13 +16,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from splatpainter.commands.source_options import InterruptibleSource, notes_of_views
+from splatpainter.commands.source_options import InterruptibleSource, keeping_answers, notes_of_views
 from splatpainter.io import read, write
 from splatpainter.source_edits import coverage
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled
 from tests.source_edits.test_edit import patterned
 from tests.support.cli_scenes import Capture, listing, run
 from tests.support.picture_requests import request
+from tests.support.picture_sources import FunctionSource, exchanged
 
 TOOL = """
 import sys
@@ -123,6 +124,20 @@ def test_what_came_back_is_kept_where_it_is_refused(capfd: Capture, folder: Path
         assert page.width > 1000 and page.height > 360
     assert str(second) in sourced(capfd, folder, "same").error
     assert run(capfd, "edit", folder / "ball.ply", first, "--out", folder / "out.ply").code == 0
+
+
+def test_what_came_back_is_kept_after_an_interrupt(tmp_path: Path, capfd: Capture) -> None:
+    source, out = InterruptibleSource(FunctionSource(exchanged)), tmp_path / "out.ply"
+    with pytest.raises(KeyboardInterrupt), keeping_answers(source, out):
+        answer = source.edit(request("moss"), lambda *_: None, threading.Event())
+        raise KeyboardInterrupt  # while it is painted
+    with Image.open(tmp_path / "out.ply.answer_1.png") as picture:
+        assert np.abs(np.asarray(picture) / 255 - answer.image).max() < 0.01
+    assert f"what came back is kept: {out}.answer_1.png" in capfd.readouterr().err
+    painted: list[Any] = [SimpleNamespace(answer=answer)]
+    assert source.write_answers(out, painted) == []
+    out.with_name("folder").touch()
+    assert source.write_answers(tmp_path / "folder" / "out.ply") == [], "a full disk hides no error"
 
 
 def test_what_all_views_have_in_common_is_said_once() -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -16,7 +16,7 @@ from splatpainter.atomic import writing
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.commands.decal_options import DecalView
 from splatpainter.commands.targets import check_target
-from splatpainter.commands.terminal import complain, count, watched
+from splatpainter.commands.terminal import complain, count, warn, watched
 from splatpainter.commands.view_options import color, given_cameras
 from splatpainter.image_files import CAMERA_KEYWORD, encode_png, quantized
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
@@ -191,8 +191,8 @@ def paint_from_source(splats: Splats, request: SourceJob, painter: Painter) -> t
     entries = [
         DecalView(edit.edit.name, notes) for edit, notes in zip(made.edits, notes_of_views(made.edits), strict=True)
     ]
-    more = (*made.refused, *_answers_line(source.write_answers(config.out, made.edits)))
-    entries[-1] = replace(entries[-1], notes=(*entries[-1].notes, *more))
+    for line in _answers_line(source.write_answers(config.out, made.edits)):  # of views that the receipt's note names
+        warn(line)
     return made.asset, entries
 
 

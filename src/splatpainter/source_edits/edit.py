@@ -245,7 +245,7 @@ def cover(
         entered=entered,
     )
     receipt = joined_receipt(before.splats, asset.splats, receipts)
-    note = "; ".join(filter(None, [receipt.note, *turns.notes]))
+    note = "; ".join(filter(None, [receipt.note, *(line.replace("; ", ", ") for line in turns.notes)]))
     receipt = replace(receipt, source=source_record(source, brief, turns.edits), note=note)
     return SourcedAsset(replace(asset, receipt=receipt), turns.edits, turns.notes)
 
