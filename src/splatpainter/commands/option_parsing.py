@@ -9,8 +9,9 @@ import io
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, get_type_hints
 
+import docstring_parser
 import tyro
 from tyro.conf import Positional, arg
 
@@ -32,6 +33,7 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
     _refuse_repeats_and_typos(kind, program, words)
     marks = (tyro.conf.FlagCreatePairsOff,)
     if "--help" in words or "-h" in words:
+        _join_lines_of_help(kind)
         return tyro.cli(kind, prog=program, args=list(words), config=marks)
     box, unicode = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     try:  # tyro looks at stdout's encoding for how it frames what it writes to stderr
@@ -41,6 +43,15 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
         if done.code in (0, None):
             raise
         raise ValueError(f"{program}: {unboxed(box.getvalue(), program)}; see {program} --help") from None
+
+
+def _join_lines_of_help(kind: type) -> None:
+    """tyro keeps the line breaks of the options' docstrings, which are indented, beside its own: they become spaces."""
+    hints = get_type_hints(kind, include_extras=True)
+    for option in docstring_parser.parse_from_object(kind).params:
+        if option.description and "\n" in option.description and option.arg_name in hints:
+            text = " ".join(option.description.split())
+            kind.__annotations__[option.arg_name] = Annotated[hints[option.arg_name], arg(help=text)]
 
 
 def unboxed(text: str, program: str) -> str:
