@@ -334,6 +334,13 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     keys.press("Alt+ArrowDown")
     page.wait("its place", lambda: page.names().index("stripes.png copy") == 3)
     a.did("moved the copy down", changed=False)
+    panel = tab.get_by_role("tabpanel")
+    panel.evaluate("(panel) => (panel.scrollTop = 1e6)")
+    a.tab_of("History")
+    inside = "(row) => row.getBoundingClientRect().bottom - row.closest('.tab-panel').getBoundingClientRect().bottom"
+    assert panel.locator("[aria-current=true]").evaluate(inside) < 1, "the newest step is in sight"
+    a.tab_of("Brush")
+    assert panel.evaluate("(panel) => panel.scrollTop") == 0
 
     # 27-30: the server dies while a stroke is on its way; everything that was acknowledged is there
     listed, history, gaussians = page.names(), len(page.state()["history"]), a.count()

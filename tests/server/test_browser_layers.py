@@ -16,6 +16,18 @@ from PIL import Image
 from tests.support import studio_scenes
 from tests.support.studio_pages import Page, opened_page
 
+OPAQUE_PREVIEW = """() => {
+  const overlay = document.querySelector(".cursor-overlay");
+  const canvas = new OffscreenCanvas(overlay.width, overlay.height);
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.drawImage(overlay, 0, 0);
+  const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let k = 3; k < data.length; k += 4) count += data[k] > 200 ? 1 : 0;
+  return count;
+}"""
+"""Opaque pixels of what is drawn over the view."""
+
 
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page]]:
@@ -126,7 +138,11 @@ def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[st
     words = page.tab.get_by_role("textbox", name="Text", exact=True)
     assert words.input_value() == "TEA"
     words.fill("MILK")
-    page.tab.get_by_role("button", name="Apply").click()
+    opaque = page.ask(OPAQUE_PREVIEW)
+    page.tab.locator("#stage").press("3")
+    page.wait("it fainter, as it will be", lambda: page.ask(OPAQUE_PREVIEW) < opaque / 2)
+    page.tab.locator("#stage").press("0")
+    words.press("Enter")
     page.wait("the other words", lambda: page.names() == ["Text: MILK"])
     page.settled()
     changed = page.pixels()
@@ -145,10 +161,10 @@ def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[st
     chooser.value.set_files({"name": "stripes.png", "mimeType": "image/png", "buffer": file.getvalue()})
     page.wait("the sticker", lambda: page.tab.get_by_role("button", name="Apply").count())
     page.tab.get_by_label("On the surface").check()
-    page.wait("it on the surface", lambda: page.ask("!!window.studio.placement.value?.anchor"))
-    page.tab.locator("#stage").press("Enter")
+    page.tab.locator("#stage").press("Enter")  # before the page knows the surface
     page.wait("its layer", lambda: page.names() == ["Text: MILK", "stripes.png"])
     page.settled()
+    assert page.state()["layers"][1]["placed"]["unit"] > 0, "it lies on the surface"
     page.tab.get_by_role("button", name="Change stripes.png").click()
     page.wait("it to be hidden", lambda: not page.state()["layers"][1]["visible"])
     page.wait("it on the surface", lambda: page.ask("!!window.studio.placement.value?.anchor"))

@@ -233,13 +233,40 @@ def test_photoshops_keys(opened: tuple[studio_scenes.Live, Page]) -> None:
     keys.press("Control+j")
     page.wait("a copy", lambda: page.names() == ["Paint", "Paint copy"])
     keys.press("Control+e")
-    page.wait("one layer", lambda: len(page.names()) == 1)
+    page.wait("one layer, with the name of the lower one", lambda: page.names() == ["Paint"])
     keys.press("Control+z")
     page.wait("two", lambda: len(page.names()) == 2)
     page.tab.locator(".layer-name").first.click()
     page.tab.locator("#stage").focus()
     keys.press("Delete")
     page.wait("one deleted", lambda: len(page.names()) == 1)
+
+
+def test_what_was_clicked_does_not_keep_the_keys(opened: tuple[studio_scenes.Live, Page]) -> None:
+    _, page = opened
+    keys, tools = page.tab.keyboard, page.tab.locator(".toolbar")
+    tools.get_by_role("button", name="Brush").click()
+    before = page.camera()["world_to_camera"]
+    keys.down("Space")
+    page.drag((0.5, 0.4), (0.6, 0.4))
+    keys.up("Space")
+    page.wait("another view", lambda: page.camera()["world_to_camera"] != before)
+    assert page.names() == [], "it turned and did not paint"
+    opacity = page.tab.get_by_role("region", name="Tool settings").get_by_role("textbox", name="Opacity, number")
+    opacity.fill("35")
+    opacity.press("Enter")
+    assert opacity.input_value() == "35"
+    keys.press("0")
+    page.wait("all of it", lambda: opacity.input_value() == "100")
+    page.tab.get_by_role("slider", name="Hardness").click()
+    blend = page.tab.get_by_role("combobox", name="Background")
+    blend.focus()
+    blend.select_option(index=1)
+    keys.press("e")
+    assert tools.locator("[aria-pressed=true]").get_attribute("aria-label") == "Eraser"
+    tools.get_by_role("button", name="Brush").focus()
+    keys.press("Space")
+    assert tools.locator("[aria-pressed=true]").get_attribute("aria-label") == "Brush", "where keys went, keys press"
 
 
 def test_a_layer_is_transformed_without_control_t(opened: tuple[studio_scenes.Live, Page]) -> None:
@@ -316,7 +343,13 @@ def test_settings_that_do_not_fit_open_below_the_bar(opened: tuple[studio_scenes
     bar.get_by_role("button", name="Limits").click()
     page.wait("its settings", lambda: is_in_sight(bar.get_by_label("Angle limit", exact=True)))
     page.tab.keyboard.press("Escape")
-    assert not is_open() and page.ask("document.activeElement.textContent") == "More"
+    page.wait("it to be closed", lambda: not is_open())
+    more.focus()
+    page.tab.keyboard.press("Enter")
+    page.wait("it again", is_open)
+    page.tab.keyboard.press("Escape")
+    page.wait("it to be closed", lambda: not is_open())
+    assert page.ask("document.activeElement.textContent") == "More"
     bar.get_by_label("Flow", exact=True).focus()
     for _ in range(12):
         page.tab.keyboard.press("Tab")

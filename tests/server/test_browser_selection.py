@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,12 @@ def test_keys_and_the_card_change_it(opened: tuple[studio_scenes.Live, Page]) ->
     page.drag((0.45, 0.5), (0.55, 0.5))
     keys.up("Alt")
     assert other(page, more, "painted away") < more
+    keys.press("Control+d")
+    page.wait("nothing", lambda: count(page) == 0)
+    keys.press("l")
+    page.drag((0.4, 0.35), (0.6, 0.35), (0.5, 0.6))
+    keys.press("Delete")  # means the lasso, which is still on its way
+    page.wait("what was circled to be hidden", lambda: page.names() == ["Hide"])
 
 
 def test_what_is_selected_is_hidden_cropped_and_kept(opened: tuple[studio_scenes.Live, Page]) -> None:
@@ -185,7 +192,8 @@ def test_what_is_selected_is_hidden_cropped_and_kept(opened: tuple[studio_scenes
 def test_floaters_are_found_and_hidden(browser: Any, tmp_path: Path) -> None:
     from tests.session.test_selection import planted
 
-    splats, number = planted(studio_scenes.ball(3000))
+    ball = studio_scenes.ball(3000)
+    splats, number = planted(replace(ball, means=ball.means * np.float32([0.4, 1, 1])))
     with studio_scenes.live(studio_scenes.make_studio(tmp_path, splats)) as live:
         page = Page(browser, live.url)
         page.tab.keyboard.press("m")
@@ -197,6 +205,11 @@ def test_floaters_are_found_and_hidden(browser: Any, tmp_path: Path) -> None:
         page.wait("the layer", lambda: page.names() == ["Hide"])
         opacities = live.studio.session.splats.opacities
         assert (opacities[-number:] == 0).mean() > 0.85 and (opacities[:-number] > 0).all()
+        page.settled()
+        page.tab.get_by_text("Box", exact=True).click()
+        click(page, "Set a box")
+        sides = [float(page.tab.get_by_role("textbox", name=f"{axis} to, number").input_value()) for axis in "XYZ"]
+        assert 0.35 < sides[0] < 0.75 and sides[1] > 0.9, "the box has the asset's shape"
         assert page.problems == []
         page.tab.close()
 

@@ -143,3 +143,34 @@ def test_one_part_over_another_is_both_in_turn() -> None:
     after = after * 0.75 + 0.0
     shows, share = over(*(np.array([value]) for value in (*first, *second)))
     np.testing.assert_allclose(weight * (1 - share) + shows * share, after)
+
+
+def test_a_selection_is_a_mask_from_every_side(path: Path) -> None:
+    with flat(project=path) as session:
+        original = session.splats
+        layer = session.add("look", parameters={"look": "gain", "gain": [0.5, 1, 1]})
+        painted = session.new_layer()
+        session.paint(painted.id, [dab(RED, radius=9)])
+        full = print_of(session)
+        with pytest.raises(ValueError, match="nothing of its asset is selected"):
+            session.mask_selection(layer.id, np.zeros(len(session.splats), np.float32))
+        assert print_of(session) == full
+        session.mask_selection(painted.id, (session.splats.means[:, 0] < 0).astype(np.float32))
+        session.mask_selection(layer.id, (session.splats.means[:, 0] > 0).astype(np.float32))
+        session.set(painted.id, visible=False)
+        n = len(original)
+        changed = (session.splats.sh[:n] != original.sh).any((1, 2))
+        np.testing.assert_array_equal(changed, original.means[:, 0] > 0)
+        session.set(painted.id, visible=True)
+        painted_now = (session.splats.sh[:n, 0, 0] > original.sh[:, 0, 0] + 0.1) & (original.means[:, 0] > 0.1)
+        assert not painted_now.any()
+        masked = print_of(session)
+    with load(path) as session:
+        assert print_of(session) == masked and session.verify(repaint=True) == []
+        mask = session.layer(layer.id).mask
+        assert mask is not None and mask.pictures() == {mask.parts[0].selection}
+        session.set_mask(layer.id, None)
+        session.set_mask(painted.id, None)
+        assert print_of(session) == full
+    with pytest.raises(ValueError, match="expected the SHA-256 of a selection"):
+        LayerMask.parse({"shows": True, "enabled": True, "parts": [{"selection": "no"}]}, "a layer")

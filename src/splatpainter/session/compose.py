@@ -215,7 +215,7 @@ class Replay:
         """(key of the state below, key of a layer) -> what it reads there."""
         self._merged: tuple[tuple[str, str], Delta] | None = None
         self._strokes = StrokeChains(store, self._painted_stroke)
-        self._masks = MaskWeights(store)
+        self._masks = MaskWeights(store, original)
         self._seen: OrderedDict[str, VisibleSurface] = OrderedDict()
         """What views see of states, coarsely: of the latest MAX_SEEN of both."""
         self.base_state = LayerState(digest(f"original {original.sha256}"), original)

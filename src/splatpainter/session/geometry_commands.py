@@ -15,6 +15,7 @@ from splatpainter.painter import Edit
 from splatpainter.session.document import SELECTION, SOURCE, Document, Layer, View, add_layer, change_layer
 from splatpainter.session.fill_layers import FILL, FillWhere
 from splatpainter.session.layer_factory import encode_mask, encode_picture, thumbnail
+from splatpainter.session.layer_mask import LayerMask, MaskPart
 from splatpainter.session.project_file import Transaction
 from splatpainter.session.relief import Relief
 from splatpainter.session.selection import Selection
@@ -169,6 +170,20 @@ class GeometryCommands(ABC):
             fields = {"views": tuple(views), "thumbnail": small, "parameters": parameters, "visible": True}
             document = change_layer(self._document, layer, name=name or before.name, **fields)
             self._commit(f"change {before.name}", document, strict=layer)
+            return self.layer(layer)
+
+    def mask_selection(self, layer: str, weights: np.ndarray) -> Layer:
+        """A mask that shows a layer on what is selected, from every side, and nothing else of it. weights: [N] 0..1 of
+        `splats`. Raises ValueError where nothing of the layer's asset is selected."""
+        weights, target = self._weights(weights), self.layer(layer)
+        with self._command():
+            part = next((one for one in self._selected_parts(weights) if one.asset == target.asset), None)
+            if part is None or not part.weights.any():
+                raise ValueError(f"{target.title}: nothing of its asset is selected")
+            data = Selection.of(part.weights, part.splats, part.original).to_png()
+            self._transaction.blobs = {files.sha256(data): data}
+            mask = LayerMask(parts=(MaskPart(selection=files.sha256(data)),))
+            self._commit(f"mask (selection) of {target.name}", change_layer(self._document, layer, mask=mask))
             return self.layer(layer)
 
     def _hiding(self, weights: np.ndarray, name: str) -> list[Layer]:

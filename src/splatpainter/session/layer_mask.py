@@ -1,9 +1,10 @@
 """Masks of layers: how much of a layer each of its Gaussians shows, 0..1. A factor of the layer's opacity.
 
 A mask starts from all of the layer or nothing of it, and parts change that, one after the other. A part is painted on a
-view (a picture of what to show, and how far to go there), or says by a rule what to show: height, slope, or how well
-the layers below it were seen. Where every weight is 0 the layer is not there, bit for bit. Pictures and rules are
-evaluated on what the layer made, so paint that is finer than what it lies on has a mask that is as fine.
+view (a picture of what to show, and how far to go there), is a selection (session/selection.py: what is not selected is
+not shown, from any side), or says by a rule what to show: height, slope, or how well the layers below it were seen.
+Where every weight is 0 the layer is not there, bit for bit. Parts are evaluated on what the layer made, so paint that
+is finer than what it lies on has a mask that is as fine.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ class MaskPart:
     picture: str | None = None
     """Hash of a PNG of the camera's size with two channels: what to show (0: nothing, 255: all), and how far to go
     there (0: as it was)."""
+    selection: str | None = None
+    """Hash of a Selection's PNG: its weights are factors."""
     rule: Rule | None = None
     """height: share of the way from the lowest to the highest Gaussian, along `axis`; slope: degrees between a
     Gaussian's normal and `axis`; coverage: 0 untouched by the layers below, 1 seen in one of their views, 2 predicted;
@@ -48,6 +51,8 @@ class MaskPart:
     """Unit vector, world axes."""
 
     def record(self) -> dict[str, Any]:
+        if self.selection is not None:
+            return {"selection": self.selection}
         if self.rule is None:
             import json
 
@@ -79,8 +84,8 @@ class LayerMask:
         return LayerMask(bool(data["shows"]), parts, bool(data["enabled"]))
 
     def pictures(self) -> set[str]:
-        """Hashes of its pictures."""
-        return {part.picture for part in self.parts if part.picture}
+        """Hashes of its pictures and selections."""
+        return {name for part in self.parts for name in (part.picture, part.selection) if name}
 
 
 def by_rule(rule: Rule, low: float, high: float, soft: float = 0.0, axis: Any = (0.0, -1.0, 0.0)) -> MaskPart:
@@ -102,13 +107,18 @@ def by_rule(rule: Rule, low: float, high: float, soft: float = 0.0, axis: Any = 
 def _parsed_part(data: dict[str, Any], where: str) -> MaskPart:
     if "rule" in data:
         return by_rule(data["rule"], data["low"], data["high"], data["soft"], data["axis"])
+    if "selection" in data:
+        return MaskPart(selection=_hash(data["selection"], "selection"))
     import json
 
     camera = Camera.from_json(json.dumps(data["camera"]), where)
-    picture = data["picture"]
-    if not (isinstance(picture, str) and len(picture) == 64 and set(picture) <= set("0123456789abcdef")):
-        raise ValueError(f"expected the SHA-256 of a picture, got {str(picture)[:MAX_NOTE]!r}")
-    return MaskPart(camera, picture)
+    return MaskPart(camera, _hash(data["picture"], "picture"))
+
+
+def _hash(name: Any, what: str) -> str:
+    if not (isinstance(name, str) and len(name) == 64 and set(name) <= set("0123456789abcdef")):
+        raise ValueError(f"expected the SHA-256 of a {what}, got {str(name)[:MAX_NOTE]!r}")
+    return name
 
 
 def over(shows: np.ndarray, share: np.ndarray, new_shows: np.ndarray, new_share: np.ndarray) -> tuple[Any, Any]:

@@ -13,6 +13,8 @@ from splatpainter.session.document import Layer, digest
 from splatpainter.session.layer_factory import decode_mask_part
 from splatpainter.session.layer_mask import changed_weights
 from splatpainter.session.layer_state import LayerState, ResultStore
+from splatpainter.session.selection import Selection
+from splatpainter.splats import Splats
 
 MAX_CACHED = 16
 """Weights of all Gaussians, after some part of some mask."""
@@ -21,8 +23,8 @@ MAX_CACHED = 16
 class MaskWeights:
     """Of one session."""
 
-    def __init__(self, store: ResultStore) -> None:
-        self._store = store
+    def __init__(self, store: ResultStore, original: Splats) -> None:
+        self._store, self._original = store, original
         self._cache: OrderedDict[str, np.ndarray] = OrderedDict()
 
     def weights(self, below: LayerState, delta: Delta, layer: Layer, result_key: str) -> np.ndarray | None:
@@ -45,6 +47,10 @@ class MaskWeights:
             picture = None
             if part.picture is not None and part.camera is not None:
                 picture = decode_mask_part(self._store.blob(part.picture), part.camera, layer.title)
+            if part.selection is not None:
+                selection = Selection.from_png(self._store.blob(part.selection), len(self._original), layer.title)
+                weights = self._cache[keys[k + 1]] = weights * selection.on(splats, self._original)
+                continue
             seen = coverage(below.edited, len(splats)) if part.rule == "coverage" else np.zeros(0, np.uint8)
             weights = changed_weights(weights, splats, part, picture, seen)
             self._cache[keys[k + 1]] = weights

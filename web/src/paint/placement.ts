@@ -34,7 +34,7 @@ import { viewScale } from "./brush-settings";
 import { limitsToSend } from "./limits";
 import { beginStroke, endStroke } from "./strokes";
 import type { SurfaceView } from "./surface-view";
-import { surfaceOf, viewSurface, wrapping } from "./view-surface";
+import { surfaceOf, viewSurface, wrapping, surfaceArrived } from "./view-surface";
 import { blend, type Rgb } from "./colors";
 import type { Pen, ToolHandler } from "./tool";
 
@@ -373,8 +373,14 @@ async function lay(p: Placement, anchor: Anchor, placed: Placed, name: string): 
 
 /** Make it a layer, or the layer that it was again. */
 export async function commitPlacement(): Promise<void> {
+  if (!placement.value || laying.value) return;
+  if (wrapping.value.on && !placement.value.flat && !placement.value.anchor && !surfaceOf(camera.value)) {
+    laying.value = true; // applied before the surface is known, it is to lie there all the same
+    await surfaceArrived(camera.value!);
+    laying.value = false; // now it goes there
+  }
   const current = placement.value;
-  if (!current || laying.value) return;
+  if (!current) return;
   const p = current.anchor ? fromAnchor(current, current.anchor) : current; // the view may have turned since
   const edited = editedLayer.value;
   const placed = await placedInfo(p).catch((error) => void report(error));

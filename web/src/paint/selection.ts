@@ -18,10 +18,6 @@ import { combine, isEmpty, type Combine } from "./select";
 /** What of the present view is selected, 0..1; null: nothing is, or it is not known yet. */
 export const selection = signal<Mask | null>(null);
 export const selectedCount = computed(() => state.value?.selection.gaussians ?? 0);
-/** What of the present view is selected, with its camera; null: nothing is. */
-export const selectedArea = computed(() =>
-  selection.value && camera.value ? { mask: selection.value, camera: camera.value } : null,
-);
 /** Whether the selected area is tinted. */
 export const tinted = signal(true);
 /** A box along the world's axes that is being set; null: none. */
@@ -35,6 +31,12 @@ let newestRequest = 0;
 
 /** Resolves when the server knows the selection that is seen here. */
 export const selectionSent = (): Promise<void> => sending.then(() => {});
+
+/** Act on what is selected, once that is known: a key right after a lasso means the lasso. */
+export async function withSelection(act: (selected: number) => unknown): Promise<void> {
+  if (waiting > 0) await selectionSent();
+  await act(selectedCount.value);
+}
 
 /** Apply a mask that was drawn on the present view. It is shown at once. */
 export function selectArea(mask: Mask, how: Combine, through: boolean): void {

@@ -24,6 +24,20 @@ export const surfaceOf = (view: CameraJson | null): SurfaceView | null =>
 /** The same view comes back as another object when one goes away and returns. */
 const same = (one: CameraJson, other: CameraJson): boolean => one === other || sameView(one, other);
 
+/** How long something that was to lie on the surface waits for it. */
+const PATIENCE_MS = 5000;
+
+/** Resolves when the surface of this view is there, or no longer awaited. */
+export function surfaceArrived(view: CameraJson): Promise<void> {
+  return new Promise((resolve) => {
+    const end = () => (clearTimeout(timer), stop(), resolve());
+    const timer = setTimeout(() => end(), PATIENCE_MS);
+    const stop = effect(() => {
+      if (surfaceOf(view)) queueMicrotask(() => end());
+    });
+  });
+}
+
 let requestedKey = "";
 
 async function ask(view: CameraJson, key: string): Promise<void> {

@@ -102,7 +102,14 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
               </button>
             ))}
           </div>
-          <div role="tabpanel" id="tab-panel" aria-labelledby={`tab-${tab.value}`} class="tab-panel" tabIndex={0}>
+          <div
+            key={tab.value}
+            role="tabpanel"
+            id="tab-panel"
+            aria-labelledby={`tab-${tab.value}`}
+            class="tab-panel"
+            tabIndex={0}
+          >
             {TABS.map(([key, , Panel]) => tab.value === key && <Panel key={key} />)}
           </div>
         </section>

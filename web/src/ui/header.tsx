@@ -163,7 +163,7 @@ function Connection() {
   const otherWindows = (state.value?.clients ?? 1) - 1;
   return (
     <span
-      class={`connection ${status.value}`}
+      class={`connection ${status.value}${busy ? " busy" : ""}`}
       role="status"
       title={otherWindows > 0 ? `${words}; ${otherWindows} more window${otherWindows > 1 ? "s" : ""}` : words}
     >

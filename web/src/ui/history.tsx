@@ -1,5 +1,7 @@
 /** Every step, oldest first; a click goes there. */
 
+import { useLayoutEffect, useRef } from "preact/hooks";
+
 import { pythonLog, state } from "../state/store";
 import { run } from "../state/studio";
 import { copy } from "./feedback";
@@ -9,11 +11,16 @@ const capital = (text: string): string => text.charAt(0).toUpperCase() + text.sl
 
 export function History() {
   const now = state.value;
+  const list = useRef<HTMLOListElement>(null);
+  const current = now?.history[now.cursor]?.id;
+  useLayoutEffect(() => {
+    list.current?.querySelector("[aria-current=true]")?.scrollIntoView({ block: "nearest" });
+  }, [current]);
   if (!now) return null;
   const jump = (cursor: number) => void (cursor !== now.cursor && run("jump", { cursor }, "History"));
   return (
     <>
-      <ol class="history" aria-label="History">
+      <ol ref={list} class="history" aria-label="History">
         {now.history.map((step, k) => (
           <li key={step.id}>
             <button

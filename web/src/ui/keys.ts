@@ -6,7 +6,7 @@ import type { CommandId } from "../keys/table";
 import { resizeBrush } from "../paint/brush-settings";
 import { commitPlacement, placement } from "../paint/placement";
 import { setColor } from "../paint/point-tools";
-import { changeSelection, deselect, fillSelected, hideSelected, selectedCount, tinted } from "../paint/selection";
+import { changeSelection, deselect, fillSelected, hideSelected, tinted, withSelection } from "../paint/selection";
 import { transformLayer } from "../paint/transform";
 import {
   brush,
@@ -30,6 +30,7 @@ import { FLY_KEYS } from "../view/gestures";
 import { axesOf, type Side } from "../view/sides";
 import { filesOpen, frameAll, redo, undo } from "./header";
 import { cameraFree, cancelDrawing, focusAtCursor, gestures, spaceHeld, turnBy } from "./stage";
+import { toStage } from "./parts";
 import { chooseTool } from "./toolbar";
 
 const RESIZE_FACTOR = 1.12;
@@ -145,17 +146,18 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "select.all": () => changeSelection("all"),
   "select.none": deselect,
   "select.again": () => changeSelection("again"),
-  "select.invert": () => selectedCount.value > 0 && changeSelection("invert"),
+  "select.invert": () => void withSelection((count) => count > 0 && changeSelection("invert")),
   "select.tint": () => (tinted.value = !tinted.value),
-  "select.fill": () => void fillSelected(true),
-  "select.hide": () => selectedCount.value > 0 && void hideSelected(true, "Crop"),
+  "select.fill": () => void withSelection((count) => count > 0 && fillSelected(true)),
+  "select.hide": () => void withSelection((count) => count > 0 && hideSelected(true, "Crop")),
   "layer.duplicate": onLayer(async (layer) => {
     const answer = await run("layer.duplicate", { layer }, "Duplicating");
     if (answer) selectedLayer.value = answer.layer.id;
   }),
   "layer.merge": onLayer(async (layer) => {
     const { id: below } = layerAt(-1);
-    const answer = below ? await run("layer.merge", { layers: [below, layer] }, "Merging") : null;
+    const name = state.value?.layers.find((one) => one.id === below)?.name; // of the one that stays
+    const answer = below ? await run("layer.merge", { layers: [below, layer], name }, "Merging") : null;
     if (answer) selectedLayer.value = answer.layer.id;
   }),
   "layer.raise": shift(1),
@@ -164,7 +166,7 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "layer.below": neighbour(-1),
   "edit.undo": undo,
   "edit.redo": redo,
-  "edit.delete": () => (selectedCount.value > 0 ? void hideSelected(false, "Hide") : deleteLayer()),
+  "edit.delete": () => void withSelection((count) => (count > 0 ? hideSelected(false, "Hide") : deleteLayer())),
   "edit.transform": () => void transformLayer().catch(report),
   "edit.apply": () => placement.value && void commitPlacement(),
   "edit.cancel": cancelDrawing,
@@ -173,6 +175,9 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "file.batch": () => (batchOpen.value = state.value !== null),
   help: () => (help.value = true),
 };
+
+/** What has keys itself: rows of layers and assets (F2, Alt-arrows), and what opens a field or a menu. */
+const KEEPS_KEYS = ".layer-list, .asset-list, [role=tab], .more";
 
 let digits = { time: 0, value: 0, flow: false };
 
@@ -223,6 +228,19 @@ export function listen(): void {
     if (event.key === " ") spaceHeld.value = false;
     gestures.fly(event.code, false);
   });
+  // what was pressed by hand does not keep the keys: Space turns the view, letters choose tools
+  let pointed = false;
+  for (const [name, by] of [
+    ["pointerdown", true],
+    ["keydown", false],
+  ] as const)
+    window.addEventListener(name, () => (pointed = by), true);
+  for (const name of ["click", "change"])
+    window.addEventListener(name, (event) => {
+      const from = event.target as Element;
+      const held = name === "change" ? "select, input[type=range]" : "button, input[type=checkbox], input[type=range]";
+      if (pointed && from.closest?.(held) === document.activeElement && !from.closest(KEEPS_KEYS)) toStage(from);
+    });
   window.addEventListener("blur", () => {
     spaceHeld.value = false;
     gestures.stop();

@@ -3,11 +3,9 @@
 import { signal } from "@preact/signals";
 
 import type { LayerInfo, MaskSet } from "../messages";
-import { sendBlob } from "../net/blobs";
-import { maskPng } from "../paint/picture";
-import { selectedArea } from "../paint/selection";
+import { selectedCount, selectionSent } from "../paint/selection";
 import { maskedLayer, maskShows, readOnly, selectedLayer, tool } from "../state/store";
-import { report, run } from "../state/studio";
+import { run } from "../state/studio";
 import { Button, Choice, Slider } from "./parts";
 
 /** Whether the settings of masks are open. */
@@ -51,10 +49,8 @@ export async function paintMask(layer: LayerInfo): Promise<void> {
 }
 
 async function fromSelection(layer: LayerInfo): Promise<void> {
-  const area = selectedArea.value;
-  if (!area) return;
-  const blob = await sendBlob(await maskPng(area.mask), "selection.png");
-  await set(layer, { mask: "area", camera: area.camera, area: blob });
+  await selectionSent();
+  await set(layer, { mask: "selection" });
 }
 
 let gesture = "";
@@ -116,8 +112,8 @@ export function LayerMask({ layer }: { layer: LayerInfo | null }) {
         <Button
           label="Show the layer in the selection only"
           text="Selection"
-          disabled={off || !selectedArea.value}
-          onClick={() => void fromSelection(layer).catch(report)}
+          disabled={off || selectedCount.value === 0}
+          onClick={() => void fromSelection(layer)}
         />
       </p>
       <p class="row">

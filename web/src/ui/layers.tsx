@@ -278,7 +278,11 @@ function LayerActions({ layer, layers, range }: ActionProps) {
           range.length > 1 ? `Merge ${range.length} layers` : "Merge with the layer below (Shift-click chooses several)"
         }
         disabled={off || together.length < 2}
-        onClick={() => void run("layer.merge", { layers: together.map((one) => one.id) }, "Merging").then(chooseMade)}
+        onClick={() =>
+          void run("layer.merge", { layers: together.map(({ id }) => id), name: together[0].name }, "Merging").then(
+            chooseMade,
+          )
+        }
       />
       <Button
         icon="share"

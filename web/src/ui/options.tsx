@@ -35,7 +35,7 @@ import { BrushSize, KeepShading } from "./brush-size";
 import { OneSided, SymmetryButton } from "./symmetry";
 import { fonts, loadFont, systemFonts } from "./fonts";
 import { OverflowBar } from "./overflow-bar";
-import { Button, Check, Choice, FileButton, Percent, Slider } from "./parts";
+import { Button, Check, Choice, FileButton, Percent, Slider, toStage } from "./parts";
 
 const MODES: readonly (readonly [PaintMode, string])[] = [
   ["normal", "Normal"],
@@ -188,7 +188,12 @@ function Text() {
         type="text"
         aria-label="Text"
         value={t.text}
-        onKeyDown={(event) => event.stopPropagation()}
+        onKeyDown={(event) => {
+          event.stopPropagation();
+          if (event.key === "Enter" && placement.value) void commitPlacement();
+          if (event.key === "Escape") void discardPlacement();
+          if (event.key === "Enter" || event.key === "Escape") toStage(event.currentTarget);
+        }}
         onInput={(event) => set({ text: event.currentTarget.value })}
       />
       <Choice

@@ -31,7 +31,10 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
       measure();
       // settings that a click in the bar brought out are to be seen
       const fresh = records.flatMap(({ addedNodes }) => [...addedNodes]).filter((one) => one instanceof Element);
-      if (box.contains(document.activeElement) && fresh.some((one) => box.contains(one) && isBelow(box, one)))
+      if (
+        (box.contains(document.activeElement) || clicked.current) &&
+        fresh.some((one) => box.contains(one) && isBelow(box, one))
+      )
         setOpen(true);
     };
     const sizes = new ResizeObserver(measure);
@@ -43,6 +46,8 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
   }, []);
   // Opening moves what is in the bar: not between the two halves of a click, which would then hit something else.
   const pressed = useRef(false);
+  /** Whether the pointer was last used in the bar, and no key since: the view has the focus again after a click. */
+  const clicked = useRef(false);
   const waiting = useRef<(() => void) | null>(null);
   const whenReleased = (action: () => void) => {
     if (pressed.current) waiting.current = action;
@@ -50,9 +55,10 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
   };
   useEffect(() => {
     const press = (event: PointerEvent) => {
-      pressed.current = section.current!.contains(event.target as Node);
+      pressed.current = clicked.current = section.current!.contains(event.target as Node);
       waiting.current = null;
     };
+    const typed = () => (clicked.current = false);
     const release = () =>
       setTimeout(() => {
         pressed.current = false;
@@ -60,26 +66,33 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
         waiting.current = null;
       });
     document.addEventListener("pointerdown", press, true);
+    document.addEventListener("keydown", typed, true);
     for (const name of ["pointerup", "pointercancel"]) document.addEventListener(name, release, true);
     return () => {
       document.removeEventListener("pointerdown", press, true);
+      document.removeEventListener("keydown", typed, true);
       for (const name of ["pointerup", "pointercancel"]) document.removeEventListener(name, release, true);
     };
   }, []);
   useEffect(() => {
     if (!open) return;
     const outside = (event: PointerEvent) => !section.current!.contains(event.target as Node) && setOpen(false);
+    const escape = (event: KeyboardEvent) => {
+      if (event.key !== "Escape") return;
+      event.stopPropagation();
+      setOpen(false);
+      const bar = section.current!;
+      if (bar.contains(document.activeElement)) bar.querySelector<HTMLElement>(".more button")?.focus();
+    };
     document.addEventListener("pointerdown", outside, true);
-    return () => document.removeEventListener("pointerdown", outside, true);
+    document.addEventListener("keydown", escape, true);
+    return () => {
+      document.removeEventListener("pointerdown", outside, true);
+      document.removeEventListener("keydown", escape, true);
+    };
   }, [open]);
-  const close = (event: KeyboardEvent) => {
-    if (event.key !== "Escape" || !open) return;
-    event.stopPropagation();
-    setOpen(false);
-    section.current!.querySelector<HTMLElement>(".more button")?.focus();
-  };
   return (
-    <section ref={section} class="options" aria-label={label} onKeyDown={close}>
+    <section ref={section} class="options" aria-label={label}>
       <div
         ref={row}
         class={`options-row${open ? " open" : ""}`}

@@ -78,7 +78,9 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
     if (points && points.length > 2) two(polyline(points), [4, 4]);
     const placed = placement.value;
     if (placed) {
+      context.globalAlpha = brush.value.opacity; // as it will be laid
       drawPlacement(context, placed);
+      context.globalAlpha = 1;
       const { corners, knob } = laying.value ? { corners: [], knob: [0, 0] as [number, number] } : handles(placed);
       empty = false;
       if (corners.length) two(polyline(corners.flat()));

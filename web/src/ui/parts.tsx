@@ -8,6 +8,11 @@ import { spoken } from "../keys/chord";
 import type { CommandId } from "../keys/table";
 import { Icon, type IconName } from "./icons";
 
+/** The keys go to the view again after a field was written in, or something was clicked on; dialogs keep them. */
+export function toStage(from: Element): void {
+  if (!from.closest("dialog")) document.getElementById("stage")?.focus({ preventScroll: true });
+}
+
 interface ButtonProps {
   icon?: IconName;
   /** What it does; may be left out where a command says it. */
@@ -146,10 +151,12 @@ interface NumberProps {
 export function NumberField({ label, value, min, max, digits, unit, disabled, onChange }: NumberProps) {
   const formatted = value.toFixed(digits);
   const [draft, setDraft] = useState<string | null>(null);
+  const latest = useRef<string | null>(null); // the field is left before it is drawn again
+  const write = (text: string | null) => setDraft((latest.current = text));
   const commit = () => {
-    const typed = Number.parseFloat(draft ?? "");
+    const typed = Number.parseFloat(latest.current ?? "");
+    write(null);
     if (Number.isFinite(typed)) onChange(Math.max(min, Math.min(max, typed)));
-    setDraft(null);
   };
   return (
     <span class="number">
@@ -159,12 +166,13 @@ export function NumberField({ label, value, min, max, digits, unit, disabled, on
         aria-label={`${label}, number`}
         value={draft ?? formatted}
         disabled={disabled}
-        onInput={(event) => setDraft(event.currentTarget.value)}
-        onBlur={() => draft !== null && commit()}
+        onInput={(event) => write(event.currentTarget.value)}
+        onBlur={() => latest.current !== null && commit()}
         onKeyDown={(event) => {
           event.stopPropagation();
           if (event.key === "Enter") commit();
-          if (event.key === "Escape") setDraft(null);
+          if (event.key === "Escape") write(null);
+          if (event.key === "Enter" || event.key === "Escape") toStage(event.currentTarget);
         }}
       />
       {unit}

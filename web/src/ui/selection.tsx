@@ -16,7 +16,7 @@ import {
   tinted,
 } from "../paint/selection";
 import { camera, readOnly, selecting, state } from "../state/store";
-import { report, run } from "../state/studio";
+import { report, run, viewer } from "../state/studio";
 import type { Vec3 } from "../view/camera";
 import { Button, Choice, Percent, Slider } from "./parts";
 
@@ -171,12 +171,17 @@ function ByValue() {
 }
 
 const AXES = ["X", "Y", "Z"] as const;
+/** How much farther than nearly all of the asset a new box reaches. */
+const BOX_ROOM = 1.1;
 
 function CropBox() {
   const box = cropBox.value;
   const { center, radius } = state.value!.asset;
   const start = () => {
-    const side = (sign: number) => center.map((v) => v + sign * radius) as Vec3;
+    // what reaches farthest along the axis is left out if it is one Gaussian in a hundred; a little room is added
+    const reach = (axis: number, sign: number) =>
+      BOX_ROOM * (viewer.depthBelow(center as Vec3, [0, 1, 2].map((k) => (k === axis ? -sign : 0)) as Vec3) ?? radius);
+    const side = (sign: number) => center.map((v, axis) => v + sign * reach(axis, sign)) as Vec3;
     cropBox.value = box ? null : { low: side(-1), high: side(1) };
   };
   const set = (side: "low" | "high", axis: number, to: number) => {

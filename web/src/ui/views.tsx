@@ -178,7 +178,8 @@ function ConflictRow({ one }: { one: ConflictInfo }) {
   return (
     <div class="conflict">
       <p>
-        <b>{name(one.upper)}</b> overwrites {one.gaussians.toLocaleString()} Gaussians of <b>{name(one.lower)}</b> (
+        <b>{name(one.upper)}</b> overwrites {one.gaussians.toLocaleString()}{" "}
+        {one.gaussians === 1 ? "Gaussian" : "Gaussians"} of <b>{name(one.lower)}</b> (
         {one.share < 0.01 ? "under 1" : Math.round(one.share * 100)} %), painted from another view.
       </p>
       <Choice

@@ -108,13 +108,16 @@ def _preview_blend(context: CommandContext, request: LayerSet) -> None:
 
 
 class MaskSet(Command):
-    """Another mask of a layer. reveal, hide: all of it; remove: none; on, off: as it is, in force or not; area: what is
-    selected on a view, and nothing else; a rule: what lies from low to high, with a ramp of `soft` on both sides."""
+    """Another mask of a layer. reveal, hide: all of it; remove: none; on, off: as it is, in force or not; selection:
+    what is selected, and nothing else; area: the same on one view alone; a rule: what lies from low to high, with a
+    ramp of `soft` on both sides."""
 
     NAME = "layer.mask"
     ANSWER = LayerMade
     layer: str
-    mask: Literal["reveal", "hide", "remove", "on", "off", "area", "height", "slope", "coverage", "curvature"]
+    mask: Literal[
+        "reveal", "hide", "remove", "on", "off", "selection", "area", "height", "slope", "coverage", "curvature"
+    ]
     camera: CameraInfo | None = None
     """Of an area."""
     area: Blob | None = None
@@ -139,6 +142,14 @@ def set_mask(context: CommandContext, request: MaskSet) -> LayerMade:
             camera = request.camera.to_camera()
             shows = mask_from_upload(context, request.area, camera).astype(np.float32)
             session.mask_area(request.layer, camera, shows)
+        elif request.mask == "selection":
+            weights = context.studio.selection.weights()
+            if weights is None:
+                raise ValueError("mask: nothing is selected; select something first")
+            session.mask_selection(request.layer, weights)
+            return layer_made(
+                context, request.layer, python_line("session.mask_selection", request.layer, RawExpr("weights"))
+            )
         else:
             mask: LayerMask | None = LayerMask(shows=request.mask != "hide")
             if request.mask == "remove":
