@@ -193,7 +193,7 @@ def test_floaters_are_found_and_hidden(browser: Any, tmp_path: Path) -> None:
     from tests.session.test_selection import planted
 
     ball = studio_scenes.ball(3000)
-    splats, number = planted(replace(ball, means=ball.means * np.float32([0.4, 1, 1])))
+    splats, number = planted(replace(ball, means=ball.means * np.array([0.4, 1, 1], np.float32)))
     with studio_scenes.live(studio_scenes.make_studio(tmp_path, splats)) as live:
         page = Page(browser, live.url)
         page.tab.keyboard.press("m")

@@ -95,6 +95,11 @@ def test_another_opacity_is_seen_before_it_is_exact(studio: Live, monkeypatch: p
         browser.do("layer.set", layer=made["layer"]["id"], opacity=0.25)
         assert browser.order.count("frame") == 1 and browser.mirror.previews == before
         assert browser.mirror.agrees(studio.studio.session.splats)
+        browser.stroke(view(), (40, 30), 20, RED)
+        before = browser.mirror.previews
+        browser.do("layer.set", layer=made["layer"]["id"], visible=False)  # what lies above is painted anew
+        assert browser.order.count("frame") > 1 and browser.mirror.previews > before
+        assert browser.mirror.agrees(studio.studio.session.splats)
 
 
 def test_a_preview_ends_with_the_command_that_failed(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from splatpainter.cameras import look_at
+from splatpainter.rendering import render
 from splatpainter.session import Session
 from splatpainter.session.document import MAX_STROKES, Layer
-from splatpainter.splats import rows_sha256
+from splatpainter.splats import ATTRIBUTES, Splats, rows_sha256
 from tests.support.session_scenes import BLUE, CAMERA, GREEN, RED, FlatPainter, asset, dab, flat, load, print_of
 
 SIDE = look_at((1.5, 0, -3), (0, 0, 0), (0, -1, 0), width=32, height=32, fov=40)
@@ -191,9 +193,36 @@ def test_another_opacity_is_previewed_while_it_is_computed() -> None:
         session.paint(layer, [dab(GREEN, 16)])
         assert session.blend_preview(layer, blend="darken") is not None
         session.add("paint", [dab(BLUE, 22)], name="above")
-        assert session.blend_preview(layer, opacity=0.5) is None
         (views,) = (one.id for one in session.layers if one.name == "above")
         assert session.blend_preview(views, opacity=0.5) is not None
+
+
+@pytest.mark.parametrize("change", [{"visible": False}, {"opacity": 0.5}])
+def test_a_layer_below_others_is_previewed_where_they_leave_it(change: dict[str, Any]) -> None:
+    with flat() as session:
+        layer = painted(session, 3)
+        alone = session.splats
+        session.add("paint", [dab(BLUE, 18)], name="above")
+        before, last = session.splats, print_of(session)
+        preview = session.blend_preview(layer, **change)
+        assert preview is not None and print_of(session) == last
+        ids, splats = preview
+        assert len(ids) == len(splats) > 10 and (np.diff(ids) > 0).all() and ids[-1] < len(before)
+        assert rows_sha256(before, ids) == rows_sha256(alone, ids), "what lies above is left as it is"
+        seen = before.opacities[ids] > 0
+        assert not np.array_equal(before.sh[ids][seen], splats.sh[seen])
+        first, now = (render(one, CAMERA).colors[0] for one in (before, put(before, ids, splats)))
+        session.set(layer, **change)
+        exact = render(session.splats, CAMERA).colors[0]
+        assert np.abs(now - exact).mean() < 0.75 * np.abs(first - exact).mean()
+
+
+def put(splats: Splats, ids: np.ndarray, rows: Splats) -> Splats:
+    """With other Gaussians in some places."""
+    changed = {name: getattr(splats, name).copy() for name in ATTRIBUTES}
+    for name, values in changed.items():
+        values[ids] = getattr(rows, name)
+    return replace(splats, **changed)
 
 
 def test_strokes_go_into_a_layer_below_others() -> None:

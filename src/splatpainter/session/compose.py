@@ -29,8 +29,9 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
-from splatpainter.session.appearance import base_of_parents, picture_of, with_base
+from splatpainter.session.appearance import picture_of, with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength
+from splatpainter.session.covered_preview import Preview, hidden_layer, mixed_layer, where_uncovered
 from splatpainter.session.delta import Delta, bare, between, no_delta
 from splatpainter.session.document import SELECTION, Document, Layer, View, digest
 from splatpainter.session.eraser import erase_delta, fade_delta
@@ -334,33 +335,32 @@ class Replay:
             self._merged = (key, delta)
         return self._merged[1]
 
-    def blend_preview(self, document: Document, layer_id: str) -> tuple[np.ndarray, Splats] | None:
-        """([C] int64 ascending ids, C Gaussians) about as the topmost visible layer of a document will show them: from
-        the colours of parents, where fitting them to what its views saw takes time; None where composing the document
-        is as quick, or where other layers lie above."""
+    def blend_preview(self, document: Document, layer_id: str, now: Document) -> Preview | None:
+        """About as a layer of a document will be shown, hidden or not, where composing that takes longer; None else. Of
+        a layer that others cover: where these leave it (covered_preview.py). now: the document that is shown."""
         at = document.index(layer_id)
-        layer = document.layers[at]
+        layer, covered = document.layers[at], any(map(_is_visible, document.layers[at + 1 :]))
+        below = self.compose(replace(document, layers=document.layers[:at]))
+        delta = self._quick_delta(document, layer, below, covered)
+        preview = None if delta is None else mixed_layer(below.splats, delta, layer)
+        before = self.compose(replace(now, layers=now.layers[: at + 1])).splats
+        preview = hidden_layer(below.splats, before) if covered and not _is_visible(layer) else preview
+        return where_uncovered(preview, before, self.compose(now).splats) if covered else preview
+
+    def _quick_delta(self, document: Document, layer: Layer, below: LayerState, covered: bool) -> Delta | None:
+        """What a layer with an opacity or blend does; None where fitting it to these takes no time either."""
         if not (_is_visible(layer) and _mixes(layer, None) and _has_base(layer)) or layer.mask is not None:
             return None
-        if layer.kind == "merged" or any(map(_is_visible, document.layers[at + 1 :])):
-            return None
-        below = self.compose(replace(document, layers=document.layers[:at]))
-        if policy_strength(below.edited, layer, document, len(below.splats))[0] is not None:
+        if layer.kind == "merged" or policy_strength(below.edited, layer, document, len(below.splats))[0] is not None:
             return None
         if layer.holds_strokes:
             painted = self._strokes.painted(Chain.of(below.key, layer.strokes).keys[-1])
-            if painted is None or (self._merged and self._merged[0] == (below.key, painted.state.key)):
-                return None
-            delta = painted.delta(below)
-        else:
-            result = self._store.get(digest(f"{below.key} {layer.key}"))
-            if result is None or result.delta.base is not None or result.delta.count != len(below.splats):
-                return None
-            delta = result.delta
-        delta = replace(delta, base=base_of_parents(below.splats, delta))
-        delta = blend_delta(below.splats, delta, layer.opacity, layer.blend)
-        tail = len(below.splats) + np.arange(len(delta.appended))
-        return np.concatenate([delta.gaussian_ids, tail]), delta.values.append(delta.appended)
+            fitted = painted and self._merged and self._merged[0] == (below.key, painted.state.key)
+            return None if painted is None or (fitted and not covered) else painted.delta(below)
+        result = self._store.get(digest(f"{below.key} {layer.key}"))
+        delta = None if result is None else result.delta
+        fits = delta is not None and delta.count == len(below.splats) and (covered or delta.base is None)
+        return delta if fits else None
 
     def _painted_stroke(self, state: LayerState, stroke: Layer, below: LayerState) -> LayerResult:
         """What a stroke makes of the state after those before it. below: the state below its layer."""

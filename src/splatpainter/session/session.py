@@ -423,7 +423,7 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
             return self.layer(layer)
 
     def blend_preview(
-        self, layer: str, *, opacity: float | None = None, blend: Blend | None = None
+        self, layer: str, *, opacity: float | None = None, blend: Blend | None = None, visible: bool | None = None
     ) -> tuple[np.ndarray, Splats] | None:
         """([C] int64 ascending ids of `splats`, C Gaussians): what `set` will show of a layer, about, to be seen until
         it is done; None where that is as quick, or where it cannot be said. Changes nothing."""
@@ -431,9 +431,9 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
             before, document = self.layer(layer), self._snapshot.document
             if not before.visible or before.opacity == 0 or document.assets:
                 return None
-            values = {"opacity": opacity, "blend": blend}
+            values = {"opacity": opacity, "blend": blend, "visible": visible}
             fields = {name: value for name, value in values.items() if value is not None}
-            preview = self._replay.main.blend_preview(change_layer(document, layer, **fields), layer)
+            preview = self._replay.main.blend_preview(change_layer(document, layer, **fields), layer, document)
             count = len(self.splats)
             return None if preview is None or (len(preview[0]) and preview[0][-1] >= count) else preview
 

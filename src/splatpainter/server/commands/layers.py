@@ -97,11 +97,13 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
 
 
 def _preview_blend(context: CommandContext, request: LayerSet) -> None:
-    """Show another opacity or blend of a layer at once, about as it will be, where the exact one takes time."""
-    if request.opacity is None and request.blend is None:
+    """Show a layer hidden, or with another opacity or blend, at once and about as it will be, where that takes time."""
+    if request.opacity is None and request.blend is None and request.visible is None:
         return
     now = context.studio.session.snapshot
-    preview = context.studio.session.blend_preview(request.layer, opacity=request.opacity, blend=request.blend)
+    preview = context.studio.session.blend_preview(
+        request.layer, opacity=request.opacity, blend=request.blend, visible=request.visible
+    )
     if preview is not None and len(preview[0]):
         context.clear_preview = True
         context.show(frames.preview(preview[1], preview[0], len(now.splats), now.version), preview[0])
