@@ -177,7 +177,7 @@ class GeometryCommands(ABC):
         `splats`. Raises ValueError where nothing of the layer's asset is selected."""
         weights, target = self._weights(weights), self.layer(layer)
         with self._command():
-            part = next((one for one in self._selected_parts(weights) if one.asset == target.asset), None)
+            part = next((one for one in self.selected_parts(weights) if one.asset == target.asset), None)
             if part is None or not part.weights.any():
                 raise ValueError(f"{target.title}: nothing of its asset is selected")
             data = Selection.of(part.weights, part.splats, part.original).to_png()
