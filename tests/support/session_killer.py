@@ -70,6 +70,8 @@ def main(folder: Path, rounds: int, seed: int) -> dict[str, Any]:
     """Counts over all rounds, and the first thing that went wrong."""
     with flat(asset(8)) as session:  # what is imported here need not be imported by each writer
         session.add("paint", [dab(RED, radius=6)])
+        session.set(session.layers[0].id, opacity=0.5)
+        session.delete(session.layers[0].id)
         session.undo()
     gc.freeze()  # nor need its garbage collector walk through it, which copies every page of it
     rng = random.Random(seed)
