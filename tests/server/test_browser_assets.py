@@ -32,12 +32,12 @@ def asset(page: Page, number: int) -> dict[str, Any]:
 
 
 def pull(page: Page, title: str, x: float, y: float) -> None:
-    """Drag a handle by CSS pixels."""
-    box = (
-        page.tab.locator(".asset-handles .grab")
-        .filter(has=page.tab.locator(f"title:text-is('{title}')"))
-        .bounding_box()
-    )
+    """Drag a handle by CSS pixels, once it stands still: handles follow what the server says of their asset."""
+    page.settled()
+    handle = page.tab.locator(".asset-handles .grab").filter(has=page.tab.locator(f"title:text-is('{title}')"))
+    boxes: list[Any] = [None]
+    page.wait("a handle at rest", lambda: boxes.append(handle.bounding_box()) or boxes[-1] == boxes[-2])
+    box = boxes[-1]
     at = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.tab.mouse.move(*at)
     page.tab.mouse.down()

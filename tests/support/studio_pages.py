@@ -41,6 +41,8 @@ FEW_PIXELS = "0.25"
 for those of a view at half resolution was half of the time of all browser tests."""
 PATIENCE = 90.0
 """Seconds until something that must happen is taken as not happening."""
+SHORTEST_PAUSE_MS, LONGEST_PAUSE_MS = 40.0, 150.0
+"""Between two questions whether it has happened: longer and longer, as each one is work for four processes."""
 
 
 def chromium() -> str:
@@ -95,6 +97,21 @@ SET_RESOLUTION = """(select, resolution) => {
   select.value = resolution;
   select.dispatchEvent(new Event("change", { bubbles: true }));
 }"""
+FROM_THE_START = """resolution => {
+  window.resolutionOfView = resolution;  // of the script that was added last
+  if (window.watchesResolution) return;
+  window.watchesResolution = true;
+  const set = %s;
+  const watcher = new MutationObserver(() => {
+    const select = document.querySelector('select[aria-label="Pixels"]');
+    if (!select) return;
+    watcher.disconnect();
+    set(select, window.resolutionOfView);
+  });
+  watcher.observe(document, { childList: true, subtree: true });
+}"""
+"""Of each page that a tab loads: chosen before anything is drawn. The first pictures at the page's resolution were two
+thirds of SwiftShader's time to open a page."""
 POINTER = """([type, id, kind, x, y, pressure]) => {
   const stage = document.getElementById("stage");
   const box = stage.getBoundingClientRect();
@@ -137,6 +154,7 @@ class Page:
             self.tab.on(event, listener)
         self.url = url
         self.resolution = resolution
+        self.tab.add_init_script(f"({FROM_THE_START % SET_RESOLUTION})({json.dumps(resolution)})")
         self.open()
 
     def hear(self, message: Any) -> None:
@@ -176,11 +194,12 @@ class Page:
 
     def wait(self, what: str, ready: Callable[[], Any]) -> Any:
         """Until `ready` says something true, which is returned."""
-        end = time.monotonic() + PATIENCE
+        end, pause = time.monotonic() + PATIENCE, SHORTEST_PAUSE_MS
         while time.monotonic() < end:
             if answer := ready():
                 return answer
-            self.tab.wait_for_timeout(40)
+            self.tab.wait_for_timeout(pause)
+            pause = min(1.5 * pause, LONGEST_PAUSE_MS)
         raise AssertionError(f"the page did not get: {what}; it said {self.problems}")
 
     def pixels(self) -> np.ndarray:
