@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import gc
 import os
 import shutil
@@ -75,6 +76,7 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
         return (yield)
     finally:
         _remember_parsers()
+        _remember_meshes()
         gc.freeze()
         gc.set_threshold(GARBAGE_OBJECTS, 20, 20)
         gc.enable()
@@ -125,6 +127,14 @@ def _remember_parsers() -> None:
         return parsers[key]
 
     specification.from_callable_or_type = staticmethod(remembered)
+
+
+def _remember_meshes() -> None:
+    """Procedural objects are made once per process: most tests of training and of its data take the same few, and
+    their textures are an eighth of such tests' time. Tests of `random_mesh` have imported the function itself."""
+    procedural = sys.modules.get("splatpainter.data.procedural")
+    if procedural is not None:
+        setattr(procedural, "random_mesh", functools.lru_cache(maxsize=32)(procedural.random_mesh))  # noqa: B010
 
 
 def _import_share(session: pytest.Session, worker: int, workers: int) -> None:
