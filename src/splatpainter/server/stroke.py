@@ -1,7 +1,8 @@
 """A stroke while it is drawn: what was painted so far on one view, and quick previews of it on the Gaussians.
 
-The view is projected once per stroke; a dab costs a few colour rounds of the lift over the tiles around it. Previews
-change colours of Gaussians that are there; when the pen goes up, the chosen method does the real edit from `picture()`.
+The view is projected once per stroke; a dab costs a few colour rounds of the lift over the tiles around it, cut out of
+that view. Previews change colours of Gaussians that are there; when the pen goes up, the chosen method does the real
+edit from `picture()`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from splatpainter.jsonio import brief
 from splatpainter.lift.colors import MAX_COLOR, recolor
 from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE
 from splatpainter.lift.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
+from splatpainter.rendering.cpu.geometry import TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.recent_views import note_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
@@ -53,6 +55,8 @@ class _Canvas:
     """[M, 3] as last sent."""
     movable: np.ndarray = field(repr=False)
     """[M] bool."""
+    entries: np.ndarray = field(repr=False)
+    """[N] int32 the view's entry of each Gaussian that is in it."""
 
 
 class Stroke:
@@ -91,9 +95,10 @@ class Stroke:
         everywhere = np.ones(base.shape[:2], np.float32)
         weights = frame.backproject(np.zeros_like(base), everywhere).weight
         colors = np.maximum(frame.unclamped_colors, 0)
-        movable = np.zeros(len(frame), bool)
+        movable, entries = np.zeros(len(frame), bool), np.empty(len(splats), np.int32)
+        entries[frame.gaussian_ids] = np.arange(len(frame))
         self._canvas = _Canvas(
-            version, frame, base, erased, base.copy(), weights, colors.copy(), colors.copy(), movable
+            version, frame, base, erased, base.copy(), weights, colors.copy(), colors.copy(), movable, entries
         )
 
     def patch(self, x: int, y: int, width: int, height: int, rgba: bytes) -> Box:
@@ -127,26 +132,22 @@ class Stroke:
         if not self.erase:
             painted = from_display(self.rgba[inside][..., :3].astype(np.float32) / 255, splats.color_space)
         canvas.target[inside] = (1 - alpha) * canvas.base[inside] + alpha * painted
-        entries = self._lift(canvas, splats, _grown(box, self.camera))
+        entries = self._lift(canvas, _grown(box, self.camera))
         changed = entries[np.abs(canvas.colors[entries] - canvas.sent[entries]).max(1) > MIN_COLOR_CHANGE]
         canvas.sent[changed] = canvas.colors[changed]
         changed = changed[np.argsort(frame.gaussian_ids[changed])]
         ids = frame.gaussian_ids[changed]
         return ids, recolor(splats.sh[ids], frame.unclamped_colors[changed], canvas.colors[changed])
 
-    def _lift(self, canvas: _Canvas, splats: Splats, box: Box) -> np.ndarray:
+    def _lift(self, canvas: _Canvas, box: Box) -> np.ndarray:
         """SIRT steps on the colours within a window of the view. Returns [E] the frame's entries that it shows."""
         frame, window = canvas.frame, _slices(box)
-        left, top, right, bottom = box
-        centers, extents = frame.means2d, frame.extents
-        near = (np.abs(2 * centers - (left + right, top + bottom)) < 2 * extents + (right - left, bottom - top)).all(1)
-        candidates = np.flatnonzero(near)
-        camera = self.camera.cropped(left, top, right - left, bottom - top)
-        small = project(splats.take(frame.gaussian_ids[candidates]), camera)
-        entries = candidates[small.gaussian_ids]
-        target = np.ascontiguousarray(canvas.target[window])
-        painted = (self.rgba[window][..., 3] > 0).astype(np.float32)
-        everywhere = np.ones_like(painted)
+        everywhere, painted = np.zeros((2, *self.rgba.shape[:2]), np.float32)
+        everywhere[window], painted[window] = 1, self.rgba[window][..., 3] > 0
+        tiles = np.zeros(frame.tiles.shape, bool)
+        tiles[box[1] // TILE : -(-box[3] // TILE), box[0] // TILE : -(-box[2] // TILE)] = True
+        small = frame.part(tiles=tiles)
+        entries, target = canvas.entries[small.gaussian_ids], canvas.target
         sums = small.backproject(target, painted)
         reached = (sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)
         canvas.movable[entries] |= reached & (sums.weight > MIN_INSIDE_SMALL * canvas.weights[entries])
