@@ -1,8 +1,8 @@
-"""Edits by optimisation: steps of 3DGS on the Gaussians that a lift has painted, held by views of the asset from
-around.
+"""Edits by optimisation: steps of 3DGS on the Gaussians that an edit reaches, held by views of the asset from around.
 
-Seconds to tens of them instead of one, and nearer to the pictures. The less the views from around weigh, the more the
-rest of the object pays for it; without the lift before it, so does paint (docs/LOG.md).
+Method "fit" makes them after the lift: seconds to tens of them instead of one, and nearer to the pictures. Zoom-ins are
+made so before the lift (lift/wide_edit.py). The less the views from around weigh, the more the rest of the object pays
+for it; without the lift before it, so does paint (docs/LOG.md).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
 from splatpainter.rendering import render
 from splatpainter.rendering.cpu.projected_view import TILE, project
-from splatpainter.splats import Splats
+from splatpainter.splats import ATTRIBUTES, Splats
 
 __all__ = ["EditFitOptions", "fit_edited"]
 
@@ -39,6 +39,8 @@ class EditFitOptions:
     lift."""
     size: int = 256
     """Edge of the held views, pixels; at most that of the edited ones."""
+    attributes: tuple[str, ...] = ATTRIBUTES
+    """Which ones are optimised; the others keep their bits."""
 
 
 SSIM_MARGIN_PX = 5
@@ -62,10 +64,8 @@ def fit_edited(
         view for camera, picture in views if (view := _cropped(lifted, camera, picture, gaussian_ids)) is not None
     ]
     often = max(round(len(anchors) / max(len(edited), 1)), 1)  # so that half of the steps are of edited views
-    fitted = optimize(
-        lifted, edited * often + anchors, FitOptions(steps=options.steps, densify=False), gaussian_ids=gaussian_ids
-    )
-    return fitted.splats
+    how = FitOptions(steps=options.steps, densify=False, attributes=options.attributes)
+    return optimize(lifted, edited * often + anchors, how, gaussian_ids=gaussian_ids).splats
 
 
 def _cropped(splats: Splats, camera: Camera, picture: np.ndarray, gaussian_ids: np.ndarray) -> TrainingView | None:
