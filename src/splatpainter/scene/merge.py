@@ -175,7 +175,7 @@ def write_merged(path: Path, parts: Sequence[Part]) -> tuple[Receipt, MergeVerif
     for part, splats in zip(parts, scene, strict=True):
         stored = merged.take(np.arange(first, first + len(splats)))
         bands = max(stored.sh.shape[1], splats.sh.shape[1])  # some formats hold fewer than they are given
-        pair = [replace(rows, sh=with_bands(rows.sh, bands)) for rows in (splats, stored)]
+        before, after = (replace(rows, sh=with_bands(rows.sh, bands)) for rows in (splats, stored))
         sources.append(
             {
                 "name": part.name,
@@ -185,7 +185,7 @@ def write_merged(path: Path, parts: Sequence[Part]) -> tuple[Receipt, MergeVerif
                 "first": first,
                 "sh_degree": part.splats.sh_degree,
                 "how": part.how(key),
-                "exact_rows": len(splats) - len(changed_rows(*pair)),
+                "exact_rows": len(splats) - len(changed_rows(before, after)),
                 "placement": part.placement.record(),
                 "seam": None if part.seam is None else part.seam.record(),
             }
