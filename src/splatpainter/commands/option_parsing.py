@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import functools
 import io
 import os
 from collections.abc import Iterator, Sequence
@@ -32,8 +33,8 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
     Raises ValueError with tyro's complaint in one line; --help prints the help and raises SystemExit(0)."""
     _refuse_repeats_and_typos(kind, program, words)
     marks = (tyro.conf.FlagCreatePairsOff,)
+    _join_lines_of_help(kind)
     if "--help" in words or "-h" in words:
-        _join_lines_of_help(kind)
         return tyro.cli(kind, prog=program, args=list(words), config=marks)
     box, unicode = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     try:  # tyro looks at stdout's encoding for how it frames what it writes to stderr
@@ -45,8 +46,10 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
         raise ValueError(f"{program}: {unboxed(box.getvalue(), program)}; see {program} --help") from None
 
 
+@functools.cache
 def _join_lines_of_help(kind: type) -> None:
-    """tyro keeps the line breaks of the options' docstrings, which are indented, beside its own: they become spaces."""
+    """tyro keeps the line breaks of the options' docstrings, which are indented, beside its own: they become spaces.
+    Before it sees the class first: it remembers what it saw."""
     hints = get_type_hints(kind, include_extras=True)
     for option in docstring_parser.parse_from_object(kind).params:
         if option.description and "\n" in option.description and option.arg_name in hints:
