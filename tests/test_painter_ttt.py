@@ -350,7 +350,7 @@ def test_weights_that_beat_the_lift_nowhere_are_not_even_read(weights: Path) -> 
     assert Painter.load().model is not None
     checkpoint.add_notes(weights / "compact", {"gain": {"local": -5.0, "global": -0.1}})
     painter = Painter.load()
-    assert isinstance(painter.model, _Deferred) and "do not beat the lift" in painter.why
+    assert isinstance(painter.model, _Deferred) and "measured no better" in painter.why
     done = receipt_of(painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)]))
     assert (done.method, done.preset, done.precision) == ("lift", "lift", "") and painter.why in done.note
     assert "_model" not in vars(painter.model)

@@ -219,7 +219,7 @@ class Painter:
             if gain and max((gain[mode] for mode in modes if mode in gain), default=1.0) <= 0:
                 # Reading and running them would be for nothing, unless method "ttt" asks for it.
                 where = "" if set(modes) >= set(gain) else f" in {' and '.join(modes)} edits"
-                why = f"the weights of preset 'compact' do not beat the lift{where} yet: the analytic lift"
+                why = f"made by the analytic lift: the network of preset 'compact' measured no better{where}"
             return Painter(model=model, polish=polish, cache=cache, why=why, precision=precision)
         if preset == "lift":
             return Painter(why=why, precision=precision)
