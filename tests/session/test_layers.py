@@ -318,6 +318,7 @@ def test_what_cannot_be_done_changes_nothing():
         edit = dab()
         wrong: list[tuple[Any, str]] = [
             (lambda: session.add("paint"), "expected at least one edited view"),
+            (lambda: session.add([edit]), "expected a kind of paint, picture"),  # type: ignore[arg-type]
             (lambda: session.add("merged", [edit]), "to be merged"),
             (lambda: session.add("paint", [edit] * 17), "expected at most 16 views"),
             (lambda: session.add("paint", [edit], opacity=1.5), "expected an opacity of 0 to 1"),

@@ -9,7 +9,7 @@ import warnings
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
@@ -56,6 +56,8 @@ def new_layer(
     kind suggests), method, opacity, blend; cut_out: pictures are kept inside their masks only (strokes: what lies
     beside them is most of the view). Raises ValueError: no view or too many, no mask where one is needed, nothing
     edited, unknown settings."""
+    if kind not in get_args(Kind):
+        raise ValueError(f"layer: expected a kind of {', '.join(get_args(Kind))}, got {str(kind)[:40]}")
     if not 0 <= len(edits) <= MAX_VIEWS or kind == "merged":
         raise ValueError(f"layer: expected at most {MAX_VIEWS} views, and layers that exist to be merged with merge")
     mode = settings["mode"] or ("global" if kind == "look" else "local")
