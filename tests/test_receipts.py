@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 import splatpainter as sp
 from splatpainter.cameras import orbit
 from splatpainter.painter import Edit, Painter
-from splatpainter.receipts import Receipt, ViewScore, changed_rows, from_runs, score, to_runs
-from splatpainter.splats import Splats
+from splatpainter.receipts import Receipt, ViewScore, from_runs, score, to_runs
+from splatpainter.splats import Splats, changed_rows
 from tests.support.lift_scenes import disk, front, sheet
 
 RAW = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(9))]

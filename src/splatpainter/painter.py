@@ -19,8 +19,8 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.nn.precision import Arithmetic, Precision, autocast, resolve, setting
-from splatpainter.receipts import Receipt, changed_rows, scores, untouched_hashes
-from splatpainter.splats import Splats
+from splatpainter.receipts import Receipt, scores, untouched_hashes
+from splatpainter.splats import Splats, changed_rows
 
 if TYPE_CHECKING:
     from splatpainter.lift.aside import AsideScore

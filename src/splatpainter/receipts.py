@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from splatpainter.comparison import Comparison, compare, listed
-from splatpainter.comparison import changed_rows as changed_rows
 from splatpainter.io import (
     FORMATS,
     format_of_name,

@@ -146,6 +146,8 @@ class Splats:
 
 
 ATTRIBUTES = ("means", "quats", "scales", "opacities", "sh")
+COMPARED_VALUES = 1 << 16
+"""Values that are compared at a time."""
 
 
 @dataclass(frozen=True)
@@ -180,3 +182,35 @@ def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
         values = values if ids is None else values[ids]
         digest.update(np.ascontiguousarray(values, dtype="<f4").data)
     return digest.hexdigest()
+
+
+def changed_rows(before: Splats, after: Splats, among: np.ndarray | None = None) -> np.ndarray:
+    """[T] int64 ascending: rows that both have and of which any bit differs (NaN equals itself). among: [C] int64
+    ascending, rows that both have, where no other can differ."""
+    n = min(len(before), len(after))
+    if among is not None and before.sh.shape[1:] == after.sh.shape[1:]:
+        changed = np.zeros(len(among), bool)
+        for name in ATTRIBUTES:
+            old, new = getattr(before, name), getattr(after, name)
+            if old is not new:
+                differs = float_bits(old[among]) != float_bits(new[among])
+                changed |= differs.any(tuple(range(1, differs.ndim)))
+        return among[changed]
+    changed = np.zeros(n, bool)
+    for name in ATTRIBUTES:
+        old, new = getattr(before, name), getattr(after, name)
+        if old is new or n == 0:
+            continue
+        if old.shape[1:] != new.shape[1:]:
+            return np.arange(n)
+        old, new, width = float_bits(old[:n]).ravel(), float_bits(new[:n]).ravel(), old[:n].size // n
+        for start in range(0, len(old), COMPARED_VALUES):  # which fit the processor's cache
+            differs = old[start : start + COMPARED_VALUES] != new[start : start + COMPARED_VALUES]
+            if differs.any():
+                changed[(start + np.flatnonzero(differs)) // width] = True
+    return np.flatnonzero(changed)
+
+
+def float_bits(values: np.ndarray) -> np.ndarray:
+    """The bits of float32 values, as uint32: -0 and 0 differ, equal NaN do not."""
+    return np.ascontiguousarray(values, np.float32).view(np.uint32)

@@ -11,10 +11,9 @@ import splatpainter as sp
 from splatpainter.cameras import look_at
 from splatpainter.holes import chart
 from splatpainter.holes.fill import fill_hole
-from splatpainter.receipts import changed_rows
 from splatpainter.rendering import render
 from splatpainter.sources.picture_source import SourceError
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import SH_C0, Splats, changed_rows
 from tests.support.cli_scenes import ball, with_bad_gaussians
 from tests.support.picture_sources import FunctionSource
 

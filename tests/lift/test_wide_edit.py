@@ -11,6 +11,7 @@ from PIL import Image
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
+from splatpainter.fit import edited as fit_module
 from splatpainter.lift import wide_edit
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.masks import changed_throughout
@@ -18,6 +19,7 @@ from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lift.wide_edit import WideLift, lift_wide
 from splatpainter.metrics import psnr
 from splatpainter.painter import Asset, Edit, Painter
+from splatpainter.rendering.cpu.projected_view import tiles_of_mask
 from splatpainter.splats import SH_C0, Splats, rows_sha256
 from tests.support.lift_scenes import front, sheet
 
@@ -97,6 +99,19 @@ def test_gaussians_stay_where_moving_explains_nothing(asset, views) -> None:
     assert len(after.touched) > len(same) > 0  # colours have changed, of unsplit ones too
     for name in ("means", "quats", "scales", "opacities"):
         assert getattr(after.splats, name)[same].tobytes() == getattr(asset, name)[same].tobytes()
+
+
+def test_gaussians_are_moved_towards_the_picture_and_the_asset_beside_its_mask(asset, monkeypatch) -> None:
+    """Only the tiles of the mask were rendered before the edit; the others are no picture to reach."""
+    camera, mask, pictures = closeup(0.0, 0.0), np.zeros((PX, PX), bool), []
+    mask[:, :64] = True
+    before, edited = picture(asset, camera), picture(box(with_detail(48)), camera)
+    rendered, alpha = np.where(mask[..., None], before, 0), np.asarray(mask, np.float32)
+    view = EditView(camera, edited, mask, rendered, alpha=alpha, tiles=tiles_of_mask(mask))
+    monkeypatch.setattr(fit_module, "fit_edited", lambda before, lifted, views, *rest: pictures.extend(views) or lifted)
+    lift_wide(asset, [view], LOCAL_DEFAULTS)
+    ((_, target),) = pictures
+    np.testing.assert_allclose(target, np.where(mask[..., None], edited, before), atol=1e-5)
 
 
 def test_what_the_views_do_not_show_stays(asset, lifted) -> None:

@@ -12,13 +12,13 @@ import pytest
 from PIL import Image
 
 from splatpainter.io import read, write
-from splatpainter.receipts import Receipt, changed_rows, verify
+from splatpainter.receipts import Receipt, verify
 from splatpainter.rendering import render
 from splatpainter.server import frames
 from splatpainter.server.commands import COMMANDS
 from splatpainter.server.image_registration import png_bytes
 from splatpainter.session import Session
-from splatpainter.splats import rows_sha256
+from splatpainter.splats import changed_rows, rows_sha256
 from splatpainter.video.mp4 import avif_samples
 from tests.support.studio_scenes import Live, ball, dab, live, live_with_folder, make_studio, view, wire
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import zstandard
 
-from splatpainter.receipts import changed_rows
 from splatpainter.session.delta import (
     MAX_VERSIONS,
     PART_BYTES,
@@ -21,7 +20,7 @@ from splatpainter.session.delta import (
     no_delta,
 )
 from splatpainter.session.layer_blending import blend_delta
-from splatpainter.splats import Splats
+from splatpainter.splats import Splats, changed_rows
 from tests.support.lift_scenes import same_bits
 from tests.support.session_scenes import asset
 

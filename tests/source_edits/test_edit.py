@@ -11,7 +11,7 @@ import pytest
 from splatpainter.cameras import orbit_cameras
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.painter import Edit, Painter
-from splatpainter.receipts import Receipt, changed_rows
+from splatpainter.receipts import Receipt
 from splatpainter.source_edits import coverage
 from splatpainter.source_edits.coverage import SurfaceView, plan_views, unreached
 from splatpainter.source_edits.edit import cover, edit_with_source, refine, usual_scale
@@ -19,7 +19,7 @@ from splatpainter.source_edits.turns import ask_in_turn
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit, displayed, picture_sha256
 from splatpainter.sources.gatekeeper import RefusedPicture
 from splatpainter.sources.picture_source import Capabilities, PictureAnswer, SourceCancelled, SourceError
-from splatpainter.splats import SH_C0, Splats
+from splatpainter.splats import SH_C0, Splats, changed_rows
 from splatpainter.view_files import normals_of
 from tests.support.cli_scenes import ball
 from tests.support.picture_sources import EXCHANGE, FunctionSource, exchanged, without_masks

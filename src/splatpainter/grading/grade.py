@@ -18,10 +18,10 @@ import numpy as np
 
 from splatpainter.grading.region import Region
 from splatpainter.painter import Asset
-from splatpainter.receipts import Receipt, changed_rows, untouched_hashes
+from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.sources.color_grading import GradeSettings, apply_to_sh
 from splatpainter.sources.color_match import ColorMap, display_colors, seen_weights
-from splatpainter.splats import Splats
+from splatpainter.splats import Splats, changed_rows
 
 SLIDERS = {"exposure": 10.0, "temperature": 1.0, "tint": 1.0, "contrast": 1.0, "saturation": 1.0, "hue": 360.0}
 """Slider -> the largest value to either side."""

@@ -36,7 +36,7 @@ from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.warping import ViewedChange, shrunk
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import sirt_steps
-from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
+from splatpainter.splats import SH_C0, Splats, changed_rows
 from splatpainter.transforms import fibonacci_sphere
 
 GEOMETRY = ("means", "scales", "quats", "opacities")
@@ -86,52 +86,46 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     """Write the masked pixels of all views onto the splats together. options: `rounds` and `damping` count.
 
     Raises ValueError, naming the view, where no Gaussian contributes to its masked pixels."""
-    asset = splats
-    around = _views_around(asset, views)
-    splats = _moved(asset, views)
-    split = _split(splats, views)
-    movable = np.zeros(len(split.splats), bool)
-    for view in views:
-        projected, use = project(split.splats, view.camera), _solid(view)
-        sums = projected.backproject(view.target, use)
-        movable[projected.gaussian_ids[sums.weight > MIN_VISIBLE_SHARE * sums.alpha]] = True
+    around = _views_around(splats, views)
+    moved = _moved(splats, views)
+    split = _split(moved, views)
+    movable = _visible(split.splats, views)
     pictures = [_Picture.of(split.splats, view.camera, view.target, _solid(view), movable) for view in views]
     further = [_Picture.of(split.splats, *picture, movable) for picture in around]
-    sh = _recolored(split.splats, pictures, further, options)
-    result = replace(split.splats, sh=sh)
-    return replace(split, splats=result, touched=_changed(asset, result))
+    result = replace(split.splats, sh=_recolored(split.splats, pictures, further, options))
+    return replace(split, splats=result, touched=changed_rows(splats, result))
 
 
 def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
-    """The Gaussians that the views show, where steps of 3DGS towards all of them put them; the same colours."""
+    """The Gaussians that the views show, where steps of 3DGS towards all of them put them; the same colours. They stay
+    where that leaves more than MAX_ERROR_LEFT."""
     from splatpainter.fit.edited import EditFitOptions, fit_edited
 
-    visible, before = np.zeros(len(splats), bool), 0.0
-    for view in views:
-        projected, use = project(splats, view.camera), _solid(view)
-        sums = projected.backproject(view.target, use)
-        visible[projected.gaussian_ids[sums.weight > MIN_VISIBLE_SHARE * sums.alpha]] = True
-        before += _error(projected, view.target, use)
+    visible, pictures, before = _visible(splats, views), [], 0.0
     if not visible.any():
         raise ValueError(NOTHING_THERE)
-    pictures = [(view.camera, view.target) for view in views]
+    for view in views:
+        image = project(splats, view.camera).rasterize()[0]  # `view.before` may show the tiles of its mask alone
+        pictures.append((view.camera, np.where(view.mask[..., None], view.edited, image)))
+        before += _error(image, view)
     moved = fit_edited(splats, splats, pictures, np.flatnonzero(visible), EditFitOptions(attributes=GEOMETRY))
-    after = sum(_error(project(moved, view.camera), view.target, _solid(view)) for view in views)
+    after = sum(_error(project(moved, view.camera).rasterize()[0], view) for view in views)
     return moved if after < MAX_ERROR_LEFT * before else splats
 
 
-def _error(view: ProjectedView, target: np.ndarray, use: np.ndarray) -> float:
-    """Sum of squared differences over the pixels that count."""
-    return float((use[..., None] * (view.rasterize()[0] - target) ** 2).sum(dtype=np.float64))
+def _error(image: np.ndarray, view: EditView) -> float:
+    """Sum of squared differences from the view's edited pixels."""
+    return float((_solid(view)[view.mask, None] * (image - view.edited)[view.mask] ** 2).sum(dtype=np.float64))
 
 
-def _changed(before: Splats, after: Splats) -> np.ndarray:
-    """[T] int64 ascending: Gaussians of `before` of which any attribute differs in `after`, bit for bit."""
-    changed = np.zeros(len(before), bool)
-    for name in ATTRIBUTES:
-        old, new = getattr(before, name), getattr(after, name)[: len(before)]
-        changed |= (old != new).reshape(len(before), -1).any(1)
-    return np.flatnonzero(changed)
+def _visible(splats: Splats, views: Sequence[EditView]) -> np.ndarray:
+    """[N] bool: Gaussians of which some view shows more than MIN_VISIBLE_SHARE."""
+    visible = np.zeros(len(splats), bool)
+    for view in views:
+        projected = project(splats, view.camera)
+        sums = projected.backproject(view.target, _solid(view))
+        visible[projected.gaussian_ids[sums.weight > MIN_VISIBLE_SHARE * sums.alpha]] = True
+    return visible
 
 
 def _solid(view: EditView) -> np.ndarray:

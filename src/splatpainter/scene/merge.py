@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.comparison import changed_rows, compare, listed
+from splatpainter.comparison import compare, listed
 from splatpainter.io import files, format_of_name, read
 from splatpainter.io.contents import StoredTable, contents
 from splatpainter.io.glb import with_bands
@@ -28,7 +28,7 @@ from splatpainter.io.ply_container import TextRows
 from splatpainter.receipts import MAX_CARRIED, Receipt, untouched_hashes
 from splatpainter.scene.placement import Placement
 from splatpainter.scene.seam import SeamMatch, match_seam
-from splatpainter.splats import Splats
+from splatpainter.splats import Splats, changed_rows
 
 MODE = "merge"
 """Mode of receipts of merged assets."""

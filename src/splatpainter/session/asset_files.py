@@ -29,7 +29,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import Alpha
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, frame_of_target, option, read, write
-from splatpainter.receipts import Receipt, Verification, changed_rows, prove, untouched_hashes
+from splatpainter.receipts import Receipt, Verification, prove, untouched_hashes
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts
 from splatpainter.session.delta import PART_BYTES, Delta, bare, decode, encode
@@ -37,7 +37,7 @@ from splatpainter.session.document import MAX_REASON, Layer
 from splatpainter.session.project_file import Project, check_free
 from splatpainter.session.scene_asset import SceneAsset
 from splatpainter.session.scratch import scratch_folder
-from splatpainter.splats import Frame, Splats
+from splatpainter.splats import Frame, Splats, changed_rows
 from splatpainter.view_files import Aov, PictureOptions, view_files
 
 NO_FILE = "rows"

@@ -15,12 +15,10 @@ from functools import cached_property
 
 import numpy as np
 
-from splatpainter.comparison import float_bits
 from splatpainter.io.files import printable
-from splatpainter.receipts import changed_rows
 from splatpainter.session.document import MAX_REASON
 from splatpainter.session.recent_changes import changes
-from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats
+from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats, changed_rows, float_bits
 
 PART_BYTES = 1 << 20
 """Bytes before compression of one part of a stored delta: what reading or writing one holds in memory at a time."""

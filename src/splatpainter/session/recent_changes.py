@@ -9,8 +9,7 @@ from collections import deque
 
 import numpy as np
 
-from splatpainter.comparison import changed_rows
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
 
 MAX_RECENT = 16
 """Pairs of assets, ..."""

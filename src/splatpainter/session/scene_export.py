@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.comparison import changed_rows
 from splatpainter.io import FORMATS, files, format_of_name, read
 from splatpainter.io.joining import write_joined
 from splatpainter.receipts import Receipt, Verification, untouched_hashes
 from splatpainter.scene.merge import BYTES, Part, check_merge, differing_rows
 from splatpainter.session.asset_files import check_target, partial_folder
 from splatpainter.session.scene_replay import Scene
+from splatpainter.splats import changed_rows
 
 
 def scene_receipt(scene: Scene, preset: str, note: str, precision: str, key: str = "ply") -> Receipt:

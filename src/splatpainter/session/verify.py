@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 from functools import partial
 
-from splatpainter.receipts import changed_rows
 from splatpainter.session.asset_files import OriginalRule, restore, restore_added
 from splatpainter.session.document import Document
 from splatpainter.session.layer_state import LayerResult
 from splatpainter.session.project_file import Project
 from splatpainter.session.scene_replay import SceneReplay
-from splatpainter.splats import Splats, rows_sha256
+from splatpainter.splats import Splats, changed_rows, rows_sha256
 
 
 class _StoredResults:

@@ -17,13 +17,13 @@ import numpy as np
 
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.painter import MAX_VIEWS, Asset, Method, Mode, Painter
-from splatpainter.receipts import Receipt, changed_rows, untouched_hashes
+from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.source_edits.coverage import ViewPlan, plan_views
 from splatpainter.source_edits.turns import WITHOUT_SHEETS, ask_in_turn, part_of
 from splatpainter.source_edits.view_edit import MAX_PROMPT_CHARACTERS, SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceCancelled
-from splatpainter.splats import Splats
+from splatpainter.splats import Splats, changed_rows
 
 BACKGROUND = (0.25, 0.25, 0.25)
 """Behind the asset in the views that a source gets, in the asset's colour space."""

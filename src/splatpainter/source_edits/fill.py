@@ -19,13 +19,13 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.holes.chart import grown
 from splatpainter.holes.fill import Filled, fill_hole, painted
 from splatpainter.painter import Asset
-from splatpainter.receipts import Receipt, changed_rows, untouched_hashes
+from splatpainter.receipts import Receipt, untouched_hashes
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.source_edits.edit import BACKGROUND, source_record
 from splatpainter.source_edits.view_edit import SourceBrief, SourcedEdit, ask_for_edit
 from splatpainter.sources.gatekeeper import Strictness
 from splatpainter.sources.picture_source import CancelFlag, PictureSource, Progress, SourceError
-from splatpainter.splats import Splats
+from splatpainter.splats import Splats, changed_rows
 
 SELECTED = 0.5
 """Weight from which a Gaussian counts."""

@@ -16,7 +16,6 @@ from splatpainter.cameras import Camera
 from splatpainter.grading.grade import fitted
 from splatpainter.io import files
 from splatpainter.painter import Edit
-from splatpainter.receipts import changed_rows
 from splatpainter.server import frames
 from splatpainter.server.commands.context import (
     CommandContext,
@@ -39,7 +38,7 @@ from splatpainter.sources.color_match import AffineMap, ColorMap, ColorMatch, Ne
 from splatpainter.sources.color_transfer import LUT, RECOLOR, transfer_parameters, with_table
 from splatpainter.sources.cube_lut import CubeLut, read_cube
 from splatpainter.sources.picture_reader import read_picture
-from splatpainter.splats import Splats
+from splatpainter.splats import Splats, changed_rows
 
 
 class HueSliders(Message):
