@@ -101,7 +101,7 @@ class PartialRender:
         return not tiles.all() and not (tiles & ~view.tiles).any()
 
     def _redrawn(self, splats: Splats, tiles: np.ndarray, view: ProjectedView | None = None) -> PartialRender:
-        """What it shows is of `splats` in these tiles, and as it was in all fresh. view: of `splats`, if at hand."""
+        """What it shows is of `splats` in these tiles, and as it was in all others. view: of `splats`, if at hand."""
         from splatpainter.rendering.cpu.projected_view import TILE
 
         names = ("colors", "alphas", "depths")

@@ -10,7 +10,7 @@ from splatpainter.session.appearance import base_of_parents
 from splatpainter.session.delta import Delta
 from splatpainter.session.document import Layer
 from splatpainter.session.layer_blending import blend_delta
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.splats import Splats, changed_rows
 
 Preview = tuple[np.ndarray, Splats]
 """([C] int64 ascending ids of what is shown, C Gaussians)."""
@@ -19,7 +19,7 @@ Preview = tuple[np.ndarray, Splats]
 def hidden_layer(below: Splats, with_layer: Splats) -> Preview:
     """A layer without its effect: Gaussians that it changed as below, those that it appended with opacity 0."""
     count = len(below)
-    changed = np.flatnonzero(~_same_rows(below, with_layer.take(np.arange(count))))
+    changed = changed_rows(below, with_layer)
     appended = with_layer.take(np.arange(count, len(with_layer)))
     faded = replace(appended, opacities=np.zeros_like(appended.opacities))
     ids = np.concatenate([changed, np.arange(count, len(with_layer))])
@@ -39,14 +39,5 @@ def where_uncovered(preview: Preview | None, with_layer: Splats, composed: Splat
     if preview is None or (preview[0] >= len(with_layer)).any():
         return None
     ids, splats = preview
-    same = np.flatnonzero(_same_rows(with_layer.take(ids), composed.take(ids)))
+    same = np.flatnonzero(~np.isin(ids, changed_rows(with_layer, composed, ids), assume_unique=True))
     return ids[same], splats.take(same)
-
-
-def _same_rows(one: Splats, other: Splats) -> np.ndarray:
-    """[N] bool: where all values are the same."""
-    same = np.ones(len(one), bool)
-    for name in ATTRIBUTES:
-        differs = getattr(one, name) != getattr(other, name)
-        same &= ~differs.reshape(len(one), -1).any(1)
-    return same

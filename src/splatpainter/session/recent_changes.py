@@ -29,7 +29,7 @@ def note_changes(before: Splats, after: Splats, rows: np.ndarray) -> None:
 def changes(before: Splats, after: Splats) -> np.ndarray:
     """`changed_rows` of two assets (numpy), [T] int64 ascending."""
     rows, over = None, []
-    for one, two, changed in reversed(_recent):
+    for one, two, changed in reversed(tuple(_recent)):
         for near, far in ((one, two), (two, one)):
             if _is(near, after):
                 if _is(far, before):
@@ -45,7 +45,7 @@ def changes(before: Splats, after: Splats) -> np.ndarray:
 def _over(before: Splats, middle: Arrays, changed: np.ndarray, count: int) -> np.ndarray | None:
     """Rows below `count` that may differ where `changed` do from `middle` on; None: any."""
     means = middle[0]()
-    for one, two, rows in reversed(_recent):
+    for one, two, rows in reversed(tuple(_recent)):
         for near, far in ((one, two), (two, one)):
             if _is(near, before) and _same(far, middle) and means is not None and len(means) >= count:
                 differs = np.zeros(len(means), bool)

@@ -74,7 +74,8 @@ export function OverflowBar({ label, of, children }: { label: string; of: string
       for (const name of ["pointerup", "pointercancel"]) document.removeEventListener(name, release, true);
     };
   }, []);
-  useEffect(() => {
+  // with the settings, not after the browser has drawn them: an Escape right after them was lost
+  useLayoutEffect(() => {
     if (!open) return;
     const outside = (event: PointerEvent) => !section.current!.contains(event.target as Node) && setOpen(false);
     const escape = (event: KeyboardEvent) => {

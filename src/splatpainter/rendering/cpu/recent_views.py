@@ -29,7 +29,7 @@ def note_view(splats: Splats, view: ProjectedView) -> None:
 def recent_view(splats: Splats, camera: Camera) -> ProjectedView | None:
     """What `project` would give, up to Gaussians that touch no tile, where somebody holds it. Of arrays that are the
     very same: they are not written to."""
-    for reference, arrays, antialiased in reversed(_recent):
+    for reference, arrays, antialiased in reversed(tuple(_recent)):
         view = reference()
         if view is None or antialiased != splats.antialiased or view.camera != camera:
             continue
