@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from splatpainter.grading.region import Region as Region
     from splatpainter.io import read as read
     from splatpainter.io import write as write
+    from splatpainter.io.write_options import WriteOptions as WriteOptions
     from splatpainter.painter import Asset as Asset
     from splatpainter.painter import Edit as Edit
     from splatpainter.painter import Painter as Painter
@@ -47,6 +48,7 @@ _HOME = {
     "orbit": "cameras",
     "read": "io",
     "write": "io",
+    "WriteOptions": "io.write_options",
     "render": "rendering",
     "Render": "rendering",
     "Painter": "painter",

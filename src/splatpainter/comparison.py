@@ -17,6 +17,7 @@ import numpy as np
 from splatpainter.io import FORMATS, option, read, write
 from splatpainter.io.contents import Contents, contents, fields_differ, rows_differ
 from splatpainter.io.ply_container import TextRows
+from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import Source, Splats, changed_rows
 
 CHUNK_ROWS = 256
@@ -50,11 +51,18 @@ class Comparison:
     not_compared: tuple[str, ...] = ()
 
 
-def compare(original: Splats, edited: Splats) -> Comparison:
-    """Compare two assets as they were read from their files (both have a source)."""
-    assert original.source is not None and edited.source is not None
-    if original.source.format != edited.source.format or original.source.frame != edited.source.frame:
-        return _compare_converted(original, edited)
+def compare(original: Splats, edited: Splats, options: WriteOptions = AS_IT_IS) -> Comparison:
+    """Compare two assets; `edited` as it was read from its file, written with `options`. Where the original is of no
+    file, or of one that differs from the edited one by more than rows, only rows are compared, in the edited one's
+    format."""
+    assert edited.source is not None
+    if (
+        original.source is None
+        or original.source.format != edited.source.format
+        or original.source.frame != edited.source.frame
+        or options != AS_IT_IS
+    ):
+        return _compare_converted(original, edited, options)
     old, new = contents(original.source), contents(edited.source)
     exact, stored = VALUES, old is not None and new is not None and same_layout(old, new)
     unexpected: dict[str, np.ndarray] = {}
@@ -97,18 +105,22 @@ def listed(rows: np.ndarray) -> str:
     return ", ".join(map(str, rows[:5].tolist())) + (", ..." if len(rows) > 5 else "")
 
 
-def _compare_converted(original: Splats, edited: Splats) -> Comparison:
-    """Rows alone: another format, or a copy turned to other axes, has other headers and elements."""
-    assert original.source is not None and edited.source is not None
-    turned = original.source.format == edited.source.format
-    before = _converted(original, edited)
-    how = f"the original converted to {edited.source.format}{' of the same axes' if turned else ''}, then "
+def _compare_converted(original: Splats, edited: Splats, options: WriteOptions) -> Comparison:
+    """Rows alone: another format, a copy turned to other axes, or one with options has other headers and elements."""
+    assert edited.source is not None
+    key, source = edited.source.format, original.source
+    before = _converted(original, edited, options)
+    turned = source is not None and source.format == key and source.frame != edited.source.frame
+    words = [f"the original converted to {key}", "of the same axes" if turned else ""]
+    words.append("with the same options" if options != AS_IT_IS else "")
+    how = " ".join(filter(None, words)) + ", then "
     assert before.source is not None
-    unseen = (f"header, other elements and trailing bytes, as the {'axes' if turned else 'formats'} differ",)
+    differing = "axes" if turned else "formats" if source is None or source.format != key else "options"
+    unseen = (f"header, other elements and trailing bytes, as the {differing} differ",)
     if len(edited) < len(before):
         return Comparison(original.sha256, before, edited, np.arange(len(before)), how + VALUES, not_compared=unseen)
     old, new = contents(before.source), contents(edited.source)
-    plain = edited.source.format in ("ply", "splat") and old is not None and new is not None and same_layout(old, new)
+    plain = key in ("ply", "splat") and old is not None and new is not None and same_layout(old, new)
     plain = plain and before.source.flips == edited.source.flips
     if plain and old is not None and new is not None:
         rows = _stored_rows(old, new, np.zeros(0, np.int64))[0]
@@ -118,21 +130,22 @@ def _compare_converted(original: Splats, edited: Splats) -> Comparison:
     return Comparison(original.sha256, before, edited, rows, how + exact, not_compared=unseen)
 
 
-def _converted(before: Splats, after: Splats) -> Splats:
+def _converted(before: Splats, after: Splats, options: WriteOptions) -> Splats:
     """`before` as its rows would be in the format of `after`. Raises ValueError, naming the file, where it cannot
     hold them."""
-    assert before.source is not None and after.source is not None
+    assert after.source is not None
     entry = FORMATS[after.source.format]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ("converted" + (entry.suffixes[0] if entry.suffixes else ""))
         # Words are rounded in the frame of the edited file: -1 and 1 are not rounded alike.
         frame = option(after.source.frame)
         try:
-            write(path, before, frame=frame)
+            write(path, before, frame=frame, options=options)
         except ValueError as error:
             reason = str(error).removeprefix(f"{path}: ").partition("; write ")[0]
+            name = before.source.path if before.source is not None else "the original"
             raise ValueError(
-                f"{before.source.path}: cannot be compared with {after.source.path} as {after.source.format}: {reason}"
+                f"{name}: cannot be compared with {after.source.path} as {after.source.format}: {reason}"
             ) from None
         return read(path, frame=frame)
 

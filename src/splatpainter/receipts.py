@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -27,8 +26,8 @@ from splatpainter.io import (
     frame_of_target,
     option,
     read,
-    write,
 )
+from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, Frame, Splats, rows_sha256
 
 MAX_RECEIPT_ROWS = 1 << 27
@@ -96,6 +95,8 @@ class Receipt:
     format, rows, first: the row that it begins at, placement, seam), and notes (scene/merge.py)."""
     merge_touched: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
     """[M] int64 ascending: rows that edits of the merged asset touched before this one."""
+    options: WriteOptions = AS_IT_IS
+    """What the file was to hold less or otherwise than the asset; it is compared with the original written so."""
 
     @property
     def untouched_rows(self) -> int:
@@ -129,6 +130,8 @@ class Receipt:
             record["dropped"] = self.dropped
         if self.source is not None:
             record["source"] = self.source
+        if self.options != AS_IT_IS:
+            record["options"] = self.options.chosen
         if self.merge is not None:
             record["merge"] = self.merge
             if len(self.merge_touched):
@@ -178,6 +181,7 @@ class Receipt:
                 None if data.get("source") is None else dict(_plain(data["source"])),
                 None if data.get("merge") is None else dict(_plain(data["merge"])),
                 _rows(data, "merge_touched"),
+                WriteOptions.from_record(dict(data.get("options", {}))),
             )
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             reason = " ".join(repr(error).split())
@@ -333,7 +337,7 @@ def verify(
             after = read(edited, frame=option(before.source.frame), lenient=True)
         elif frame == "auto" and before.source.frame_from == "format":
             before = read(original, frame=option(after.source.frame), lenient=True)
-    return check(compare(before, after), receipt)
+    return check(compare(before, after, AS_IT_IS if receipt is None else receipt.options), receipt)
 
 
 def check(comparison: Comparison, receipt: Receipt | None = None) -> Verification:
@@ -387,20 +391,22 @@ def _wrong_files(receipt: Receipt, original: str, after: Splats) -> list[str]:
 
 
 def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "auto") -> tuple[Receipt, Verification]:
-    """The receipt of the file at `written`, and the outcome of checking the one against the other.
+    """The receipt of the file at `written`, which has `receipt.options`, and the outcome of checking the one against
+    the other.
 
     A format that rounds may encode rows anew that the edit left alone. Such rows are different in the file, so they
     are listed as touched, and the note says how many and why. For a format that keeps everything this is a fault.
-    An original that is no file is compared as that format holds it. frame: what it was written with.
+    An original that is no file, and any for a file with options, is compared as that format holds it. frame: what the
+    file was written with.
     Raises RuntimeError where the file does not prove the receipt."""
     key = format_of_name(written)
     taken = frame if key is None else frame_of_target(original, key, frame)
     edited = read(written, frame=taken, lenient=True)  # what a lenient original had cut off is kept
     assert edited.source is not None
     entry = FORMATS[edited.source.format]
-    comparison = compare(_as_file(original, written), edited)
+    comparison = compare(original, edited, receipt.options)
     rounded = np.setdiff1d(comparison.differs, receipt.touched)
-    notes = [receipt.note]
+    notes = [receipt.note, *receipt.options.lines(original)]
     if len(rounded) and entry.lossy:
         touched = np.union1d(receipt.touched, rounded)
         before, after = untouched_hashes(comparison.before, edited, touched)
@@ -422,15 +428,6 @@ def prove(original: Splats, written: Path, receipt: Receipt, frame: Frame = "aut
     if not verification.ok:
         raise RuntimeError(f"the file written does not prove its receipt: {'; '.join(verification.problems)}")
     return receipt, verification
-
-
-def _as_file(original: Splats, written: Path) -> Splats:
-    if original.source is not None:
-        return original
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / written.name
-        write(path, original)
-        return read(path)
 
 
 def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | None:

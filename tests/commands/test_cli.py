@@ -15,6 +15,7 @@ from PIL import Image
 
 from splatpainter import cli
 from splatpainter.commands import SUMMARIES
+from splatpainter.io import read, write
 from tests.support.cli_scenes import (
     BOX,
     Ran,
@@ -117,6 +118,32 @@ def test_info_of_nothing_drawable(tmp_path: Path, capfd: pytest.CaptureFixture[s
     record = run(capfd, "info", saved(tmp_path / "none.ply", nowhere), "--json").json
     assert (record["rows_not_drawn"], record["bounds"], record["reach"]) == (10, None, None)
     assert run(capfd, "info", tmp_path / "none.ply").code == 0
+
+
+def test_convert_has_the_options_of_the_formats(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    asset, small = saved(tmp_path / "ball.ply"), tmp_path / "small.spz"
+    options = ("--sh-degree", "0", "--spz-version", "4", "--antialiased", "yes")
+    made = run(capfd, "convert", asset, small, *options, "--json").json
+    assert "SH degree 1 became 0" in made["lost"] and small.read_bytes().startswith(b"NGSP")
+    assert read(small).antialiased and read(small).sh_degree == 0
+    made = run(capfd, "convert", asset, tmp_path / "few.sog", "--sh-palette", "64", "--json").json
+    assert "at most 64 SH vectors" in made["lost"]
+    for words, reason in (
+        (("b.splat", "--sh-degree", "0"), "sh_degree is no option of this format"),
+        (("b.ply", "--turning"), "--turning is for OUT.html"),
+        (("b.html", "--spz-version", "4"), "spz_version is no option of this format; it has sh_degree, antialiased"),
+    ):
+        refused = run(capfd, "convert", asset, tmp_path / words[0], *words[1:])
+        assert refused.code == 2 and reason in refused.err and not (tmp_path / words[0]).exists()
+    splats = read(asset)
+    opacities = splats.opacities.copy()
+    opacities[:1000] = 0
+    write(tmp_path / "hidden.ply", replace(splats, opacities=opacities))
+    made = run(capfd, "convert", tmp_path / "hidden.ply", tmp_path / "seen.ply", "--remove-hidden", "--json").json
+    assert made["lost"] == ["3,000 rows became 2,000"]
+    run(capfd, "convert", asset, tmp_path / "page.html", "--sh-degree", "0", "--turning")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert '"coefficients": 1,' in page and '"turning": true' in page
 
 
 def test_convert_says_what_is_lost(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

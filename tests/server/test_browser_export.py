@@ -16,6 +16,7 @@ from PIL import Image
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.image_files import find_camera
+from splatpainter.io import read
 from splatpainter.rendering import render
 from splatpainter.server.html_viewer import html_viewer
 from splatpainter.splats import Splats
@@ -52,6 +53,20 @@ def test_every_format_says_its_size_before_it_is_written(opened: tuple[studio_sc
         assert data.startswith(start) or start == b"NGSP", file
         assert abs(estimates[name] - len(data)) <= 0.08 * len(data) + 500, (name, estimates[name], len(data))
     assert file == "ball.html" and b"</html>" in data[-20:]
+    page.tab.locator(".formats label", has=page.tab.get_by_text("SPZ", exact=True)).click()
+    dialog, row = page.tab.locator("dialog"), page.tab.locator(".formats label:has(input[value='.spz'])")
+    usual = row.inner_text()
+    dialog.get_by_label("SH degree").select_option("0")
+    dialog.get_by_label("Version").select_option("4")
+    page.wait("the size with options", lambda: "about" in row.inner_text() and row.inner_text() != usual)
+    file, data = downloaded(page, "Export")
+    live.studio.scratch.path.joinpath(file).write_bytes(data)
+    written = read(live.studio.scratch.path / file)
+    assert data.startswith(b"NGSP") and written.sh_degree == 0 < live.studio.session.splats.sh_degree
+    least = float(re.search(r"about ([\d.]+) kB", row.inner_text()).group(1))  # type: ignore[union-attr]
+    assert abs(1e3 * least - len(data)) <= 0.08 * len(data) + 500 and least < estimates["SPZ"]
+    line = page.tab.locator(".python code").inner_text()
+    assert line == f"session.export('{file}', options=sp.WriteOptions(sh_degree=0, spz_version=4))"
 
 
 def test_a_film_of_the_chosen_size_and_background(opened: tuple[studio_scenes.Live, Page]) -> None:

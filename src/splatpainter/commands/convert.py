@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -15,9 +15,14 @@ from splatpainter.commands.option_parsing import AssetFile, FrameOption
 from splatpainter.commands.targets import check_target, placed, splat_format
 from splatpainter.commands.terminal import count, size, stages
 from splatpainter.io import FORMATS, files, frame_is_news, frame_line, frame_of_target, read, write
+from splatpainter.io.write_options import WriteOptions
 from splatpainter.splats import Splats
 
 HTML = ".html"
+SEEN_IN_THE_FILE = {"sh_degree": None, "antialiased": None, "spz_version": None}
+"""Options whose losses are seen in what was read again."""
+LEAST_OPACITY = 1 / 255
+"""Of rows that are drawn. Formats of logits cannot say 0."""
 PAGE_BACKGROUND = (0.16, 0.17, 0.18)
 
 
@@ -32,6 +37,7 @@ class Config:
       splatpainter convert vase.ply vase.sog
       splatpainter convert vase.ply vase.html
       splatpainter convert vase.ply vase.spz --out-frame rdf    # for viewers that do not turn SPZ files
+      splatpainter convert vase.ply small.spz --sh-degree 1 --sh-bits 4 --spz-version 4
     """
 
     asset: AssetFile
@@ -42,6 +48,20 @@ class Config:
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     out_frame: FrameOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
+    sh_degree: Annotated[int | None, arg(metavar="0-4")] = None
+    """Leave out SH bands above this degree; default: what ASSET has."""
+    antialiased: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
+    """Mark OUT as trained antialiased (Mip-Splatting), or as not; auto: as ASSET is marked."""
+    spz_version: Annotated[int | None, arg(metavar="2|3|4")] = None
+    """Of an .spz: 3 opens everywhere, 4 is about a tenth smaller; default: that of ASSET, else 3."""
+    sh_bits: Annotated[int | None, arg(metavar="4-8")] = None
+    """Of an .spz: bits of each SH coefficient; 4 is the least and smallest; default: 7."""
+    sh_palette: Annotated[int | None, arg(metavar="64-65536")] = None
+    """Of a .sog: SH vectors at most; fewer make it smaller; default: half as many as rows, or more."""
+    remove_hidden: bool = False
+    """Leave out rows that no renderer draws: of an opacity below 1/255."""
+    turning: bool = False
+    """Of an .html: it turns until it is touched."""
     lenient: bool = False
     """Also open a file that was cut off behind its last whole row; what is left of the cut part is kept."""
     overwrite: bool = False
@@ -52,9 +72,13 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Read, write, and read again to see what arrived."""
+    options = write_options(config)
     if config.out.suffix.lower() == HTML:
-        return _page(config)
+        return _page(config, options)
     entry = splat_format(config.out)
+    options.check(entry.write_options, str(config.out))
+    if config.turning:
+        raise ValueError(f"{config.out}: --turning is for OUT.html")
     check_target(config.out, config.overwrite, [config.asset])
     with stages(3) as bar:
         bar.enter("reading")
@@ -62,7 +86,7 @@ def run(config: Config) -> Outcome:
         before_size = file_size(config.asset)
         with placed(config.out) as partial:
             bar.enter("writing")
-            write(partial, before, frame=config.out_frame)
+            write(partial, chosen_rows(before, config), frame=config.out_frame, options=options)
             bar.enter("checking")
             after = read(partial, frame=frame_of_target(before, entry.key, config.out_frame), lenient=True)
     assert before.source is not None and after.source is not None
@@ -82,7 +106,7 @@ def run(config: Config) -> Outcome:
             "sha256": after.sha256,
             "frame": after.source.frame,
         },
-        "lost": losses(before, after),
+        "lost": losses(before, after) + replace(options, **SEEN_IN_THE_FILE).lines(before),
     }
     show_frame = frame_is_news(before.source) or frame_is_news(after.source)
     lines = [
@@ -94,23 +118,43 @@ def run(config: Config) -> Outcome:
     return Outcome(record, lines)
 
 
-def _page(config: Config) -> Outcome:
-    """A page that shows the asset; nothing can be read back from it."""
-    from splatpainter.server.html_viewer import html_viewer
+def write_options(config: Config) -> WriteOptions:
+    """What the options ask for."""
+    marks = {"auto": None, "yes": True, "no": False}
+    return WriteOptions(
+        config.sh_degree, marks[config.antialiased], config.spz_version, config.sh_bits, config.sh_palette
+    )
 
+
+def chosen_rows(splats: Splats, config: Config) -> Splats:
+    """The rows that are written. Raises ValueError where all are hidden."""
+    visible = splats.opacities >= LEAST_OPACITY
+    if not config.remove_hidden or visible.all():
+        return splats
+    if not visible.any():
+        raise ValueError(f"{config.asset}: all of its rows are hidden, nothing is left to write")
+    return splats.take(visible)
+
+
+def _page(config: Config, options: WriteOptions) -> Outcome:
+    """A page that shows the asset; nothing can be read back from it."""
+    from splatpainter.server.html_viewer import HTML_OPTIONS, html_viewer
+
+    options.check(HTML_OPTIONS, str(config.out))
     if config.out_frame != "auto":
         raise ValueError(f"{config.out}: a page has no axes of its own; leave out --out-frame")
     check_target(config.out, config.overwrite, [config.asset])
     with stages(2) as bar:
         bar.enter("reading")
-        splats = read(config.asset, frame=config.frame, lenient=config.lenient)
+        asset = read(config.asset, frame=config.frame, lenient=config.lenient)
+        splats = options.applied(chosen_rows(asset, config))
         bar.enter("writing")
         (camera,) = orbit_cameras(splats, 1, size=800, background=PAGE_BACKGROUND)
-        data = html_viewer(splats, camera, UPS[AUTO_UP], config.asset.name)
+        data = html_viewer(splats, camera, UPS[AUTO_UP], config.asset.name, turning=config.turning)
         with files.writing(config.out) as file:
             file.write(data)
     record = {
-        "input": {"file": config.asset, "bytes": file_size(config.asset), "rows": len(splats)},
+        "input": {"file": config.asset, "bytes": file_size(config.asset), "rows": len(asset)},
         "output": {"file": config.out, "format": "html", "bytes": len(data), "rows": len(splats)},
     }
     return Outcome(record, [f"{config.asset} -> {config.out}", f"{count(len(splats), 'row')}; {size(len(data))}"])

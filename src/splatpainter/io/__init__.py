@@ -16,6 +16,7 @@ from typing import Any, get_args
 import numpy as np
 
 from splatpainter.io import axes, files
+from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Frame, Source, Splats
 
 Reader = Callable[..., Splats]
@@ -44,6 +45,8 @@ class Format:
     """What is lost when rows of another format, or edited rows, are written; "" where nothing is."""
     options: tuple[str, ...] = ()
     """Keywords of `io.read` that `read` takes, too."""
+    write_options: tuple[str, ...] = ()
+    """Fields of WriteOptions that a file of this format can follow."""
     frame: str = "rdf"
     """Axes of a file's numbers unless it says otherwise (key of axes.AXES)."""
 
@@ -59,6 +62,9 @@ def _lazy(module: str, name: str) -> Callable[..., Any]:
     return call
 
 
+HOLDS_SH = ("sh_degree", "antialiased")
+"""Options of formats that hold SH, which all hold the mark too."""
+
 FORMATS: dict[str, Format] = {
     entry.key: entry
     for entry in (
@@ -72,6 +78,7 @@ FORMATS: dict[str, Format] = {
             "Chunks without a changed row keep their bytes; in a changed chunk, unchanged values do where the chunk's "
             "range of them still fits.",
             "Positions, scales, colours, rotations and SH are quantised to 8-11 bits within each chunk of 256 rows.",
+            write_options=HOLDS_SH,
         ),
         Format(
             "ply",
@@ -82,6 +89,7 @@ FORMATS: dict[str, Format] = {
             "Every byte outside the values that changed: header, property order, extra properties and elements, "
             "trailing bytes.",
             options=("lenient",),
+            write_options=HOLDS_SH,
         ),
         Format(
             "splat",
@@ -110,6 +118,7 @@ FORMATS: dict[str, Format] = {
             "The quantised values of rows that did not change.",
             "Positions are fixed-point; scales, colours, opacities, rotations and SH have 8 bits or fewer.",
             frame="rub",
+            write_options=(*HOLDS_SH, "spz_version", "sh_bits"),
         ),
         Format(
             "sog",
@@ -119,6 +128,7 @@ FORMATS: dict[str, Format] = {
             "PlayCanvas SOG version 2: a .sog bundle, or a folder with meta.json and WebP planes",
             "The quantised values of rows that did not change.",
             "Positions have 16 bits; scales, colours and SH come from codebooks of 256 values; SH from a palette.",
+            write_options=(*HOLDS_SH, "sh_palette"),
         ),
         Format(
             "glb",
@@ -128,6 +138,7 @@ FORMATS: dict[str, Format] = {
             "glTF 2.0 binary with KHR_gaussian_splatting",
             "Every byte outside the values that changed.",
             frame="luf",
+            write_options=HOLDS_SH,
         ),
     )
 }
@@ -156,13 +167,22 @@ def read(path: str | os.PathLike[str], *, frame: Frame = "auto", lenient: bool =
     return axes.to_memory_axes(entry.read(location, **options), frame)
 
 
-def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = False, frame: Frame = "auto") -> None:
+def write(
+    path: str | os.PathLike[str],
+    splats: Splats,
+    *,
+    overwrite: bool = False,
+    frame: Frame = "auto",
+    options: WriteOptions = AS_IT_IS,
+) -> None:
     """Write `splats` (numpy or torch attributes) in the format that the name of `path` says.
 
     Where `splats.source` is of that format, everything that did not change keeps its bytes (see Format.exact).
     frame: axes of the file's numbers, "rub" or "rdf"; "auto": those of `splats.source` if it is of that format, else
     the format's own. SPZ files say it where it matters; other formats cannot, and need `read(path, frame=...)`.
-    Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes.
+    options: what the file shall hold less or otherwise; `Format.write_options` says which a format has.
+    Raises ValueError: the target exists and overwrite is False, unknown or read-only format, inconsistent shapes, an
+    option that the format has not.
     """
     check_frame(frame)
     location = Path(path)
@@ -174,10 +194,12 @@ def write(path: str | os.PathLike[str], splats: Splats, *, overwrite: bool = Fal
         raise ValueError(f"{location}: {FORMATS[key].description}; write one of {_suffixes(writable=True)} instead")
     if location.exists() and not overwrite:
         raise ValueError(f"{location}: already exists; choose another name or allow overwriting")
+    options.check(FORMATS[key].write_options, str(location))
+    rows = canonical(options.applied(canonical(splats)))
     if key == "spz":
-        writer(location, canonical(splats), frame=frame)
+        writer(location, rows, frame=frame, **options.keywords())
     else:
-        writer(location, axes.to_file_axes(canonical(splats), key, frame, FORMATS[key].frame))
+        writer(location, axes.to_file_axes(rows, key, frame, FORMATS[key].frame), **options.keywords())
 
 
 def check_frame(frame: str) -> None:

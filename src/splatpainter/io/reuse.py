@@ -27,7 +27,7 @@ class Unchanged:
     base: np.ndarray
     """sh[:, 0]."""
     rest: np.ndarray
-    """sh[:, 1:]; all False where the SH degree is not the source's."""
+    """sh[:, 1:], of a lower SH degree than the source's too; all False where it is higher."""
     identity: bool
     """Nothing changed at all: same rows, same order, same values, same flags."""
 
@@ -53,8 +53,9 @@ def unchanged(splats: Splats, format: str) -> Unchanged | None:
 
     masks = {name: same(getattr(splats, name), getattr(old, name)) for name in ATTRIBUTES[:-1]}
     base = same(splats.sh[:, 0], old.sh[:, 0]) if splats.sh is not old.sh else same(splats.sh, old.sh)
-    one_degree = splats.sh.shape[1] == old.sh.shape[1]
-    rest = same(splats.sh[:, 1:], old.sh[:, 1:]) if one_degree else np.zeros(len(splats), bool)
+    bands, one_degree = splats.sh.shape[1], splats.sh.shape[1] == old.sh.shape[1]
+    fewer = bands <= old.sh.shape[1]
+    rest = same(splats.sh[:, 1:], old.sh[:, 1:bands]) if fewer else np.zeros(len(splats), bool)
     identity = (
         in_order
         and one_degree

@@ -295,8 +295,9 @@ def _unpack_quats(pixels: np.ndarray) -> np.ndarray:
 # ---- writing
 
 
-def write_sog(path: Path, splats: Splats) -> None:
-    """Write a bundle (name ending in .sog) or a folder (its meta.json, or an existing folder).
+def write_sog(path: Path, splats: Splats, sh_palette: int | None = None) -> None:
+    """Write a bundle (name ending in .sog) or a folder (its meta.json, or an existing folder). sh_palette: SH vectors
+    that stand for those of all rows, at most; the palette is then fitted anew.
 
     Raises ValueError: no rows, SH above degree 3, other names.
     """
@@ -307,13 +308,15 @@ def write_sog(path: Path, splats: Splats) -> None:
         raise ValueError(f"{path}: SOG holds SH up to degree 3, got {splats.sh_degree}; write .ply or .spz instead")
     same = unchanged(splats, "sog")
     old: SogFile | None = splats.source.detail if same and splats.source else None
-    if old and same and same.identity:
+    if old and same and same.identity and sh_palette is None:
         _store(path, old.container.files, old.container.bundle_bytes)
     else:
-        _store(path, _encode(splats, same, old))
+        _store(path, _encode(splats, same, old, sh_palette))
 
 
-def _encode(splats: Splats, same: Unchanged | None, old: SogFile | None) -> dict[str, bytes]:
+def _encode(
+    splats: Splats, same: Unchanged | None, old: SogFile | None, sh_palette: int | None = None
+) -> dict[str, bytes]:
     """File names -> contents, meta.json first. same, old: the source's, where it is SOG."""
     rows = drawable_rows(splats)
     if same is None or old is None:
@@ -337,7 +340,7 @@ def _encode(splats: Splats, same: Unchanged | None, old: SogFile | None) -> dict
         pixels["sh0"][same.opacities, 3] = old.pixels["sh0"][same.source_rows[same.opacities], 3]
     images = {key: _image(values, old) for key, values in pixels.items()}
     if rows.sh.shape[1] > 1:
-        images["labels"], images["palette"] = _encode_bands(rows.sh[:, 1:], same, old, meta)
+        images["labels"], images["palette"] = _encode_bands(rows.sh[:, 1:], same, old, meta, sh_palette)
     else:
         meta.pop("shN", None)
     return _image_files(images, meta, old)
@@ -420,18 +423,18 @@ def _encode_scalars(
 
 
 def _encode_bands(
-    rest: np.ndarray, same: Unchanged | None, old: SogFile | None, meta: dict[str, Any]
+    rest: np.ndarray, same: Unchanged | None, old: SogFile | None, meta: dict[str, Any], max_entries: int | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Label image [H, W, 4] and palette image of SH bands >= 1, `rest` [N, K - 1, 3]; writes meta.shN."""
     coefficients = rest.shape[1]
     adapted = None
-    if same and old and old.palette is not None and old.palette.shape[1] == coefficients:
-        adapted = _adapt_palette(rest, same, old)
+    if same and old and old.palette is not None and old.palette.shape[1] >= coefficients and max_entries is None:
+        adapted = _adapt_palette(rest, same, replace(old, palette=old.palette[:, :coefficients]))
     if adapted is not None:
         labels, codes, book, pixels = adapted
     else:
         # As splat-transform: the power of two between half of the rows and all of them.
-        size = int(np.clip(2 ** math.floor(math.log2(len(rest))), 1024, MAX_PALETTE))
+        size = max_entries or int(np.clip(2 ** math.floor(math.log2(len(rest))), 1024, MAX_PALETTE))
         vectors, labels = codebooks.palette(rest.reshape(len(rest), -1), size)
         book = codebooks.fit(vectors)
         codes = codebooks.nearest(book, vectors).reshape(-1, coefficients, 3)

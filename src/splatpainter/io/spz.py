@@ -52,6 +52,8 @@ QUARTER_TURN = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
 SH_BITS = (7, 7)
 """Precision of the SH bytes that we quantise. The reference keeps (5, 4); on a view-dependent asset that costs 6.0/255
 of colour (rms over directions), (7, 7) costs 0.75/255 and 26 % more file, (8, 8) 0.3/255 and 35 %."""
+LEAST_BITS_OF_BAND_1 = 5
+"""As in the reference."""
 COLOR_SCALE = 0.15
 """A colour byte is 255 * (COLOR_SCALE * sh0 + 0.5): base colours from -0.44 to 1.44 in steps of 1/136."""
 POSITION_LIMIT = 1 << 23
@@ -102,10 +104,14 @@ def read_spz(path: Path, frame: Frame = "auto") -> Splats:
     return replace(rows, source=source, origin=np.arange(len(rows)))
 
 
-def write_spz(path: Path, splats: Splats, version: int | None = None, frame: Frame = "auto") -> None:
+def write_spz(
+    path: Path, splats: Splats, version: int | None = None, frame: Frame = "auto", sh_bits: int | None = None
+) -> None:
     """Write `splats`. version: 2, 3 or 4; None keeps the source's, and is 3 for other formats (4 for SH degree 4).
     frame: of the words in the file; "auto" keeps the source's, and is right-up-back for other formats. A file that
     would be taken for another frame says which it is, by the extension; so does every new file of version 4.
+    sh_bits: 4 to 8, precision of all SH bytes (4: band 1 has 5, as the reference writes); None: SH_BITS for those that
+    changed, the file's own for the others.
 
     Raises ValueError: a position that 24 bits cannot hold, SH degree 4 below version 4, or a version not writable.
     """
@@ -114,7 +120,7 @@ def write_spz(path: Path, splats: Splats, version: int | None = None, frame: Fra
     old: SpzFile | None = splats.source.detail if same and splats.source else None
     before = (same, old) if same and old else None
     code = CODES[frame] if frame != "auto" else old.frame if old else RUB
-    untouched = same is not None and same.identity and old is not None and code == old.frame
+    untouched = same is not None and same.identity and old is not None and code == old.frame and sh_bits is None
     if version is None:
         version = old.version if old else 3
         if splats.sh_degree > 3 and not untouched:
@@ -128,7 +134,7 @@ def write_spz(path: Path, splats: Splats, version: int | None = None, frame: Fra
     if old and untouched and version == old.version:
         out = old.data
     else:
-        file = _with_frame(_encode(splats, before, version, code, path), new=not before)
+        file = _with_frame(_encode(splats, before, version, code, path, sh_bits), new=not before)
         out = _plain_bytes(file) if version >= 4 else _gzip_bytes(file)
     with files.writing(path) as target:
         target.write(out)
@@ -226,7 +232,9 @@ def _decode(file: SpzFile) -> Splats:
     return out
 
 
-def _encode(splats: Splats, before: tuple[Unchanged, SpzFile] | None, version: int, code: int, path: Path) -> SpzFile:
+def _encode(
+    splats: Splats, before: tuple[Unchanged, SpzFile] | None, version: int, code: int, path: Path, sh_bits: int | None
+) -> SpzFile:
     old = before[1] if before else SpzFile(version, 0, 0, 0, b"", {}, b"", b"", b"", code)
     rows = _from_ply_frame(drawable_rows(splats), code)
     # Version 1 has no fixed point; 2 shares all words but the rotations with 3 and 4.
@@ -235,6 +243,9 @@ def _encode(splats: Splats, before: tuple[Unchanged, SpzFile] | None, version: i
     turned = code != old.frame
     if turned:
         keeps = {"positions": False, "rotations": False, "sh": False}
+    bits_of_bands = (8, 8) if turned else SH_BITS  # a word with its sign changed needs all 8
+    if sh_bits is not None:
+        keeps["sh"], bits_of_bands = False, (max(sh_bits, LEAST_BITS_OF_BAND_1), sh_bits)
     pack_quats = pack_quats_first_three if version < 3 else pack_quats_smallest_three
     streams = {
         "positions": pack_half_positions(rows.means) if version == 1 else _pack_positions(rows, bits, path),
@@ -242,14 +253,15 @@ def _encode(splats: Splats, before: tuple[Unchanged, SpzFile] | None, version: i
         "colors": pack_colors(rows.sh[:, 0]),
         "scales": pack_scales(rows.scales),
         "rotations": pack_quats(rows.quats),
-        "sh": pack_sh(rows.sh[:, 1:], (8, 8) if turned else SH_BITS),  # a word with its sign changed needs all 8
+        "sh": pack_sh(rows.sh[:, 1:], bits_of_bands),
     }
     if before:
         same = before[0]
         masks = (same.means, same.opacities, same.base, same.scales, same.quats, same.rest)
         for name, mask in zip(STREAMS, masks, strict=True):
             if keeps.get(name, True) and mask.any():
-                streams[name][mask] = old.streams[name][same.source_rows[mask]]
+                width = streams[name].shape[1]  # of SH the first bands: the degree may be lower than it was
+                streams[name][mask] = old.streams[name][same.source_rows[mask], :width]
     flags = old.flags & ~ANTIALIASED | (ANTIALIASED if splats.antialiased else 0)
     extensions = old.extensions
     return SpzFile(version, splats.sh_degree, bits, flags, old.reserved, streams, extensions, old.tail, b"", code)

@@ -28,6 +28,8 @@ from splatpainter.splats import Splats
 STATIC = Path(__file__).with_name("static")
 MAX_COEFFICIENTS = 16
 """Per Gaussian and channel, SH degree 3: the screen shows no more."""
+HTML_OPTIONS = ("sh_degree", "antialiased")
+"""Of io.WriteOptions that a page can follow."""
 MAX_BYTES = 300_000_000
 """Of the packed Gaussians before base64: browsers hold no text above half a gigabyte in one element. Three million
 Gaussians of SH degree 3, or ten of degree 0."""

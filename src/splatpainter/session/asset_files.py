@@ -29,6 +29,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.image_files import Alpha
 from splatpainter.io import FORMATS, files, format_of_name, frame_of, frame_of_target, option, read, write
+from splatpainter.io.write_options import AS_IT_IS, WriteOptions
 from splatpainter.receipts import Receipt, Verification, prove, untouched_hashes
 from splatpainter.rendering.profiles import Profile
 from splatpainter.session import conflicts
@@ -297,9 +298,12 @@ def _members(path: Path) -> list[Path]:
     return [path, *sorted(plane for plane in path.parent.iterdir() if plane.suffix.lower() == ".webp")]
 
 
-def receipt_between(original: Splats, edited: Splats, preset: str, note: str, precision: str = "") -> Receipt:
-    """The receipt of a whole session: original against edited. No file yet, so `output_sha256` is empty. Rows of which
-    mean, rotation and scales are all others count as replaced."""
+def receipt_between(
+    original: Splats, edited: Splats, preset: str, note: str, precision: str = "", options: WriteOptions = AS_IT_IS
+) -> Receipt:
+    """The receipt of a whole session: original against edited, as a file with these options holds them. No file yet, so
+    `output_sha256` is empty. Rows of which mean, rotation and scales are all others count as replaced."""
+    asset_sha256, original, edited = original.sha256, options.applied(original), options.applied(edited)
     touched = changed_rows(original, edited)
     before, after = untouched_hashes(original, edited, touched)
     empty = (edited.opacities[touched] == 0) & (original.opacities[touched] > 0)
@@ -307,7 +311,7 @@ def receipt_between(original: Splats, edited: Splats, preset: str, note: str, pr
     for name in ("means", "quats", "scales"):
         taken &= (getattr(original, name)[touched] != getattr(edited, name)[touched]).any(1)
     return Receipt(
-        asset_sha256=original.sha256,
+        asset_sha256=asset_sha256,
         asset_rows=len(original),
         output_sha256="",
         output_rows=len(edited),
@@ -322,20 +326,21 @@ def receipt_between(original: Splats, edited: Splats, preset: str, note: str, pr
         untouched_sha256_after=after,
         note=note,
         precision=precision,
+        options=options,
     )
 
 
 def export_asset(
     original: Splats, edited: Splats, receipt: Receipt, path: Path, overwrite: bool
 ) -> tuple[Receipt, Verification]:
-    """Write an asset in the format that the name says, read it again, compare it with the original, and only then let
-    it and its receipt (NAME.receipt.json) appear. Raises ValueError: the name, an existing file, a full disk;
-    RuntimeError: what was written does not prove the receipt."""
+    """Write an asset in the format that the name says, with the receipt's options, read it again, compare it with the
+    original, and only then let it and its receipt (NAME.receipt.json) appear. Raises ValueError: the name, an existing
+    file, a full disk; RuntimeError: what was written does not prove the receipt."""
     check_target(path, overwrite)
     receipt_path = path.with_name(path.name + ".receipt.json")
     with partial_folder(path) as folder:
         partial = Path(folder) / path.name
-        write(partial, edited)
+        write(partial, edited, options=receipt.options)
         proved, verification = prove(original, partial, receipt)
         with files.writing(receipt_path) as file:
             file.write(proved.to_json().encode())
@@ -356,7 +361,7 @@ def export_visible(
     gone, appended = len(original) - len(base), len(edited) - len(original) - (len(rest) - len(base))
     dropped = {"asset": original.sha256, "rows": len(original), "left_out": gone, "appended_left_out": appended}
     note = f"{receipt.note}; {gone + appended} hidden Gaussians were removed for good"
-    remaining = receipt_between(base, rest, receipt.preset, note, receipt.precision)
+    remaining = receipt_between(base, rest, receipt.preset, note, receipt.precision, receipt.options)
     return export_asset(base, rest, replace(remaining, dropped=dropped), path, overwrite)
 
 

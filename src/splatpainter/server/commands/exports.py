@@ -1,23 +1,44 @@
-"""What an export will take, and the asset as a page of its own. The exports of files are in files.py."""
+"""The asset as a file of any format or as a page of its own, and what that will take."""
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
 
+from pydantic import Field
+
+from splatpainter.io import FORMATS
 from splatpainter.io.files import writing
 from splatpainter.io.size_estimate import estimated_bytes
+from splatpainter.io.write_options import MAX_SH_DEGREE, WriteOptions
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, python_line
 from splatpainter.server.describe import endings, up_axis
-from splatpainter.server.html_viewer import estimated_html_bytes, html_viewer
-from splatpainter.server.protocol import Answer, CameraInfo, Command, Exported, FileName
+from splatpainter.server.html_viewer import HTML_OPTIONS, estimated_html_bytes, html_viewer
+from splatpainter.server.protocol import Answer, CameraInfo, Command, Exported, FileName, Message
 
 HTML = ".html"
 
 
+class ExportOptions(Message):
+    """What a file shall hold less or otherwise than the asset (io.WriteOptions); null: as the asset has it, or as its
+    format is usually written. Which of them a format has: `choices` of ExportSizes."""
+
+    sh_degree: int | None = Field(None, ge=0, le=MAX_SH_DEGREE)
+    antialiased: bool | None = None
+    spz_version: int | None = None
+    sh_bits: int | None = None
+    sh_palette: int | None = None
+
+    def chosen(self) -> WriteOptions:
+        return WriteOptions(**self.model_dump())
+
+
 class ExportSizes(Answer):
     sizes: dict[str, int]
-    """File name ending -> bytes, about: those of `formats`, and ".html"."""
+    """File name ending -> bytes, about: those of `formats`, and ".html"; without formats that cannot hold the asset."""
+    choices: dict[str, list[str]]
+    """File name ending -> the options that the format has."""
 
 
 class ExportEstimate(Command):
@@ -25,13 +46,63 @@ class ExportEstimate(Command):
 
     NAME = "export.sizes"
     ANSWER = ExportSizes
+    ending: str | None = None
+    """One format alone, with these options; null: all, without any."""
+    options: ExportOptions = ExportOptions()
+    remove_hidden: bool = False
+    asset: str | None = None
+    """As in `export`; ".html" always shows all."""
 
 
 @command(ExportEstimate, background=True)
 def estimate(context: CommandContext, request: ExportEstimate) -> ExportSizes:
-    splats = context.studio.session.splats
-    sizes: dict[str, Any] = {ending: estimated_bytes(splats, ending) for ending in endings()}
-    return ExportSizes(sizes={**sizes, HTML: estimated_html_bytes(splats)})
+    splats = context.studio.session.exported(remove_hidden=request.remove_hidden, asset=request.asset)
+    options, sizes = request.options.chosen(), {}
+    for ending in [*endings(), HTML] if request.ending is None else [request.ending]:
+        if ending == HTML:
+            sizes[ending] = estimated_html_bytes(options.applied(context.studio.session.splats))
+            continue
+        with contextlib.suppress(ValueError):  # an asset that this format cannot hold
+            sizes[ending] = estimated_bytes(splats, ending, options)
+    choices = {entry.suffixes[0]: list(entry.write_options) for entry in FORMATS.values() if entry.suffixes}
+    return ExportSizes(sizes=sizes, choices={**choices, HTML: list(HTML_OPTIONS)})
+
+
+class AssetExport(Command):
+    """The asset as it is, as a file of the format that the name's ending says (`formats` of the state)."""
+
+    NAME = "export"
+    ANSWER = Exported
+    file: FileName
+    remove_hidden: bool = False
+    """Without hidden Gaussians (of opacity 0), for good; the receipt says how many. Of one asset at a time."""
+    asset: str | None = None
+    """One of several assets alone, in its own space; None: all that are visible, each in its own range of rows."""
+    options: ExportOptions = ExportOptions()
+    """Of one asset at a time."""
+
+
+@command(AssetExport, background=True)
+def export_asset(context: CommandContext, request: AssetExport) -> Exported:
+    studio = context.studio
+    context.ticket.report(0, "writing and verifying")
+    path = studio.downloads.folder() / Path(request.file).name
+    options = request.options.chosen()
+    studio.session.export(path, remove_hidden=request.remove_hidden, asset=request.asset, options=options)
+    receipt = path.with_name(path.name + ".receipt.json")
+    return Exported(
+        url=studio.downloads.add(path),
+        file=path.name,
+        bytes=path.stat().st_size,
+        receipt_url=studio.downloads.add(receipt),
+        python=python_line(
+            "session.export",
+            path.name,
+            remove_hidden=request.remove_hidden or None,
+            asset=request.asset,
+            options=RawExpr(python_line("sp.WriteOptions", **options.chosen)) if options.chosen else None,
+        ),
+    )
 
 
 class HtmlExport(Command):
@@ -44,6 +115,7 @@ class HtmlExport(Command):
     """The first view; its background is the page's."""
     turning: bool = False
     """It turns until it is touched."""
+    options: ExportOptions = ExportOptions()
 
 
 @command(HtmlExport, background=True)
@@ -52,7 +124,10 @@ def export_html(context: CommandContext, request: HtmlExport) -> Exported:
     context.ticket.report(0, "packing the Gaussians")
     camera = replace(request.camera.to_camera(), asset_sha256=None)
     title = studio.state.asset.name
-    data = html_viewer(studio.session.splats, camera, up_axis(studio.session), title, turning=request.turning)
+    options = request.options.chosen()
+    options.check(HTML_OPTIONS, request.file)
+    splats = options.applied(studio.session.splats)
+    data = html_viewer(splats, camera, up_axis(studio.session), title, turning=request.turning)
     name = request.file if request.file.lower().endswith(HTML) else request.file + HTML
     path = studio.downloads.folder() / name
     with writing(path) as file:

@@ -225,36 +225,6 @@ def recent_projects(context: CommandContext, request: ProjectRecent) -> RecentPr
     return RecentProjects(recent=recent, files=[] if studio.folder is None else studio.folder.names())
 
 
-class AssetExport(Command):
-    """The asset as it is, as a file of the format that the name's ending says (`formats` of the state)."""
-
-    NAME = "export"
-    ANSWER = Exported
-    file: FileName
-    remove_hidden: bool = False
-    """Without hidden Gaussians (of opacity 0), for good; the receipt says how many. Of one asset at a time."""
-    asset: str | None = None
-    """One of several assets alone, in its own space; None: all that are visible, each in its own range of rows."""
-
-
-@command(AssetExport, background=True)
-def export_asset(context: CommandContext, request: AssetExport) -> Exported:
-    studio = context.studio
-    context.ticket.report(0, "writing and verifying")
-    path = studio.downloads.folder() / Path(request.file).name
-    studio.session.export(path, remove_hidden=request.remove_hidden, asset=request.asset)
-    receipt = path.with_name(path.name + ".receipt.json")
-    return Exported(
-        url=studio.downloads.add(path),
-        file=path.name,
-        bytes=path.stat().st_size,
-        receipt_url=studio.downloads.add(receipt),
-        python=python_line(
-            "session.export", path.name, remove_hidden=request.remove_hidden or None, asset=request.asset
-        ),
-    )
-
-
 class ReceiptMade(Answer):
     receipt: dict[str, Any]
     """Of the whole session: original against now."""
