@@ -51,6 +51,20 @@ def test_accumulate_is_the_sum_over_the_references_weights(splats):
     assert (sums.weight <= sums.alpha + 1e-12).all()
 
 
+@pytest.mark.parametrize("share", [0.0, 0.2, 1.0])
+def test_two_masks_in_one_walk_are_two_walks(share: float):
+    splats, camera = with_odd_gaussians(scene(300, seed=4, dtype=np.float32)), cameras(150, 110)[0]
+    rng, view = np.random.default_rng(1), project(splats, camera)
+    mask, mask2 = rng.random((110, 150)) < share, np.zeros((110, 150), np.float32)
+    mask2[20:60, 30:90] = rng.random((40, 60))  # tiles with one, with the other, with both and with none
+    zeros, both = np.zeros((110, 150, 3), np.float32), view.mask_sums(mask, mask2)
+    for one, sums in zip((mask, mask2), both, strict=True):
+        expected = view.backproject(zeros, one.astype(np.float32))
+        for name in ("weight", "alpha", "peak"):
+            np.testing.assert_allclose(getattr(sums, name), getattr(expected, name), rtol=1e-6, atol=1e-7)
+    assert both[1].peak.max() > 0.5
+
+
 def test_a_hidden_gaussian_has_alpha_but_no_weight():
     splats, camera = opaque_stack(), cameras(32, 32)[0]
     view = project(splats, camera)
@@ -260,6 +274,7 @@ def everything(splats, camera):
         view.flatten_ids,
         *view.rasterize(),
         *vars(total).values(),
+        *(values for one in view.mask_sums(mask > 0.5, mask) for values in vars(one).values()),
         sums,
         np.array(error),
         *back,

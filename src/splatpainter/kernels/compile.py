@@ -37,7 +37,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     ),  # fmt: skip
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
-    "splatpainter.lift.nearest:warm": ("lift/nearest.py",),
+    "splatpainter.lift.near_surface:warm": ("lift/near_surface.py", "lift/nearest.py"),
     "splatpainter.lighting:warm": ("lighting.py",),
     "splatpainter.spread.warm:warm": ("spread",),
     "splatpainter.voxels.neighbours:warm": ("voxels/neighbours.py", "kernels/search.py"),

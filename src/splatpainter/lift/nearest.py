@@ -62,8 +62,3 @@ def _scan(mask, nearest_y, nearest_x, first, out):
             here = (y + 1) * stride + x + 1
             if nearest_y[here] != NOWHERE:
                 out[y, x] = nearest_y[here] * width + nearest_x[here]
-
-
-def warm() -> None:
-    """Compile (or load) the kernel."""
-    nearest_pixels(np.eye(4, dtype=bool))

@@ -16,6 +16,7 @@ from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.resurface import MIN_COVER, RING_PX, resurface
 from splatpainter.lift.rounding import rounded
+from splatpainter.lift.sparse_edit import SparseEdit
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -96,6 +97,18 @@ def paint_view(
     return _put_back(splats, ids, part, options.resurface)
 
 
+@dataclass(frozen=True)
+class _PaintedPart:
+    """What `paint_view` makes of the S Gaussians that it depends on."""
+
+    edit: SparseEdit
+    replaced: np.ndarray
+    """[R] int64 ascending, as of PaintedView."""
+    removed: np.ndarray
+    """[E] int64 ascending, as of PaintedView."""
+    limited: float
+
+
 def _paint_part(
     splats: Splats,
     surface: Surface,
@@ -106,7 +119,7 @@ def _paint_part(
     options: LocalOptions,
     first_appended: int,
     originals: int,
-) -> PaintedView:
+) -> _PaintedPart:
     """`paint_view` on the Gaussians that it depends on. view: of them, the tiles of the mask and its ring; around: the
     tiles of `read_by_edit`; originals: how many the whole asset has."""
     camera, reach = view.camera, dilated(mask, RING_PX)
@@ -133,41 +146,28 @@ def _paint_part(
         sheet = resurface(splats, view, around, visible, before, alpha, target, pixels, options, first_appended)
     if sheet is None:
         lifted = lift_local(splats, camera, target, painted, options, may)
-        return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, limited)
-    result = PaintedView(sheet.splats, sheet.touched, sheet.parents, sheet.replaced, sheet.removed, limited)
+        edit = SparseEdit.of(lifted.splats, lifted.touched, lifted.parents)
+        return _PaintedPart(edit, none, none, limited)
+    result = _PaintedPart(sheet.edit, sheet.replaced, sheet.edit.emptied, limited)
     left = painted & ~sheet.covered
     if left.sum() <= options.max_left_px:
         return result
-    return _then_split(result, camera, target, left, options, may, around.tiles)
+    return _then_split(splats, result, camera, target, left, options, may, around.tiles)
 
 
-def _put_back(splats: Splats, ids: np.ndarray, part: PaintedView, rounds: bool) -> PaintedView:
+def _put_back(splats: Splats, ids: np.ndarray, part: _PaintedPart, rounds: bool) -> PaintedView:
     """What became of the Gaussians `ids` ([S] int64 ascending), at their indices among all. rounds: whether new ones
     (those after the first S and those in the place of others) are rounded (rounding.py)."""
-    count = len(ids)
-    tail, changed = part.splats.take(np.arange(count, len(part.splats))), part.splats.take(part.touched)
-    touched = ids[part.touched]
+    edit, replaced = part.edit, part.replaced
     if rounds:
-        tail, at = rounded(tail), np.flatnonzero(np.isin(part.touched, part.replaced))
-        values = rounded(changed.take(at))
+        at = np.flatnonzero(np.isin(edit.ids, replaced, assume_unique=True))
+        values = rounded(edit.values.take(at))
         for name in ATTRIBUTES:
-            getattr(changed, name)[at] = getattr(values, name)
-    arrays = {}
-    for name in ATTRIBUTES:
-        old, new = getattr(splats, name), getattr(changed, name)
-        if not len(tail) and np.array_equal(old[touched], new):
-            continue
-        arrays[name] = np.concatenate([old, getattr(tail, name)])
-        arrays[name][touched] = new
-    origin = None if splats.origin is None else np.concatenate([splats.origin, np.asarray(tail.origin)])
-    return replace(
-        part,
-        splats=replace(splats, **arrays, origin=origin),
-        touched=touched,
-        parents=ids[part.parents],
-        replaced=ids[part.replaced],
-        removed=ids[part.removed],
-    )
+            getattr(edit.values, name)[at] = getattr(values, name)
+        edit = replace(edit, appended=rounded(edit.appended))
+    edit = edit.within(ids)
+    touched = edit.touched(splats)
+    return PaintedView(edit.apply(splats), touched, edit.parents, ids[replaced], ids[part.removed], part.limited)
 
 
 def is_fine(painted: np.ndarray, reached: np.ndarray, first: int, originals: int, options: LocalOptions) -> bool:
@@ -207,27 +207,27 @@ def _tiles_at_work(reach: np.ndarray, view: ProjectedView) -> np.ndarray:
 
 
 def _then_split(
-    first: PaintedView,
+    splats: Splats,
+    first: _PaintedPart,
     camera: Camera,
     target: np.ndarray,
     mask: np.ndarray,
     options: LocalOptions,
     allowed: np.ndarray,
     tiles: np.ndarray,
-) -> PaintedView:
+) -> _PaintedPart:
     """The pixels that have no sheet, by splitting; those that no Gaussian makes stay as they are. allowed: [N] bool
     Gaussians that may be split, beside the new ones; tiles: [TH, TW] bool, nothing beyond them is looked at."""
-    splats, count = first.splats, len(allowed)
-    may = np.append(allowed, np.ones(len(splats) - count, bool))
+    edit, count = first.edit, len(splats)
+    may = np.append(allowed, np.ones(len(edit.parents), bool))
     try:
-        lifted = lift_local(splats, camera, target, mask, options, may, tiles)
+        lifted = lift_local(edit.apply(splats), camera, target, mask, options, may, tiles)
     except ValueError:
         return first
     touched = lifted.touched[lifted.touched < count]
     # A Gaussian that the sheet appended has its own parent among the asset's.
-    ancestry = np.append(np.arange(count), first.parents)
-    parents = np.concatenate([first.parents, ancestry[lifted.parents]])
+    ancestry = np.append(np.arange(count), edit.parents)
+    parents = np.concatenate([edit.parents, ancestry[lifted.parents]])
     removed = first.removed[lifted.splats.opacities[first.removed] == 0]
-    return replace(
-        first, splats=lifted.splats, touched=np.union1d(first.touched, touched), parents=parents, removed=removed
-    )
+    edit = SparseEdit.of(lifted.splats, np.union1d(edit.touched(splats), touched), parents)
+    return replace(first, edit=edit, removed=removed)

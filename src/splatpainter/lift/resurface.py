@@ -17,14 +17,18 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
 from splatpainter.lift.fringe import FringedSurface, fringe_of, fringe_paint
 from splatpainter.lift.masks import box_mean, dilated
+from splatpainter.lift.near_surface import FAR_BEHIND, TOUCHES, NearSurface
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LocalOptions
+from splatpainter.lift.pieces import Pieces, joined_view
 from splatpainter.lift.sheet import SHEET_OPACITY, Cells, SheetGeometry, flat_cells, sheet_geometry
+from splatpainter.lift.sparse_edit import SparseEdit
 from splatpainter.lift.split import Lattice, projected_sizes
+from splatpainter.rendering.cpu.geometry import TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
-from splatpainter.splats import ATTRIBUTES, Splats
-from splatpainter.surface.visible import PixelSurface, VisibleSurface, depths_along
-from splatpainter.transforms import quat_to_matrix, row_max, turned
+from splatpainter.splats import ATTRIBUTES, Splats, float_bits
+from splatpainter.surface.visible import VisibleSurface, depths_along
+from splatpainter.transforms import quat_to_matrix, row_max
 
 MIN_COVER = 0.6
 """Alpha of a pixel below which no sheet lies there."""
@@ -37,18 +41,13 @@ OUTSIDE = 0.08
 RIM_GOAL_PX = 2.2
 """Gaussians across the sheet's edge are halved until they are no wider than this (standard deviation)."""
 MAX_RIM_HALVINGS = 8
-NORMAL_SIGMAS = 2.0
-"""Standard deviations along the surface's normal within which a Gaussian touches the surface, ..."""
-SURFACE_WINDOWS = 0.35
-"""... beside this share of the window in which the surface was estimated."""
 MAX_CUT_PX = 8.0
 """Gaussians longer than this (standard deviation) are not cut at the sheet's edge, ..."""
 MIN_HANDLED = 0.85
 """... and where less than this share of the light comes from those that a sheet replaces there is none, ..."""
-FAR_WINDOWS = 3.0
-"""... (what lies behind the surface by more than this many of its windows, seen through cracks, does not count, ..."""
 MIN_TOUCHING = 0.5
-"""... as long as this share of the light comes from the surface), ..."""
+"""... (what lies far behind the surface, seen through cracks, does not count as long as this share of the light comes
+from the surface), ..."""
 CLEAR_RADIUS_PX = 2
 """... by the majority of the pixels around; ..."""
 MIN_CLEAR = 0.5
@@ -80,16 +79,9 @@ HORIZON_DEGREES = 65.0
 class Resurfaced:
     """An edit's trusted part, done."""
 
-    splats: Splats
-    """N Gaussians at their old indices, then the appended ones."""
-    touched: np.ndarray = field(repr=False)
-    """[T] int64 ascending: old Gaussians that changed."""
+    edit: SparseEdit
     replaced: np.ndarray = field(repr=False)
-    """[R] int64 ascending, part of `touched`: indices that a sheet Gaussian took."""
-    removed: np.ndarray = field(repr=False)
-    """[E] int64 ascending, part of `touched`: indices that are empty now (opacity 0)."""
-    parents: np.ndarray = field(repr=False)
-    """[A] int64: the old Gaussian that each appended one was split from, or lies in place of."""
+    """[R] int64 ascending: indices that a sheet Gaussian took."""
     covered: np.ndarray = field(repr=False)
     """[H, W] bool pixels that the sheet covers, ring included."""
 
@@ -120,14 +112,14 @@ def resurface(
     if not covered.any():
         return None
     near = NearSurface.of(visible, covered)
-    clear = covered & _is_clear(splats, view, near, covered)
+    clear, footprints = _is_clear(splats, view, near, covered)
+    clear &= covered
     if clear.sum() < MIN_CLEAR * covered.sum():
         return None
     remaining = without_islands(clear)
     if not remaining.any():
         return None
-    if not np.array_equal(remaining, covered):
-        covered, near = remaining, NearSurface.of(visible, remaining)
+    covered, near = remaining, near if np.array_equal(remaining, covered) else None
     differs = target != before
     painted = differs[..., 0] | differs[..., 1] | differs[..., 2]
     fringe, surface = fringe_of(painted, covered, depth > 0, alpha), visible
@@ -135,82 +127,36 @@ def resurface(
     if fringe.any():
         surface = FringedSurface.of(visible, covered, fringe)
         colors, cover = fringe_paint(target, surface, np.asarray(camera.background, np.float32))
-        covered = covered | fringe
-        near = NearSurface.of(surface, covered)
+        covered, near = covered | fringe, None
         ys, xs = np.nonzero(fringe)
         depth[ys, xs] = surface.at(np.stack([xs, ys], 1) + 0.5).depth
+    near = near or NearSurface.of(surface, covered)
     sums = view.backproject(np.zeros_like(before), covered.astype(np.float32))
-    candidates, seen = np.zeros((2, len(splats)), bool)
+    (inside, total), (candidates, seen) = np.zeros((2, len(splats)), sums.alpha.dtype), np.zeros((2, len(splats)), bool)
+    inside[view.gaussian_ids], total[view.gaussian_ids] = sums.alpha, footprints
     candidates[view.gaussian_ids[sums.alpha > 0]] = True
     seen[view.gaussian_ids[sums.peak > options.min_share]] = True
     tiles = view.touched_tiles(sums.alpha > 0) | tiles_of_mask(pixels)
-    around = around.part(tiles=tiles)
+    if (tiles & ~view.tiles).any():
+        total = _footprints(around, tiles, candidates)
     ids = np.flatnonzero(candidates)
-    base, first = splats.take(ids), _numbered(around.part(gaussian_mask=candidates), candidates)
-    lattice, gone = _cut(Lattice.of(base, camera), first, seen[ids], near, covered, options)
-    rest = _Rest.of(candidates, ids, lattice, gone)
+    share = (inside[ids] / np.maximum(total[ids], 1e-9)).astype(np.float64)
+    lattice, gone = _cut(splats, ids, share, camera, tiles, seen, near, covered, options)
+    pieces = Pieces.of(lattice, gone)
     cells = flat_cells(target, covered, depth, camera.fx)
     geometry, index = sheet_geometry(surface, cells, target)
     cells = Cells(cells.centers[index], cells.sizes[index])
     replaced = np.flatnonzero(gone)
     if len(replaced):
-        hidden, owners = lattice.some(replaced).splats(), ids[lattice.parent[replaced]]
+        hidden, owners = lattice.some(replaced).splats(), lattice.parent[replaced]
     else:
-        hidden, owners = rest.splats(splats, lattice), rest.owners
+        hidden, owners = pieces.beside(splats)
     sheet, hosts = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
-    goal = np.where(covered[..., None], target, around.rasterize()[0])
+    goal = np.where(covered[..., None], target, _picture(view, around, before, tiles))
     weights = np.where(painted, covered, UNEDITED_WEIGHT).astype(np.float32)
-    joined = rest.splats(splats, lattice, sheet)
-    joined, moved = _painted(joined, rest.split, camera, tiles, goal, covered, weights, options)
-    emptied = ids[lattice.parent[gone & lattice.slot]]
-    return _assemble(splats, rest, emptied, joined, moved, owners[hosts], covered, first_appended)
-
-
-@dataclass(frozen=True)
-class _Rest:
-    """The R Gaussians that remain beside a sheet, pieces of those that were cut at the place of their parents."""
-
-    owners: np.ndarray = field(repr=False)
-    """[R] int64 ascending: the Gaussian that each is, or is a piece of."""
-    pieces: np.ndarray = field(repr=False)
-    """[R] int64 index in the lattice; -1: not in it."""
-    split: np.ndarray = field(repr=False)
-    """[R] bool: pieces."""
-    slot: np.ndarray = field(repr=False)
-    """[R] bool: those that stay at their owner's index."""
-
-    @staticmethod
-    def of(candidates: np.ndarray, ids: np.ndarray, lattice: Lattice, gone: np.ndarray) -> _Rest:
-        """candidates: [N] bool, those of the lattice; ids: [C] their indices; gone: [S'] bool, which the sheet
-        replaces."""
-        beside, chosen = np.flatnonzero(~candidates), np.flatnonzero(~gone)
-        owners = np.concatenate([beside, ids[lattice.parent[chosen]]])
-        pieces = np.concatenate([np.full(len(beside), -1), chosen])
-        order = np.argsort(owners, kind="stable")
-        owners, pieces = owners[order], pieces[order]
-        split, slot = np.append(lattice.level.any(1), False), np.append(lattice.slot, True)  # the latter: of index -1
-        return _Rest(owners, pieces, split[pieces], slot[pieces])
-
-    def splats(self, base: Splats, lattice: Lattice, more: Splats | None = None) -> Splats:
-        """They, followed by `more`. base: all Gaussians, N."""
-        halved = np.flatnonzero(self.split)
-        cut = lattice.some(self.pieces[halved]).splats()
-        out = base.take(self.owners)
-        arrays = {}
-        for name in ATTRIBUTES:
-            values = getattr(out, name)
-            values[halved] = getattr(cut, name)
-            arrays[name] = values if more is None else np.concatenate([values, getattr(more, name)])
-        origin = out.origin
-        if more is not None and origin is not None and more.origin is not None:
-            origin = np.concatenate([origin, more.origin])
-        return replace(out, **arrays, origin=origin)
-
-
-def _numbered(view: ProjectedView, gaussian_mask: np.ndarray) -> ProjectedView:
-    """A view of some Gaussians ([N] bool) alone, numbered in their order."""
-    number = np.cumsum(gaussian_mask) - 1
-    return replace(view, gaussian_ids=number[view.gaussian_ids], num_gaussians=int(gaussian_mask.sum()))
+    result = _painted(splats, pieces, sheet, around, tiles, goal, covered, weights, options)
+    emptied = lattice.parent[gone & lattice.slot]
+    return _assemble(splats, pieces, result, emptied, owners[hosts], covered, first_appended)
 
 
 def without_islands(mask: np.ndarray) -> np.ndarray:
@@ -219,108 +165,85 @@ def without_islands(mask: np.ndarray) -> np.ndarray:
     return mask & dilated(core, 3)
 
 
-def _is_clear(splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray) -> np.ndarray:
-    """[H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
-    surface, and under the sheet, or are small enough to be cut at its edge. Elsewhere, in the fog of captures, a veil
-    would stay before the sheet."""
+def _is_clear(
+    splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """([H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
+    surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a veil
+    would stay before the sheet; [M] the alpha of each of the view's Gaussians summed over the drawn tiles)."""
     ids = view.gaussian_ids
-    zeros, inside = np.zeros((*covered.shape, 3), np.float32), covered.astype(np.float32)
-    sums = view.backproject(zeros, inside)
-    share = sums.alpha / np.maximum(view.backproject(zeros, np.ones_like(inside)).alpha, 1e-9)
+    sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
+    share = sums.alpha / np.maximum(everywhere.alpha, 1e-9)
     handled = sums.weight > 0
     unsure = np.flatnonzero(handled & (share <= INSIDE))
+    reached = np.flatnonzero(handled)
     handled[unsure] = row_max(projected_sizes(splats.geometry(ids[unsure]), view.camera)) < MAX_CUT_PX
-    far, reached = np.zeros(len(ids), bool), np.flatnonzero(sums.weight > 0)
-    on_surface, far[reached] = near.touches_or_far_behind(splats.geometry(ids[reached]))
-    touching = handled.copy()
-    touching[reached] &= on_surface
+    sides = near.sides(splats, ids[reached])
     # One channel for their light, one for that of what the sheet will hide, one for what nothing stops.
     red = view.camera.background[0]
     view = replace(view, camera=replace(view.camera, background=(red, red, red)))
     colors = np.zeros((len(ids), 3), np.float32)
-    colors[:, 0], colors[:, 1] = touching, far
+    colors[reached, 0], colors[reached, 1] = handled[reached] & (sides == TOUCHES), sides == FAR_BEHIND
     image, alpha, _ = view.rasterize(colors)
     weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
     clear = (weight > MIN_HANDLED * (alpha - hidden)) & (weight > MIN_TOUCHING * alpha)
-    return box_mean(clear.astype(np.float32), CLEAR_RADIUS_PX) > 0.5
+    return box_mean(clear.astype(np.float32), CLEAR_RADIUS_PX) > 0.5, everywhere.alpha
 
 
-@dataclass(frozen=True)
-class NearSurface:
-    """The sheet's surface at each covered pixel, and for those beside at the nearest one."""
+def _footprints(around: ProjectedView, tiles: np.ndarray, gaussian_mask: np.ndarray) -> np.ndarray:
+    """[N] the alpha of some Gaussians ([N] bool) summed over some drawn tiles ([TH, TW] bool)."""
+    view, shape = around.part(tiles=tiles, gaussian_mask=gaussian_mask), (around.camera.height, around.camera.width)
+    out = np.zeros(around.num_gaussians, view.projected.dtype)
+    out[view.gaussian_ids] = view.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32)).alpha
+    return out
 
-    nearest: np.ndarray = field(repr=False)
-    """[H, W] int32 flat index of the nearest covered pixel."""
-    entry: np.ndarray = field(repr=False)
-    """[H, W] int64 entry of `surface` of each covered pixel, -1: not covered."""
-    surface: PixelSurface
-    camera: Camera
 
-    @staticmethod
-    def of(visible: VisibleSurface | FringedSurface, covered: np.ndarray) -> NearSurface:
-        ys, xs = np.nonzero(covered)
-        entry = np.full(covered.shape, -1, np.int64)
-        entry[ys, xs] = np.arange(len(ys))
-        return NearSurface(nearest_pixels(covered), entry, visible.at(np.stack([xs, ys], 1) + 0.5), visible.camera)
-
-    def touches(self, splats: Splats) -> np.ndarray:
-        """[S] bool Gaussians that lie on the surface at the covered pixel nearest to their centre."""
-        height, limit, _ = self._heights(splats)
-        return np.abs(height) < limit
-
-    def touches_or_far_behind(self, splats: Splats) -> tuple[np.ndarray, np.ndarray]:
-        """([S] bool as `touches`, [S] bool Gaussians that lie so far behind the surface that they are no part of a
-        thick or foggy one)."""
-        height, limit, window = self._heights(splats)
-        return np.abs(height) < limit, height < -limit - FAR_WINDOWS * window
-
-    def _heights(self, splats: Splats) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """([S] over the surface, along its normal; NaN behind the camera; [S] up to which they touch it; [S] window)"""
-        camera = self.camera
-        uv, z = camera.project(splats.means.astype(np.float64))
-        limits = np.array([camera.width - 1.0, camera.height - 1.0])
-        x, y = np.clip(np.nan_to_num(uv), 0, limits).astype(np.int64).T
-        pixel = self.nearest[y, x].astype(np.int64)
-        at = self.entry.ravel()[pixel]
-        py, px = np.divmod(pixel, camera.width)
-        point = camera.to_camera(camera.unproject(self.surface.depth[at], np.stack([px, py], 1) + 0.5))
-        turn, normal = camera.world_to_camera[:3, :3], self.surface.normals[at]
-        axes = turned(turn, quat_to_matrix(splats.quats.astype(np.float64)))
-        extent = np.sqrt(((np.einsum("nik,ni->nk", axes, normal) * splats.scales) ** 2).sum(1))
-        height = ((camera.to_camera(splats.means.astype(np.float64)) - point) * normal).sum(1)
-        limit = NORMAL_SIGMAS * extent + SURFACE_WINDOWS * self.surface.windows[at] + 2 * self.surface.residuals[at]
-        return np.where(z > 0, height, np.nan), limit, self.surface.windows[at]
+def _picture(view: ProjectedView, around: ProjectedView, before: np.ndarray, tiles: np.ndarray) -> np.ndarray:
+    """[H, W, 3] what some tiles show. view: has the picture `before`; around: drawn in the others of these tiles."""
+    missing = tiles & ~view.tiles
+    if not missing.any():
+        return before
+    height, width = before.shape[:2]
+    pixels = missing.repeat(TILE, 0).repeat(TILE, 1)[:height, :width]
+    return np.where(pixels[..., None], around.part(tiles=missing).rasterize()[0], before)
 
 
 def _cut(
-    lattice: Lattice,
-    view: ProjectedView,
+    splats: Splats,
+    ids: np.ndarray,
+    share: np.ndarray,
+    camera: Camera,
+    tiles: np.ndarray,
     seen: np.ndarray,
     near: NearSurface,
     covered: np.ndarray,
     options: LocalOptions,
 ) -> tuple[Lattice, np.ndarray]:
-    """Halve Gaussians that lie across the sheet's edge: (the lattice, [S'] bool those that go). lattice: of S that make
-    covered pixels, nothing halved; view: of these; seen: [S] bool, those that make the picture: what is hidden behind
-    them goes or stays as one."""
-    inside, zeros = covered.astype(np.float32), np.zeros((*covered.shape, 3), np.float32)
-    ids, splats = np.arange(len(lattice)), lattice.base
+    """Halve Gaussians that lie across the sheet's edge: (the lattice, [S] bool those that go). ids: [C] int64 ascending
+    those of `splats` that make covered pixels; share: [C] of each one's footprint under the sheet; tiles: [TH, TW] bool
+    all that they touch; seen: [N] bool, those that make the picture: what is hidden behind them goes or stays as
+    one."""
+    chosen = np.flatnonzero(share > OUTSIDE)
+    touching = np.zeros(len(ids), bool)
+    touching[chosen] = near.touches(splats, ids[chosen])
+    across = touching & (share < INSIDE)
+    wide = across & seen[ids]
+    lattice = Lattice.of(splats, camera, ids, ids[wide])
     for turn in range(MAX_RIM_HALVINGS + 1):
-        share = np.zeros(len(lattice))
-        total = view.backproject(zeros, np.ones_like(inside)).alpha
-        share[ids[view.gaussian_ids]] = view.backproject(zeros, inside).alpha / np.maximum(total, 1e-9)
-        touching = np.zeros(len(lattice), bool)
-        chosen = np.flatnonzero(share[ids] > OUTSIDE)
-        touching[ids[chosen]] = near.touches(splats.geometry(chosen))
-        across = touching & (share < INSIDE)
-        wide = across & seen[lattice.parent]
         wide[wide] = row_max(lattice.some(np.flatnonzero(wide)).widths) > RIM_GOAL_PX
         if turn == MAX_RIM_HALVINGS or not wide.any() or (~lattice.slot).sum() > options.max_pieces:
             break
         lattice, source = lattice.halved(wide, RIM_GOAL_PX)
         ids = np.flatnonzero(touching[source])
-        splats = lattice.some(ids).splats()
-        view = project(splats, view.camera, tiles=view.tiles)
+        pieces = lattice.some(ids).splats()
+        view = project(pieces, camera, tiles=tiles)
+        under, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
+        share, touching = np.zeros(len(lattice)), np.zeros(len(lattice), bool)
+        share[ids[view.gaussian_ids]] = under.alpha / np.maximum(everywhere.alpha, 1e-9)
+        chosen = np.flatnonzero(share[ids] > OUTSIDE)
+        touching[ids[chosen]] = near.touches(pieces, chosen)
+        across = touching & (share < INSIDE)
+        wide = across & seen[lattice.parent]
     return lattice, touching & (share > np.where(across, 0.5, INSIDE))
 
 
@@ -395,54 +318,65 @@ def _sigmas(splats: Splats, ids: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.sqrt((offset**2).sum(1))
 
 
+@dataclass(frozen=True)
+class _Painted:
+    """After colour rounds."""
+
+    fresh: Splats
+    """P + C Gaussians: the pieces, then the sheet."""
+    ids: np.ndarray = field(repr=False)
+    """[Q] int64: those that are as they were but for their colour, ..."""
+    sh: np.ndarray = field(repr=False)
+    """[Q, K, 3] ... and their SH."""
+
+
 def _painted(
-    joined: Splats,
-    split: np.ndarray,
-    camera: Camera,
+    splats: Splats,
+    pieces: Pieces,
+    sheet: Splats,
+    around: ProjectedView,
     tiles: np.ndarray,
     goal: np.ndarray,
     covered: np.ndarray,
     weights: np.ndarray,
     options: LocalOptions,
-) -> tuple[Splats, np.ndarray]:
-    """(the Gaussians after colour rounds of the sheet, of the pieces around it and of what hangs before it; bool of
-    each, whether its colour changed). split: [S] bool, which of the first S Gaussians are pieces; the ones behind them
-    are the sheet."""
-    view, first = project(joined, camera, tiles=tiles), len(split)
-    added = view.gaussian_ids >= first
-    zeros, everywhere = np.zeros_like(goal), np.ones(covered.shape, np.float32)
-    inside, total = view.backproject(zeros, covered.astype(np.float32)), view.backproject(zeros, everywhere).weight
-    piece = np.append(split, np.zeros(len(joined) - first, bool))[view.gaussian_ids]
-    hanging = (inside.peak > MIN_PEAK) & (inside.weight > MIN_SHEET_SHARE * total)
+) -> _Painted:
+    """Colour rounds of the sheet, of the pieces around it and of what hangs before it. around: of the N `splats`, with
+    these tiles."""
+    view, count, first = joined_view(pieces, sheet, around, tiles), len(splats), len(splats) + len(pieces.owners)
+    ids = view.gaussian_ids
+    added, piece = ids >= first, (ids >= count) & (ids < first)
+    inside, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
+    hanging = (inside.peak > MIN_PEAK) & (inside.weight > MIN_SHEET_SHARE * everywhere.weight)
     hanging &= inside.weight > MIN_VISIBLE * inside.alpha
-    editable = added | piece | hanging
-    lifted = lift_colors(view, goal, weights, editable, options.sheet_rounds, relaxation=RELAXATION)
-    before = view.unclamped_colors
-    moved = editable & (row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE)
-    sh = joined.sh.copy()
-    for chosen, damping in ((moved & added, 1.0), (moved & ~added, options.damping)):
-        ids = view.gaussian_ids[chosen]
-        sh[ids] = recolor(sh[ids], before[chosen], lifted[chosen], damping)
-    changed = np.zeros(len(joined), bool)
-    changed[view.gaussian_ids[moved]] = True
-    return replace(joined, sh=sh), changed
+    editable = np.flatnonzero(added | piece | hanging)
+    lifted = lift_colors(view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=RELAXATION)
+    before, lifted, ids = view.unclamped_colors[editable], lifted[editable], ids[editable]
+    moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
+    fresh = pieces.splats.append(sheet)
+    sh = fresh.sh.copy()
+    for chosen, damping in ((ids >= first, 1.0), ((ids >= count) & (ids < first), options.damping)):
+        chosen &= moved
+        rows = ids[chosen] - count
+        sh[rows] = recolor(sh[rows], before[chosen], lifted[chosen], damping)
+    hanging = moved & (ids < count)
+    recolored = recolor(splats.sh[ids[hanging]], before[hanging], lifted[hanging], options.damping)
+    return _Painted(replace(fresh, sh=sh), ids[hanging], recolored)
 
 
 def _assemble(
     splats: Splats,
-    rest: _Rest,
+    pieces: Pieces,
+    painted: _Painted,
     emptied_ids: np.ndarray,
-    joined: Splats,
-    moved: np.ndarray,
     host: np.ndarray,
     covered: np.ndarray,
     first_appended: int,
 ) -> Resurfaced:
     """Everything at its index: pieces of a Gaussian at that of their parent, one sheet Gaussian at that of its host,
-    further ones at emptied indices that are no part of the original; the rest is appended. joined: the rest, then the
-    sheet; moved: [R + C] bool those of other colours than before; emptied_ids: indices that nothing of the rest has;
-    host: [C]."""
-    first = len(rest.owners)
+    further ones at emptied indices that are no part of the original; the rest is appended. emptied_ids: indices that
+    nothing of the rest has; host: [C] of the sheet's Gaussians."""
+    fresh, first = painted.fresh, len(pieces.owners)
     emptied = np.zeros(len(splats), bool)
     emptied[emptied_ids] = True
     index = np.full(len(host), -1, np.int64)
@@ -457,28 +391,17 @@ def _assemble(
     settled = np.flatnonzero(index >= 0)
     removed = np.flatnonzero(emptied)
 
-    changed = np.flatnonzero(rest.slot & (rest.split | moved[:first]))  # the others have the bits that they had
-    written = np.concatenate([rest.owners[changed], index[settled], removed])
-    source = np.concatenate([changed, first + settled])
-    tail = np.concatenate([np.flatnonzero(~rest.slot), first + np.flatnonzero(index < 0)])
-    values, touched = {}, np.zeros(len(splats), bool)
+    slots = np.flatnonzero(pieces.slot)
+    settlers = fresh.take(np.concatenate([slots, first + settled]))
+    recolored = replace(splats.take(painted.ids), sh=painted.sh)
+    written = np.concatenate([painted.ids, pieces.owners[slots], index[settled]])
+    order = np.argsort(written)
+    written, values = written[order], recolored.append(settlers).take(order)
+    differs = np.zeros(len(written), bool)
     for name in ATTRIBUTES:
-        old = getattr(splats, name)
-        new = np.concatenate([getattr(joined, name)[source], old[removed]])
-        if name == "opacities":
-            new[len(source) :] = 0
-        differs = (new.view(np.uint32) != old[written].view(np.uint32)).reshape(len(new), -1).any(1)
-        if len(tail):
-            values[name] = np.concatenate([old, getattr(joined, name)[tail]])
-        elif differs.any():
-            values[name] = old.copy()
-        if differs.any():
-            touched[written[differs]] = True
-            values[name][written] = new
-    origin = splats.origin
-    if len(tail) and origin is not None:
-        assert joined.origin is not None
-        origin = np.concatenate([origin, joined.origin[tail]])
-    parents = np.concatenate([rest.owners[~rest.slot], host[index < 0]])
-    result = replace(splats, **values, origin=origin)
-    return Resurfaced(result, np.flatnonzero(touched), np.sort(index[settled]), removed, parents, covered)
+        bits, old = float_bits(getattr(values, name)), float_bits(getattr(splats, name)[written])
+        differs |= (bits != old).reshape(len(written), -1).any(1)
+    tail = np.concatenate([np.flatnonzero(~pieces.slot), first + np.flatnonzero(index < 0)])
+    parents = np.concatenate([pieces.owners[~pieces.slot], host[index < 0]])
+    edit = SparseEdit(written[differs], values.take(differs), removed, fresh.take(tail), parents)
+    return Resurfaced(edit, np.sort(index[settled]), covered)

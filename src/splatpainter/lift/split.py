@@ -90,21 +90,22 @@ class Lattice:
     """[S] bool: one child of each parent, near its centre, that takes the parent's index in the asset."""
 
     @staticmethod
-    def of(base: Splats, camera: Camera) -> Lattice:
-        """Nothing halved yet."""
-        sizes = projected_sizes(base, camera)
-        axes = np.argsort(-sizes, 1)[:, :2]
-        n, zeros = len(base), np.zeros((len(base), 2), np.int64)
-        return Lattice(
-            base,
-            axes,
-            np.take_along_axis(sizes, axes, 1),
-            np.arange(n),
-            zeros,
-            zeros,
-            base.opacities.astype(np.float64),
-            np.ones(n, bool),
-        )
+    def of(base: Splats, camera: Camera, parent: np.ndarray | None = None, sized: np.ndarray | None = None) -> Lattice:
+        """Nothing halved yet. parent: [S] int64 ascending, those of the base that there are (default: all); sized: [Q]
+        int64, those that may be halved (default: all). The others have no sizes: finding these is what takes time."""
+        n = len(base)
+        parent = np.arange(n) if parent is None else parent
+        if sized is None:
+            sizes = projected_sizes(base, camera)
+            axes = np.argsort(-sizes, 1)[:, :2]
+            sizes = np.take_along_axis(sizes, axes, 1)
+        else:
+            lengths = projected_sizes(base.geometry(sized), camera)
+            order = np.argsort(-lengths, 1)[:, :2]
+            axes, sizes = np.zeros((n, 2), np.int64), np.zeros((n, 2), lengths.dtype)
+            axes[sized], sizes[sized] = order, np.take_along_axis(lengths, order, 1)
+        zeros, peak = np.zeros((len(parent), 2), np.int64), base.opacities[parent].astype(np.float64)
+        return Lattice(base, axes, sizes, parent, zeros, zeros, peak, np.ones(len(parent), bool))
 
     def __len__(self) -> int:
         return len(self.parent)

@@ -44,6 +44,7 @@ def warm_tiles() -> None:
     image, alpha, depth = (np.zeros((32, 32, *rest), np.float32) for rest in ((3,), (), ()))
     ends = view.rasterize_into(image, alpha, depth)
     view.backproject(image, alpha)
+    view.mask_sums(alpha, alpha)
     view.sirt_step(image, alpha)
     view.heaviest_gaussians()
     view.touched_tiles(np.zeros(0, bool))

@@ -1,0 +1,68 @@
+"""What remains of some Gaussians beside a sheet, and the view of both: cut out of the view that there is, not projected
+anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splatpainter.lift.split import Lattice
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
+from splatpainter.splats import Splats
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """What remains beside a sheet of the N Gaussians: P pieces of those that were cut, and the others as they were."""
+
+    left: np.ndarray = field(repr=False)
+    """[N] bool: those that are as they were."""
+    owners: np.ndarray = field(repr=False)
+    """[P] int64 ascending: the Gaussian that each piece is of."""
+    slot: np.ndarray = field(repr=False)
+    """[P] bool: pieces that stay at their owner's index."""
+    splats: Splats
+    """P Gaussians."""
+
+    @staticmethod
+    def of(lattice: Lattice, gone: np.ndarray) -> Pieces:
+        """lattice: of some of the Gaussians that are its base; gone: [S] bool, which the sheet replaces."""
+        halved = (lattice.level[:, 0] | lattice.level[:, 1]) > 0
+        left = np.ones(len(lattice.base), bool)
+        left[lattice.parent[halved | gone]] = False
+        pieces = lattice.some(np.flatnonzero(halved & ~gone))
+        return Pieces(left, pieces.parent, pieces.slot, pieces.splats())
+
+    def numbers(self) -> tuple[np.ndarray, np.ndarray]:
+        """([N], [P]) int64 numbers in the order of owners, of those that are as they were and of the pieces."""
+        count = self.left.astype(np.int64)
+        np.add.at(count, self.owners, 1)
+        first = np.cumsum(count) - count
+        among = np.arange(len(self.owners)) - np.searchsorted(self.owners, self.owners)
+        return first, first[self.owners] + among
+
+    def beside(self, base: Splats) -> tuple[Splats, np.ndarray]:
+        """(all that remain, in the order of owners, [R] int64 the Gaussian of the base that each is or is of)."""
+        first, numbers = self.numbers()
+        ids = np.flatnonzero(self.left)
+        order = np.empty(len(ids) + len(numbers), np.int64)
+        order[np.concatenate([first[ids], numbers])] = np.arange(len(order))
+        return base.take(ids).append(self.splats).take(order), np.concatenate([ids, self.owners])[order]
+
+
+def joined_view(pieces: Pieces, sheet: Splats, around: ProjectedView, tiles: np.ndarray) -> ProjectedView:
+    """Some tiles of a view of N Gaussians with what remains of these, pieces in the place of those that were cut, and
+    with the sheet behind them all; numbered: those of the N as they were, pieces from N on, then the sheet."""
+    first, numbers = pieces.numbers()
+    fresh, ids = project(pieces.splats.append(sheet), around.camera, tiles=tiles), np.flatnonzero(pieces.left)
+    count, added = len(ids) + len(numbers), len(numbers) + len(sheet)
+    fresh_numbers = np.concatenate([numbers, np.arange(count, count + len(sheet))])
+    rest = around.part(tiles=tiles, gaussian_mask=pieces.left)
+    total = count + len(sheet)
+    rest = replace(rest, gaussian_ids=first[rest.gaussian_ids], num_gaussians=total)
+    fresh = replace(fresh, gaussian_ids=fresh_numbers[fresh.gaussian_ids], num_gaussians=total)
+    view, number = rest.merged(fresh), np.empty(total, np.int64)
+    number[first[ids]] = ids
+    number[fresh_numbers] = len(pieces.left) + np.arange(added)
+    return replace(view, gaussian_ids=number[view.gaussian_ids], num_gaussians=len(pieces.left) + added)
