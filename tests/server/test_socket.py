@@ -117,6 +117,44 @@ def test_a_preview_ends_with_the_command_that_failed(studio: Live, monkeypatch: 
         assert browser.mirror.agrees(studio.studio.session.splats)
 
 
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_layer_below_is_hidden_and_shown_with_all_its_gaussians(
+    studio: Live, fails: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Previews move Gaussians and add some; whatever comes then, the page shows what the session has."""
+    sent, unpatched_set, send_bytes = threading.Event(), Session.set, WebSocket.send_bytes
+
+    def after_the_preview(self: Session, *args: Any, **values: Any) -> Any:
+        assert sent.wait(60)
+        if fails:
+            raise ValueError("layer: refused")
+        return unpatched_set(self, *args, **values)
+
+    async def noted(self: WebSocket, data: bytes) -> None:
+        await send_bytes(self, data)
+        sent.set()
+
+    with studio.greeted() as browser:
+        lower = browser.stroke(view(), (30, 30), 20, RED)["layer"]["id"]
+        browser.do("layer.new", name="above")
+        browser.stroke(view(), (44, 30), 8, RED)
+        session = studio.studio.session
+        visible, count = len(session.splats), len(session.original)
+        monkeypatch.setattr(WebSocket, "send_bytes", noted)
+        for shown in (False, True):
+            session.set(lower, visible=not shown)
+            browser.do("receipt")
+            assert browser.mirror.agrees(session.splats)
+            sent.clear()
+            before = browser.mirror.previews
+            with monkeypatch.context() as patch:
+                patch.setattr(Session, "set", after_the_preview)
+                assert browser.ask("layer.set", layer=lower, visible=shown)["ok"] is not fails
+            browser.do("receipt")
+            assert browser.mirror.previews > before and browser.mirror.agrees(session.splats)
+            assert (len(session.splats) < visible) is (shown is fails) and visible > count
+
+
 def test_two_windows_see_the_same(studio: Live) -> None:
     with studio.greeted() as one, studio.greeted() as two:
         made = one.stroke(view(), (30, 30), 20, RED)

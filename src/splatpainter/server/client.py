@@ -163,6 +163,7 @@ class Client:
                 elif item.session == self.session and item.version == self.version:
                     old = self.page.previewed_ids
                     self.page.previewed_ids = np.union1d(old, item.gaussian_ids) if len(old) else item.gaussian_ids
+                    self.page.previewed_shapes |= frames.has_shapes(item.frame)
                     await self.socket.send_bytes(item.frame)
 
     async def _send_gaussians(self, previews: list[_Preview]) -> None:
@@ -173,12 +174,14 @@ class Client:
         if self.session == session_id and self.version == version and not clear:
             return
         old, page.previewed_ids = page.previewed_ids, np.zeros(0, np.int64)
-        stale_ids = old if clear else np.zeros(0, np.int64)
-        if clear and previews:  # Gaussians that are about to be previewed anew need not flicker
+        stale_ids, shapes = old if clear else np.zeros(0, np.int64), page.previewed_shapes
+        if clear and previews and not shapes:  # Gaussians that are about to be previewed anew need not flicker
             stale_ids = np.setdiff1d(stale_ids, previews[-1].gaussian_ids, assume_unique=True)
         since = self.version if self.session == session_id and self.version >= 0 else None
-        version, packed = await self.hub.frames(since, stale_ids)
-        if not clear:
+        version, packed = await self.hub.frames(since, stale_ids, shapes)
+        if clear:
+            page.previewed_shapes = False
+        else:
             page.previewed_ids = old
         for frame in packed:
             await self.socket.send_bytes(frame)

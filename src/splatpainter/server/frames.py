@@ -73,9 +73,15 @@ def delta(
     return pack(splats.take(gaussian_ids), gaussian_ids, len(splats), version_from, version_to, COLORS_ONLY * recolored)
 
 
-def preview(splats: Splats, gaussian_ids: np.ndarray, total: int, version: int) -> bytes:
-    """Colours and opacities (of the C in `splats`) to show for given Gaussians ([C] ascending) of `total`."""
-    return pack(splats, gaussian_ids, total, version, version, PREVIEW | COLORS_ONLY)
+def preview(splats: Splats, gaussian_ids: np.ndarray, total: int, version: int, shapes: bool = False) -> bytes:
+    """Colours and opacities (of the C in `splats`) to show for given Gaussians ([C] ascending) of `total`. shapes: and
+    means, scales and rotations; `total` may then be larger than the asset."""
+    return pack(splats, gaussian_ids, total, version, version, PREVIEW | COLORS_ONLY * (not shapes))
+
+
+def has_shapes(frame: bytes) -> bool:
+    """Whether a frame holds means, scales and rotations."""
+    return not HEADER.unpack_from(frame)[2] & (COLORS_ONLY | PACKED)
 
 
 def preview_colors(sh: np.ndarray, gaussian_ids: np.ndarray, total: int, version: int) -> bytes:

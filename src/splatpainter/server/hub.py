@@ -62,15 +62,16 @@ class Hub:
             cached[key] = before, describe.changes(before, now, clients).model_dump_json()
         return now, cached[key][1]
 
-    async def frames(self, since: int | None, stale_ids: np.ndarray) -> tuple[int, list[bytes]]:
-        """(version, frames that bring a client from version `since` (None: nothing) there, and the colours of previewed
-        Gaussians `stale_ids` back). The last delta is kept, for mostly all clients want the same one."""
+    async def frames(self, since: int | None, stale_ids: np.ndarray, shapes: bool) -> tuple[int, list[bytes]]:
+        """(version, frames that bring a client from version `since` (None: nothing) there, and previewed Gaussians
+        `stale_ids` back). shapes: previews have moved Gaussians too, or added some. The last delta is kept, for mostly
+        all clients want the same one."""
         session, now = self.studio.session, self.studio.session.version
-        if len(stale_ids) or since is None:
-            return await asyncio.to_thread(_frames, session, since, stale_ids)
+        if len(stale_ids) or shapes or since is None:
+            return await asyncio.to_thread(_frames, session, since, stale_ids, shapes)
         cached = self._delta
         if cached is None or cached[0] is not session or cached[1] != since or cached[2] != now:
-            task = asyncio.ensure_future(asyncio.to_thread(_frames, session, since, stale_ids))
+            task = asyncio.ensure_future(asyncio.to_thread(_frames, session, since, stale_ids, False))
             cached = self._delta = (session, since, now, task)
         return await asyncio.shield(cached[3])
 
@@ -162,7 +163,7 @@ class Hub:
         self.studio.close()
 
 
-def _frames(session: Session, since: int | None, stale_ids: np.ndarray) -> tuple[int, list[bytes]]:
+def _frames(session: Session, since: int | None, stale_ids: np.ndarray, shapes: bool) -> tuple[int, list[bytes]]:
     while True:
         now = session.snapshot
         if since is None:
@@ -175,10 +176,11 @@ def _frames(session: Session, since: int | None, stale_ids: np.ndarray) -> tuple
     count, out = len(now.splats), []
     changed_ids = np.concatenate([delta.gaussian_ids, np.arange(delta.retained, count)])
     if since != now.version:
-        out.append(frames.delta(now.splats, changed_ids, since, now.version, delta.recolored))
+        out.append(frames.delta(now.splats, changed_ids, since, now.version, delta.recolored and not shapes))
+    added = bool((stale_ids >= count).any()) and not out  # they go with whatever frame says how many there are
     stale_ids = np.setdiff1d(stale_ids[stale_ids < count], changed_ids, assume_unique=True)
-    if len(stale_ids):
-        out.append(frames.preview(now.splats.take(stale_ids), stale_ids, count, now.version))
+    if len(stale_ids) or added:
+        out.append(frames.preview(now.splats.take(stale_ids), stale_ids, count, now.version, shapes))
     return now.version, out
 
 

@@ -51,6 +51,8 @@ class PageState:
         """The other half of a stroke under symmetry, by the stroke's name."""
         self.previewed_ids = np.zeros(0, np.int64)
         """Gaussians that its screen shows in other colours than the asset has."""
+        self.previewed_shapes = False
+        """Whether previews moved Gaussians, or added some, since all were as the asset has them."""
         self.clear_preview = False
         """Whether they shall show the asset's again, which has not been sent yet."""
         self.client: Connection | None = None

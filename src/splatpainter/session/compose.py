@@ -10,15 +10,11 @@ again (read_set.py).
 
 A layer that cannot be applied where it now stands (hidden, reordered or reshaped layers below it took its Gaussians
 away) changes nothing and says why; it is kept, and works again when they return.
-
-Between the layers and the painter stands PainterAdapter: it numbers the Gaussians so that splits can be followed, and
-puts what a model has encoded of the original, once, beside any Gaussians below.
 """
 
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
@@ -28,11 +24,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.painter import Asset, Edit, Method, Mode, Painter
-from splatpainter.session.appearance import picture_of, with_base
+from splatpainter.painter import Edit, Painter
+from splatpainter.session.appearance import base_of_parents, picture_of, with_base
 from splatpainter.session.conflicts import EditedIds, policy_strength
-from splatpainter.session.covered_preview import Preview, hidden_layer, mixed_layer, where_uncovered
-from splatpainter.session.delta import Delta, bare, between, no_delta
+from splatpainter.session.covered_preview import Preview, changed_layer, hidden_layer, revealed_layer, where_uncovered
+from splatpainter.session.delta import Delta, between, no_delta
 from splatpainter.session.document import SELECTION, Document, Layer, View, digest
 from splatpainter.session.eraser import erase_delta, fade_delta
 from splatpainter.session.fill_layers import fading, fill_delta
@@ -60,9 +56,9 @@ from splatpainter.session.layer_state import (
     ResultStore,
     ancestors,
     lineage,
-    on_device,
 )
 from splatpainter.session.mask_weights import MaskWeights
+from splatpainter.session.painter_adapter import NO_OPTIONS, PainterAdapter
 from splatpainter.session.read_set import ReadSet, read_set_of, renumber
 from splatpainter.session.relief import COPY, Relief
 from splatpainter.session.selection import Selection
@@ -81,11 +77,8 @@ from splatpainter.sources.color_transfer import with_table
 from splatpainter.splats import ATTRIBUTES, Splats
 
 if TYPE_CHECKING:
-    from splatpainter.models.refine import RefineState
-    from splatpainter.spread.spread import SpreadOptions
     from splatpainter.surface.estimate import Surface
     from splatpainter.surface.visible import VisibleSurface
-    from splatpainter.voxels.grid import VoxelGrid
 
 CACHED_STATE_BYTES = 1 << 28
 """Bytes of composed assets that are cached to start from, ..."""
@@ -94,11 +87,9 @@ MAX_CACHED_STATES = 64
 WITHIN = "within"
 """Name of the parameter {"within": true} of layers of mode global: only Gaussians that
 their views' masks reach change."""
-NO_OPTIONS: Mapping[str, Any] = {}
 STROKE_OPTIONS: Mapping[str, Any] = {"fine_px": 0.0}
 """Of what is painted by hand here, however large: erasing takes a sheet away and brings the original's bits back, which
 split Gaussians cannot."""
-"""Of a layer without local options of its own: those of the painter hold."""
 MAX_PLACEMENTS = 4
 """Arrangements that are cached of each layer, ..."""
 MAX_PLACED_LAYERS = 1024
@@ -106,93 +97,8 @@ MAX_PLACED_LAYERS = 1024
 MAX_READ_IDS = 1 << 23
 """... and the Gaussians that they read, in all."""
 WITHOUT_SHEETS = "lifted without sheets, as it was made; set its method to paint it anew"
-GRID_ATTRIBUTES = ("means", "quats", "scales", "opacities")
-"""What a voxel grid depends on."""
 MAX_SEEN = 4
 """Coarse surfaces that are cached: limits ask for that of the present state, decals for that of the original."""
-MAX_GRIDS = 2
-"""Voxel grids that are cached: of the present Gaussians, and of those before."""
-
-
-class PainterAdapter:
-    """A painter for one original."""
-
-    def __init__(self, original: Splats, painter: Painter) -> None:
-        # What a layer did is proved when the asset is exported, from the original: no receipt of a layer is.
-        unproved = replace(painter, proof=False) if type(painter) is Painter else painter
-        self._original, self._painter = bare(original), unproved
-        self._bare = Asset(self._original)
-        self._encoded: Asset | None = None
-        self._grids: OrderedDict[tuple[int, ...], tuple[tuple[np.ndarray, ...], VoxelGrid]] = OrderedDict()
-        self._gridding = threading.Lock()
-
-    def apply(
-        self,
-        below: Splats,
-        state: RefineState | None,
-        edits: Sequence[Edit],
-        mode: Mode,
-        method: Method,
-        sheets: bool = True,
-        options: Mapping[str, Any] = NO_OPTIONS,
-        spread: SpreadOptions | None = None,
-    ) -> tuple[Splats, Asset]:
-        """(the Gaussians below as the painter got them, what it made of them). below: [N] with `origin`; in both
-        results `origin` is the Gaussian of `below` that each comes from. state: what the painter has learnt of the
-        edits below; sheets: False for layers of painters that knew none; options: those of the painter's local options
-        that are others for this layer; spread: options of mode spread. Raises ValueError as Painter.apply does."""
-        numbered = replace(bare(below), origin=np.arange(len(below)))
-        asset = Asset(numbered, original=self._original, make_grid=self.grid)
-        if mode != "global":
-            vars(asset)["surface"] = self._bare.surface if sheets else None
-        if self._painter.encodes(method, mode):
-            base = self._base()
-            assert base.encoding is not None and below.origin is not None
-            if state is not None:
-                state = on_device(state, next(base.encoding.model.parameters()).device)
-            parent_ids = np.maximum(below.origin, 0)
-            asset = replace(asset, encoding=replace(base.encoding, parent_ids=parent_ids, state=state))
-        painter = self._painter_with(options)
-        if spread is not None:
-            painter = replace(painter, spread_options=spread)
-        return numbered, painter.apply(asset, edits, mode, method)
-
-    @property
-    def surface(self) -> Surface:
-        """That of the original."""
-        return self._bare.surface
-
-    def _painter_with(self, options: Mapping[str, Any]) -> Painter:
-        """The painter with other local options."""
-        if not options:
-            return self._painter
-        from splatpainter.lift.options import LOCAL_DEFAULTS
-
-        return replace(self._painter, local_options=replace(self._painter.local_options or LOCAL_DEFAULTS, **options))
-
-    def grid(self, splats: Splats) -> VoxelGrid:
-        """The voxels of an asset, cached for the latest MAX_GRIDS geometries (colours do not matter: no layer makes a
-        Gaussian drawable or the contrary by them). Safe to call from any thread: a second caller waits."""
-        arrays = tuple(getattr(splats, name) for name in GRID_ATTRIBUTES)
-        key = tuple(map(id, arrays))
-        with self._gridding:
-            entry = self._grids.pop(key, None) or (arrays, Asset(bare(splats)).grid)
-            self._grids[key] = entry  # holds the arrays, so that their ids stay theirs
-            while len(self._grids) > MAX_GRIDS:
-                self._grids.popitem(last=False)
-            return entry[1]
-
-    def _base(self) -> Asset:
-        if self._encoded is None:
-            original = bare(self._original)
-            encoded = self._painter.encode(original, "ttt")
-            if encoded.splats.means is not original.means:
-                raise ValueError(
-                    "session: this painter replaces the asset by another one (representation 'copy'); "
-                    "layers need one that keeps the Gaussians, such as preset 'compact'"
-                )
-            self._encoded = encoded
-        return self._encoded
 
 
 class Replay:
@@ -238,14 +144,14 @@ class Replay:
         if layer.holds_strokes:
             return self._over_strokes(below, layer, document, strict, progress, step)
         strength, depends = policy_strength(below.edited, layer, document, len(below.splats))
-        result_key = digest(f"{below.key} {layer.key}{' fade' if _fades(layer) else ''}")
+        result_key = _result_key(below, layer)
         key = digest(f"{result_key} {layer.opacity!r} {layer.blend} {json.dumps(depends)}{_mask_text(layer)}")
         cached = self._cached(key, below, layer)
         if cached is not None:
             return cached
         if progress is not None:
             progress(*step, layer.name)
-        stored = layer.kind != "look" or any(view.picture for view in layer.views)
+        stored = _is_stored(layer)
         result = self._store.get(result_key) if stored else None
         if result is None or result.delta.count != len(below.splats):  # the latter: of a damaged file
             result = self._renumbered(below, layer) or self._try(below, layer)
@@ -336,31 +242,74 @@ class Replay:
         return self._merged[1]
 
     def blend_preview(self, document: Document, layer_id: str, now: Document) -> Preview | None:
-        """About as a layer of a document will be shown, hidden or not, where composing that takes longer; None else. Of
-        a layer that others cover: where these leave it (covered_preview.py). now: the document that is shown."""
+        """As a layer of a document will be shown, or hidden, from what is at hand, where composing that takes longer;
+        None else. Of a layer that others cover: where these leave it (covered_preview.py). now: the document that is
+        shown, which differs in that layer's opacity, blend and visibility alone."""
         at = document.index(layer_id)
         layer, covered = document.layers[at], any(map(_is_visible, document.layers[at + 1 :]))
+        seen = _is_visible(now.layers[at])
+        if not (covered or (seen and _is_visible(layer))):
+            return None
         below = self.compose(replace(document, layers=document.layers[:at]))
-        delta = self._quick_delta(document, layer, below, covered)
-        preview = None if delta is None else mixed_layer(below.splats, delta, layer)
-        before = self.compose(replace(now, layers=now.layers[: at + 1])).splats
-        preview = hidden_layer(below.splats, before) if covered and not _is_visible(layer) else preview
-        return where_uncovered(preview, before, self.compose(now).splats) if covered else preview
+        composed = self.compose(now).splats
+        before = self.compose(replace(now, layers=now.layers[: at + 1])).splats if seen else below.splats
+        if not _is_visible(layer):
+            return where_uncovered(hidden_layer(below.splats, before), before, composed) if seen else None
+        delta = self._delta_at_hand(document, layer, below, covered)
+        if delta is None:
+            return None
+        if not seen:
+            return revealed_layer(below.splats, delta, composed)
+        preview = changed_layer(below.splats, delta)
+        return where_uncovered(preview, before, composed) if covered else preview
 
-    def _quick_delta(self, document: Document, layer: Layer, below: LayerState, covered: bool) -> Delta | None:
-        """What a layer with an opacity or blend does; None where fitting it to these takes no time either."""
-        if not (_is_visible(layer) and _mixes(layer, None) and _has_base(layer)) or layer.mask is not None:
+    def _delta_at_hand(self, document: Document, layer: Layer, below: LayerState, covered: bool) -> Delta | None:
+        """What a layer does, with opacity, blend, mask and policies, from results that are stored or cached; None where
+        they are not, or where composing takes no time either. Where colours below would have to be fitted, those of
+        parents stand for them."""
+        try:
+            delta, key, fitted = self._stored_delta(document, layer, below)
+        except _NotAtHand:
             return None
-        if layer.kind == "merged" or policy_strength(below.edited, layer, document, len(below.splats))[0] is not None:
+        strength = policy_strength(below.edited, layer, document, len(below.splats))[0]
+        unfitted = not fitted and _mixes(layer, strength) and any(map(_has_base, layer.leaves()))
+        if delta.count != len(below.splats) or not (covered or unfitted):
             return None
+        mask = None
+        if _mask_text(layer) and (mask := self._masks.cached(delta, layer, key)) is None:
+            return None
+        if layer.kind == "fill":
+            return fading(delta, layer.opacity, mask)
+        if unfitted:
+            delta = replace(delta, base=base_of_parents(below.splats, delta))
+        return blend_delta(below.splats, delta, layer.opacity, layer.blend, strength, mask).complete(below.splats)
+
+    def _stored_delta(self, document: Document, layer: Layer, below: LayerState) -> tuple[Delta, str, bool]:
+        """(what a layer does in full, the name of that and the state below, whether colours below were fitted to it).
+        Raises _NotAtHand."""
+        if layer.kind == "merged":
+            state = below
+            for inner in filter(_is_visible, layer.layers):
+                simple = inner.kind != "merged" and not inner.holds_strokes
+                if simple and _is_stored(inner) and not self._store.has(_result_key(state, inner)):
+                    raise _NotAtHand
+                state = self._over(state, inner, document, None, None if simple else _refuse, (0, 1))
+            if self._merged is not None and self._merged[0] == (below.key, state.key):
+                return self._merged[1], state.key, True
+            return between(below.splats, state.splats, ancestors(state, len(below.splats))), state.key, False
         if layer.holds_strokes:
-            painted = self._strokes.painted(Chain.of(below.key, layer.strokes).keys[-1])
-            fitted = painted and self._merged and self._merged[0] == (below.key, painted.state.key)
-            return None if painted is None or (fitted and not covered) else painted.delta(below)
-        result = self._store.get(digest(f"{below.key} {layer.key}"))
-        delta = None if result is None else result.delta
-        fits = delta is not None and delta.count == len(below.splats) and (covered or delta.base is None)
-        return delta if fits else None
+            chain = Chain.of(below.key, layer.strokes)
+            painted = self._strokes.compose(below, layer, chain, None, _refuse) if layer.strokes else None
+            if painted is None:
+                raise _NotAtHand
+            if self._merged is not None and self._merged[0] == (below.key, painted.state.key):
+                return self._merged[1], chain.results[-1], True
+            return painted.delta(below), chain.results[-1], False
+        key = _result_key(below, layer)
+        result = self._store.get(key) if _is_stored(layer) else self._try(below, layer)
+        if result is None or result.problem:
+            raise _NotAtHand
+        return result.delta, key, result.delta.base is not None
 
     def _painted_stroke(self, state: LayerState, stroke: Layer, below: LayerState) -> LayerResult:
         """What a stroke makes of the state after those before it. below: the state below its layer."""
@@ -513,7 +462,7 @@ class Replay:
             views = [view for view in layer.views if view.picture is not None]
             pictures = [(view.camera, self._edit(view, layer).image, self.mask(view)) for view in views]
             return LayerResult(*fill_delta(splats, self._selected(layer, splats), layer.parameters, pictures))
-        if layer.kind == "look" and not any(view.picture for view in layer.views):
+        if not _is_stored(layer):
             parameters = {name: value for name, value in layer.parameters.items() if name != SELECTION}
             parameters = with_table(parameters, self._store.blob)
             adjusted = replace(splats, sh=adjust_sh(splats.sh, parameters, self.adjustments))
@@ -657,6 +606,14 @@ class Replay:
         return replace(state, edited=edited, facts=(*below.facts, (layer.id, state.facts[-1][1])))
 
 
+class _NotAtHand(Exception):
+    """Something would have to be painted."""
+
+
+def _refuse(*_: Any) -> None:
+    raise _NotAtHand
+
+
 def _local_options(layer: Layer) -> dict[str, Any]:
     """What a layer's parameters say of the painter's LocalOptions. Raises ValueError naming the layer."""
     options: dict[str, Any] = dict(limits_of(layer.parameters, f"layer {layer.name!r}"))
@@ -669,6 +626,16 @@ def _local_options(layer: Layer) -> dict[str, Any]:
 
 def _is_visible(layer: Layer) -> bool:
     return layer.visible and layer.opacity > 0
+
+
+def _is_stored(layer: Layer) -> bool:
+    """Whether the result of a layer is stored: that of a look without pictures is made anew as quickly."""
+    return layer.kind != "look" or any(view.picture for view in layer.views)
+
+
+def _result_key(below: LayerState, layer: Layer) -> str:
+    """Name of what a layer that is neither merged nor holds strokes makes of a state."""
+    return digest(f"{below.key} {layer.key}{' fade' if _fades(layer) else ''}")
 
 
 def _mixes(layer: Layer, strength: np.ndarray | None) -> bool:

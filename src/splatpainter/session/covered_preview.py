@@ -1,4 +1,4 @@
-"""What is shown at once of a layer that is hidden or fades, until that is exact and those above it are painted anew."""
+"""What is shown at once of a layer that is hidden, shown or mixed otherwise, until those above it are painted anew."""
 
 from __future__ import annotations
 
@@ -6,14 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatpainter.session.appearance import base_of_parents
 from splatpainter.session.delta import Delta
-from splatpainter.session.document import Layer
-from splatpainter.session.layer_blending import blend_delta
 from splatpainter.splats import Splats, changed_rows
 
 Preview = tuple[np.ndarray, Splats]
-"""([C] int64 ascending ids of what is shown, C Gaussians)."""
+"""([C] int64 ascending ids of what is shown, C Gaussians). Ids beyond the Gaussians that there are follow them."""
 
 
 def hidden_layer(below: Splats, with_layer: Splats) -> Preview:
@@ -26,11 +23,21 @@ def hidden_layer(below: Splats, with_layer: Splats) -> Preview:
     return ids, below.take(changed).append(faded)
 
 
-def mixed_layer(below: Splats, delta: Delta, layer: Layer) -> Preview:
-    """A layer's opacity and blend over the colours of parents."""
-    mixed = blend_delta(below, replace(delta, base=base_of_parents(below, delta)), layer.opacity, layer.blend)
-    tail = len(below) + np.arange(len(mixed.appended))
-    return np.concatenate([mixed.gaussian_ids, tail]), mixed.values.append(mixed.appended)
+def changed_layer(below: Splats, delta: Delta) -> Preview:
+    """A layer as its delta leaves it."""
+    tail = len(below) + np.arange(len(delta.appended))
+    return np.concatenate([delta.gaussian_ids, tail]), delta.values.append(delta.appended)
+
+
+def revealed_layer(below: Splats, delta: Delta, composed: Splats) -> Preview:
+    """A layer that was hidden, where those above leave what is below: Gaussians that it changes, and behind all others
+    those that it makes of such ones. composed: without the layer."""
+    free = np.ones(len(below), bool)
+    free[changed_rows(below, composed)] = False
+    changed = free[delta.gaussian_ids]
+    tail = (delta.parent_ids >= 0) & free[np.maximum(delta.parent_ids, 0)]
+    ids = np.concatenate([delta.gaussian_ids[changed], len(composed) + np.arange(int(tail.sum()))])
+    return ids, delta.values.take(changed).append(delta.appended.take(tail))
 
 
 def where_uncovered(preview: Preview | None, with_layer: Splats, composed: Splats) -> Preview | None:

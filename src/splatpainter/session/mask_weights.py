@@ -11,7 +11,7 @@ from splatpainter.session.conflicts import coverage
 from splatpainter.session.delta import Delta
 from splatpainter.session.document import Layer, digest
 from splatpainter.session.layer_factory import decode_mask_part
-from splatpainter.session.layer_mask import changed_weights
+from splatpainter.session.layer_mask import LayerMask, changed_weights
 from splatpainter.session.layer_state import LayerState, ResultStore
 from splatpainter.session.selection import Selection
 from splatpainter.splats import Splats
@@ -33,9 +33,7 @@ class MaskWeights:
         mask = layer.mask
         if mask is None or not mask.enabled:
             return None
-        keys = [digest(f"{result_key} {mask.shows}")]
-        for part in mask.parts:
-            keys.append(digest(f"{keys[-1]} {json.dumps(part.record(), sort_keys=True)}"))
+        keys = _keys(mask, result_key)
         start = next((k for k in range(len(keys) - 1, -1, -1) if keys[k] in self._cache), None)
         splats = delta.apply(below.splats)
         if start is None:
@@ -57,3 +55,17 @@ class MaskWeights:
         while len(self._cache) > MAX_CACHED:
             self._cache.popitem(last=False)
         return np.concatenate([weights[delta.gaussian_ids], weights[delta.count :]])
+
+    def cached(self, delta: Delta, layer: Layer, result_key: str) -> np.ndarray | None:
+        """`weights` where they were asked for lately; None else."""
+        assert layer.mask is not None
+        weights = self._cache.get(_keys(layer.mask, result_key)[-1])
+        return None if weights is None else np.concatenate([weights[delta.gaussian_ids], weights[delta.count :]])
+
+
+def _keys(mask: LayerMask, result_key: str) -> list[str]:
+    """Names of the weights before the first part, after it, after the second, ..."""
+    keys = [digest(f"{result_key} {mask.shows}")]
+    for part in mask.parts:
+        keys.append(digest(f"{keys[-1]} {json.dumps(part.record(), sort_keys=True)}"))
+    return keys

@@ -20,6 +20,7 @@ from splatpainter.io.joining import concatenated
 from splatpainter.painter import Painter
 from splatpainter.session.compose import Replay
 from splatpainter.session.conflicts import EditedIds
+from splatpainter.session.covered_preview import Preview
 from splatpainter.session.document import Document, digest
 from splatpainter.session.layer_blending import AdjustmentFunction
 from splatpainter.session.layer_state import LayerState, Progress, ResultStore
@@ -161,6 +162,23 @@ class SceneReplay:
             for one in self.scene(document).parts
         ]
         return concatenated(pieces)
+
+    def blend_preview(self, document: Document, layer: str, now: Document) -> Preview | None:
+        """See Replay.blend_preview; of a scene by its ids, where its assets stand."""
+        if not document.assets:
+            return self.main.blend_preview(document, layer, now)
+        asset = document.layers[document.index(layer)].asset
+        replay, part = self.of_layer(document, layer)
+        preview = replay.blend_preview(part, layer, now.part(asset))
+        scene = self.scene(now)
+        placed = next((one for one in scene.parts if one.asset.id == asset), None)
+        if preview is None or placed is None:
+            return None
+        ids, splats = preview
+        count, total = len(placed.state.splats), len(scene.state.splats)
+        present = np.searchsorted(ids, count)
+        ids = np.concatenate([placed.scene_ids[ids[:present]], total + ids[present:] - count])
+        return ids, placed.asset.placement.apply(splats)
 
     # ---- what Replay has beside; of a scene by its surface as a whole
 

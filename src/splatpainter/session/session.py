@@ -425,17 +425,14 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
     def blend_preview(
         self, layer: str, *, opacity: float | None = None, blend: Blend | None = None, visible: bool | None = None
     ) -> tuple[np.ndarray, Splats] | None:
-        """([C] int64 ascending ids of `splats`, C Gaussians): what `set` will show of a layer, about, to be seen until
-        it is done; None where that is as quick, or where it cannot be said. Changes nothing."""
+        """([C] int64 ascending ids, C Gaussians): what `set` will show of a layer, where nothing has to be painted anew
+        for it, to be seen until all is done; None where that is as quick, or where it cannot be said. Ids beyond
+        `splats` are of Gaussians that follow them. Changes nothing."""
         with self._commands:
-            before, document = self.layer(layer), self._snapshot.document
-            if not before.visible or before.opacity == 0 or document.assets:
-                return None
+            document = self._snapshot.document
             values = {"opacity": opacity, "blend": blend, "visible": visible}
             fields = {name: value for name, value in values.items() if value is not None}
-            preview = self._replay.main.blend_preview(change_layer(document, layer, **fields), layer, document)
-            count = len(self.splats)
-            return None if preview is None or (len(preview[0]) and preview[0][-1] >= count) else preview
+            return self._replay.blend_preview(change_layer(document, layer, **fields), layer, document)
 
     def move(self, layer: str, index: int) -> None:
         """Reorder: 0 is the lowest."""

@@ -24,7 +24,7 @@ class ExportOptions(Message):
     """What a file shall hold less or otherwise than the asset (io.WriteOptions); null: as the asset has it, or as its
     format is usually written. Which of them a format has: `choices` of ExportSizes."""
 
-    sh_degree: int | None = Field(None, ge=0, le=MAX_SH_DEGREE)
+    sh_degree: int | None = Field(default=None, ge=0, le=MAX_SH_DEGREE)
     antialiased: bool | None = None
     spz_version: int | None = None
     sh_bits: int | None = None

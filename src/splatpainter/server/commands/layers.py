@@ -32,6 +32,7 @@ from splatpainter.server.protocol import (
     Name,
     Unit,
 )
+from splatpainter.session.delta import GEOMETRY
 from splatpainter.session.document import SELECTION
 from splatpainter.session.layer_mask import LayerMask, by_rule
 from splatpainter.sources.color_grading import GRADE, GradeSettings
@@ -97,16 +98,22 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
 
 
 def _preview_blend(context: CommandContext, request: LayerSet) -> None:
-    """Show a layer hidden, or with another opacity or blend, at once and about as it will be, where that takes time."""
+    """Show a layer hidden, or with another opacity or blend, at once, where all that changes with it takes time."""
     if request.opacity is None and request.blend is None and request.visible is None:
         return
     now = context.studio.session.snapshot
     preview = context.studio.session.blend_preview(
         request.layer, opacity=request.opacity, blend=request.blend, visible=request.visible
     )
-    if preview is not None and len(preview[0]):
-        context.clear_preview = True
-        context.show(frames.preview(preview[1], preview[0], len(now.splats), now.version), preview[0])
+    if preview is None or not len(preview[0]):
+        return
+    (ids, splats), count = preview, len(now.splats)
+    total = max(count, int(ids[-1]) + 1)
+    shapes = total > count or any(
+        not np.array_equal(getattr(splats, name), getattr(now.splats, name)[ids]) for name in GEOMETRY
+    )
+    context.clear_preview = True
+    context.show(frames.preview(splats, ids, total, now.version, shapes), ids)
 
 
 class MaskSet(Command):
