@@ -43,9 +43,6 @@ LOW_ASIDE_DB = 20.0
 MIN_ASIDE_COVERED = 0.25
 """Share of the paint that side views must be able to check for that."""
 
-MARGIN_TILES = 1
-"""Around an edit, of a view that somebody holds: those of most Gaussians that make its pixels."""
-
 
 @dataclass(frozen=True)
 class Edit:
@@ -560,8 +557,7 @@ def _prepare(asset: Asset, edit: Edit, mode: Mode, partly: bool) -> EditView:
         tiles = beside = view = None
         if partly and mask is not None and mask.any():
             tiles, beside = tiles_of_mask(mask), tiles_of_mask(dilated(mask, RING_PX))
-            held = recent_view(asset.splats, edit.camera)
-            view = None if held is None else held.part(tiles=dilated(beside, MARGIN_TILES))
+            view = recent_view(asset.splats, edit.camera)
         drawn = PartialRender.of(asset.splats, edit.camera, tiles, beside, view)
         if mask is None:
             mask = drawn.alphas > 0.5 if mode == "global" else edited_mask(edit.image, drawn.colors, drawn.alphas)

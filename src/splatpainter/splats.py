@@ -190,11 +190,11 @@ def changed_rows(before: Splats, after: Splats, among: np.ndarray | None = None)
     n = min(len(before), len(after))
     if among is not None and before.sh.shape[1:] == after.sh.shape[1:]:
         changed = np.zeros(len(among), bool)
-        for name in ATTRIBUTES:
-            old, new = getattr(before, name), getattr(after, name)
+        for name in ("opacities", *(name for name in ATTRIBUTES if name != "opacities")):  # the cheapest first
+            old, new, at = getattr(before, name), getattr(after, name), np.flatnonzero(~changed)
             if old is not new:
-                differs = float_bits(old[among]) != float_bits(new[among])
-                changed |= differs.any(tuple(range(1, differs.ndim)))
+                differs = float_bits(old[among[at]]) != float_bits(new[among[at]])
+                changed[at] = differs.any(tuple(range(1, differs.ndim)))
         return among[changed]
     changed = np.zeros(n, bool)
     for name in ATTRIBUTES:

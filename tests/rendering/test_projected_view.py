@@ -132,6 +132,21 @@ def test_a_part_of_a_view_is_that_view_projected_anew(share: float):
             np.testing.assert_array_equal(getattr(part, name), getattr(anew, name))
         for one, other in zip(part.rasterize(), anew.rasterize(), strict=True):
             np.testing.assert_array_equal(one, other)
+        assert part.part() is part and part.part(tiles=tiles) is part
+
+
+@pytest.mark.parametrize("share", [1.1, 0.4, 0.0])
+def test_some_tiles_are_drawn_as_those_of_a_part(share: float):
+    splats, camera = with_odd_gaussians(scene(300, seed=4, dtype=np.float32)), cameras(150, 110)[0]
+    rng = np.random.default_rng(1)
+    view = project(splats, camera, tiles=rng.random(tile_shape(camera)) < 0.8)
+    tiles, colors = rng.random(tile_shape(camera)) < share, rng.random((len(view), 3)).astype(np.float32)
+    part = view.part(tiles=tiles)
+    for one, other in zip(view.rasterize(tiles=tiles), part.rasterize(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    some = np.isin(view.gaussian_ids, part.gaussian_ids)
+    for one, other in zip(view.rasterize(colors, tiles), part.rasterize(colors[some]), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("share", [1.1, 0.3])

@@ -35,6 +35,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
         "kernels/simd.py",
         "kernels/vector_exp.py",
     ),  # fmt: skip
+    "splatpainter.kernels.rows:warm": ("kernels/rows.py",),
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
     "splatpainter.lift.near_surface:warm": ("lift/near_surface.py", "lift/nearest.py"),

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels.rows import take
 from splatpainter.lift.limits import paintable
 from splatpainter.lift.local_edit import NOTHING_THERE, gaussians_in_mask, is_wide, lift_local
 from splatpainter.lift.masks import dilated
@@ -80,20 +81,22 @@ def paint_view(
     needed = tiles_of_mask(reach)
     if view is None or (needed & ~view.tiles).any():
         view = project(splats, camera, tiles=needed)
-    local = view if np.array_equal(view.tiles, needed) else view.part(tiles=needed)
+    around = local = view.part(tiles=needed)
     tiles = _tiles_at_work(reach, local)
     if (tiles & ~view.tiles).any():
         view = recent_view(splats, camera)
-    around = project(splats, camera, tiles=tiles) if view is None else view.part(tiles=tiles)
-    around = around.part() if around.tiles.all() else around  # without those that only might touch a tile
-    order = np.argsort(around.gaussian_ids)
-    ids, number = around.gaussian_ids[order], np.empty(len(order), np.int64)
-    number[order] = np.arange(len(order))
-    around = replace(around, gaussian_ids=number, num_gaussians=len(ids))
-    view = around.part(tiles=needed)
+    if (tiles & ~needed).any():
+        around = project(splats, camera, tiles=tiles) if view is None else view.part(tiles=tiles)
+        around = around.part() if around.tiles.all() else around  # without those that only might touch a tile
+    present, number = np.zeros(len(splats), bool), np.empty(len(splats), np.int64)
+    present[around.gaussian_ids] = True
+    ids = np.flatnonzero(present)
+    number[ids] = np.arange(len(ids))
+    view = replace(local, gaussian_ids=number[local.gaussian_ids], num_gaussians=len(ids))
+    around = replace(around, gaussian_ids=number[around.gaussian_ids], num_gaussians=len(ids))
     originals = len(splats) if first_appended is None else first_appended
     first = int(np.searchsorted(ids, originals))
-    part = _paint_part(splats.take(ids), surface, view, around, edited, mask, options, first, originals)
+    part = _paint_part(take(splats, ids), surface, view, around, edited, mask, options, first, originals)
     return _put_back(splats, ids, part, options.resurface)
 
 

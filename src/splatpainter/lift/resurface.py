@@ -205,7 +205,7 @@ def _picture(view: ProjectedView, around: ProjectedView, before: np.ndarray, til
         return before
     height, width = before.shape[:2]
     pixels = missing.repeat(TILE, 0).repeat(TILE, 1)[:height, :width]
-    return np.where(pixels[..., None], around.part(tiles=missing).rasterize()[0], before)
+    return np.where(pixels[..., None], around.rasterize(tiles=missing)[0], before)
 
 
 def _cut(

@@ -37,7 +37,8 @@ class SparseEdit:
 
     def touched(self, before: Splats) -> np.ndarray:
         """[T'] int64 ascending: those of `before` of which any bit changes."""
-        return np.union1d(self.ids, self.emptied[float_bits(before.opacities[self.emptied]) != 0])
+        changed = self.emptied[float_bits(before.opacities[self.emptied]) != 0]
+        return np.sort(np.concatenate([self.ids, changed]))
 
     def apply(self, before: Splats) -> Splats:
         """The N + A Gaussians. Arrays in which nothing changes are shared with `before`."""

@@ -57,7 +57,7 @@ class PartialRender:
             )
         if view is None:
             view = project(splats, camera, tiles=tiles if beside is None else tiles | beside)
-        pictures = (view if (view.tiles == tiles).all() else view.part(tiles=tiles)).rasterize()
+        pictures = view.rasterize(tiles=tiles)
         return PartialRender(splats, camera, tiles, *pictures, None if beside is None else view)
 
     def with_tiles(self, tiles: np.ndarray) -> PartialRender:
@@ -106,8 +106,7 @@ class PartialRender:
 
         names = ("colors", "alphas", "depths")
         if view is not None and self._has(view, tiles):
-            part = view if np.array_equal(view.tiles, tiles) else view.part(tiles=tiles)
-            drawn = dict(zip(names, part.rasterize(), strict=True))
+            drawn = dict(zip(names, view.rasterize(tiles=tiles), strict=True))
         else:
             part = PartialRender.of(splats, self.camera, tiles)
             if part.tiles.all():

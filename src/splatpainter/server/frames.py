@@ -27,6 +27,7 @@ import numpy as np
 
 from splatpainter.color import base_color, sh_from_color
 from splatpainter.kernels.parallel import each
+from splatpainter.kernels.rows import take
 from splatpainter.splats import SH_COUNTS, Splats
 
 MAGIC = 0x53504C44
@@ -70,7 +71,8 @@ def delta(
 ) -> bytes:
     """The given Gaussians ([C] ascending) of the asset `splats`, which is at version_to. recolored: means, scales and
     rotations are as they were."""
-    return pack(splats.take(gaussian_ids), gaussian_ids, len(splats), version_from, version_to, COLORS_ONLY * recolored)
+    changed = take(splats, gaussian_ids)
+    return pack(changed, gaussian_ids, len(splats), version_from, version_to, COLORS_ONLY * recolored)
 
 
 def preview(splats: Splats, gaussian_ids: np.ndarray, total: int, version: int, shapes: bool = False) -> bytes:

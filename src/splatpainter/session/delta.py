@@ -115,18 +115,24 @@ def between(
     changed = changed_rows(before, after) if changed is None else changed
     tail = np.arange(n, len(after))
     parent_ids = np.full(len(tail), -1, np.int64) if parent_ids is None else parent_ids.astype(np.int64)
-    values = bare(after.take(changed))
-    faded = only_faded(before, changed, values)
+    values, faded = changed_values(before, after, changed)
     return Delta(n, changed, values, bare(after.take(tail)), parent_ids, faded=faded)
 
 
-def only_faded(before: Splats, ids: np.ndarray, values: Splats) -> np.ndarray:
-    """[T] bool: which of some Gaussians ([T] int) differ from `values` (T) in nothing but the opacity, bit for bit."""
-    out = np.ones(len(ids), bool)
+def changed_values(before: Splats, after: Splats, ids: np.ndarray) -> tuple[Splats, np.ndarray]:
+    """(values and `faded` of a delta) of some Gaussians ([T] int64), whatever of them changed."""
+    from splatpainter.kernels.rows import differing, take
+
+    faded, values = np.ones(len(ids), bool), {}
     for name in (name for name in ATTRIBUTES if name != "opacities"):
-        differs = float_bits(getattr(before, name)[ids]) != float_bits(getattr(values, name))
-        out &= ~differs.any(tuple(range(1, differs.ndim)))
-    return out
+        faded &= ~differing(getattr(before, name), getattr(after, name), ids)
+    rest = np.flatnonzero(~faded)
+    written = take(bare(after), ids[rest])
+    for name in ATTRIBUTES:
+        values[name] = np.zeros((len(ids), *getattr(after, name).shape[1:]), getattr(after, name).dtype)
+        values[name][rest] = getattr(written, name)
+    values["opacities"] = after.opacities[ids]
+    return replace(bare(after), **values), faded
 
 
 def bare(splats: Splats) -> Splats:

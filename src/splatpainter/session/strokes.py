@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.session.delta import Delta, bare, only_faded
+from splatpainter.session.delta import Delta, bare, changed_values
 from splatpainter.session.document import Layer, digest
 from splatpainter.session.layer_state import LayerResult, LayerState, ResultStore, ancestors
 from splatpainter.splats import ATTRIBUTES
@@ -94,8 +94,7 @@ class Painted:
         count, splats = len(below.splats), self.state.splats
         appended = splats.take(np.arange(count, len(splats)))
         parent_ids = ancestors(self.state, count)
-        values = bare(splats.take(self.changed))
-        faded = only_faded(below.splats, self.changed, values)
+        values, faded = changed_values(below.splats, splats, self.changed)
         return Delta(count, self.changed, values, bare(appended), parent_ids, faded=faded)
 
     def layer_facts(self, layer: Layer, below: LayerState) -> dict[str, Any]:

@@ -129,6 +129,8 @@ class ProjectedView:
         """What `project` would give for some of the drawn tiles ([TH, TW] bool; None: all of them) and for some of the
         Gaussians ([N] bool; None: all of them), bit for bit, without those that touch none of these tiles."""
         tiles = self.tiles if tiles is None else tiles & self.tiles
+        if gaussian_mask is None and np.array_equal(tiles, self.tiles) and (np.diff(self.pair_offsets) > 0).all():
+            return self
         used = tiles.ravel()[self.tile_ids]  # [T]
         selected = np.zeros(0, bool) if gaussian_mask is None else gaussian_mask[self.gaussian_ids]
         lists = (self.flatten_ids, self.isect_offsets, used, selected)
@@ -180,9 +182,14 @@ class ProjectedView:
             isect_offsets=self.isect_offsets + other.isect_offsets,
         )
 
-    def rasterize(self, colors: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def rasterize(
+        self, colors: np.ndarray | None = None, tiles: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Composite the drawn tiles: (image [H, W, 3] over the camera's background, alpha [H, W], expected z-depth
-        [H, W]). colors: [M, 3] in place of the SH colours, used as they are. Other tiles stay background, 0 and 0."""
+        [H, W]). colors: [M, 3] in place of the SH colours, used as they are; tiles: [TH, TW] bool, of the drawn tiles
+        only these. Other tiles stay background, 0 and 0."""
+        if tiles is not None and (self.tiles & ~tiles).any():
+            return self._with_tiles(tiles & self.tiles).rasterize(colors)
         dtype, shape = self.projected.dtype, (self.camera.height, self.camera.width)
         # Zeros that nobody writes cost nothing: the system hands out pages when they are touched.
         image, alpha, depth = np.zeros((*shape, 3), dtype), np.zeros(shape, dtype), np.zeros(shape, dtype)
@@ -299,6 +306,15 @@ class ProjectedView:
         projected[:] = self.projected
         projected[:, geometry.RED : geometry.BLUE + 1] = colors
         return simd.readonly(projected, projected.dtype)
+
+    def _with_tiles(self, tiles: np.ndarray) -> ProjectedView:
+        """This view for rasterizing some drawn tiles alone: all Gaussians, in no pairs."""
+        used = tiles.ravel()[self.tile_ids]
+        spans = zip(self.isect_offsets[:-1][used], self.isect_offsets[1:][used], strict=True)
+        entries = [self.flatten_ids[begin:end] for begin, end in spans]
+        offsets = np.cumsum([0, *map(len, entries)])
+        lists = {"flatten_ids": np.concatenate([self.flatten_ids[:0], *entries]), "pair_ids": self.pair_ids[:0]}
+        return replace(self, tiles=tiles, tile_ids=self.tile_ids[used], isect_offsets=offsets, **lists)
 
     def tile_lists(self, projected: np.ndarray) -> tuple[np.ndarray, ...]:
         """What every kernel over pairs begins with."""

@@ -1,0 +1,55 @@
+"""Rows gathered and compared by all threads, against numpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splatpainter.kernels import rows
+from splatpainter.splats import Splats
+from tests.support.lift_scenes import bits, same_bits
+from tests.support.render_scenes import scene
+
+COUNT = 200
+
+
+def asset(seed: int = 0) -> Splats:
+    return replace(scene(COUNT, 1, seed, dtype=np.float32), origin=np.arange(COUNT))
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_many_rows_are_taken_as_few_are(threads: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
+    monkeypatch.setattr(rows, "MIN_ROWS", 0)
+    splats = asset()
+    splats.sh[3, 0] = np.array([0x7FC00123, 0x80000000, 1], np.uint32).view(np.float32)  # NaN, -0, the smallest
+    for ids in (np.random.default_rng(1).integers(0, COUNT, 500), np.array([3])):
+        taken = rows.take(splats, ids)
+        assert same_bits(taken, splats.take(ids))
+        np.testing.assert_array_equal(np.asarray(taken.origin), ids)
+    assert rows.take(replace(splats, origin=None), np.array([1])).origin is None
+    nobody = np.zeros(0, np.int64)
+    for some in (splats, splats.take(nobody)):
+        assert rows.take(some, nobody).sh.shape == (0, 4, 3)
+
+
+def test_rows_of_float64_are_taken_as_they_are(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(rows, "MIN_ROWS", 0)
+    splats = scene(20, 1, 0)
+    assert rows.take(splats, np.array([4, 2])).means.dtype == np.float64
+    np.testing.assert_array_equal(rows.take(splats, np.array([4, 2])).means, splats.means[[4, 2]])
+
+
+def test_rows_differ_where_any_bit_does():
+    before, ids = asset().sh, np.random.default_rng(1).permutation(COUNT)[:150]
+    after = before.copy()
+    after[ids[::3], 1, 2] = np.nextafter(after[ids[::3], 1, 2], np.float32(9))
+    before[ids[1], 0, 0], after[ids[1], 0, 0] = 0.0, -0.0
+    before[ids[2]] = after[ids[2]] = np.nan
+    expected = (bits(before) != bits(after)).reshape(COUNT, -1).any(1)[ids]
+    assert expected[:3].tolist() == [True, True, False] and not expected.all()
+    np.testing.assert_array_equal(rows.differing(before, after, ids), expected)
+    np.testing.assert_array_equal(rows.differing(before, np.concatenate([after, after]), ids), expected)
+    assert not rows.differing(before, before, ids).any()
