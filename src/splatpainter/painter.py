@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from splatpainter.models.encode import Encoded
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.models.refine import RefineState
-    from splatpainter.spread.spread import SpreadOptions
+    from splatpainter.spread.options import SpreadOptions
     from splatpainter.surface.estimate import Surface
     from splatpainter.voxels.grid import VoxelGrid
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -132,3 +134,21 @@ def test_of_several_assets_each_layer_where_its_asset_stands(change: dict[str, A
         weights[100:130] = 1
         session.hide(weights)
         assert same_as_committed(session, lower.id, **change) == 34
+
+
+def test_the_first_slider_loads_no_painter() -> None:
+    """Counted in modules: seconds would depend on the machine."""
+    program = """
+import sys
+import numpy as np
+from splatpainter.session import Session
+from splatpainter.splats import Splats
+one = np.ones((1, 3), np.float32)
+session = Session(Splats(one, np.ones((1, 4), np.float32), one, one[:, 0], one[:, None]))
+layer = session.add("look", parameters={"look": "gain", "gain": [1, 1, 0.5]})
+before = set(sys.modules)
+session.set(layer.id, opacity=0.5)
+print(*(set(sys.modules) - before))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert len(done.stdout.split()) < 6, done.stdout

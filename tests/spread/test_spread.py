@@ -12,7 +12,7 @@ from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.rendering import render
 from splatpainter.splats import SH_C0, Splats
-from splatpainter.spread.spread import SpreadOptions
+from splatpainter.spread.options import SpreadOptions
 from tests.support.lift_scenes import db, differing
 from tests.support.spread_scenes import CAMERA, PAINT, SIDE, board, left_half, lit, painted_picture
 

@@ -196,7 +196,7 @@ def _write_confidence(
     path: Path, splats: Splats, edited: Asset, pictures: Sequence[FileEdit], painter: Painter
 ) -> None:
     from splatpainter.spread.overlay import confidence_picture
-    from splatpainter.spread.spread import SPREAD_DEFAULTS
+    from splatpainter.spread.options import SPREAD_DEFAULTS
 
     assert edited.confidence is not None
     arrays, threshold = splats.numpy(), (painter.spread_options or SPREAD_DEFAULTS).threshold
@@ -233,7 +233,7 @@ def _painter(config: Config) -> Painter:
     limits = {"angle_limit": config.angle_limit, "depth_edge_limit": config.depth_edge_limit}
     painter = replace(painter, aside=True, local_options=replace(LOCAL_DEFAULTS, **limits))
     if config.spread_threshold is not None:
-        from splatpainter.spread.spread import SpreadOptions
+        from splatpainter.spread.options import SpreadOptions
 
         painter = replace(painter, spread_options=SpreadOptions(config.spread_threshold))
     method = painter.choose(config.method, config.mode)[0]

@@ -24,7 +24,7 @@ from splatpainter.splats import ColorSpace, Splats
 if TYPE_CHECKING:
     from PIL import Image
 
-    from splatpainter.spread.spread import SpreadOptions
+    from splatpainter.spread.options import SpreadOptions
 
 MAX_PICTURE_PIXELS = 64_000_000
 MAX_RECENT_BYTES = 1 << 22
@@ -117,7 +117,7 @@ def limits_of(parameters: Mapping[str, Any], where: str) -> dict[str, float]:
 
 def spread_options_of(parameters: Mapping[str, Any], where: str) -> SpreadOptions:
     """How far a layer of mode spread reaches. Raises ValueError naming `where`: no number, out of range."""
-    from splatpainter.spread.spread import SPREAD_DEFAULTS, SpreadOptions
+    from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
 
     value = parameters.get(SPREAD_THRESHOLD, SPREAD_DEFAULTS.threshold)
     if isinstance(value, bool) or not isinstance(value, int | float):

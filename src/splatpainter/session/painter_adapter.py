@@ -18,7 +18,7 @@ from splatpainter.splats import Splats
 
 if TYPE_CHECKING:
     from splatpainter.models.refine import RefineState
-    from splatpainter.spread.spread import SpreadOptions
+    from splatpainter.spread.options import SpreadOptions
     from splatpainter.surface.estimate import Surface
     from splatpainter.voxels.grid import VoxelGrid
 

@@ -28,6 +28,7 @@ from splatpainter.spread.color_change import ColorChange
 from splatpainter.spread.descriptors import INPUTS, Descriptors
 from splatpainter.spread.examples import Examples
 from splatpainter.spread.neighbours import smoothed
+from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
 
 MAX_EXAMPLES = 8192
 """Of each kind, evenly chosen, that the classifier learns from."""
@@ -51,21 +52,6 @@ MAX_CONFIDENCE = 0.99
 """Of what is not painted itself."""
 MIN_SHARE = 1 / 64
 """Gaussians that would change by less keep their bits."""
-
-
-@dataclass(frozen=True)
-class SpreadOptions:
-    """How far a material reaches."""
-
-    threshold: float = 0.5
-    """Confidence 0..1 from which a Gaussian belongs to the painted material: lower reaches more."""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.threshold <= 1:
-            raise ValueError(f"spread threshold: expected 0 (reaches more) to 1 (reaches less), got {self.threshold:g}")
-
-
-SPREAD_DEFAULTS = SpreadOptions()
 
 
 @dataclass(frozen=True)
