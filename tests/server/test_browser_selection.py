@@ -189,20 +189,40 @@ def test_what_is_selected_is_hidden_cropped_and_kept(opened: tuple[studio_scenes
     assert (splats.opacities[splats.means[:, 1] > 0.01] > 0).all()
 
 
+def marked(page: Page) -> int:
+    """Pixels of the overlay that have the colour of marks."""
+    return page.ask("""() => {
+      const overlay = document.querySelector(".cursor-overlay");
+      const canvas = new OffscreenCanvas(overlay.width, overlay.height);
+      const context = canvas.getContext("2d", { willReadFrequently: true });
+      context.drawImage(overlay, 0, 0);
+      const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+      let count = 0;
+      for (let k = 0; k < data.length; k += 4)
+        count += data[k + 3] > 170 && data[k + 3] < 240 && data[k] < 90 && data[k + 2] > 200 ? 1 : 0;
+      return count;
+    }""")
+
+
 def test_floaters_are_found_and_hidden(browser: Any, tmp_path: Path) -> None:
     from tests.session.test_selection import planted
 
     ball = studio_scenes.ball(3000)
     splats, number = planted(replace(ball, means=ball.means * np.array([0.4, 1, 1], np.float32)))
+    opacities = splats.opacities.copy()
+    opacities[-number:] *= 0.05
+    splats = replace(splats, opacities=opacities)
     with studio_scenes.live(studio_scenes.make_studio(tmp_path, splats)) as live:
         page = Page(browser, live.url)
         page.tab.keyboard.press("m")
         page.tab.get_by_text("Floaters", exact=True).click()
         click(page, "Find floaters")
         assert selected(page, "floaters") > 0.85 * number
+        page.wait("marks of what is hardly seen", lambda: marked(page) > 50)
         page.tab.locator("#stage").focus()
         page.tab.keyboard.press("Delete")
         page.wait("the layer", lambda: page.names() == ["Hide"])
+        page.wait("no marks", lambda: marked(page) == 0)
         opacities = live.studio.session.splats.opacities
         assert (opacities[-number:] == 0).mean() > 0.85 and (opacities[:-number] > 0).all()
         page.settled()

@@ -22,6 +22,7 @@ from splatpainter.session.selection import (
     in_mask,
     inverted,
     spacing,
+    view_and_points,
     view_of,
 )
 from splatpainter.session.selection_space import connected, feathered, floaters, grown, parts, shrunk
@@ -89,6 +90,23 @@ def test_a_selection_is_seen_from_every_side() -> None:
     side = view_of(solid, weights, view(angle=-90))  # from -x: what was on the left is on the right half
     assert side[44:52, 76:82].mean() > 0.8 and side[44:52, 24:36].mean() < 0.1
     assert view_of(solid, weights, view(angle=90)).mean() < 0.02
+
+
+def test_what_is_selected_and_too_faint_to_be_seen_is_a_point_of_the_view() -> None:
+    solid = replace(ball(1500), scales=2 * ball(1500).scales)
+    more = solid.take([0, 0, 0, 0])
+    places = np.array([[0, 1.24, 0], [0.2, 0, -1.4], [0, 0, 1.6], [0, 0, -9]], np.float32)
+    opacities = np.array([0.004, 0.02, 0.02, 0.9], np.float32)
+    splats = solid.append(replace(more, means=places, opacities=opacities, scales=np.full((4, 3), 0.02, np.float32)))
+    weights = np.zeros(len(splats), np.float32)
+    weights[-4:] = 1
+    shares, points = view_and_points(splats, weights, view())
+    assert shares.max() < 0.5
+    expected = view().project(places.astype(float))[0][:2]  # one lies behind the ball, one behind the camera
+    assert points.shape == (2, 2) and np.allclose(np.sort(points, 0), np.sort(expected, 0), atol=1e-3)
+    weights[:] = 1
+    assert len(view_and_points(splats, weights, view())[1]) < 30, "what is tinted needs no points"
+    assert np.array_equal(view_and_points(splats, weights, view())[0], view_of(splats, weights, view()))
 
 
 def test_colours_as_seen_and_attributes() -> None:

@@ -195,8 +195,8 @@ def run(config: Config) -> Outcome:
 def _write_confidence(
     path: Path, splats: Splats, edited: Asset, pictures: Sequence[FileEdit], painter: Painter
 ) -> None:
-    from splatpainter.spread.overlay import confidence_picture
     from splatpainter.spread.options import SPREAD_DEFAULTS
+    from splatpainter.spread.overlay import confidence_picture
 
     assert edited.confidence is not None
     arrays, threshold = splats.numpy(), (painter.spread_options or SPREAD_DEFAULTS).threshold

@@ -15,7 +15,7 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.server.selection_history import SelectionHistory, SelectionState
 from splatpainter.session import Session
-from splatpainter.session.selection import Combine, Selection, combined, view_of
+from splatpainter.session.selection import Combine, Selection, combined, view_and_points, view_of
 from splatpainter.splats import Splats
 
 SHARPEN = (0.3, 0.7)
@@ -39,7 +39,7 @@ class CurrentSelection:
         self._previous: Selection | None = None
         self._drawn: tuple[bytes, np.ndarray] | None = None
         self._weights: tuple[int, int, np.ndarray] | None = None
-        self._view: tuple[bytes, int, int, np.ndarray] | None = None
+        self._view: tuple[bytes, int, int, np.ndarray, np.ndarray] | None = None
         self._lock = threading.Lock()
 
     def __bool__(self) -> bool:
@@ -88,18 +88,23 @@ class CurrentSelection:
 
     def view(self, camera: Camera) -> np.ndarray | None:
         """[H, W] float32 0..1: what of a view is selected; None: nothing is, all of it may be painted."""
+        seen = self.view_and_points(camera)
+        return None if seen is None else seen[0]
+
+    def view_and_points(self, camera: Camera) -> tuple[np.ndarray, np.ndarray] | None:
+        """(`view`, [M, 2] pixels of what is selected and too faint to be seen there); None: nothing is selected."""
         weights, drawn, key = self.weights(), self._drawn, _key(camera)
         if weights is None:
             return None
         if drawn is not None and drawn[0] == key:
-            return drawn[1]
+            return drawn[1], np.zeros((0, 2), np.float32)
         version = self.session.version
         with self._lock:
             cached = self._view
             if cached is None or cached[:3] != (key, self.revision, version):
-                shares = _sharpened(view_of(self.session.splats, weights, camera))
-                cached = self._view = (key, self.revision, version, shares)
-            return cached[3]
+                shares, points = view_and_points(self.session.splats, weights, camera)
+                cached = self._view = (key, self.revision, version, _sharpened(shares), points)
+            return cached[3:]
 
     def share(self) -> Callable[[Camera], np.ndarray] | None:
         """What is selected now, as a function that goes on giving it ([H, W] 0..1 of a camera's view) when something

@@ -33,6 +33,10 @@ VISIBLE_SHARE = 0.03
 """Of a Gaussian's light that reaches the eye, from which it belongs to the visible surface."""
 COVERED_ALPHA = 0.05
 """Of a pixel from which it shows the asset."""
+MARKED_SHARE = 0.5
+"""Of a pixel that is selected, below which a Gaussian there is marked as a point."""
+MAX_MARKS = 4000
+"""Points of a view."""
 EDGE = 0.02
 """Weights within so much of 0 and 1 are 0 and 1."""
 QUANTILE = 0.01
@@ -249,9 +253,31 @@ def inverted(splats: Splats, weights: np.ndarray) -> np.ndarray:
 
 def view_of(splats: Splats, weights: np.ndarray, camera: Camera) -> np.ndarray:
     """[H, W] float32 0..1: how much of what each pixel shows is selected; 0 beside the asset."""
+    return _viewed(splats, weights, camera)[0]
+
+
+def view_and_points(splats: Splats, weights: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """(`view_of`, [M, 2] float32 pixels of selected Gaussians that it hardly shows, as they are too faint or too small,
+    and that nothing covers). M: at most MAX_MARKS, evenly chosen."""
+    shares, alpha, depth = _viewed(splats, weights, camera)
+    ids = np.flatnonzero((weights >= 0.5) & splats.drawable & (splats.opacities > 0))
+    pixels, z = camera.project(splats.means[ids].astype(np.float64))
+    with np.errstate(invalid="ignore"):
+        inside = (z > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+    ids, pixels, z = ids[inside], pixels[inside], z[inside]
+    column, line = pixels.astype(np.int64).T
+    front = np.where(alpha[line, column] > COVERED_ALPHA, depth[line, column], np.inf)
+    free = z < front + DEPTH_MARGIN_SIZES * splats.scales[ids].max(1)
+    points = pixels[free & (shares[line, column] < MARKED_SHARE)].astype(np.float32)
+    return shares, points[:: max(-(-len(points) // MAX_MARKS), 1)]
+
+
+def _viewed(splats: Splats, weights: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(`view_of`, [H, W] alpha, [H, W] depth)."""
     from splatpainter.rendering.cpu.projected_view import project
 
     view = project(splats, replace(camera, background=(0.0, 0.0, 0.0)))
     selected = np.repeat(weights[view.gaussian_ids, None], 3, 1).astype(np.float32)
-    image, alpha, _ = view.rasterize(np.ascontiguousarray(selected))
-    return np.where(alpha > COVERED_ALPHA, np.clip(image[..., 0] / np.maximum(alpha, 1e-6), 0, 1), 0)
+    image, alpha, depth = view.rasterize(np.ascontiguousarray(selected))
+    shares = np.where(alpha > COVERED_ALPHA, np.clip(image[..., 0] / np.maximum(alpha, 1e-6), 0, 1), 0)
+    return shares, alpha, depth

@@ -17,6 +17,8 @@ import { combine, isEmpty, type Combine } from "./select";
 
 /** What of the present view is selected, 0..1; null: nothing is, or it is not known yet. */
 export const selection = signal<Mask | null>(null);
+/** x, y, x, y, ... view pixels of what is selected and too faint to be seen; they belong to `selection`. */
+export const faintPoints = signal<number[]>([]);
 export const selectedCount = computed(() => state.value?.selection.gaussians ?? 0);
 /** Whether the selected area is tinted. */
 export const tinted = signal(true);
@@ -97,6 +99,7 @@ async function refresh(): Promise<void> {
     const data = new Float32Array(now.width * now.height);
     for (let k = 0; k < data.length; k++) data[k] = mask.data[k * 4] / 255;
     selection.value = { width: now.width, height: now.height, data };
+    faintPoints.value = answer.points;
   } catch (error) {
     report(error);
   }
@@ -129,4 +132,5 @@ function look(): void {
 const sameFrame = (a: CameraJson, b: CameraJson): boolean => sameView({ ...a, background: b.background }, b);
 
 effect(look);
+selection.subscribe(() => (faintPoints.value = []));
 computed(() => state.value?.session).subscribe(() => (cropBox.value = null));

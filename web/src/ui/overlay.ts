@@ -14,7 +14,7 @@ import { drawPlacement, handles, laying, placement } from "../paint/placement";
 import { draft } from "../paint/point-tools";
 import { outline } from "../paint/select";
 import type { Mask } from "../paint/raster";
-import { cropBox, selection, tinted } from "../paint/selection";
+import { cropBox, faintPoints, selection, tinted } from "../paint/selection";
 import { brush, camera, selecting, state, tool } from "../state/store";
 import { project, type CameraJson, type Vec3 } from "../view/camera";
 
@@ -23,6 +23,9 @@ export const hover = signal<{ x: number; y: number } | null>(null);
 
 /** Alpha of the tint, 0..255. */
 const TINT = 70;
+/** Of what is selected and too faint to be seen: screen pixels. */
+const MARK_RADIUS = 3.5;
+const MARK_COLOR = "rgba(60,150,255,.75)";
 /** Of the axes X, Y, Z, as of the gizmo. */
 const AXIS_COLORS = ["#e05252", "#6cbf4b", "#4a86e8"];
 
@@ -58,6 +61,12 @@ export function drawOverlay(canvas: HTMLCanvasElement, ratio: () => number): () 
     if (mask) {
       if (lines?.mask !== mask) lines = { mask, path: segments(outline(mask)) };
       two(lines.path, [4, 4]);
+    }
+    if (mask && tinted.value && faintPoints.value.length) {
+      const rings = dots(faintPoints.value, MARK_RADIUS / k);
+      context.fillStyle = MARK_COLOR;
+      context.fill(rings);
+      two(rings);
     }
     const box = cropBox.value;
     const now = camera.value;
@@ -169,6 +178,16 @@ function ellipse(x: number, y: number, [a, b, c, d]: Frame): Path2D {
     points.push(x + a * u + b * v, y + c * u + d * v);
   }
   return polyline(points);
+}
+
+/** A disc around each point. */
+function dots(points: readonly number[], radius: number): Path2D {
+  const path = new Path2D();
+  for (let i = 0; i < points.length; i += 2) {
+    path.moveTo(points[i] + radius, points[i + 1]);
+    path.arc(points[i], points[i + 1], radius, 0, 7);
+  }
+  return path;
 }
 
 function polyline(points: number[]): Path2D {

@@ -218,6 +218,9 @@ def delete_selection(context: CommandContext, request: SelectionDelete) -> Answe
 class SelectionViewed(Answer):
     mask: Blob | None
     """Grey PNG of the view's size: what of each pixel is selected; None: nothing is selected at all."""
+    points: list[float]
+    """x, y, x, y, ... pixels: Gaussians that are selected and that the view hardly shows, as they are too faint or too
+    small."""
     revision: int
 
 
@@ -233,12 +236,14 @@ class SelectionView(Command):
 def view_selection(context: CommandContext, request: SelectionView) -> SelectionViewed:
     studio = context.studio
     revision = studio.selection.revision
-    mask = studio.selection.view(request.camera.to_camera())
-    if mask is None:
-        return SelectionViewed(mask=None, revision=revision)
+    seen = studio.selection.view_and_points(request.camera.to_camera())
+    if seen is None:
+        return SelectionViewed(mask=None, points=[], revision=revision)
+    mask, points = seen
     grey = np.round(np.clip(mask, 0, 1) * 255).astype(np.uint8)
     blob = studio.blobs.put(png_bytes(np.repeat(grey[..., None], 3, 2)), "selection.png")
-    return SelectionViewed(mask=blob.sha256, revision=revision)
+    marks = np.round(points.astype(np.float64), 1).ravel().tolist()
+    return SelectionViewed(mask=blob.sha256, points=marks, revision=revision)
 
 
 class SelectionHide(Command):
