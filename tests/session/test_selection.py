@@ -93,7 +93,7 @@ def test_a_selection_is_seen_from_every_side() -> None:
 
 
 def test_what_is_selected_and_too_faint_to_be_seen_is_a_point_of_the_view() -> None:
-    solid = replace(ball(1500), scales=2 * ball(1500).scales)
+    solid = ball(3000)
     more = solid.take([0, 0, 0, 0])
     places = np.array([[0, 1.24, 0], [0.2, 0, -1.4], [0, 0, 1.6], [0, 0, -9]], np.float32)
     opacities = np.array([0.004, 0.02, 0.02, 0.9], np.float32)
