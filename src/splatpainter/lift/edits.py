@@ -22,8 +22,10 @@ from splatpainter.lift.global_edit import Predict, lift_global
 from splatpainter.lift.local_edit import gaussians_in_mask, is_wide
 from splatpainter.lift.masks import median_change
 from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS, GlobalOptions, LocalOptions, ResidualBase
-from splatpainter.lift.paint import is_fine, paint_view
+from splatpainter.lift.paint import PaintedView, is_fine, paint_view
 from splatpainter.lift.resurface import MIN_COVER
+from splatpainter.lift.rounding import rounded
+from splatpainter.lift.view_selection import ViewShare, view_shares, with_joint_colors
 from splatpainter.lift.wide_edit import lift_wide
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
@@ -91,9 +93,10 @@ def lift_local_views(
         close = surface is not None and options.resurface and all(is_wide(view.mask) for view in views)
         if close and not _all_fine(splats, views, options, originals):
             lifted = _together(splats, views, options)
+        elif surface is None or not options.resurface:
+            lifted = _one_after_the_other(splats, grid, views, options)
         else:
-            where = surface if options.resurface else None
-            lifted = _one_after_the_other(splats, grid, views, options, where, originals)
+            lifted = _on_surface(splats, surface, views, options, originals)
         if not features:
             return lifted
         return replace(lifted, features=local_features(splats, lifted.splats, lifted.ids, lifted.parents, views))
@@ -154,47 +157,111 @@ def _together(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
 
 
 def _one_after_the_other(
-    splats: Splats,
-    grid: VoxelGrid | None,
-    views: Sequence[EditView],
-    options: LocalOptions,
-    surface: Surface | None,
-    originals: int | None,
+    splats: Splats, grid: VoxelGrid | None, views: Sequence[EditView], options: LocalOptions
 ) -> LiftedEdit:
-    """Each view on the result of those before, without features. A view gets no detail layer where a later one shows
-    the same part: from another side its Gaussians stand in the way (SAME_PART)."""
+    """Split Gaussians, each view on the result of those before, without features. A view gets no detail layer where a
+    later one shows the same part: from another side its Gaussians stand in the way (SAME_PART)."""
     from splatpainter.voxels.raycast import editable_gaussians
 
-    count = len(splats)
-    parents, changed = np.arange(count), np.zeros(count, bool)
-    replaced, limited = np.zeros(count, bool), []
-    first = count if originals is None else originals
+    result = _Painted.of(splats)
     again = _shown_again(splats, grid, views)
     for k, view in enumerate(views):
         with errors_name(view.name):
-            allowed = None
-            if surface is None:
-                assert grid is not None
-                grid = grid if k == 0 else voxelize(splats, grid.resolution)
-                allowed = editable_gaussians(grid, splats, view.camera, view.mask)
+            assert grid is not None
+            grid = grid if k == 0 else voxelize(result.splats, grid.resolution)
+            allowed = editable_gaussians(grid, result.splats, view.camera, view.mask)
             settings = replace(options, max_error=1.0) if again[k] else options
             at_hand = view.projected if k == 0 else None
             painted = paint_view(
-                splats, surface, view.camera, view.edited, view.mask, settings, allowed, first, view=at_hand
+                result.splats, None, view.camera, view.edited, view.mask, settings, allowed, view=at_hand
             )
-        changed[painted.touched] = True
-        changed = np.append(changed, np.ones(len(painted.parents), bool))
-        replaced[painted.replaced[painted.replaced < count]] = True
-        limited.append(painted.limited)
-        parents = np.append(parents, parents[painted.parents])
-        splats = painted.splats
-    ids = np.flatnonzero(changed)
-    empty = splats.opacities[:count] == 0
-    removed = np.flatnonzero(changed[:count] & empty)
-    taken = np.flatnonzero(replaced & ~empty)
-    return LiftedEdit(
-        splats, ids, parents[ids], no_features(ids), replaced=taken, removed=removed, limited=tuple(limited)
-    )
+        result = result.after(painted)
+    return result.lifted(len(splats))
+
+
+def _on_surface(
+    splats: Splats, surface: Surface, views: Sequence[EditView], options: LocalOptions, originals: int | None
+) -> LiftedEdit:
+    """Sheets on the surface, each from the view that sees it best, without features."""
+    result, first = _Painted.of(splats), len(splats) if originals is None else originals
+    shares = [ViewShare(views[0].mask, views[0].mask)] if len(views) == 1 else view_shares(splats, surface, views)
+    for k, (view, share) in enumerate(zip(views, shares, strict=True)):
+        if share.is_empty:
+            result = replace(result, limited=(*result.limited, 0.0))
+            continue
+        try:
+            with errors_name(view.name):
+                at_hand = view.projected if k == 0 else None
+                painted = paint_view(
+                    result.splats,
+                    surface,
+                    view.camera,
+                    view.edited,
+                    share.painted,
+                    options,
+                    None,
+                    first,
+                    view=at_hand,
+                )
+        except ValueError:
+            if np.array_equal(share.painted, view.mask):
+                raise
+            # what other views left to it lies beyond its limits
+            result = replace(result, limited=(*result.limited, float(share.painted.sum())))
+            continue
+        result = result.after(painted)
+    if len(views) > 1:
+        result = result.with_joint_colors(len(splats), views, shares)
+    return result.lifted(len(splats))
+
+
+@dataclass(frozen=True)
+class _Painted:
+    """What the views so far made of N Gaussians: S of them now."""
+
+    splats: Splats
+    changed: np.ndarray
+    """[S] bool."""
+    replaced: np.ndarray
+    """[S] bool: indices that a sheet Gaussian took."""
+    parents: np.ndarray
+    """[S] int64 among the N."""
+    limited: tuple[float, ...] = ()
+
+    @staticmethod
+    def of(splats: Splats) -> _Painted:
+        nothing = np.zeros(len(splats), bool)
+        return _Painted(splats, nothing, nothing, np.arange(len(splats)))
+
+    def after(self, painted: PaintedView) -> _Painted:
+        """painted: made of these `splats`."""
+        changed, replaced = self.changed.copy(), self.replaced.copy()
+        changed[painted.touched], replaced[painted.replaced] = True, True
+        new = np.ones(len(painted.parents), bool)
+        return _Painted(
+            painted.splats,
+            np.append(changed, new),
+            np.append(replaced, ~new),
+            np.append(self.parents, self.parents[painted.parents]),
+            (*self.limited, painted.limited),
+        )
+
+    def with_joint_colors(self, count: int, views: Sequence[EditView], shares: Sequence[ViewShare]) -> _Painted:
+        """count: N."""
+        splats = with_joint_colors(self.splats, self.changed, views, shares)
+        new = np.flatnonzero(self.replaced | (np.arange(len(splats)) >= count))
+        splats.sh[new] = rounded(splats.take(new)).sh
+        return replace(self, splats=splats)
+
+    def lifted(self, count: int) -> LiftedEdit:
+        """count: N."""
+        ids = np.flatnonzero(self.changed)
+        empty = self.splats.opacities[:count] == 0
+        removed = np.flatnonzero(self.changed[:count] & empty)
+        taken = np.flatnonzero(self.replaced[:count] & ~empty)
+        return LiftedEdit(
+            self.splats, ids, self.parents[ids], no_features(ids), replaced=taken, removed=removed, limited=self.limited
+        )
 
 
 def _shown_again(splats: Splats, grid: VoxelGrid | None, views: Sequence[EditView]) -> list[bool]:

@@ -1,0 +1,130 @@
+"""Several views of one edit: each place is painted from the view that sees it best, and the latest wins a conflict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+import splatpainter as sp
+from splatpainter.cameras import Camera, look_at
+from splatpainter.lift.edit_views import EditView, edit_views
+from splatpainter.lift.edits import lift_local_views
+from splatpainter.lift.view_selection import view_shares
+from splatpainter.splats import Splats
+from splatpainter.surface.estimate import Surface
+from splatpainter.voxels.grid import voxelize
+from tests.support.lift_scenes import SH_C0, db, front, sheet
+
+RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.2, 0.9)
+RADIUS = 0.4
+
+
+def from_side(degrees: float, size: int = 96) -> Camera:
+    """On the plane z = 0 from beside the axis of `front`."""
+    angle = np.radians(degrees)
+    return look_at((3 * np.sin(angle), 0, 3 * np.cos(angle)), (0, 0, 0), width=size, height=size, fov=42)
+
+
+def wall() -> Splats:
+    return sheet(50, opacity=0.98)
+
+
+def recolored(splats: Splats, color: Sequence[float], x: float = 0.0, radius: float = RADIUS) -> Splats:
+    """The truth of an edit: a disk of Gaussians about (x, 0) of one colour."""
+    inside = np.hypot(splats.means[:, 0] - x, splats.means[:, 1]) < radius
+    sh = splats.sh.copy()
+    sh[inside, 0] = (np.asarray(color) - 0.5) / SH_C0
+    return replace(splats, sh=sh)
+
+
+def draw(splats: Splats, camera: Camera) -> np.ndarray:
+    return sp.render(splats, camera).colors[0]
+
+
+def views_of(splats: Splats, edits: Sequence[tuple[Camera, Splats]]) -> list[EditView]:
+    """edits: cameras, each with the truth that its picture shows."""
+    cameras, pictures = [camera for camera, _ in edits], [draw(truth, camera) for camera, truth in edits]
+    masks = [
+        np.abs(picture - draw(splats, camera)).max(-1) > 0.05 for camera, picture in zip(cameras, pictures, strict=True)
+    ]
+    return edit_views(splats, cameras, pictures, masks)
+
+
+def shares(splats: Splats, views: Sequence[EditView]) -> list[float]:
+    """Of each view's mask, what it paints."""
+    parts = view_shares(splats, Surface.of(splats), views)
+    return [float(part.painted.sum() / view.mask.sum()) for part, view in zip(parts, views, strict=True)]
+
+
+def painted(splats: Splats, views: Sequence[EditView]) -> Splats:
+    grid = voxelize(splats)
+    return lift_local_views(splats, grid, views, "lift", features=False, surface=Surface.of(splats)).splats
+
+
+def test_the_view_that_sees_a_place_best_paints_it_in_any_order():
+    splats = wall()
+    truth = recolored(splats, RED)
+    straight, grazing = (front(), truth), (from_side(68), truth)
+    first, second = shares(splats, views_of(splats, [straight, grazing]))
+    assert first == 1 and second < 0.2
+    first, second = shares(splats, views_of(splats, [grazing, straight]))
+    assert first < 0.2 and second == 1
+
+
+def test_views_from_the_side_do_not_spoil_what_the_front_painted():
+    """In the front view, and in one that nobody painted."""
+    splats = wall()
+    truth = recolored(splats, RED)
+    views = views_of(splats, [(front(), truth), (from_side(68), truth), (from_side(-60), truth)])
+    together, alone = painted(splats, views), painted(splats, views[:1])
+    for camera in (front(), from_side(30)):
+        mask = np.abs(draw(truth, camera) - draw(splats, camera)).max(-1) > 0.05
+        first, all_views = (db(draw(result, camera), draw(truth, camera), mask) for result in (alone, together))
+        assert all_views > max(28, first - 1)
+
+
+def test_the_latest_view_wins_where_views_contradict_each_other():
+    splats = wall()
+    red, blue = recolored(splats, RED), recolored(splats, BLUE)
+    for angles in ((0, 25), (25, 0), (0, 0)):
+        views = views_of(splats, [(from_side(angles[0]), red), (from_side(angles[1]), blue)])
+        assert shares(splats, views)[1] == 1
+        result, last = painted(splats, views), views[1]
+        core = last.mask & (np.abs(last.edited - BLUE).max(-1) < 0.1)
+        assert db(draw(result, last.camera), last.edited, core) > 25, angles
+
+
+def test_each_view_paints_what_only_it_edits():
+    splats = wall()
+    left, right = recolored(splats, RED, -0.5, 0.25), recolored(splats, BLUE, 0.5, 0.25)
+    views = views_of(splats, [(front(), left), (from_side(20), right)])
+    assert shares(splats, views) == [1, 1]
+    together = painted(splats, views)
+    for camera, truth in ((front(), left), (from_side(20), right)):
+        mask = np.abs(draw(truth, camera) - draw(splats, camera)).max(-1) > 0.05
+        assert db(draw(together, camera), draw(truth, camera), mask) > 28
+
+
+def test_nothing_is_left_unpainted_between_views():
+    """Two views from both sides of the paint, each of which sees one half of it better."""
+    splats = wall()
+    truth = recolored(splats, RED, radius=0.7)
+    views = views_of(splats, [(from_side(-40), truth), (from_side(40), truth)])
+    result = painted(splats, views)
+    for camera in (from_side(-40), front(), from_side(40)):
+        core = np.abs(draw(truth, camera) - RED).max(-1) < 0.05
+        assert (np.abs(draw(result, camera) - RED).max(-1)[core] < 0.25).mean() > 0.99
+
+
+def test_what_others_left_to_a_view_may_lie_beyond_its_limits():
+    """A view that sees the paint at 80 degrees has nothing to add, and says how much it could not paint."""
+    splats = wall()
+    truth = recolored(splats, RED)
+    wide = recolored(splats, RED, radius=RADIUS + 0.1)
+    views = views_of(splats, [(front(), truth), (from_side(82), wide)])
+    lifted = lift_local_views(splats, voxelize(splats), views, "lift", features=False, surface=Surface.of(splats))
+    assert len(lifted.limited) == 2 and lifted.limited[0] == 0
+    mask = views[0].mask
+    assert db(draw(lifted.splats, front()), views[0].edited, mask) > 28
