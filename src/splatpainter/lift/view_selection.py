@@ -19,7 +19,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.lift.colors import SolidView, joint_change
 from splatpainter.lift.edit_views import EditView
-from splatpainter.lift.masks import box_mean, dilated
+from splatpainter.lift.masks import box_mean, dilated, largest_channel
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.warping import bilinear
 from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
@@ -155,6 +155,13 @@ class _ViewOnSurface:
         change = (view.edited - view.before) * mask[..., None]
         return _ViewOnSurface(camera, change, mask, _distance_px(view.mask), depth, normals, density)
 
+    def cropped(self, window: tuple[slice, slice]) -> _ViewOnSurface:
+        """window: rows, columns."""
+        rows, columns = window
+        camera = self.camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+        names = ("change", "mask", "margin_px", "depth", "normals", "density")
+        return replace(self, camera=camera, **{name: getattr(self, name)[window] for name in names})
+
     def at_its_pixels(self) -> _Moved:
         return _Moved(self.change, self.mask > 0, self.density, self.margin_px)
 
@@ -176,9 +183,10 @@ class _ViewOnSurface:
 
 def _share(index: int, mask: np.ndarray, views: Sequence[_ViewOnSurface]) -> ViewShare:
     """Of view `index`, whose mask it is. From the latest view to the first, each takes what it shows better."""
-    here = views[index]
-    winner, best = np.full(mask.shape, -1), np.zeros(mask.shape)
-    change = np.zeros((*mask.shape, 3))
+    window = _window(mask)
+    here, mask_here = views[index].cropped(window), mask[window]
+    winner, best = np.full(mask_here.shape, -1), np.zeros(mask_here.shape)
+    change = np.zeros((*mask_here.shape, 3))
     for k in range(len(views) - 1, -1, -1):
         moved = here.at_its_pixels() if k == index else views[k].moved_to(here)
         ratio = moved.density / np.maximum(best, 1e-9)
@@ -188,9 +196,23 @@ def _share(index: int, mask: np.ndarray, views: Sequence[_ViewOnSurface]) -> Vie
         taken = says & ((winner < 0) | better)
         winner[taken], best[taken], change[taken] = k, moved.density[taken], moved.change[taken]
     judged = winner >= 0
-    painted = mask & dilated(mask & ~_majority(judged, judged & (winner != index), mask), OVERLAP_PX)
-    difference = np.abs(box_mean(_float32((here.change - change) * judged[..., None]), ALIKE_PX)).max(-1)
-    return ViewShare(painted, mask & judged & (difference < ALIKE))
+    lost = _majority(judged, judged & (winner != index), mask_here)
+    difference = largest_channel(np.abs(box_mean(_float32((here.change - change) * judged[..., None]), ALIKE_PX)))
+    painted, consistent = np.zeros_like(mask), np.zeros_like(mask)
+    painted[window] = mask_here & dilated(mask_here & ~lost, OVERLAP_PX)
+    consistent[window] = mask_here & judged & (difference < ALIKE)
+    return ViewShare(painted, consistent)
+
+
+def _window(mask: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of the mask and of all around it that its pixels' shares depend on."""
+    reach = MAJORITY_PX[-1] + COMPARED_PX
+    spans = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    rows, columns = (
+        slice(max(int(span[0]) - reach, 0), min(int(span[-1]) + 1 + reach, size))
+        for span, size in zip(spans, mask.shape, strict=True)
+    )
+    return rows, columns
 
 
 def _alike(first: np.ndarray, second: np.ndarray, both: np.ndarray, ratio: np.ndarray) -> np.ndarray:
@@ -199,8 +221,8 @@ def _alike(first: np.ndarray, second: np.ndarray, both: np.ndarray, ratio: np.nd
     total = np.maximum(box_mean(_float32(both), COMPARED_PX), 1e-6)[..., None]
     difference = box_mean(_float32((first - second) * both[..., None]), COMPARED_PX) / total
     size = box_mean(_float32(np.maximum(np.abs(first), np.abs(second)) * both[..., None]), COMPARED_PX) / total
-    limit = np.maximum(MIN_DIFFERENCE, RELATIVE_DIFFERENCE * ratio * size.max(-1))
-    return np.abs(difference).max(-1) < limit
+    limit = np.maximum(MIN_DIFFERENCE, RELATIVE_DIFFERENCE * ratio * largest_channel(size))
+    return largest_channel(np.abs(difference)) < limit
 
 
 def _majority(judged: np.ndarray, lost: np.ndarray, mask: np.ndarray) -> np.ndarray:
