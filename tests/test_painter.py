@@ -298,11 +298,11 @@ ERRORS: dict[str, tuple[Callable[[Splats], object], str]] = {
     "empty mask": (lambda s: apply(s, [Edit(grey(), CAMERA, np.zeros((96, 96)))]), "mask is empty"),
     "painted on the air": (
         lambda s: apply(s, [Edit(grey(), CAMERA, disk(CAMERA, 2, 2, 2))]),
-        "no row .* contributes",
+        "no Gaussian contributes",
     ),
     "looking away": (
         lambda s: apply(s, [Edit(grey(), look_at((0, 0, 3), (0, 0, 9), width=96, height=96), np.ones((96, 96)))]),
-        "no row .* contributes",
+        "no Gaussian contributes",
     ),
     "looking away, global": (
         lambda s: apply(s, [Edit(grey(), look_at((0, 0, 3), (0, 0, 9), width=96, height=96))], mode="global"),
@@ -327,7 +327,7 @@ ERRORS: dict[str, tuple[Callable[[Splats], object], str]] = {
     "unknown preset": (lambda s: Painter.load("paper"), "'paper': no trained weights.*'lift'"),
     "nothing to draw": (
         lambda s: Painter.load("lift").encode(replace(s, opacities=np.full(len(s), np.nan, np.float32))),
-        "none of the 2427 rows",
+        "none of the 2427 Gaussians",
     ),
 }
 

@@ -276,7 +276,7 @@ def test_the_models_own_mode_comes_back_and_counts_for_nothing() -> None:
     model.train()
     loud = painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)])
     assert model.training and same_bits(quiet.splats, loud.splats)
-    with pytest.raises(ValueError, match="no row"):
+    with pytest.raises(ValueError, match="no Gaussian"):
         painter.apply(painter.encode(SPLATS), [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 0.5, 0.5, 0.6))])
     assert model.training
 
@@ -410,7 +410,7 @@ def test_errors_are_one_line_and_leave_the_asset_alone() -> None:
         "sizes": ([dab(SPLATS, RED), other], "one size, got 32x32, 64x64"),
         "air": (
             [Edit(np.zeros((SIZE, SIZE, 3)), CAMERA, disk(CAMERA, 0.5, 0.5, 0.6), name="air.png")],
-            "^air.png: no row",
+            "^air.png: no Gaussian",
         ),
     }
     for edits, pattern in cases.values():
@@ -422,6 +422,6 @@ def test_errors_are_one_line_and_leave_the_asset_alone() -> None:
     assert len(receipt_of(painter.apply(asset, [dab(SPLATS, RED), other], method="lift")).views) == 2
     with pytest.raises(ValueError, match="'ttt' needs a preset with trained weights"):
         Painter().apply(Asset(SPLATS), [dab(SPLATS, RED)], method="ttt")
-    with pytest.raises(ValueError, match="none of the 2 rows"):
+    with pytest.raises(ValueError, match="none of the 2 Gaussians"):
         painter.encode(SPLATS.take(np.arange(DRAWABLE, DRAWABLE + 2)))
     assert len(canonical_cameras(SPLATS, OWN.lrm)) == OWN.lrm.views

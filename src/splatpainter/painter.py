@@ -228,7 +228,9 @@ class Painter:
         no Gaussian that can be drawn."""
         asset = Asset(splats.numpy())
         if not asset.splats.drawable.any():
-            raise ValueError(f"asset: none of the {len(splats)} rows can be drawn (NaN, zero scale or zero quaternion)")
+            raise ValueError(
+                f"asset: none of the {len(splats)} Gaussians can be drawn (NaN, zero scale or zero quaternion)"
+            )
         needed = any(self.encodes(self.choose(method, mode)[0], mode) for mode in modes)
         return self._encoded(asset) if needed else asset
 
@@ -299,7 +301,7 @@ class Painter:
             assert self.model is not None
             notes.append("polished: two rounds of the lift after the network" if self.polish else "")
             if self.model.config.representation == "copy":
-                notes.append(f"the asset is a copy of {len(asset.splats)} rows that the model made")
+                notes.append(f"the asset is a copy of {len(asset.splats)} Gaussians that the model made")
         # Those that a lift may have changed it names; a proof does not believe it.
         by_lift = not self.proof and chosen == "lift" and mode == "local"
         among = lifted.ids[: np.searchsorted(lifted.ids, len(asset.splats))] if by_lift else None

@@ -279,7 +279,7 @@ def test_an_edit_that_hits_no_gaussian(view: Path, capfd: Capture) -> None:
     Image.fromarray(pixels).save(mask)
     for more in ([], ["--mask", mask], ["--method", "fit"]):
         line = refused(capfd, view.parent, beside, *more)
-        assert str(beside) in line and "no row" in line
+        assert str(beside) in line and "no Gaussian" in line
     line = refused(capfd, view.parent, beside, "--mask", mask, "--mode", "global")
     assert str(beside) in line and "no solid part" in line
 

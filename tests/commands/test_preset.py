@@ -127,7 +127,7 @@ def test_pictures_that_networks_cannot_take_together_are_refused(view: Path, tmp
         done = run(capfd, "edit", here / "ball.ply", *pictures, "--out", here / "out.ply", "--preset", weights)
         assert pattern in done.error and listing(here) == before
     air = paint(here / "views" / "view_000.png", here / "air.png", (0, 0, 1, 1))
-    assert "no row" in refused(capfd, here, air, "--preset", weights)
+    assert "no Gaussian" in refused(capfd, here, air, "--preset", weights)
     # The lift takes both sizes.
     both = ["edit", here / "ball.ply", view, small, "--out", here / "both.ply", "--preset", "lift"]
     assert run(capfd, *both).code == 0

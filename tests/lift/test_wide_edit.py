@@ -168,5 +168,5 @@ def test_paint_and_noise_are_not_taken_for_detail(asset, views) -> None:
 def test_a_view_beside_the_asset_is_named(asset, views) -> None:
     away = look_at((0, 0, 3), (9, 0, 3), width=PX, height=PX, fov=40)
     nothing = edit_views(asset, [away], [np.zeros((PX, PX, 3), np.float32)], [np.ones((PX, PX), bool)])[0]
-    with pytest.raises(ValueError, match="second: no row of the asset"):
+    with pytest.raises(ValueError, match="second: no Gaussian contributes"):
         lift_wide(asset, [views[0], replace(nothing, name="second")], LOCAL_DEFAULTS)

@@ -143,7 +143,7 @@ def test_an_edit_that_reaches_nothing_is_named() -> None:
     views = views_of(dab(SPLATS, RED), Edit(np.zeros((64, 64, 3)), CAMERA, disk(CAMERA, 0.5, 0.5, 0.6)))
     views = [views[0], replace(views[1], name="bad.png")]
     for base in ("own", "lift"):
-        with pytest.raises(ValueError, match=r"^bad\.png: no row"):
+        with pytest.raises(ValueError, match=r"^bad\.png: no Gaussian"):
             lift_local_views(SPLATS, GRID, views, base)
 
 

@@ -323,7 +323,7 @@ def test_what_cannot_be_done_changes_nothing():
             (lambda: session.add("paint", [edit] * 17), "expected at most 16 views"),
             (lambda: session.add("paint", [edit], opacity=1.5), "expected an opacity of 0 to 1"),
             (lambda: session.add("paint", [edit], blend="screen"), "expected blend of normal"),  # type: ignore
-            (lambda: session.add("paint", [dab(x=-20)]), "no row of the asset"),
+            (lambda: session.add("paint", [dab(x=-20)]), "no Gaussian contributes"),
             (lambda: session.set(a), "to set, got nothing"),
             (lambda: session.set(a, views=()), "to set, got views"),
             (lambda: session.set("9", opacity=0.5), "expected one of 1, 2, 3, got '9'"),

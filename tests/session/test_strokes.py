@@ -262,7 +262,7 @@ def test_what_takes_no_strokes_says_so() -> None:
             session.paint(words.id, [dab()])
         with pytest.raises(ValueError, match="expected a kind of"):
             session.paint(layer.id, [dab()], kind="look")
-        with pytest.raises(ValueError, match="no row of the asset"):
+        with pytest.raises(ValueError, match="no Gaussian contributes"):
             session.paint(layer.id, [dab(x=0, y=0, radius=1)])
         assert session.layer(layer.id).strokes == ()
         record = Layer("1", "a", "paint", views=session.layer(words.id).views).record()

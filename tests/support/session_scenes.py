@@ -66,7 +66,7 @@ class FlatPainter:
             return replace(asset, splats=replace(splats, sh=sh), confidence=confidence)
         rows, u, v = under(splats, edit.camera, edit.mask)
         if not len(rows):
-            raise ValueError("edit: no row of the asset contributes to the masked pixels")
+            raise ValueError("edit: no Gaussian contributes to the masked pixels")
         sh[rows, 0] = (edit.image[v, u] - 0.5) / SH_C0
         scales = splats.scales.copy()
         scales[rows[0]] /= 2

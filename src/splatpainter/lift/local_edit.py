@@ -19,7 +19,7 @@ from splatpainter.transforms import row_max
 
 MIN_VISIBLE_SHARE = 0.05
 """Mean share of a Gaussian that must reach the camera inside the mask (weight / alpha), or it is behind the surface."""
-NOTHING_THERE = "edit: no row of the asset contributes to the masked pixels; paint on the asset, or check the camera"
+NOTHING_THERE = "edit: no Gaussian contributes to the masked pixels; paint on the asset, or check the camera"
 WIDE_EDIT_FRACTION = 0.4
 """An edit of a larger share of the picture's pixels than this is one of what it shows as a whole."""
 MAX_DOUBT_WIDE = 0.8
