@@ -49,6 +49,7 @@ def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
                 url = address.group()
                 break
         assert url is not None and url.startswith("http://127.0.0.1:")
+        assert "Ctrl-C ends the studio" in process.stderr.readline()
         state = httpx.get(f"{url}api/state", timeout=30).json()
         assert state["asset"]["name"] == "ball.ply" and state["asset"]["gaussians"] == 50
         process.send_signal(signal.SIGINT)

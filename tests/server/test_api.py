@@ -312,6 +312,8 @@ def test_what_was_painted_before_is_offered_again(studio: Live, tmp_path: Path) 
     studio.post("asset.open", file="third.ply")
     names = [entry["name"] for entry in studio.post("project.recent")["recent"]]
     assert len(names) == len(set(names)) and "copy" in names
+    (begun,) = (entry for entry in studio.post("project.recent")["recent"] if entry["is_open"])
+    assert begun["layers"] == 0 and begun["picture"], "also one in which nothing was done yet"
     image, _ = edited(studio)
     studio.post("asset.open", file="other.ply")
     studio.post("edit", views=[{"camera": wire(view()), "picture": studio.send(png_bytes(image))}])

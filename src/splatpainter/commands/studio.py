@@ -68,7 +68,7 @@ def run(config: Config) -> Outcome:
     url = address(access, bound)
     server = make_server(studio, access)
     warming = warm()
-    print(f"splatpainter studio: {url}", file=sys.stderr, flush=True)
+    print(f"splatpainter studio: {url}\nEvery edit is saved at once; Ctrl-C ends the studio.", file=sys.stderr, flush=True)
     if not config.no_browser:
         import webbrowser
 

@@ -89,8 +89,8 @@ class Studio:
         self.batches = Batches(self.scratch.path)
         self._scene: tuple[Any, list[SceneAssetInfo]] | None = None
         self._preparing: threading.Thread | None = None
-        self._drawn = 0
-        """Version of the session of which its project has a picture."""
+        self._drawn: int | None = None
+        """Version of the session of which its project has a picture; None: it has none."""
         self.exports: deque[ExportedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
         self._sourced: OrderedDict[str, dict[str, Any]] = OrderedDict()
         """Pictures that a source made: sha256 -> what receipts say of it."""
@@ -138,7 +138,8 @@ class Studio:
         with _one_line_errors(name):
             asset = describe.counted(describe.asset_info(session, name), session.original, snapshot.splats)
             state = self._state_of(session, session_id, name, asset, lists, selection)
-        self.session, self.session_id, self.name, self._drawn = session, session_id, name, snapshot.version
+        self.session, self.session_id, self.name = session, session_id, name
+        self._drawn = snapshot.version if session.has_picture else None
         self.selection = selection
         self._asset, self._lists, self._counted = asset, lists, snapshot.version
         self._front = session.front
@@ -235,10 +236,11 @@ class Studio:
             is_open=getattr(self, "session", None) is not None and self.session.path == project.path,
         )
 
-    def draw_picture(self) -> None:
-        """Leave a small picture of the asset in its project, for lists."""
+    def draw_picture(self, listed: bool = False) -> None:
+        """Leave a small picture of the asset in its project, for lists. listed: also where nothing was done in it yet;
+        such a project goes when it is left."""
         session = self.session
-        if session.read_only or len(session.history) < 2 or session.version == self._drawn:
+        if session.read_only or session.version == self._drawn or (len(session.history) < 2 and not listed):
             return
         self._drawn = session.version
         camera = describe.small_view(self._asset)

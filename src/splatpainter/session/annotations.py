@@ -98,6 +98,11 @@ class Annotations:
         """A small PNG of the asset as it is now, for lists of projects (summary.py). Not part of the history."""
         self._project.set_fact(PICTURE_FACT, base64.b64encode(png).decode())
 
+    @property
+    def has_picture(self) -> bool:
+        """Whether one was set."""
+        return self._project.fact(PICTURE_FACT) is not None
+
     # ---- bookmarks
 
     def bookmarks(self) -> list[Bookmark]:

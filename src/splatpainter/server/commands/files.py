@@ -220,7 +220,7 @@ class ProjectRecent(Command):
 @command(ProjectRecent, writes=True)
 def recent_projects(context: CommandContext, request: ProjectRecent) -> RecentProjects:
     studio = context.studio
-    studio.draw_picture()
+    studio.draw_picture(listed=True)
     recent = [studio.recent_info(project) for project in studio.projects.recent(studio.session.path)]
     return RecentProjects(recent=recent, files=[] if studio.folder is None else studio.folder.names())
 
