@@ -59,6 +59,10 @@ def test_a_second_asset_is_added_moved_painted_and_removed(
     page.wait("two assets", lambda: len(page.state()["assets"]) == 2)
     page.wait("its numbers", lambda: page.tab.get_by_label("Move X, number").count())
     page.wait("both in the window", lambda: page.ask("window.studio.pose.value.distance") > 1.2 * near)
+    page.tab.set_viewport_size({"width": 1100, "height": 900})
+    rows = page.tab.locator(".layer-list").evaluate("(list) => list.clientHeight / 43")
+    assert rows > 5, "the list of layers keeps room beside the assets and the numbers of the chosen one"
+    page.tab.set_viewport_size({"width": 900, "height": 520})
     field = page.tab.get_by_label("Move X, number")
     field.fill("0.2")
     field.press("Enter")

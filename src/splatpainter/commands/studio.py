@@ -68,7 +68,8 @@ def run(config: Config) -> Outcome:
     url = address(access, bound)
     server = make_server(studio, access)
     warming = warm()
-    print(f"splatpainter studio: {url}\nEvery edit is saved at once; Ctrl-C ends the studio.", file=sys.stderr, flush=True)
+    lines = (f"splatpainter studio: {url}", "Every edit is saved at once; Ctrl-C ends the studio.")
+    print(*lines, sep="\n", file=sys.stderr, flush=True)
     if not config.no_browser:
         import webbrowser
 

@@ -81,12 +81,11 @@ function AssetRow({ asset, chosen, last }: { asset: SceneAssetInfo; chosen: bool
           class="layer-name"
           aria-pressed={chosen}
           onClick={() => (selectedAsset.value = chosen ? null : asset.id)}
+          title={`${asset.name}: ${asset.gaussians.toLocaleString()} Gaussians, ${layers}`}
           onDblClick={() => !readOnly.value && setEditing(true)}
         >
           <b>{asset.name}</b>
-          <span class="quiet">
-            {asset.gaussians.toLocaleString()} Gaussians, {layers}
-          </span>
+          <span class="quiet">{asset.gaussians.toLocaleString()} Gaussians</span>
         </button>
       )}
       {asset.id !== "" && (
