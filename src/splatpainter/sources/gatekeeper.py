@@ -215,7 +215,7 @@ def admit(
     if not still:
         changed &= largest_channel(np.abs(aligned - like)) > MAX_ROUNDING + SLACK_PX * edge_strength(render)
     spilled = _share(changed & outside, outside & cover) if mask is not None else 0.0
-    if mask is not None and _share(changed, _heart(mask, cover)) < MAX_UNTOUCHED and spilled > MIN_SPILLED:
+    if mask is not None and _share(changed, _without_rim(mask, cover)) < MAX_UNTOUCHED and spilled > MIN_SPILLED:
         raise RefusedPicture(_wrong_polarity(name))
     if spilled > limits.spilled:
         raise RefusedPicture(
@@ -455,7 +455,7 @@ def _factor(registration: Registration, size: tuple[int, int], requested: int) -
     return max(1, min(requested if 1 < requested <= scale + 0.25 else int(scale + 0.25), limit))
 
 
-def _heart(mask: np.ndarray, cover: np.ndarray) -> np.ndarray:
+def _without_rim(mask: np.ndarray, cover: np.ndarray) -> np.ndarray:
     """[H, W] bool: where a mask shows the asset, without its rim: there a picture that was edited beside it changes a
     little, too. All of a mask that is all rim."""
     region = (mask > 0.5) & cover
