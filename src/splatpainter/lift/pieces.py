@@ -34,35 +34,19 @@ class Pieces:
         pieces = lattice.some(np.flatnonzero(halved & ~gone))
         return Pieces(left, pieces.parent, pieces.slot, pieces.splats())
 
-    def numbers(self) -> tuple[np.ndarray, np.ndarray]:
-        """([N], [P]) int64 numbers in the order of owners, of those that are as they were and of the pieces."""
-        count = self.left.astype(np.int64)
-        np.add.at(count, self.owners, 1)
-        first = np.cumsum(count) - count
-        among = np.arange(len(self.owners)) - np.searchsorted(self.owners, self.owners)
-        return first, first[self.owners] + among
-
     def beside(self, base: Splats) -> tuple[Splats, np.ndarray]:
         """(all that remain, in the order of owners, [R] int64 the Gaussian of the base that each is or is of)."""
-        first, numbers = self.numbers()
         ids = np.flatnonzero(self.left)
-        order = np.empty(len(ids) + len(numbers), np.int64)
-        order[np.concatenate([first[ids], numbers])] = np.arange(len(order))
-        return base.take(ids).append(self.splats).take(order), np.concatenate([ids, self.owners])[order]
+        owners = np.concatenate([ids, self.owners])
+        order = np.argsort(owners, kind="stable")
+        return base.take(ids).append(self.splats).take(order), owners[order]
 
 
 def joined_view(pieces: Pieces, sheet: Splats, around: ProjectedView, tiles: np.ndarray) -> ProjectedView:
     """Some tiles of a view of N Gaussians with what remains of these, pieces in the place of those that were cut, and
     with the sheet behind them all; numbered: those of the N as they were, pieces from N on, then the sheet."""
-    first, numbers = pieces.numbers()
-    fresh, ids = project(pieces.splats.append(sheet), around.camera, tiles=tiles), np.flatnonzero(pieces.left)
-    count, added = len(ids) + len(numbers), len(numbers) + len(sheet)
-    fresh_numbers = np.concatenate([numbers, np.arange(count, count + len(sheet))])
-    rest = around.part(tiles=tiles, gaussian_mask=pieces.left)
-    total = count + len(sheet)
-    rest = replace(rest, gaussian_ids=first[rest.gaussian_ids], num_gaussians=total)
-    fresh = replace(fresh, gaussian_ids=fresh_numbers[fresh.gaussian_ids], num_gaussians=total)
-    view, number = rest.merged(fresh), np.empty(total, np.int64)
-    number[first[ids]] = ids
-    number[fresh_numbers] = len(pieces.left) + np.arange(added)
-    return replace(view, gaussian_ids=number[view.gaussian_ids], num_gaussians=len(pieces.left) + added)
+    count, fresh = len(pieces.left), project(pieces.splats.append(sheet), around.camera, tiles=tiles)
+    order = np.concatenate([pieces.owners, count + np.arange(len(sheet))])  # of Gaussians at equal depths
+    ties = order[fresh.gaussian_ids]
+    fresh = replace(fresh, gaussian_ids=count + fresh.gaussian_ids, num_gaussians=count + len(order))
+    return around.merged(fresh, tiles=tiles, gaussian_mask=pieces.left, ties=ties)

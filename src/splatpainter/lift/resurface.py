@@ -138,7 +138,7 @@ def resurface(
     seen[view.gaussian_ids[sums.peak > options.min_share]] = True
     tiles = view.touched_tiles(sums.alpha > 0) | tiles_of_mask(pixels)
     if (tiles & ~view.tiles).any():
-        total = _footprints(around, tiles, candidates)
+        total = _footprints(around, tiles)
     ids = np.flatnonzero(candidates)
     share = (inside[ids] / np.maximum(total[ids], 1e-9)).astype(np.float64)
     lattice, gone = _cut(splats, ids, share, camera, tiles, seen, near, covered, options)
@@ -190,11 +190,11 @@ def _is_clear(
     return box_mean(clear.astype(np.float32), CLEAR_RADIUS_PX) > 0.5, everywhere.alpha
 
 
-def _footprints(around: ProjectedView, tiles: np.ndarray, gaussian_mask: np.ndarray) -> np.ndarray:
-    """[N] the alpha of some Gaussians ([N] bool) summed over some drawn tiles ([TH, TW] bool)."""
-    view, shape = around.part(tiles=tiles, gaussian_mask=gaussian_mask), (around.camera.height, around.camera.width)
-    out = np.zeros(around.num_gaussians, view.projected.dtype)
-    out[view.gaussian_ids] = view.backproject(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32)).alpha
+def _footprints(around: ProjectedView, tiles: np.ndarray) -> np.ndarray:
+    """[N] the alpha of each Gaussian summed over some drawn tiles ([TH, TW] bool)."""
+    pixels, out = _pixels_of(tiles, around.camera), np.zeros(around.num_gaussians, around.projected.dtype)
+    zeros = np.zeros((*pixels.shape, 3), np.float32)
+    out[around.gaussian_ids] = around.backproject(zeros, pixels.astype(np.float32)).alpha
     return out
 
 
@@ -203,9 +203,12 @@ def _picture(view: ProjectedView, around: ProjectedView, before: np.ndarray, til
     missing = tiles & ~view.tiles
     if not missing.any():
         return before
-    height, width = before.shape[:2]
-    pixels = missing.repeat(TILE, 0).repeat(TILE, 1)[:height, :width]
-    return np.where(pixels[..., None], around.rasterize(tiles=missing)[0], before)
+    return np.where(_pixels_of(missing, view.camera)[..., None], around.rasterize(tiles=missing)[0], before)
+
+
+def _pixels_of(tiles: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W] bool pixels of some tiles ([TH, TW] bool)."""
+    return tiles.repeat(TILE, 0).repeat(TILE, 1)[: camera.height, : camera.width]
 
 
 def _cut(

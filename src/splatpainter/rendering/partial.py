@@ -92,7 +92,7 @@ class PartialRender:
             same[changed] = False
             fresh = project(splats.take(new), self.camera, tiles=tiles)
             fresh = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
-            view = self.view.part(tiles=tiles, gaussian_mask=same).merged(fresh)
+            view = self.view.merged(fresh, tiles=tiles, gaussian_mask=same)
         return before, before._redrawn(splats, tiles, view)
 
     @staticmethod

@@ -128,58 +128,76 @@ class ProjectedView:
     def part(self, *, tiles: np.ndarray | None = None, gaussian_mask: np.ndarray | None = None) -> ProjectedView:
         """What `project` would give for some of the drawn tiles ([TH, TW] bool; None: all of them) and for some of the
         Gaussians ([N] bool; None: all of them), bit for bit, without those that touch none of these tiles."""
+        at, part = self._lists_of(tiles, gaussian_mask)
+        if part is self:
+            return self
+        projected, gaussian_ids = simd.aligned((len(at), COLUMNS), self.projected.dtype), np.empty(len(at), np.int64)
+        run(tile_binning.take_entries, at, self.projected, self.gaussian_ids, projected, gaussian_ids)
+        return replace(part, gaussian_ids=gaussian_ids, projected=simd.readonly(projected, projected.dtype))
+
+    def _lists_of(self, tiles: np.ndarray | None, gaussian_mask: np.ndarray | None) -> tuple[np.ndarray, ProjectedView]:
+        """([M'] int64 entries of a part, the lists of the part beside the entries of this view)."""
         tiles = self.tiles if tiles is None else tiles & self.tiles
         if gaussian_mask is None and np.array_equal(tiles, self.tiles) and (np.diff(self.pair_offsets) > 0).all():
-            return self
+            return np.arange(len(self)), self
         used = tiles.ravel()[self.tile_ids]  # [T]
         selected = np.zeros(0, bool) if gaussian_mask is None else gaussian_mask[self.gaussian_ids]
         lists = (self.flatten_ids, self.isect_offsets, used, selected)
         per_entry, per_tile = np.zeros(len(self), np.int32), np.empty(len(used), np.int64)
         tile_binning.count_pairs(*lists, per_entry, per_tile)
         at = np.flatnonzero(per_entry)
-        m, total = len(at), int(per_tile.sum())
+        total = int(per_tile.sum())
         pair_offsets = np.append(0, np.cumsum(per_entry[at], dtype=np.int64))
         new_entry, begins = np.empty((2, len(self)), np.int32)
-        new_entry[at], begins[at] = np.arange(m), pair_offsets[:-1]
+        new_entry[at], begins[at] = np.arange(len(at)), pair_offsets[:-1]
         flatten_ids, pair_ids = np.empty((2, total), np.int32)
         tile_binning.take_pairs(*lists, new_entry, begins, flatten_ids, pair_ids)
-        projected, gaussian_ids = simd.aligned((m, COLUMNS), self.projected.dtype), np.empty(m, np.int64)
-        run(tile_binning.take_entries, at, self.projected, self.gaussian_ids, projected, gaussian_ids)
-        return replace(
+        part = replace(
             self,
             tiles=tiles,
-            gaussian_ids=gaussian_ids,
-            projected=simd.readonly(projected, projected.dtype),
             pair_offsets=pair_offsets,
             flatten_ids=flatten_ids,
             pair_ids=pair_ids,
             tile_ids=self.tile_ids[used],
             isect_offsets=np.append(0, np.cumsum(per_tile[used])),
         )
+        return at, part
 
-    def merged(self, other: ProjectedView) -> ProjectedView:
-        """What `project` would give for the Gaussians of both in one, bit for bit. other: of other Gaussians, numbered
-        as here (from the same N), with the same camera and tiles."""
-        m = len(self) + len(other)
-        entry, entry2 = np.empty(len(self), np.int32), np.empty(len(other), np.int32)
-        pair_offsets, dtype = np.empty(m + 1, np.int64), self.projected.dtype
-        depths = [np.ascontiguousarray(view.depths) for view in (self, other)]
-        sides = [(z, v.gaussian_ids, v.pair_offsets) for z, v in zip(depths, (self, other), strict=True)]
-        tile_binning.merge_entries(*sides[0], *sides[1], entry, entry2, pair_offsets)
+    def merged(
+        self,
+        other: ProjectedView,
+        *,
+        tiles: np.ndarray | None = None,
+        gaussian_mask: np.ndarray | None = None,
+        ties: np.ndarray | None = None,
+    ) -> ProjectedView:
+        """What `project` would give for a part of this view (`part`; its entries are copied once) and for the Gaussians
+        of another one, bit for bit. other: of other Gaussians, numbered from the same N or beyond, with the same camera
+        and tiles; ties: [M2] ascending where depths are equal, what stands for its `gaussian_ids` where one of each
+        view lie at equal depths."""
+        at, part = self._lists_of(tiles, gaussian_mask)
+        m, dtype = len(at) + len(other), self.projected.dtype
+        entry, entry2 = np.empty(len(at), np.int32), np.empty(len(other), np.int32)
+        pair_offsets = np.empty(m + 1, np.int64)
+        here = (self.depths[at], self.gaussian_ids[at], part.pair_offsets)
+        ties = other.gaussian_ids if ties is None else ties
+        there = (np.ascontiguousarray(other.depths), ties, other.pair_offsets)
+        tile_binning.merge_entries(*here, *there, entry, entry2, pair_offsets)
         projected, gaussian_ids = simd.aligned((m, COLUMNS), dtype), np.empty(m, np.int64)
-        for view, numbers in ((self, entry), (other, entry2)):
-            run(tile_binning.put_entries, numbers, view.projected, view.gaussian_ids, projected, gaussian_ids)
-        flatten_ids, pair_ids = np.empty((2, len(self.flatten_ids) + len(other.flatten_ids)), np.int32)
-        lists = [(v.flatten_ids, v.pair_ids, v.isect_offsets, v.pair_offsets) for v in (self, other)]
+        for view, taken, numbers in ((self, at, entry), (other, np.arange(len(other)), entry2)):
+            run(tile_binning.put_entries, taken, numbers, view.projected, view.gaussian_ids, projected, gaussian_ids)
+        flatten_ids, pair_ids = np.empty((2, len(part.flatten_ids) + len(other.flatten_ids)), np.int32)
+        lists = [(v.flatten_ids, v.pair_ids, v.isect_offsets, v.pair_offsets) for v in (part, other)]
         run(tile_binning.merge_pairs, *lists[0], entry, *lists[1], entry2, pair_offsets, flatten_ids, pair_ids)
         return replace(
-            self,
+            part,
+            num_gaussians=max(self.num_gaussians, other.num_gaussians),
             gaussian_ids=gaussian_ids,
             projected=simd.readonly(projected, dtype),
             pair_offsets=pair_offsets,
             flatten_ids=flatten_ids,
             pair_ids=pair_ids,
-            isect_offsets=self.isect_offsets + other.isect_offsets,
+            isect_offsets=part.isect_offsets + other.isect_offsets,
         )
 
     def rasterize(

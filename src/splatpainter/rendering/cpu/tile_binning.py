@@ -240,13 +240,13 @@ def merge_entries(depths, ids, offsets, depths2, ids2, offsets2, entry, entry2, 
 
 
 @kernel
-def put_entries(entry, projected, gaussian_ids, new_projected, new_ids, thread, threads):
-    """Entries of a view at their new numbers."""
-    m = entry.shape[0]
+def put_entries(at, entry, projected, gaussian_ids, new_projected, new_ids, thread, threads):
+    """Entries `at` [M'] of a view at their new numbers."""
+    m = at.shape[0]
     for i in range(m * thread // threads, m * (thread + 1) // threads):
         for c in range(COLUMNS):
-            new_projected[entry[i], c] = projected[i, c]
-        new_ids[entry[i]] = gaussian_ids[i]
+            new_projected[entry[i], c] = projected[at[i], c]
+        new_ids[entry[i]] = gaussian_ids[at[i]]
 
 
 @kernel
