@@ -14,9 +14,9 @@ demo: .venv/installed
 studio: .venv/installed-studio
 	.venv/bin/splatpainter studio
 
-# One more worker than two cores can feed: tests that wait for a browser, a cluster or a program leave theirs idle half of
-# the time. Workers take tests from each other when they have none left.
-WORKERS ?= 3
+# Two more workers than cores (conftest.py): tests that wait for a browser, a cluster or a program leave theirs idle.
+# Workers take tests from each other when they have none left.
+WORKERS ?= auto
 test: .venv/installed-dev
 	scripts/web test
 	OMP_NUM_THREADS=1 $(PY) -m pytest -n $(WORKERS) --dist worksteal

@@ -24,6 +24,10 @@ CHILD_PROCESSES = Path(__file__).resolve().parent / "tests" / "support" / "child
 MEMORY_DISK = Path("/dev/shm")
 MIN_FREE_BYTES = 8 << 30
 """Of the memory disk, for the tests' files to lie there."""
+SPARE_WORKERS = 2
+"""Of xdist, more than there are cores."""
+WORKER_BYTES = 2 << 30
+"""Memory for a worker, its browser and what else its tests start."""
 GARBAGE_OBJECTS = 50_000
 """Made since the last collection, after which the garbage collector looks at the young ones."""
 
@@ -82,11 +86,22 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
         gc.enable()
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """Of `-n auto`: two more than there are cores, as tests that wait for a browser, a cluster or a program leave theirs
+    idle, but no more than fit into memory."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):  # no such call on Windows
+        return cores
+    return max(min(cores + SPARE_WORKERS, memory // WORKER_BYTES), 1)
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """xdist's workers start with equal runs of the tests, and take from the ends of each other's runs when theirs is
-    over. So each run starts with a share of what takes longest, the files that drive a browser, and ends with short
-    tests: none waits for the last long ones of another."""
+    over. Half of the runs start with the files that drive a browser: these take longest and wait most, and the other
+    half of the workers keeps the cores busy meanwhile. All runs end with short tests: none waits for another's last."""
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     files: dict[Path, list[pytest.Item]] = {}
     for item in items:
@@ -95,10 +110,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     rest: list[pytest.Item] = []
     for tests in files.values():
         in_browser = any("browser" in getattr(test, "fixturenames", ()) for test in tests)
-        (min(runs, key=_weight) if in_browser else rest).extend(tests)
+        (min(runs[: max(workers // 2, 1)], key=_weight) if in_browser else rest).extend(tests)
+    rest.sort(key=lambda test: test.get_closest_marker("slow") is None)
     items.clear()
-    for left, run in zip(range(workers, 0, -1), runs, strict=True):
-        count = max((len(rest) + sum(map(len, runs[-left:]))) // left - len(run), 0)
+    for left, run in zip(range(workers, 0, -1), reversed(runs), strict=True):
+        count = max((len(rest) + sum(map(len, runs[:left]))) // left - len(run), 0)
         items += run + rest[:count]
         del rest[:count]
     items += rest

@@ -169,6 +169,12 @@ class Page:
         self.tab.get_by_label("Pixels").evaluate(SET_RESOLUTION, self.resolution)
         self.wait("rows", lambda: self.ask("window.studio?.viewer.count ?? 0") > 0)
 
+    def set_resolution(self, resolution: str) -> None:
+        """Pixels of the view per pixel of the screen, from now on."""
+        width = self.camera()["width"]
+        self.tab.get_by_label("Pixels").evaluate(SET_RESOLUTION, resolution)
+        self.wait("a view of another size", lambda: self.camera()["width"] != width)
+
     def leave(self) -> None:
         """Make the tab as good as new: what it listened to, stored, emulated and pointed at. It goes to a file of the
         same server, as the browser would start another process for a page from elsewhere."""
