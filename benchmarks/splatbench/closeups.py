@@ -185,10 +185,28 @@ def default_up(splats: Splats) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Window:
+    """A square of an overview. Most are only rated: where it is in the world costs more than all of its rating."""
+
     score: float
-    target: np.ndarray
-    eye: np.ndarray
-    """[3] from the target to the camera, world units."""
+    overview: _Overview
+    row: int
+    column: int
+    side: int
+    """Pixels."""
+    reach: float
+    """Distance from the target to the camera, world units."""
+
+    @cached_property
+    def target(self) -> np.ndarray:
+        """[3] the middle of what it shows, world units."""
+        rows, columns = (slice(start, start + self.side) for start in (self.row, self.column))
+        return np.median(self.overview.points[rows, columns].reshape(-1, 3), 0)
+
+    @cached_property
+    def eye(self) -> np.ndarray:
+        """[3] from the target to the camera, world units."""
+        away = self.overview.camera.position - self.target
+        return away / np.linalg.norm(away) * self.reach
 
 
 class _Overview:
@@ -243,9 +261,7 @@ class _Overview:
         reach = part * self.edge / (2 * math.tan(math.radians(FOV / 2)))
         step, out = max(side // 6, 1), []
         for y, x in np.argwhere(covered[::step, ::step] > 0.9) * step:
-            target = np.median(self.points[y : y + side, x : x + side].reshape(-1, 3), 0)
-            away = self.camera.position - target
-            out.append(_Window(float(score[y, x]), target, away / np.linalg.norm(away) * reach))
+            out.append(_Window(float(score[y, x]), self, y, x, side, reach))
         return out
 
 
