@@ -400,6 +400,7 @@ def local_ray() -> Iterator[None]:
 
 
 @pytest.mark.filterwarnings("ignore")  # of Ray's own
+@pytest.mark.slow
 def test_ray_with_two_workers_one_killed(folder: Path, workers_find_this_folder: None, local_ray: None) -> None:
     """Two processes of a local Ray; the one that makes job 1 is killed in the middle, and the job is made again. Slow:
     Ray starts, and each worker loads the kernels."""

@@ -93,6 +93,7 @@ def local_ray() -> Iterator[None]:
 
 
 @pytest.mark.filterwarnings("ignore")  # of Ray's own
+@pytest.mark.slow
 def test_ray_with_two_workers_one_killed_fills_the_shards(tmp_path: Path, local_ray: None) -> None:
     """Two processes; the worker that makes scene 1 is killed (SIGKILL) in the middle of it. Scene 1 is made again, the
     shards are whole, and equal to what one process makes."""
