@@ -87,8 +87,8 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Of `-n auto`: two more than there are cores, as tests that wait for a browser, a cluster or a program leave theirs
-    idle, but no more than fit into memory."""
+    """Of `-n auto`: two more than there are cores, as tests that wait for a browser, a cluster or a program leave
+    theirs idle, but no more than fit into memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

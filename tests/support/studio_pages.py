@@ -1,8 +1,8 @@
 """Driving the studio's page in a real headless Chromium, for the browser tests.
 
 Where there is no Chromium or no Playwright the tests are skipped with a line; with SPLATPAINTER_REQUIRE_BROWSER set
-(as in CI) that is a failure. Debian's package has no graphics card to draw on: SwiftShader draws, slowly, so views
-are small here.
+(as in CI) that is a failure. There is no graphics card to draw on: Mesa's llvmpipe draws where it is installed, else
+SwiftShader, which is in every Chromium and takes two to three times as long. So views are small here.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,8 +26,18 @@ from tests.support import studio_scenes
 
 FLAGS = (
     "--no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update "
-    "--disable-sync --use-angle=swiftshader --enable-unsafe-swiftshader"
+    "--disable-sync"
 ).split()
+SWIFTSHADER = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+LLVMPIPE = ("--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist")
+LLVMPIPE_ENVIRONMENT = {"EGL_PLATFORM": "surfaceless", "LIBGL_ALWAYS_SOFTWARE": "1"}
+WITHOUT_LLVMPIPE: set[str] = set()
+"""Chromium programs that turned out to draw with something else."""
+DRIVER = """() => {
+  const context = document.createElement("canvas").getContext("webgl2");
+  const names = context?.getExtension("WEBGL_debug_renderer_info");
+  return names ? context.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
+}"""
 SOFTWARE_COMPOSITING = "--disable-gpu-compositing"
 """The page around the view is put together without GL, which SwiftShader would emulate: half of the browser's time."""
 READS_OF_COMPOSITOR = "GPU stall due to ReadPixels"
@@ -68,12 +79,31 @@ def browsing() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=[*FLAGS, SOFTWARE_COMPOSITING])
+        browser = _with_llvmpipe(playwright, program)
+        if browser is None:
+            flags = [*FLAGS, *SWIFTSHADER, SOFTWARE_COMPOSITING]
+            browser = playwright.chromium.launch(executable_path=program, args=flags)
         try:
             yield browser
         finally:
             IDLE_TABS.pop(browser, None)
             browser.close()
+
+
+def _with_llvmpipe(playwright: Any, program: str) -> Any:
+    """A browser that draws with Mesa's llvmpipe; None where it is not installed."""
+    if sys.platform != "linux" or program in WITHOUT_LLVMPIPE:
+        return None
+    environment = {**os.environ, **LLVMPIPE_ENVIRONMENT}
+    flags = [*FLAGS, *LLVMPIPE, SOFTWARE_COMPOSITING]
+    browser = playwright.chromium.launch(executable_path=program, args=flags, env=environment)
+    tab = browser.new_page()
+    if "llvmpipe" in tab.evaluate(DRIVER):
+        IDLE_TABS[browser] = tab
+        return browser
+    browser.close()
+    WITHOUT_LLVMPIPE.add(program)
+    return None
 
 
 READ = """async () => {
