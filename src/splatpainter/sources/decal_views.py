@@ -13,6 +13,7 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.sources.decal_fusion import fused_surface
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
 from splatpainter.surface.visible import visible_surface
@@ -25,6 +26,14 @@ ROUGH_RESIDUAL = 0.2
 captures scatter by about half a Gaussian."""
 MAX_ROUGH = 0.1
 """Share of the samples from which all are smoothed: smoothed ones beside others would lie on two layers."""
+SMOOTHED_VOXELS = 4.0
+"""Radius within which what views see of rough surface is moved onto the fused one, voxels, ..."""
+RAY_ROUNDS = 2
+"""... as often, each time back onto its line of sight: all views find the same letters at the same place."""
+MIN_SLOPE = 0.2
+"""Cosine of the angle at which a line of sight must meet the surface for that."""
+SAME_SIDE = 0.3
+"""Cosine between the normals of the first point and of the fused surface there, at least."""
 SMOOTHED_SPACINGS = 5.0
 """Radius of this smoothing, in spacings of samples, ..."""
 SMOOTHED_SIZE = 0.06
@@ -35,6 +44,8 @@ MAX_FIT_PX = 3
 """Reach of planes fitted to rendered depth where the surface is not trusted."""
 MAX_FIT_RESIDUAL = 1.0
 """... and the rms distance of the depths from such a plane, in pixels, up to which it is used."""
+BALL = 0.54
+"""Radius of the ball in which views of rough surface are fused, in diagonals of the decal."""
 MAX_SAMPLES = 30_000
 """Of one decal; from which on no further view is surveyed."""
 STRIP_MARGIN = 0.35
@@ -213,7 +224,8 @@ def survey(
     max_turn: float,
 ) -> UnwrappedPatch:
     """The surface under a decal: seen by a camera that faces its start (point, normal), then by others that face what
-    those before saw at a grazing angle, or that look over a rim. up: [3] of the decal; size: (width, height), world
+    those before saw at a grazing angle, or that look over a rim; rough surface is fused out of views from all around.
+    up: [3] of the decal; size: (width, height), world
     units; max_turn: wrap limit, radians."""
     radius = 0.5 * float(np.hypot(*size))
     smoothing = max(SMOOTHED_SPACINGS * spacing, SMOOTHED_SIZE * 2 * radius)
@@ -231,6 +243,10 @@ def survey(
         ys, xs = np.nonzero(requested)
         requested[ys, xs] = _near_strip(camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5), start, up, size)
         seen = surface_pixels(asset, surface, view, requested, depth)
+        if not directions and len(seen.ys) and seen.rough.mean() > MAX_ROUGH:
+            patch = _fused_patch(asset, surface, start, up, size, max_turn)
+            if patch is not None:
+                return patch
         near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
         points, normals, best, rough = _joined((points, normals, best, rough), seen, near, camera, spacing)
         even, turned = points, normals
@@ -263,6 +279,33 @@ def survey(
         direction /= np.linalg.norm(direction)
         target = start[0]
     return UnwrappedPatch(samples, within, under, smoothing if scatters else 0.0)
+
+
+def _fused_patch(
+    asset: Asset,
+    surface: Surface,
+    start: tuple[np.ndarray, np.ndarray],
+    up: np.ndarray,
+    size: tuple[float, float],
+    max_turn: float,
+) -> UnwrappedPatch | None:
+    """`survey` on rough surface: one made of all views (`fused_surface`); None where there is none at the start."""
+    radius = BALL * float(np.hypot(*size))
+
+    def facing(direction: np.ndarray, pixel: float) -> Camera:
+        return facing_camera(asset, start[0], direction, up, radius * 1.08, pixel)
+
+    points, normals, voxel = fused_surface(asset.splats, surface, start, up, radius, facing)
+    away = np.where(normals @ start[1] > SAME_SIDE, np.linalg.norm(points - start[0], axis=1), np.inf)
+    if not len(away) or away.min() > SMOOTHED_VOXELS * voxel:
+        return None
+    order = np.concatenate([[away.argmin()], np.delete(np.arange(len(points)), away.argmin())])
+    order = order[thinned(points[order], normals[order], voxel)]
+    half = (size[0] / 2, size[1] / 2)
+    samples = unwrap(points[order], normals[order], up, voxel, half, max_turn)
+    within = samples.reached & (samples.normals @ samples.normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
+    under = within & (np.abs(samples.uv) < half).all(1)
+    return UnwrappedPatch(samples, within, under, SMOOTHED_VOXELS * voxel)
 
 
 def _joined(
@@ -360,18 +403,19 @@ def faced_parts(
     parts = [view.part(owners == k, patch) for k, view in enumerate(views) if keep[k]]
     if not patch.smoothing:
         return parts
-    # What captures show at an angle are often other Gaussians: paint those, too.
+    # What captures show at an angle are often other Gaussians: paint those, too, and before, as the latest view wins.
+    sides: list[FacedPart] = []
     for k in np.flatnonzero(keep)[np.argsort(-shares[keep], kind="stable")]:
         direction, members = groups[k]
         for turn in (-SIDE_TURN, SIDE_TURN):
-            if len(parts) >= limit:
+            if len(parts) + len(sides) >= limit:
                 break
             side = np.cross(up, direction)
             turned = np.cos(turn) * direction + np.sin(turn) * side / np.linalg.norm(side)
             view = _view(asset, surface, patch, painted, turned, members, up, pixel)
             if not inside(asset.grid, asset.grid.occupancy, view.camera.position):
-                parts.append(view.part(owners == k, patch))
-    return parts
+                sides.append(view.part(owners == k, patch))
+    return sides + parts
 
 
 @dataclass(frozen=True)
@@ -439,6 +483,9 @@ def _view(
     if patch.smoothing:
         reached = samples.reached
         even = (samples.points[reached], samples.normals[reached])
+        for _ in range(RAY_ROUNDS):
+            points, normals = smoothed(even, (points, normals), patch.smoothing)
+            points = _on_rays(camera.position, seen.points, points, normals, 2 * patch.smoothing)
         points, normals = smoothed(even, (points, normals), patch.smoothing)
     coordinates, nearest = samples.at(points, normals)
     uv = np.full((*region.shape, 2), np.nan)
@@ -452,6 +499,20 @@ def _view(
     cosine = (line * samples.normals).sum(1) / np.linalg.norm(line, axis=1)
     cosine = np.where(visible, np.maximum(cosine, 1e-3), 0)
     return _PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine)
+
+
+def _on_rays(
+    position: np.ndarray, seen: np.ndarray, points: np.ndarray, normals: np.ndarray, limit: float
+) -> np.ndarray:
+    """[Q, 3] where lines of sight from a position [3] through points `seen` [Q, 3] meet the planes through `points`
+    with `normals`; these points where that is far away (limit: world units) or the plane is seen from its edge."""
+    ray = seen - position
+    slope = (ray * normals).sum(1)
+    frontal = slope < -MIN_SLOPE * np.linalg.norm(ray, axis=1)
+    length = ((points - position) * normals).sum(1) / np.where(frontal, slope, -1.0)
+    moved = position + length[:, None] * ray
+    near = np.linalg.norm(moved - seen, axis=1) < limit
+    return np.where((frontal & near)[:, None], moved, points)
 
 
 def _filled(uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
