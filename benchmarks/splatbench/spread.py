@@ -155,7 +155,7 @@ def setup_of(config: SpreadBench) -> Setup:
 
 def measure_case(case: SpreadCase, threshold: float | None = None) -> tuple[list[SpreadScore], list[Strip]]:
     """A line per stroke, and the rows of the contact sheet, the truth's first."""
-    from splatpainter.spread.spread import SPREAD_DEFAULTS, SpreadOptions
+    from splatpainter.spread.options import SPREAD_DEFAULTS, SpreadOptions
 
     options = SPREAD_DEFAULTS if threshold is None else SpreadOptions(threshold)
     painter = Painter(spread_options=options)
