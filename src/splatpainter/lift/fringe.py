@@ -34,10 +34,12 @@ class FringedSurface:
     """[H, W] int64 flat index of the pixel whose surface each pixel of the fringe takes; -1: not in the fringe."""
 
     @staticmethod
-    def of(visible: VisibleSurface, covered: np.ndarray, fringe: np.ndarray) -> FringedSurface:
-        """covered, fringe: [H, W] bool, apart."""
+    def of(
+        visible: VisibleSurface, covered: np.ndarray, fringe: np.ndarray, nearest: np.ndarray | None = None
+    ) -> FringedSurface:
+        """covered, fringe: [H, W] bool, apart; nearest: `nearest_pixels` of the former, if at hand."""
         source = np.full(covered.shape, -1, np.int64)
-        source[fringe] = nearest_pixels(covered)[fringe]
+        source[fringe] = (nearest_pixels(covered) if nearest is None else nearest)[fringe]
         return FringedSurface(visible, source)
 
     @property

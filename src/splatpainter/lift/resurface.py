@@ -125,7 +125,7 @@ def resurface(
     fringe, surface = fringe_of(painted, covered, depth > 0, alpha), visible
     colors, cover = target, np.ones(alpha.shape, np.float32)
     if fringe.any():
-        surface = FringedSurface.of(visible, covered, fringe)
+        surface = FringedSurface.of(visible, covered, fringe, None if near is None else near.nearest)
         colors, cover = fringe_paint(target, surface, np.asarray(camera.background, np.float32))
         covered, near = covered | fringe, None
         ys, xs = np.nonzero(fringe)
