@@ -135,6 +135,14 @@ def surface_pixels(
     return SurfacePixels(ys[valid], xs[valid], points[valid], normals[valid], rough[valid])
 
 
+def _depth_pixels(camera: Camera, pixels: np.ndarray, depth: np.ndarray) -> SurfacePixels:
+    """Some pixels ([H, W] bool) at their rendered depth ([H, W] z), as if they faced the camera."""
+    ys, xs = np.nonzero(pixels)
+    points = camera.unproject(depth[ys, xs], np.stack([xs, ys], 1) + 0.5)
+    line = camera.position - points
+    return SurfacePixels(ys, xs, points, line / np.linalg.norm(line, axis=1, keepdims=True), np.ones(len(ys), bool))
+
+
 def _fitted_normals(
     position: np.ndarray, ys: np.ndarray, xs: np.ndarray, camera: Camera, z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -478,7 +486,10 @@ def _view(
     region = dilated(region, reach)
     view = project(asset.splats, camera, tiles=tiles)
     before, alpha, depth = view.rasterize()
-    seen = surface_pixels(asset, surface, view, region & (alpha > MIN_ALPHA), depth)
+    drawn = region & (alpha > MIN_ALPHA)
+    seen = (
+        _depth_pixels(camera, drawn, depth) if patch.smoothing else surface_pixels(asset, surface, view, drawn, depth)
+    )
     points, normals = seen.points, seen.normals
     if patch.smoothing:
         reached = samples.reached
