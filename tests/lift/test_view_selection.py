@@ -11,11 +11,11 @@ import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import lift_local_views
-from splatpainter.lift.view_selection import view_shares
+from splatpainter.lift.view_selection import view_shares, with_joint_colors
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.voxels.grid import voxelize
-from tests.support.lift_scenes import SH_C0, db, front, sheet
+from tests.support.lift_scenes import SH_C0, db, disk, front, sheet
 
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.2, 0.9)
 RADIUS = 0.4
@@ -116,6 +116,32 @@ def test_nothing_is_left_unpainted_between_views():
     for camera in (from_side(-40), front(), from_side(40)):
         core = np.abs(draw(truth, camera) - RED).max(-1) < 0.05
         assert (np.abs(draw(result, camera) - RED).max(-1)[core] < 0.25).mean() > 0.99
+
+
+def test_all_views_paint_what_lies_on_no_surface():
+    """Of what another view paints in its stead, where that trusts no surface; not where the two disagree."""
+    splats = wall()
+    truth = recolored(splats, RED)
+    front_view, side = views_of(splats, [(front(), truth), (from_side(60), truth)])
+    straight, slanted = view_shares(splats, Surface.of(splats), [front_view, side])
+    trusted, untrusted = np.ones_like(side.mask), np.zeros_like(side.mask)
+    left = slanted.off_surface([untrusted, untrusted])
+    assert left.sum() > 0.6 * side.mask.sum() and not (left & ~side.mask).any()
+    assert not slanted.off_surface([trusted, untrusted]).any()
+    assert not straight.off_surface([untrusted, untrusted]).any(), "it paints everything itself"
+    contradicted = replace(slanted, consistent=np.zeros_like(side.mask))
+    assert not contradicted.off_surface([untrusted, untrusted]).any()
+
+
+def test_joint_colors_leave_what_no_view_edits():
+    """Gaussians that reach beyond the paint are held there."""
+    splats = sheet(14, opacity=0.98)
+    views = views_of(splats, [(front(), recolored(splats, RED)), (from_side(30), recolored(splats, RED))])
+    shares_of_all = view_shares(splats, Surface.of(splats), views)
+    small = [replace(share, consistent=share.consistent & disk(front(), 48, 48, 8)) for share in shares_of_all]
+    result = with_joint_colors(splats, np.ones(len(splats), bool), views, small)
+    beside = disk(front(), 48, 48, 16) & ~disk(front(), 48, 48, 8)
+    assert db(draw(result, front()), views[0].before, beside) > 12  # 9.4 where nothing holds them
 
 
 def test_what_others_left_to_a_view_may_lie_beyond_its_limits():

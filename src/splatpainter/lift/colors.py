@@ -116,11 +116,9 @@ class SolidView:
     """The asset before the edit, in this view."""
 
     @staticmethod
-    def of(
-        splats: Splats, camera: Camera, target: np.ndarray, mask: np.ndarray, tiles: np.ndarray | None = None
-    ) -> SolidView:
-        """mask: [H, W] bool; tiles: [TH, TW] bool, at least those of the mask (default: all)."""
-        projected = project(splats, camera, tiles=tiles)
+    def of(splats: Splats, camera: Camera, target: np.ndarray, mask: np.ndarray) -> SolidView:
+        """mask: [H, W] bool."""
+        projected = project(splats, camera)
         _, alpha, _ = projected.rasterize()
         use = (mask & (alpha > MIN_SOLID_ALPHA)).astype(np.float32)
         weight = np.zeros(len(splats), np.float32)

@@ -10,6 +10,7 @@ asset, A appended by the lift, J that may change.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -27,6 +28,7 @@ from splatpainter.lift.resurface import MIN_COVER
 from splatpainter.lift.rounding import rounded
 from splatpainter.lift.view_selection import ViewShare, view_shares, with_joint_colors
 from splatpainter.lift.wide_edit import lift_wide
+from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.voxels.grid import VoxelGrid, voxelize
@@ -96,7 +98,7 @@ def lift_local_views(
         elif surface is None or not options.resurface:
             lifted = _one_after_the_other(splats, grid, views, options)
         else:
-            lifted = _on_surface(splats, surface, views, options, originals)
+            lifted = _on_surface(splats, grid, surface, views, options, originals)
         if not features:
             return lifted
         return replace(lifted, features=local_features(splats, lifted.splats, lifted.ids, lifted.parents, views))
@@ -180,39 +182,49 @@ def _one_after_the_other(
 
 
 def _on_surface(
-    splats: Splats, surface: Surface, views: Sequence[EditView], options: LocalOptions, originals: int | None
+    splats: Splats,
+    grid: VoxelGrid | None,
+    surface: Surface,
+    views: Sequence[EditView],
+    options: LocalOptions,
+    originals: int | None,
 ) -> LiftedEdit:
-    """Sheets on the surface, each from the view that sees it best, without features."""
+    """Sheets on the surface, each from the view that sees it best, and split Gaussians where there is none, each view
+    on the result of those before; without features."""
     result, first = _Painted.of(splats), len(splats) if originals is None else originals
-    shares = [ViewShare(views[0].mask, views[0].mask)] if len(views) == 1 else view_shares(splats, surface, views)
+
+    def painted_by(
+        view: EditView, pixels: np.ndarray, settings: LocalOptions, at_hand: ProjectedView | None = None
+    ) -> PaintedView:
+        with errors_name(view.name):
+            return paint_view(
+                result.splats, surface, view.camera, view.edited, pixels, settings, None, first, view=at_hand
+            )
+
+    if len(views) == 1:
+        view = views[0]
+        return result.after(painted_by(view, view.mask, options, view.projected)).lifted(len(splats))
+    shares = view_shares(splats, surface, views)
+    settings = [replace(options, max_error=1.0) if again else options for again in _shown_again(splats, grid, views)]
+    on_surface, limited = [np.zeros_like(view.mask) for view in views], [0.0] * len(views)
     for k, (view, share) in enumerate(zip(views, shares, strict=True)):
         if share.is_empty:
-            result = replace(result, limited=(*result.limited, 0.0))
             continue
         try:
-            with errors_name(view.name):
-                at_hand = view.projected if k == 0 else None
-                painted = paint_view(
-                    result.splats,
-                    surface,
-                    view.camera,
-                    view.edited,
-                    share.painted,
-                    options,
-                    None,
-                    first,
-                    view=at_hand,
-                )
+            painted = painted_by(view, share.painted, settings[k])
         except ValueError:
             if np.array_equal(share.painted, view.mask):
                 raise
-            # what other views left to it lies beyond its limits
-            result = replace(result, limited=(*result.limited, float(share.painted.sum())))
+            limited[k] = float(share.painted.sum())  # what others left to it lies beyond its limits
             continue
-        result = result.after(painted)
-    if len(views) > 1:
-        result = result.with_joint_colors(len(splats), views, shares)
-    return result.lifted(len(splats))
+        result, on_surface[k], limited[k] = result.after(painted), painted.on_surface, painted.limited
+    for k, (view, share) in enumerate(zip(views, shares, strict=True)):
+        bare = share.off_surface(on_surface)
+        if not bare.any():
+            continue
+        with contextlib.suppress(ValueError):  # it has painted already what it could
+            result = result.after(painted_by(view, bare, settings[k]))
+    return replace(result.with_joint_colors(len(splats), views, shares), limited=tuple(limited)).lifted(len(splats))
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,8 @@ class PaintedView:
     """[E] int64 ascending, part of `touched`: indices that are empty now (opacity 0)."""
     limited: float
     """Edited pixels' worth of paint that the limits left out."""
+    on_surface: np.ndarray = field(repr=False)
+    """[H, W] bool: pixels whose paint lies on a trusted surface: on a sheet, or on fine Gaussians (`is_fine`)."""
 
 
 def paint_view(
@@ -76,7 +78,7 @@ def paint_view(
     none = np.zeros(0, np.int64)
     if surface is None or is_wide(mask):
         lifted = lift_local(splats, camera, edited, mask, options, allowed)
-        return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, 0.0)
+        return PaintedView(lifted.splats, lifted.touched, lifted.parents, none, none, 0.0, np.zeros_like(mask))
     reach = dilated(mask, RING_PX)
     needed = tiles_of_mask(reach)
     if view is None or (needed & ~view.tiles).any():
@@ -110,6 +112,8 @@ class _PaintedPart:
     removed: np.ndarray
     """[E] int64 ascending, as of PaintedView."""
     limited: float
+    on_surface: np.ndarray
+    """[H, W] bool, as of PaintedView."""
 
 
 def _paint_part(
@@ -144,14 +148,17 @@ def _paint_part(
     pixels = dilated(painted, RING_PX) & solid
     target = np.where(painted[..., None], target, before)
     may, none = gaussians_in_mask(splats, camera, mask, None, view), np.zeros(0, np.int64)
-    sheet = None
-    if not is_fine(painted, may, first_appended, originals, options):
+    sheet, on_surface = None, np.zeros_like(mask)
+    if is_fine(painted, may, first_appended, originals, options):
+        ys, xs = np.nonzero(painted & solid)
+        on_surface[ys, xs] = visible.at(np.stack([xs, ys], 1) + 0.5).depth > 0
+    else:
         sheet = resurface(splats, view, around, visible, before, alpha, target, pixels, options, first_appended)
     if sheet is None:
         lifted = lift_local(splats, camera, target, painted, options, may)
         edit = SparseEdit.of(lifted.splats, lifted.touched, lifted.parents)
-        return _PaintedPart(edit, none, none, limited)
-    result = _PaintedPart(sheet.edit, sheet.replaced, sheet.edit.emptied, limited)
+        return _PaintedPart(edit, none, none, limited, on_surface)
+    result = _PaintedPart(sheet.edit, sheet.replaced, sheet.edit.emptied, limited, sheet.covered)
     left = painted & ~sheet.covered
     if left.sum() <= options.max_left_px:
         return result
@@ -170,7 +177,8 @@ def _put_back(splats: Splats, ids: np.ndarray, part: _PaintedPart, rounds: bool)
         edit = replace(edit, appended=rounded(edit.appended))
     edit = edit.within(ids)
     touched = edit.touched(splats)
-    return PaintedView(edit.apply(splats), touched, edit.parents, ids[replaced], ids[part.removed], part.limited)
+    removed = ids[part.removed]
+    return PaintedView(edit.apply(splats), touched, edit.parents, ids[replaced], removed, part.limited, part.on_surface)
 
 
 def is_fine(painted: np.ndarray, reached: np.ndarray, first: int, originals: int, options: LocalOptions) -> bool:

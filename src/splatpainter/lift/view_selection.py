@@ -1,6 +1,7 @@
 """Which of several edited views paints what, and their colours together.
 
     shares = view_shares(splats, surface, views)      one per view: the pixels that it paints
+    share.off_surface(on_surface)                     and those that all views paint, for want of a surface
     splats = with_joint_colors(splats, changed, views, shares)
 
 Laid one after the other, the sheet of each view would cover those of the views before, also where it sees the paint at
@@ -17,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.colors import SolidView, joint_change
+from splatpainter.lift.colors import MIN_SOLID_ALPHA, SolidView, joint_change
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
 from splatpainter.lift.nearest import nearest_pixels
@@ -59,8 +60,10 @@ ALIKE_PX = 2
 """... of means of this reach."""
 JOINT_ROUNDS = 4
 """Colour rounds over all views. On 24 local edits of 2 or 3 views and 6 painted clean meshes with 2 or 3 (none held
-out), novel / edited views: 30.0 / 33.1 dB without, 30.7 / 34.7 with two, 30.8 / 34.9 with four. One view after the
-other, as before: 27.9 / 30.9; split in place of sheets 27.3 / 31.0."""
+out), novel / edited views: 30.0 / 33.1 dB without, 30.7 / 34.7 with two, 30.8 / 34.9 with four; split in place of
+sheets 27.3 / 31.0."""
+UNEDITED_WEIGHT = 0.35
+"""Of a pixel that a view does not edit, beside an edited one: it is to stay as it is."""
 JOINT_HOLD_PX = 0.5
 """Weight of a Gaussian's colour in these rounds, pixels."""
 
@@ -73,17 +76,60 @@ class ViewShare:
     """[H, W] bool, part of its mask."""
     consistent: np.ndarray = field(repr=False)
     """[H, W] bool, part of its mask: there it shows what is painted, by itself or by another view."""
+    winner: np.ndarray = field(repr=False)
+    """[H, W] int: the view that paints a pixel of the mask in its stead, -1: none."""
+    pixels: np.ndarray = field(repr=False)
+    """[H, W] int64 flat index of the winner's pixel."""
+
+    @staticmethod
+    def of(index: int, mask: np.ndarray, views: Sequence[_ViewOnSurface]) -> ViewShare:
+        """Of view `index`, whose mask it is. From the latest view to the first, each takes what it shows better."""
+        window = _window(mask)
+        here, mask_here = views[index].cropped(window), mask[window]
+        winner, pixels = np.full(mask_here.shape, -1), np.zeros(mask_here.shape, np.int64)
+        best, silent = np.zeros(mask_here.shape), np.zeros(mask_here.shape, bool)
+        change = np.zeros((*mask_here.shape, 3))
+        for k in range(len(views) - 1, -1, -1):
+            moved = here.at_its_pixels() if k == index else views[k].moved_to(here)
+            ratio = moved.density / np.maximum(best, 1e-9)
+            beside = (winner >= 0) & (ratio > MARGIN_RATIO) & (moved.margin_px <= MARGIN_PX * np.sqrt(ratio))
+            says = moved.painted | beside
+            better = _alike(moved.change, change, says & (winner >= 0), ratio) & (ratio > BETTER)
+            taken = says & ((winner < 0) | better)
+            winner[taken], pixels[taken], best[taken] = k, moved.pixels[taken], moved.density[taken]
+            change[taken], silent[taken] = moved.change[taken], ~moved.painted[taken]
+        judged = winner >= 0
+        lost = _majority(judged, judged & (winner != index), mask_here)
+        difference = largest_channel(np.abs(box_mean(_float32((here.change - change) * judged[..., None]), ALIKE_PX)))
+        nothing = np.zeros_like(mask)
+        out = ViewShare(nothing, nothing.copy(), np.full(mask.shape, -1), np.zeros(mask.shape, int))
+        out.painted[window] = mask_here & dilated(mask_here & ~lost, OVERLAP_PX)
+        out.consistent[window] = mask_here & judged & (difference < ALIKE)
+        out.winner[window] = np.where(lost & ~silent & (winner != index), winner, -1)
+        out.pixels[window] = pixels
+        return out
 
     @property
     def is_empty(self) -> bool:
         """Whether other views paint all of it."""
         return not self.painted.any()
 
+    def off_surface(self, on_surface: Sequence[np.ndarray]) -> np.ndarray:
+        """[H, W] bool: pixels that others paint in its stead, but on no surface that they trust. There, in the fog of
+        captures, paint is right only from where it is seen, and all views paint it. on_surface: [H, W] bool of every
+        view, as of PaintedView."""
+        given = self.consistent & (self.winner >= 0)
+        off = np.zeros_like(given)
+        for k, trusted in enumerate(on_surface):
+            at = given & (self.winner == k)
+            off[at] = ~trusted.ravel()[self.pixels[at]]
+        return _majority(given, off, given)
+
 
 def view_shares(splats: Splats, surface: Surface, views: Sequence[EditView]) -> list[ViewShare]:
     """One per view. splats: numpy, N Gaussians; surface: of the original; views: earliest first."""
     on_surface = [_ViewOnSurface.of(splats, surface, view) for view in views]
-    return [_share(k, view.mask, on_surface) for k, view in enumerate(views)]
+    return [ViewShare.of(k, view.mask, on_surface) for k, view in enumerate(views)]
 
 
 def with_joint_colors(
@@ -91,11 +137,18 @@ def with_joint_colors(
 ) -> Splats:
     """Colours of the Gaussians that an edit changed ([N] bool) towards all its views at once; of those that only one
     view shows they are what they are."""
-    solid = [
-        SolidView.of(splats, view.camera, view.target, share.consistent, tiles_of_mask(share.consistent))
-        for view, share in zip(views, shares, strict=True)
-    ]
-    common = changed & (np.sum([view.weight > 0 for view in solid], axis=0) > 1)
+    solid, seen_by = [], np.zeros(len(splats), np.int64)
+    for view, share in zip(views, shares, strict=True):
+        projected = project(splats, view.camera, tiles=tiles_of_mask(share.consistent))
+        image, alpha, _ = projected.rasterize()
+        opaque = alpha > MIN_SOLID_ALPHA
+        edited, unedited = (_float32(opaque & part) for part in (share.consistent, ~share.consistent))
+        target = np.where(share.consistent[..., None], view.edited, image)
+        seen_by[projected.gaussian_ids] += projected.backproject(target, edited).weight > 0
+        use, weight = edited + UNEDITED_WEIGHT * unedited, np.zeros(len(splats), np.float32)
+        weight[projected.gaussian_ids] = projected.backproject(target, use).weight
+        solid.append(SolidView(view.camera, target, use, weight, projected))
+    common = changed & (seen_by > 1)
     if not common.any():
         return splats
     solid = [replace(view, weight=np.where(common, view.weight, 0)) for view in solid]
@@ -116,6 +169,8 @@ class _Moved:
     """[H, W] pixels per area; 0 where it is not seen."""
     margin_px: np.ndarray
     """[H, W] pixels from the mask, inf beyond MAX_MARGIN_PX."""
+    pixels: np.ndarray
+    """[H, W] int64 flat indices of its pixels; any where it is not seen."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +218,8 @@ class _ViewOnSurface:
         return replace(self, camera=camera, **{name: getattr(self, name)[window] for name in names})
 
     def at_its_pixels(self) -> _Moved:
-        return _Moved(self.change, self.mask > 0, self.density, self.margin_px)
+        pixels = np.arange(self.mask.size).reshape(self.mask.shape)
+        return _Moved(self.change, self.mask > 0, self.density, self.margin_px, pixels)
 
     def moved_to(self, other: _ViewOnSurface) -> _Moved:
         """Of the points that `other` shows."""
@@ -178,30 +234,7 @@ class _ViewOnSurface:
         values = np.concatenate([self.change, self.mask[..., None], self.density[..., None]], -1)
         values = bilinear(values, pixels) * seen[..., None]
         margin = np.where(seen, self.margin_px[y, x], np.inf)
-        return _Moved(values[..., :3], values[..., 3] > 0.5, values[..., 4], margin)
-
-
-def _share(index: int, mask: np.ndarray, views: Sequence[_ViewOnSurface]) -> ViewShare:
-    """Of view `index`, whose mask it is. From the latest view to the first, each takes what it shows better."""
-    window = _window(mask)
-    here, mask_here = views[index].cropped(window), mask[window]
-    winner, best = np.full(mask_here.shape, -1), np.zeros(mask_here.shape)
-    change = np.zeros((*mask_here.shape, 3))
-    for k in range(len(views) - 1, -1, -1):
-        moved = here.at_its_pixels() if k == index else views[k].moved_to(here)
-        ratio = moved.density / np.maximum(best, 1e-9)
-        beside = (winner >= 0) & (ratio > MARGIN_RATIO) & (moved.margin_px <= MARGIN_PX * np.sqrt(ratio))
-        says = moved.painted | beside
-        better = _alike(moved.change, change, says & (winner >= 0), ratio) & (ratio > BETTER)
-        taken = says & ((winner < 0) | better)
-        winner[taken], best[taken], change[taken] = k, moved.density[taken], moved.change[taken]
-    judged = winner >= 0
-    lost = _majority(judged, judged & (winner != index), mask_here)
-    difference = largest_channel(np.abs(box_mean(_float32((here.change - change) * judged[..., None]), ALIKE_PX)))
-    painted, consistent = np.zeros_like(mask), np.zeros_like(mask)
-    painted[window] = mask_here & dilated(mask_here & ~lost, OVERLAP_PX)
-    consistent[window] = mask_here & judged & (difference < ALIKE)
-    return ViewShare(painted, consistent)
+        return _Moved(values[..., :3], values[..., 3] > 0.5, values[..., 4], margin, y * width + x)
 
 
 def _window(mask: np.ndarray) -> tuple[slice, slice]:
