@@ -54,8 +54,8 @@ def receipt_of(asset: Asset) -> Receipt:
 def hash_without(splats: Splats, skipped: np.ndarray, rows: int) -> str:
     """SHA-256 of the first `rows` rows but the skipped ones, attribute after attribute, from plain bytes."""
     keep = [k for k in range(rows) if k not in set(skipped.tolist())]
-    whole = b"".join(np.asarray(getattr(splats, name), "<f4")[keep].tobytes() for name in NAMES)
-    return hashlib.sha256(whole).hexdigest()
+    data = b"".join(np.asarray(getattr(splats, name), "<f4")[keep].tobytes() for name in NAMES)
+    return hashlib.sha256(data).hexdigest()
 
 
 # What an edit does
@@ -274,8 +274,8 @@ def test_fitted_rows_stay_valid_and_the_others_keep_their_bits():
     rows = np.r_[0:60, 1000:1005]
     target = np.clip(draw(splats) + 0.2, 0, 1)
     fitted = fit_edited(splats, splats, [(CAMERA, target)], rows, EditFitOptions(steps=4))
-    others = np.delete(np.arange(len(splats)), rows)
-    assert not differing(splats, fitted)[others].any() and differing(splats, fitted)[rows].any()
+    remaining = np.delete(np.arange(len(splats)), rows)
+    assert not differing(splats, fitted)[remaining].any() and differing(splats, fitted)[rows].any()
     assert fitted.drawable[rows].all() and (fitted.opacities[rows] >= 0).all() and (fitted.opacities[rows] <= 1).all()
     assert all(getattr(fitted, name).dtype == np.float32 for name in NAMES)
 

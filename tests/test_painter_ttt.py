@@ -27,13 +27,13 @@ from splatpainter.voxels.grid import voxelize
 from tests.support.lift_scenes import db, differing, disk, front, same_bits
 from tests.support.model_scenes import shallow
 from tests.support.painter_scenes import (
+    ASSET_BASE,
     BLUE,
     CAMERA,
     COPY,
     DRAWABLE,
     GREEN,
     LIFT,
-    OWN,
     REAR,
     RED,
     SIZE,
@@ -65,7 +65,7 @@ def same_state(one: Asset, two: Asset) -> bool:
     return all(torch.equal(a, b) for a, b in zip(fast_weights(one), fast_weights(two), strict=True))
 
 
-def wanted(mode: Mode, splats: Splats = SPLATS) -> list[Edit]:
+def edits_of(mode: Mode, splats: Splats = SPLATS) -> list[Edit]:
     return [dab(splats, RED)] if mode == "local" else [grade(splats)]
 
 
@@ -74,9 +74,9 @@ def wanted(mode: Mode, splats: Splats = SPLATS) -> list[Edit]:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_an_untrained_network_on_own_rows_returns_the_asset_bit_for_bit(mode: Mode, precision: str) -> None:
-    painter = Painter(model=built(OWN))
+    painter = Painter(model=built(ASSET_BASE))
     asset = painter.encode(SPLATS)
-    result = painter.apply(asset, wanted(mode), mode=mode)
+    result = painter.apply(asset, edits_of(mode), mode=mode)
     receipt = receipt_of(result)
     assert same_bits(result.splats, SPLATS) and result.splats is SPLATS
     assert (receipt.method, receipt.preset, receipt.appended_rows, len(receipt.touched)) == ("ttt", "tiny", 0, 0)
@@ -85,13 +85,13 @@ def test_an_untrained_network_on_own_rows_returns_the_asset_bit_for_bit(mode: Mo
     assert receipt.untouched_sha256_before == receipt.untouched_sha256_after
     assert (result.confidence is not None) == (mode == "global")
     # It has learnt all the same.
-    first = built(OWN).initial_state().blocks[0]
+    first = built(ASSET_BASE).initial_state().blocks[0]
     assert not torch.equal(fast_weights(result)[0], first[0])
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_an_untrained_network_on_the_lift_returns_the_lift_bit_for_bit(mode: Mode, precision: str) -> None:
-    edits = [*wanted(mode), dab(SPLATS, BLUE, 40), dab(SPLATS, GREEN, camera=REAR)]
+    edits = [*edits_of(mode), dab(SPLATS, BLUE, 40), dab(SPLATS, GREEN, camera=REAR)]
     painter, lift = Painter(model=built(LIFT)), Painter(local_options=LocalOptions(resurface=False))
     result = painter.apply(painter.encode(SPLATS), edits, mode=mode)
     plain = lift.apply(lift.encode(SPLATS), edits, mode=mode)
@@ -115,9 +115,9 @@ def test_presets_with_one_layer_run_from_end_to_end(mode: Mode) -> None:
     for config in (shallow(replace(COMPACT, lrm=replace(COMPACT.lrm, views=2, image_size=32))), paper):
         painter = Painter(model=built(config))
         asset = painter.encode(SPLATS)
-        result = painter.apply(asset, wanted(mode, asset.splats), mode=mode)
+        result = painter.apply(asset, edits_of(mode, asset.splats), mode=mode)
         alone = mode == "global" and config.predictor_only  # by an untrained predictor: the lift
-        expected = Painter().apply(asset, wanted(mode, asset.splats), mode=mode) if alone else asset
+        expected = Painter().apply(asset, edits_of(mode, asset.splats), mode=mode) if alone else asset
         assert same_bits(result.splats, expected.splats)
         copied = config.representation == "copy"
         assert (asset.splats is SPLATS) != copied and ("copy" in receipt_of(result).note) == copied
@@ -143,7 +143,7 @@ def test_copy_is_the_most_opaque_rows_of_what_the_lrm_saw(precision: str) -> Non
 # What an edit may touch
 
 
-@pytest.mark.parametrize("config", [OWN, LIFT], ids=["own", "lift"])
+@pytest.mark.parametrize("config", [ASSET_BASE, LIFT], ids=["own", "lift"])
 def test_rows_outside_the_selection_keep_their_bits(config: ModelConfig, precision: str) -> None:
     painter = Painter(model=built(config, awake=0.05))
     edit = dab(SPLATS, RED)
@@ -153,27 +153,31 @@ def test_rows_outside_the_selection_keep_their_bits(config: ModelConfig, precisi
     assert receipt.precision == precision
     grid = voxelize(SPLATS)
     views = edit_views(SPLATS, [CAMERA], [edit.image], [disk(CAMERA, 32, 32, 7)])
-    own = lift_local_views(SPLATS, grid, views, "own").ids
+    base_ids = lift_local_views(SPLATS, grid, views, "own").ids
     changed = np.flatnonzero(differing(SPLATS, result.splats))
-    assert 0 < len(changed) and set(changed) <= set(own) and receipt.touched.tolist() == changed.tolist()
+    assert 0 < len(changed) and set(changed) <= set(base_ids) and receipt.touched.tolist() == changed.tolist()
     assert receipt.untouched_sha256_before == receipt.untouched_sha256_after
     # Own: every chosen row moved and has one child; lift: the children are the lift's.
-    children = len(own) if config is OWN else len(lift_local_views(SPLATS, grid, views, "lift").splats) - len(SPLATS)
+    children = (
+        len(base_ids)
+        if config is ASSET_BASE
+        else len(lift_local_views(SPLATS, grid, views, "lift").splats) - len(SPLATS)
+    )
     assert receipt.appended_rows == children == len(result.splats) - len(SPLATS)
-    if config is OWN:
-        assert changed.tolist() == own.tolist()
+    if config is ASSET_BASE:
+        assert changed.tolist() == base_ids.tolist()
     assert result.splats.drawable[:DRAWABLE].all() and result.splats.drawable[len(SPLATS) :].all()
 
 
 def test_a_global_edit_leaves_rows_that_cannot_be_drawn() -> None:
-    painter = Painter(model=built(OWN, awake=0.05))
+    painter = Painter(model=built(ASSET_BASE, awake=0.05))
     result = painter.apply(painter.encode(SPLATS), [grade(SPLATS), grade(SPLATS, REAR)], mode="global")
     assert differing(SPLATS, result.splats).tolist() == [True] * DRAWABLE + [False] * 2
     assert len(result.splats) == len(SPLATS) and result.confidence is not None
 
 
 def test_permuting_rows_or_views_permutes_the_result_and_nothing_else(precision: Arithmetic) -> None:
-    splats, model = uneven(), built(OWN, awake=0.08)
+    splats, model = uneven(), built(ASSET_BASE, awake=0.08)
     edits = [grade(splats), grade(splats, REAR)]
 
     def painted(splats: Splats, edits: list[Edit], precision: Arithmetic) -> Splats:
@@ -213,17 +217,17 @@ def test_two_runs_are_bitwise_equal(precision: str) -> None:
 # State and history
 
 
-@pytest.mark.parametrize("config", [OWN, LIFT], ids=["own", "lift"])
+@pytest.mark.parametrize("config", [ASSET_BASE, LIFT], ids=["own", "lift"])
 def test_apply_is_pure_and_undo_is_the_old_asset(config: ModelConfig, precision: str) -> None:
     model = built(config, awake=0.05)
     weights = [parameter.clone() for parameter in model.parameters()]
     painter = Painter(model=model)
     asset = painter.encode(SPLATS)
     first = painter.apply(asset, [dab(SPLATS, RED)])
-    kept = {name: getattr(first.splats, name).copy() for name in ATTRIBUTES}
+    copies = {name: getattr(first.splats, name).copy() for name in ATTRIBUTES}
     state = [weight.clone() for weight in fast_weights(first)]
     second = painter.apply(first, [dab(first.splats, BLUE, 24)])
-    assert all(np.array_equal(getattr(first.splats, n), kept[n], equal_nan=True) for n in ATTRIBUTES)
+    assert all(np.array_equal(getattr(first.splats, n), copies[n], equal_nan=True) for n in ATTRIBUTES)
     assert all(torch.equal(a, b) for a, b in zip(fast_weights(first), state, strict=True))
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), weights, strict=True))
     assert asset.splats is SPLATS and asset.encoding is not None and asset.encoding.state is None
@@ -233,7 +237,7 @@ def test_apply_is_pure_and_undo_is_the_old_asset(config: ModelConfig, precision:
 
 
 def test_the_second_edit_starts_from_the_state_and_the_rows_of_the_first() -> None:
-    painter = Painter(model=built(OWN, awake=0.05))
+    painter = Painter(model=built(ASSET_BASE, awake=0.05))
     asset = painter.encode(SPLATS)
     first = painter.apply(asset, [dab(SPLATS, RED, 26)])
     assert first.encoding is not None and len(first.encoding.parent_ids) == len(first.splats) > len(SPLATS)
@@ -270,7 +274,7 @@ def test_lift_and_network_take_turns_on_one_asset() -> None:
 
 
 def test_the_models_own_mode_comes_back_and_counts_for_nothing() -> None:
-    model = built(OWN, awake=0.05)
+    model = built(ASSET_BASE, awake=0.05)
     painter = Painter(model=model)
     quiet = painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)])
     model.train()
@@ -287,7 +291,7 @@ def test_the_models_own_mode_comes_back_and_counts_for_nothing() -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_polish_brings_the_picture_nearer_and_reaches_no_other_row(mode: Mode, precision: str) -> None:
     model = built(LIFT, awake=0.02)
-    edits = wanted(mode)
+    edits = edits_of(mode)
     plain, polished = (
         painter.apply(painter.encode(SPLATS), edits, mode=mode)
         for painter in (Painter(model=model), Painter(model=model, polish=True))
@@ -304,7 +308,7 @@ def test_polish_brings_the_picture_nearer_and_reaches_no_other_row(mode: Mode, p
 # Weights
 
 
-def saved(folder: Path, config: ModelConfig = OWN, seed: int = 7) -> None:
+def saved(folder: Path, config: ModelConfig = ASSET_BASE, seed: int = 7) -> None:
     built(config, seed=seed).save(folder, dtype="float32")
 
 
@@ -322,7 +326,7 @@ def test_auto_is_compact_where_its_weights_are_else_the_lift(weights: Path) -> N
     assert plain.model is None and plain.preset == "lift"
     assert "no trained weights" in receipt_of(plain.apply(plain.encode(SPLATS), [dab(SPLATS, RED)])).note
     for folder in (weights.parent / "packaged" / "compact", weights / "compact"):
-        saved(folder, replace(OWN, preset="compact"), seed=len(folder.parts))
+        saved(folder, replace(ASSET_BASE, preset="compact"), seed=len(folder.parts))
         painter = Painter.load()
         assert painter.model is not None and painter.preset == "compact" and painter.cache
         stored = SplatPainterModel.load(folder)
@@ -357,9 +361,9 @@ def test_weights_that_beat_the_lift_nowhere_are_not_even_read(weights: Path) -> 
     # ... unless they are asked for.
     chosen = receipt_of(painter.apply(painter.encode(SPLATS, "ttt"), [dab(SPLATS, RED)], method="ttt"))
     assert (chosen.method, chosen.preset) == ("ttt", "compact") and "_model" in vars(painter.model)
-    asked = Painter.load("compact")
-    assert asked.model is not None and asked.choose("auto", "local")[0] == "lift"
-    assert asked.choose("ttt", "local")[0] == "ttt"
+    compact = Painter.load("compact")
+    assert compact.model is not None and compact.choose("auto", "local")[0] == "lift"
+    assert compact.choose("ttt", "local")[0] == "ttt"
 
 
 def test_a_checkpoints_own_config_wins(weights: Path) -> None:
@@ -367,14 +371,14 @@ def test_a_checkpoints_own_config_wins(weights: Path) -> None:
     painter = Painter.load("compact")
     assert painter.model is not None and painter.model.config == replace(LIFT, preset="compact")
     somewhere = weights.parent / "somewhere"
-    saved(somewhere, replace(OWN, preset="mine"))
+    saved(somewhere, replace(ASSET_BASE, preset="mine"))
     assert Painter.load(str(somewhere)).preset == "mine"
     result = Painter.load(str(somewhere)).apply(Asset(SPLATS), [dab(SPLATS, RED)])
     assert receipt_of(result).preset == "mine" and receipt_of(result).method == "ttt"
 
 
 def test_weights_that_cannot_be_used_are_one_line(weights: Path) -> None:
-    saved(weights / "paper", replace(OWN, preset="compact"))
+    saved(weights / "paper", replace(ASSET_BASE, preset="compact"))
     newer = weights.parent / "newer"
     saved(newer)
     index = newer / "model.json"
@@ -400,7 +404,7 @@ def test_weights_that_cannot_be_used_are_one_line(weights: Path) -> None:
 
 
 def test_errors_are_one_line_and_leave_the_asset_alone() -> None:
-    painter = Painter(model=built(OWN, awake=0.05))
+    painter = Painter(model=built(ASSET_BASE, awake=0.05))
     asset = painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)])
     before = [weight.clone() for weight in fast_weights(asset)]
     small = front(32)
@@ -424,4 +428,4 @@ def test_errors_are_one_line_and_leave_the_asset_alone() -> None:
         Painter().apply(Asset(SPLATS), [dab(SPLATS, RED)], method="ttt")
     with pytest.raises(ValueError, match="none of the 2 Gaussians"):
         painter.encode(SPLATS.take(np.arange(DRAWABLE, DRAWABLE + 2)))
-    assert len(canonical_cameras(SPLATS, OWN.lrm)) == OWN.lrm.views
+    assert len(canonical_cameras(SPLATS, ASSET_BASE.lrm)) == ASSET_BASE.lrm.views

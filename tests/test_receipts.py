@@ -86,7 +86,7 @@ def tamper(path: Path, change: Callable[[bytearray, int], None], receipt: Receip
 
 def receipt(**fields) -> Receipt:
     views = (ViewScore(9.5, 27.123456, float("inf")), ViewScore(None, None, 40.0))
-    whole = Receipt(
+    full_receipt = Receipt(
         asset_sha256="a" * 64,
         asset_rows=10,
         output_sha256="b" * 64,
@@ -102,7 +102,7 @@ def receipt(**fields) -> Receipt:
         seconds={"lift": 0.12345678},
         note="why",
     )
-    return replace(whole, **fields)
+    return replace(full_receipt, **fields)
 
 
 def test_the_keys_are_the_designs():
@@ -164,11 +164,13 @@ def test_json_and_back_is_the_same(fields):
     strict(text)
     back = Receipt.from_json(text)
     assert back.to_json() == text
-    given_, found = vars(receipt(**fields)).copy(), vars(back).copy()
+    given_, restored = vars(receipt(**fields)).copy(), vars(back).copy()
     for name in ("touched", "replaced", "removed", "merge_touched"):
-        np.testing.assert_array_equal(found.pop(name), given_.pop(name))
+        np.testing.assert_array_equal(restored.pop(name), given_.pop(name))
     rounded = {"views", "seconds"}  # and infinity is 999
-    assert {k: v for k, v in found.items() if k not in rounded} == {k: v for k, v in given_.items() if k not in rounded}
+    assert {k: v for k, v in restored.items() if k not in rounded} == {
+        k: v for k, v in given_.items() if k not in rounded
+    }
     assert back.untouched_rows == 10 - len(receipt(**fields).touched)
 
 
@@ -280,20 +282,24 @@ def test_an_edited_ply_is_the_same_but_for_the_listed_rows(tmp_path):
     before, after = original.read_bytes(), edited.read_bytes()
     head = before[: start_of_rows(before)].replace(b"vertex %d" % n, b"vertex %d" % (n + proof.appended_rows))
     assert after[: start_of_rows(after)] == head and after.endswith(TAIL)
-    found = sp.verify(original, edited, proof)
-    assert found.ok and found.problems == () and "byte" in found.exact
-    assert (found.rows, found.changed, found.appended) == (n, len(proof.touched), proof.appended_rows)
-    assert found.same == n - len(proof.touched)
+    verification = sp.verify(original, edited, proof)
+    assert verification.ok and verification.problems == () and "byte" in verification.exact
+    assert (verification.rows, verification.changed, verification.appended) == (
+        n,
+        len(proof.touched),
+        proof.appended_rows,
+    )
+    assert verification.same == n - len(proof.touched)
     again = sp.verify(original, edited, Receipt.from_json(proof.to_json()))
-    assert again == found
+    assert again == verification
     assert sp.verify(original, edited).ok  # without a receipt rows are only counted
     assert sp.verify(original, edited).changed == len(proof.touched)
 
 
 def test_a_file_is_the_same_as_itself(tmp_path):
     original, _, _ = edited_files(tmp_path)
-    found = sp.verify(original, original)
-    assert found.ok and (found.same, found.changed, found.appended) == (900, 0, 0)
+    verification = sp.verify(original, original)
+    assert verification.ok and (verification.same, verification.changed, verification.appended) == (900, 0, 0)
 
 
 @pytest.mark.parametrize("column", RAW)
@@ -305,10 +311,10 @@ def test_one_flipped_bit_in_an_untouched_row_is_found(tmp_path, column):
         data[begin + victim * STRIDE + 4 * RAW.index(column)] ^= 1
 
     forged = tamper(edited, flip, proof)
-    found = sp.verify(original, edited, forged)
-    assert not found.ok and len(found.problems) == 1
-    assert f"1 rows differ that the receipt does not list: {victim}" in found.problems[0]
-    assert found.changed == len(proof.touched) + 1 == sp.verify(original, edited).changed
+    verification = sp.verify(original, edited, forged)
+    assert not verification.ok and len(verification.problems) == 1
+    assert f"1 rows differ that the receipt does not list: {victim}" in verification.problems[0]
+    assert verification.changed == len(proof.touched) + 1 == sp.verify(original, edited).changed
     # With the true receipt the file's own hash is wrong as well.
     assert len(sp.verify(original, edited, proof).problems) == 2
 
@@ -323,8 +329,8 @@ def test_rows_of_an_odd_number_of_bytes_are_compared_to_the_last(tmp_path, victi
     (tmp_path / "a.ply").write_bytes(head.encode() + table.tobytes())
     table["label"][victim] = 2
     (tmp_path / "b.ply").write_bytes(head.encode() + table.tobytes())
-    found = sp.verify(tmp_path / "a.ply", tmp_path / "b.ply")
-    assert (found.same, found.changed) == (39_999, 1)
+    verification = sp.verify(tmp_path / "a.ply", tmp_path / "b.ply")
+    assert (verification.same, verification.changed) == (39_999, 1)
 
 
 def test_a_flipped_bit_in_a_touched_row_is_only_seen_by_the_files_hash(tmp_path):
@@ -336,8 +342,8 @@ def test_a_flipped_bit_in_a_touched_row_is_only_seen_by_the_files_hash(tmp_path)
 
     forged = tamper(edited, flip, proof)
     assert sp.verify(original, edited, forged).ok
-    found = sp.verify(original, edited, proof)
-    assert not found.ok and "changed since" in found.problems[0]
+    verification = sp.verify(original, edited, proof)
+    assert not verification.ok and "changed since" in verification.problems[0]
 
 
 def test_a_changed_comment_is_seen_by_the_files_hash(tmp_path):
@@ -350,11 +356,11 @@ def test_a_removed_row_is_found(tmp_path):
     original, edited, proof = edited_files(tmp_path)
     short = sp.read(edited)
     sp.write(edited, short.take(np.arange(len(short) - 1)), overwrite=True)
-    found = sp.verify(original, edited, replace(proof, output_sha256=file_hash(edited)))
-    assert not found.ok and "appended" in found.problems[0]
+    verification = sp.verify(original, edited, replace(proof, output_sha256=file_hash(edited)))
+    assert not verification.ok and "appended" in verification.problems[0]
     sp.write(edited, short.take(np.delete(np.arange(900), 17)), overwrite=True)
-    found = sp.verify(original, edited, replace(proof, output_sha256=file_hash(edited)))
-    assert not found.ok and "1 rows are missing" in " ".join(found.problems)
+    verification = sp.verify(original, edited, replace(proof, output_sha256=file_hash(edited)))
+    assert not verification.ok and "1 rows are missing" in " ".join(verification.problems)
     assert not sp.verify(original, edited).ok
 
 
@@ -366,17 +372,17 @@ def test_two_rows_that_changed_places_are_found(tmp_path):
         one, two = (slice(begin + row * STRIDE, begin + (row + 1) * STRIDE) for row in (a, b))
         data[one], data[two] = data[two], data[one]
 
-    found = sp.verify(original, edited, tamper(edited, swap, proof))
-    assert not found.ok and f": {a}, {b}" in found.problems[0]
+    verification = sp.verify(original, edited, tamper(edited, swap, proof))
+    assert not verification.ok and f": {a}, {b}" in verification.problems[0]
 
 
 def test_the_receipt_of_another_file_is_refused(tmp_path):
     original, edited, proof = edited_files(tmp_path)
     other = tmp_path / "other.ply"
     other.write_bytes(original.read_bytes()[:-1] + b"\xfe")  # one trailing byte
-    found = sp.verify(other, edited, proof)
-    assert not found.ok and "another original" in found.problems[0]
-    assert found.changed == len(proof.touched)
+    verification = sp.verify(other, edited, proof)
+    assert not verification.ok and "another original" in verification.problems[0]
+    assert verification.changed == len(proof.touched)
     assert not sp.verify(original, edited, replace(proof, touched=proof.touched[1:])).ok
     assert not sp.verify(original, edited, replace(proof, appended_rows=0)).ok
     numbers = json.loads(proof.to_json()) | {"asset": {"sha256": 5, "rows": 900}}
@@ -385,10 +391,10 @@ def test_the_receipt_of_another_file_is_refused(tmp_path):
 
 def test_another_degree_is_found(tmp_path):
     original, edited, proof = edited_files(tmp_path)
-    own = sp.read(edited)
-    sp.write(edited, replace(own, sh=own.sh[:, :1]), overwrite=True)
-    found = sp.verify(original, edited, replace(proof, output_sha256=file_hash(edited)))
-    assert not found.ok and any("degree 1 became 0" in problem for problem in found.problems)
+    read_back = sp.read(edited)
+    sp.write(edited, replace(read_back, sh=read_back.sh[:, :1]), overwrite=True)
+    verification = sp.verify(original, edited, replace(proof, output_sha256=file_hash(edited)))
+    assert not verification.ok and any("degree 1 became 0" in problem for problem in verification.problems)
 
 
 def test_an_original_that_the_other_format_cannot_hold_is_named(tmp_path):
@@ -403,9 +409,9 @@ def test_an_original_that_the_other_format_cannot_hold_is_named(tmp_path):
 
 def test_a_ply_edited_into_another_format(tmp_path):
     original, edited, proof = edited_files(tmp_path, ".splat")
-    found = sp.verify(original, edited, proof)
-    assert found.ok, found.problems
-    assert "converted to splat" in found.exact and found.appended == proof.appended_rows
+    verification = sp.verify(original, edited, proof)
+    assert verification.ok, verification.problems
+    assert "converted to splat" in verification.exact and verification.appended == proof.appended_rows
     # 32 bytes a row: every row that is not listed is what converting the original alone gives.
     sp.write(tmp_path / "plain.splat", sp.read(original))
     old, new = (
@@ -413,7 +419,7 @@ def test_a_ply_edited_into_another_format(tmp_path):
     )
     differing = np.flatnonzero((old != new[: len(old)]).any(1))
     assert set(differing) <= set(proof.touched.tolist()) and len(differing) > 10
-    assert found.changed == len(differing)
+    assert verification.changed == len(differing)
     data = bytearray(edited.read_bytes())
     data[32 * untouched_row(proof) + 24] ^= 1  # red
     edited.write_bytes(data)

@@ -147,12 +147,12 @@ TEXT: dict[str, tuple[Change, str]] = {
 }
 
 
-def at(place: int, byte: int | None = None) -> Change:
+def at(position: int, byte: int | None = None) -> Change:
     """One byte (from the end if negative) is another one."""
 
     def apply(data: bytes) -> bytes:
         out = bytearray(data)
-        out[place] = out[place] ^ 1 if byte is None else byte
+        out[position] = out[position] ^ 1 if byte is None else byte
         return bytes(out)
 
     return apply
@@ -210,7 +210,7 @@ def chunk_extended(data: bytes) -> bytes:
 
 
 EXTENSION = struct.pack("<III", 0xADBE0002, 4, 7)
-OTHERS: dict[str, tuple[str, Change, str]] = {
+OTHER_CHANGES: dict[str, tuple[str, Change, str]] = {
     "compressed PLY: element": ("a.compressed.ply", lambda d: d[:-1] + b"o", "element note differs at its byte 1"),
     "compressed PLY: comment": ("a.compressed.ply", swap(b"ply\n", b"ply\ncomment x\n"), "header: 'comment x' is new"),
     "compressed PLY: tail": ("a.compressed.ply", lambda d: d + b"!", "trailing bytes: 0 bytes became 1"),
@@ -246,16 +246,16 @@ OTHERS: dict[str, tuple[str, Change, str]] = {
 def sound(folder: Path, name: str) -> bytes:
     """A sound file of each kind."""
     splats = random_splats(6, 1, 2)
-    place = folder / f"sound-{name}"
+    path = folder / f"sound-{name}"
     if name == "a.ksplat":
         return make_ksplat(folder, 1, [1, 0])[0].read_bytes()
     if name == "a.glb":
         return build(attributes_of(splats))
     if name == "a.spz":
-        write_spz(place, splats, version=3)
+        write_spz(path, splats, version=3)
     else:
-        sp.write(place, splats)
-    data = place.read_bytes()
+        sp.write(path, splats)
+    data = path.read_bytes()
     return chunk_extended(data) if name == "a.compressed.ply" else data
 
 
@@ -266,18 +266,18 @@ def lines_of(folder: Path, name: str, data: bytes, tampered: bytes) -> tuple[rec
     edited.write_bytes(tampered)
     assert sp.verify(original, original).ok and sp.verify(original, original).changed == 0
     out = verify_command.run(verify_command.Config(original, edited))
-    found = sp.verify(original, edited)
-    assert (out.code == 0) == found.ok
-    return found, "\n".join(out.lines)
+    verified = sp.verify(original, edited)
+    assert (out.code == 0) == verified.ok
+    return verified, "\n".join(out.lines)
 
 
-def judge(found: receipts.Verification, text: str, line: str) -> None:
+def judge(verified: receipts.Verification, text: str, line: str) -> None:
     assert line in text, text
     assert all(one.isprintable() for one in text.split("\n"))
     if line.startswith("changed rows differ"):
-        assert found.ok and found.changed == 1
+        assert verified.ok and verified.changed == 1
     else:
-        assert not found.ok and any(line in problem for problem in found.problems)
+        assert not verified.ok and any(line in problem for problem in verified.problems)
 
 
 @pytest.mark.parametrize("name", PLY)
@@ -292,16 +292,16 @@ def test_a_text_ply_that_was_tampered_with(tmp_path: Path, name: str) -> None:
     judge(*lines_of(tmp_path, "a.ply", ply(text=True), change(ply(text=True))), line)
 
 
-@pytest.mark.parametrize("case", OTHERS)
+@pytest.mark.parametrize("case", OTHER_CHANGES)
 def test_another_file_that_was_tampered_with(tmp_path: Path, case: str) -> None:
-    name, change, line = OTHERS[case]
+    name, change, line = OTHER_CHANGES[case]
     data = sound(tmp_path, name)
     judge(*lines_of(tmp_path, name, data, change(data)), line)
 
 
 def test_a_ply_as_text_is_not_the_same_file(tmp_path: Path) -> None:
-    found, text = lines_of(tmp_path, "a.ply", ply(), ply(text=True))
-    assert not found.ok and "format: 'binary_little_endian' became 'ascii'" in text
+    verified, text = lines_of(tmp_path, "a.ply", ply(), ply(text=True))
+    assert not verified.ok and "format: 'binary_little_endian' became 'ascii'" in text
     assert "not compared: the stored bytes of the rows, whose layout differs" in text and "byte-identical" not in text
 
 
@@ -315,24 +315,26 @@ def test_recoloured_and_appended_rows_are_counted_and_nothing_else_is_wrong(tmp_
     sh[[1, 4], 0] += 0.05
     result = replace(splats, sh=sh)
     sp.write(edited, result.append(result.take(np.array([3]))))
-    found = sp.verify(original, edited)
-    assert found.ok, found.problems
-    assert found.appended == 1 and 2 <= found.changed <= (6 if name in ("a.sog", "a.compressed.ply") else 2)
+    verified = sp.verify(original, edited)
+    assert verified.ok, verified.problems
+    assert verified.appended == 1 and 2 <= verified.changed <= (6 if name in ("a.sog", "a.compressed.ply") else 2)
     sp.write(edited, result, overwrite=True)
-    found = sp.verify(original, edited)
-    assert found.ok and found.appended == 0, found.problems
+    verified = sp.verify(original, edited)
+    assert verified.ok and verified.appended == 0, verified.problems
     sp.write(edited, splats, overwrite=True)
-    found = sp.verify(original, edited)
-    assert found.ok and found.changed == 0 and not found.problems
+    verified = sp.verify(original, edited)
+    assert verified.ok and verified.changed == 0 and not verified.problems
 
 
 def test_what_was_not_compared_is_named(tmp_path: Path) -> None:
     original, edited = tmp_path / "a.ply", tmp_path / "b.splat"
     original.write_bytes(ply())
     sp.write(edited, sp.read(original))
-    found = sp.verify(original, edited)
-    assert found.ok and found.not_compared == ("header, other elements and trailing bytes, as the formats differ",)
-    assert "converted to splat" in found.exact
+    verified = sp.verify(original, edited)
+    assert verified.ok and verified.not_compared == (
+        "header, other elements and trailing bytes, as the formats differ",
+    )
+    assert "converted to splat" in verified.exact
 
 
 def test_other_properties_of_a_listed_row_stay_what_they_were(tmp_path: Path) -> None:
@@ -343,8 +345,8 @@ def test_other_properties_of_a_listed_row_stay_what_they_were(tmp_path: Path) ->
     rows = np.array([2])
     hashes = receipts.untouched_hashes(one, two, rows)
     proof = receipts.Receipt(one.sha256, 6, two.sha256, 6, "local", "lift", "lift", rows, 0, *hashes)
-    found = sp.verify(original, edited, proof)
-    assert found.problems == ("nx, which no edit changes, differs in 1 rows: 2",)
+    verified = sp.verify(original, edited, proof)
+    assert verified.problems == ("nx, which no edit changes, differs in 1 rows: 2",)
 
 
 def test_a_lying_count_of_lines_costs_no_time(tmp_path: Path) -> None:

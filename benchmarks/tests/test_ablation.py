@@ -26,7 +26,7 @@ from splatpainter.painter import Painter
 from splatpainter.train.judge import refine_task, trials
 from splatpainter.train.training_data import ResourceFolders, Supply
 from tests.support.model_scenes import grid_of, pictures, shell, with_refine
-from tests.support.painter_scenes import LIFT, OWN, built
+from tests.support.painter_scenes import ASSET_BASE, LIFT, built
 from tests.support.train_scenes import LIFT as TRAINED
 from tests.support.train_scenes import RECIPE
 
@@ -220,7 +220,7 @@ def test_rows_that_teach_can_be_left_out_and_sizes_cannot_change() -> None:
 
 def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> None:
     built(LIFT).save(tmp_path / "lift")
-    built(OWN).save(tmp_path / "own")
+    built(ASSET_BASE).save(tmp_path / "own")
     repeated = {
         name: {m.name for m in ablations.METHODS if m.missing(Budget(weights={"compact": str(tmp_path / name)}))}
         for name in ("lift", "own")

@@ -198,7 +198,7 @@ def test_noise_of_paths_is_other_for_another_purpose_and_the_same_again() -> Non
 # Spots
 
 
-def wall_shown(colors: np.ndarray, depths: np.ndarray | None = None, **camera: Any) -> GroundTruthViews:
+def wall_visible(colors: np.ndarray, depths: np.ndarray | None = None, **camera: Any) -> GroundTruthViews:
     size = colors.shape[0]
     view = look_at([0, 0, 2], [0, 0, 0], width=size, height=size, fov=40, **camera)
     depth = np.full((1, size, size), 2, np.float32) if depths is None else depths[None]
@@ -210,7 +210,7 @@ def test_spots_lie_on_texture_and_apart() -> None:
     rng = np.random.default_rng(0)
     colors = np.full((64, 64, 3), 0.5)
     colors[:32, :32] += rng.uniform(-0.2, 0.2, (32, 32, 1))
-    views = wall_shown(colors)
+    views = wall_visible(colors)
     for seed in range(5):
         spots = textured_points(views, 8, 2, np.random.default_rng(seed))
         for spot in spots:
@@ -225,14 +225,14 @@ def test_edges_of_the_object_are_no_texture() -> None:
     depths[8:56, 30:40] = 1.5  # a bright strip in front: steps of colour where depth steps too
     colors[8:56, 30:40] = 1.0
     colors[40:50, 12:24] += np.random.default_rng(1).uniform(-0.1, 0.1, (10, 12, 1))
-    spots = textured_points(wall_shown(colors, depths), 6, 1, np.random.default_rng(0))
-    camera = wall_shown(colors, depths).images.cameras[0]
+    spots = textured_points(wall_visible(colors, depths), 6, 1, np.random.default_rng(0))
+    camera = wall_visible(colors, depths).images.cameras[0]
     x, y = 32 + camera.fx * spots[0].position[:2] * [1, -1] / 2
     assert 8 <= x <= 28 and 36 <= y <= 54
 
 
 def test_nothing_to_see_is_an_error() -> None:
-    empty = wall_shown(np.zeros((16, 16, 3)), np.zeros((16, 16), np.float32))
+    empty = wall_visible(np.zeros((16, 16, 3)), np.zeros((16, 16), np.float32))
     with pytest.raises(ValueError, match="no part of its surface"):
         textured_points(empty, 4, 1, np.random.default_rng(0))
 

@@ -228,8 +228,12 @@ def test_what_variants_have_in_common_fails_once(folder: Path, capfd: Capture) -
         done = run(capfd, "batch", jobs, "--json").json
         assert done["failed"] == 2 and (folder / "calls").read_text() == calls * "moss on shoe0 "
         assert all("came back unchanged" in job["error"] for job in done["jobs"])
-        kept = Path(done["jobs"][1]["error"].rsplit(" ", 1)[-1])
-        assert kept.name.endswith(f".answer_{calls}.png") and kept.is_file() and folder in kept.parents
+        saved_picture = Path(done["jobs"][1]["error"].rsplit(" ", 1)[-1])
+        assert (
+            saved_picture.name.endswith(f".answer_{calls}.png")
+            and saved_picture.is_file()
+            and folder in saved_picture.parents
+        )
     (folder / "shoes/shoe0.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nend_header\n")
     dry = run(capfd, "batch", jobs, "--dry-run", "--json")
     assert dry.code == 1 and [job["state"] for job in dry.json["jobs"]] == ["fails", "fails"]

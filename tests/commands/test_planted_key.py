@@ -116,19 +116,19 @@ def test_the_studio_keeps_it_to_itself(service: FakeService, tmp_path: Path, cap
     splats = patterned(400)
     camera = wire(orbit_cameras(splats, 1, size=64)[0])
     with live(make_studio(tmp_path, splats)) as served:
-        said = [served.http.post("/api/do/source.list", json={}).text]
+        answers = [served.http.post("/api/do/source.list", json={}).text]
         fields = {"source": "openai", "prompt": "moss"}
-        said.append(json.dumps(served.post("source.cover", **fields, views=[camera], method="lift")))
+        answers.append(json.dumps(served.post("source.cover", **fields, views=[camera], method="lift")))
         edited = served.post("source.edit", **fields, camera=camera)
         views = [{key: edited[key] for key in ("camera", "picture", "mask")}]
-        said += [json.dumps(edited), json.dumps(served.post("edit", kind="picture", views=views, method="lift"))]
+        answers += [json.dumps(edited), json.dumps(served.post("edit", kind="picture", views=views, method="lift"))]
         refused = served.http.post("/api/do/source.edit", json={**fields, "prompt": "fail", "camera": camera})
         assert "refused the key in OPENAI_API_KEY" in refused.text
-        said += [refused.text, served.http.get("/api/state").text, json.dumps(served.post("receipt"))]
+        answers += [refused.text, served.http.get("/api/state").text, json.dumps(served.post("receipt"))]
         folder = served.studio.blobs.folder
         assert leaks(folder) == []
         served.studio.session.export(tmp_path / "out.ply")
         records = served.studio.session.receipt().source
     assert records is not None and [record["prompt"] for record in records["layers"]] == ["moss", "moss"]
-    assert KEY not in "".join(said) + caplog.text and leaks(tmp_path) == []
+    assert KEY not in "".join(answers) + caplog.text and leaks(tmp_path) == []
     assert (tmp_path / "own.splatproj").stat().st_size > 0

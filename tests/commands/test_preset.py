@@ -15,7 +15,7 @@ from splatpainter.models.config import ModelConfig
 from splatpainter.painter import Painter
 from splatpainter.sources import edit_from_files
 from tests.support.cli_scenes import Capture, ball_and_painted_view, listing, paint, refused, rows_of, run
-from tests.support.painter_scenes import COPY, LIFT, OWN, built
+from tests.support.painter_scenes import ASSET_BASE, COPY, LIFT, built
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_a_precision_that_there_is_not_is_refused(view: Path, capfd: Capture, mo
 def test_a_folder_of_weights_paints_and_the_file_proves_it(
     view: Path, tmp_path: Path, capfd: Capture, mode: str
 ) -> None:
-    here, weights = view.parent, save(tmp_path / "mine", replace(OWN, preset="mine"), awake=0.05)
+    here, weights = view.parent, save(tmp_path / "mine", replace(ASSET_BASE, preset="mine"), awake=0.05)
     words = ["--preset", weights, "--mode", mode, "--polish", "--json"]
     done = run(capfd, "edit", here / "ball.ply", view, "--out", here / "out.ply", *words).json
     receipt = done["receipt"]
@@ -97,10 +97,10 @@ def test_a_folder_of_weights_paints_and_the_file_proves_it(
 
 def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, capfd: Capture) -> None:
     here = view.parent
-    newer = save(tmp_path / "newer", OWN)
+    newer = save(tmp_path / "newer", ASSET_BASE)
     index = newer / "model.json"
     index.write_text(index.read_text().replace('"version": 1', '"version": 9'))
-    save(tmp_path / "weights" / "paper", replace(OWN, preset="compact"))
+    save(tmp_path / "weights" / "paper", replace(ASSET_BASE, preset="compact"))
     copy = save(tmp_path / "copy", COPY)
     cases = [
         (["--preset", "compact"], "preset 'compact': no trained weights"),
@@ -118,7 +118,7 @@ def test_weights_that_cannot_be_used_are_refused(view: Path, tmp_path: Path, cap
 
 
 def test_pictures_that_networks_cannot_take_together_are_refused(view: Path, tmp_path: Path, capfd: Capture) -> None:
-    here, weights = view.parent, save(tmp_path / "mine", OWN)
+    here, weights = view.parent, save(tmp_path / "mine", ASSET_BASE)
     words = ["render", here / "ball.ply", "--out", here / "small", "--views", 1, "--size", 64]
     assert run(capfd, *words).code == 0
     small = paint(here / "small" / "view_000.png", here / "small.png", (26, 29, 36, 35))

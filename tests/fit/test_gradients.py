@@ -13,7 +13,7 @@ from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.render_scenes import cameras, scene, with_odd_gaussians
 
 
-def wanted(camera, seed: int = 3) -> np.ndarray:
+def target_picture(camera, seed: int = 3) -> np.ndarray:
     return np.random.default_rng(seed).random((camera.height, camera.width, 3)).astype(np.float32)
 
 
@@ -35,7 +35,7 @@ def slope(splats: Splats, camera, custom_loss, name: str, step: float = 0.1) -> 
 
 
 def passed(splats: Splats, camera, custom_loss=None, mask=None, absolute: bool = False, weight: float = 1.0) -> Pass:
-    target = Target.of(camera, wanted(camera), mask, 0.2, weight)
+    target = Target.of(camera, target_picture(camera), mask, 0.2, weight)
     return CpuPasses()(splats.torch(), target, custom_loss, True, absolute)
 
 
@@ -46,7 +46,7 @@ def test_kernels_and_autograd_agree(masked: bool) -> None:
     if masked:
         mask = np.zeros((40, 48), bool)
         mask[3:9, 30:44] = True  # some tiles only
-    target = Target.of(camera, wanted(camera), mask, 0.2, 1.5)
+    target = Target.of(camera, target_picture(camera), mask, 0.2, 1.5)
     ours = CpuPasses()(splats.torch(), target, None, True)
     theirs = torch_pass(splats.torch(), target, None, True)
     assert ours.loss == pytest.approx(theirs.loss, rel=1e-5)

@@ -36,11 +36,11 @@ class PictureTarget(Target):
         self.camera = json.loads(look_at((0, 0, 3), (0, 0, 0), width=24, height=16, fov=45).to_json())
         pixels = np.random.default_rng(0).integers(0, 256, (16, 24, 4), np.uint8)
         self.pngs = [self._png(pixels, mode) for mode in ("RGBA", "RGB", "L", "P", "I;16")]
-        self.others = []
+        self.other_pictures = []
         for kind, mode in (("JPEG", "RGB"), ("WEBP", "RGBA"), ("TIFF", "RGB"), ("TIFF", "RGBA"), ("JPEG", "CMYK")):
             out = io.BytesIO()
             Image.fromarray(pixels).convert(mode).save(out, kind)
-            self.others.append((kind, out.getvalue()))
+            self.other_pictures.append((kind, out.getvalue()))
 
     def _png(self, pixels: np.ndarray, mode: str) -> list[tuple[bytes, bytes]]:
         out, note = io.BytesIO(), PngImagePlugin.PngInfo()
@@ -58,7 +58,7 @@ class PictureTarget(Target):
         if maybe(rng, 0.75):
             files["a.png"] = self._bent_png(rng)
         else:
-            kind, data = rng.choice(self.others)
+            kind, data = rng.choice(self.other_pictures)
             files[{"JPEG": "a.jpg", "WEBP": "a.webp", "TIFF": "a.tif"}[kind]] = bend_bytes(rng, data)
         if maybe(rng, 0.4):
             files["a.json"] = self._camera_text(rng)

@@ -31,12 +31,12 @@ EVERY = ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.sog", "a.glb"]
 RECORD = 0xADBE0003
 
 
-def said(path: Path) -> int | None:
+def axis_of(path: Path) -> int | None:
     """The frame that an SPZ file of version 4 names, without the package."""
     data = path.read_bytes()
     (table,) = struct.unpack_from("<I", data, 16)
-    found = {kind: value for kind, _, value in struct.iter_unpack("<III", data[32:table])}
-    return found.get(RECORD) if data[14] & 2 else None
+    extensions = {kind: value for kind, _, value in struct.iter_unpack("<III", data[32:table])}
+    return extensions.get(RECORD) if data[14] & 2 else None
 
 
 def silent(path: Path) -> None:
@@ -62,11 +62,11 @@ def test_a_chosen_frame_is_kept_byte_for_byte(name: str, frame: Frame, tmp_path:
     edited = replace(splats, opacities=opacities)
     io.write(tmp_path / f"c{name}", edited)
     back = io.read(tmp_path / f"c{name}", frame=frame)
-    others = np.delete(np.arange(300), 7)
-    assert same_bits(back, edited, others) and np.abs(back.opacities - opacities).max() < 0.01
-    found = verify(tmp_path / name, tmp_path / f"c{name}", frame=frame)
-    assert found.ok and (found.same, found.changed) == (299, 1)
-    assert found.frame.startswith("right-up-back" if frame == "rub" else "right-down-front")
+    rest = np.delete(np.arange(300), 7)
+    assert same_bits(back, edited, rest) and np.abs(back.opacities - opacities).max() < 0.01
+    verification = verify(tmp_path / name, tmp_path / f"c{name}", frame=frame)
+    assert verification.ok and (verification.same, verification.changed) == (299, 1)
+    assert verification.frame.startswith("right-up-back" if frame == "rub" else "right-down-front")
 
 
 def test_frames_are_half_turns_of_each_other(tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_new_spz_files_name_their_frame(
     ]
     assert (tmp_path / "auto.spz").read_bytes() == (tmp_path / "rub.spz").read_bytes()
     if version == 4:
-        assert (said(tmp_path / "rub.spz"), said(tmp_path / "rdf.spz")) == (4, 6)
+        assert (axis_of(tmp_path / "rub.spz"), axis_of(tmp_path / "rdf.spz")) == (4, 6)
     truths = spz_reference([tmp_path / f"{frame}.spz" for frame in FRAMES])
     for truth, ours in zip(truths, (rub, rdf), strict=True):
         assert np.array_equal(ours.means, truth.means) and np.array_equal(ours.sh[:, 1:], truth.sh[:, 1:])
@@ -122,16 +122,16 @@ def test_an_edit_says_a_chosen_frame(tmp_path: Path) -> None:
         splats = io.read(path, frame=frame)
         io.write(tmp_path / "b.spz", replace(splats, opacities=splats.opacities[::-1].copy()), overwrite=True)
         back = io.read(tmp_path / "b.spz")
-        assert said(tmp_path / "b.spz") == code
+        assert axis_of(tmp_path / "b.spz") == code
         assert same_bits(replace(back, opacities=splats.opacities), splats)
-        found = verify(path, tmp_path / "b.spz")  # only one of them says it: it counts for both
-        assert found.same + found.changed == 100 and found.changed <= 100
-        assert ("right-down-front" in found.frame) == (frame == "rdf")
+        verification = verify(path, tmp_path / "b.spz")  # only one of them says it: it counts for both
+        assert verification.same + verification.changed == 100 and verification.changed <= 100
+        assert ("right-down-front" in verification.frame) == (frame == "rdf")
     wrong = io.read(tmp_path / "b.spz", frame="rub")
     assert wrong.source is not None and "the file says right-down-front" in wrong.source.problems[0]
     (tmp_path / "b.spz").unlink()
     io.write(tmp_path / "b.spz", wrong)  # untouched: the file's own bytes, whatever they say
-    assert said(tmp_path / "b.spz") == 6
+    assert axis_of(tmp_path / "b.spz") == 6
 
 
 def test_another_frame_changes_signs_alone(tmp_path: Path) -> None:
@@ -140,12 +140,12 @@ def test_another_frame_changes_signs_alone(tmp_path: Path) -> None:
     splats = io.read(tmp_path / "a.spz")
     io.write(tmp_path / "b.spz", splats, frame="rdf")
     turned = io.read(tmp_path / "b.spz")
-    assert said(tmp_path / "b.spz") == 6
+    assert axis_of(tmp_path / "b.spz") == 6
     for name in ("means", "scales", "opacities"):
         assert np.array_equal(getattr(turned, name), getattr(splats, name))
     assert np.abs(turned.sh - splats.sh).max() <= 1 / 128 and quats_apart(turned.quats, splats.quats) < 1e-6
-    found = verify(tmp_path / "a.spz", tmp_path / "b.spz")
-    assert found.same == 200 and "of the same axes" in found.exact
+    verification = verify(tmp_path / "a.spz", tmp_path / "b.spz")
+    assert verification.same == 200 and "of the same axes" in verification.exact
     io.write(tmp_path / "c.spz", turned, frame="rub")
     again = io.read(tmp_path / "c.spz")
     assert np.array_equal(again.means, splats.means)
@@ -188,7 +188,9 @@ def test_spz_files_of_theirs_are_upright_here(degree: int, tmp_path: Path, splat
     oracle(tmp_path / "a.ply", tmp_path / "theirs.spz")
     silently = io.read(tmp_path / "theirs.spz")
     assert (
-        silently.source is not None and silently.source.frame_from == "format" and said(tmp_path / "theirs.spz") is None
+        silently.source is not None
+        and silently.source.frame_from == "format"
+        and axis_of(tmp_path / "theirs.spz") is None
     )
     splats = io.read(tmp_path / "theirs.spz", frame=frame)
     nearest = np.argmin(((splats.means[:, None] - truth.means[None]) ** 2).sum(-1), 1)
@@ -198,8 +200,8 @@ def test_spz_files_of_theirs_are_upright_here(degree: int, tmp_path: Path, splat
     edited = replace(splats, opacities=splats.opacities[::-1].copy())
     io.write(tmp_path / "b.spz", edited)
     oracle(tmp_path / "b.spz", tmp_path / "oracle.ply")
-    found = disagreement(io.read(tmp_path / "b.spz", frame=frame), float_columns(tmp_path / "oracle.ply"))
-    assert found["means"] == found["rest"] == 0 and max(found.values()) < 5e-4, found
+    difference = disagreement(io.read(tmp_path / "b.spz", frame=frame), float_columns(tmp_path / "oracle.ply"))
+    assert difference["means"] == difference["rest"] == 0 and max(difference.values()) < 5e-4, difference
 
 
 # ---- the command line and the session
@@ -210,8 +212,8 @@ def test_commands_say_and_take_frames(tmp_path: Path, capfd: Capture) -> None:
     silent(tmp_path / "a.spz")
     out = run(capfd, "info", tmp_path / "a.spz").out
     assert "frame      right-up-back, the default of this format; the file does not say" in out
-    told = run(capfd, "info", tmp_path / "a.spz", "--frame", "rdf", "--json").json["frame"]
-    assert (told["axes"], told["from"]) == ("rdf", "choice")
+    frame_name = run(capfd, "info", tmp_path / "a.spz", "--frame", "rdf", "--json").json["frame"]
+    assert (frame_name["axes"], frame_name["from"]) == ("rdf", "choice")
     line = run(capfd, "convert", tmp_path / "a.spz", tmp_path / "b.spz", "--frame", "rdf").out
     assert "frame: right-down-front, as chosen -> right-down-front, as chosen" in line
     assert (tmp_path / "b.spz").read_bytes() == (tmp_path / "a.spz").read_bytes()
@@ -243,8 +245,8 @@ def test_a_project_remembers_the_frame_and_what_is_up(tmp_path: Path) -> None:
     with Session.load(tmp_path / "a.splatproj") as session:
         assert session.up == "+z" and np.array_equal(session.splats.means, means)
         assert session.original.source is not None and session.original.source.frame == "rdf"
-        _, found = session.export(tmp_path / "b.spz")
-        assert found.ok and found.same == 100
+        _, verification = session.export(tmp_path / "b.spz")
+        assert verification.ok and verification.same == 100
     assert (tmp_path / "b.spz").read_bytes() == before
 
 
@@ -271,6 +273,6 @@ def test_edit_in_a_chosen_frame(tmp_path: Path, capfd: Capture) -> None:
         capfd, "edit", tmp_path / "a.spz", picture, "--frame", "rdf", "--method", "lift", "--out", tmp_path / "b.spz"
     )
     assert done.code == 0 and "frame: right-down-front, as chosen" in done.out, done
-    assert said(tmp_path / "b.spz") == 6
+    assert axis_of(tmp_path / "b.spz") == 6
     done = run(capfd, "verify", tmp_path / "a.spz", tmp_path / "b.spz")
     assert done.code == 0 and "frame: right-down-front, as the file says" in done.out, done

@@ -42,19 +42,19 @@ def refused(path: Path, data: bytes, reason: str, peak: int = 16 * MIB) -> None:
 
 def lying_zip(path: Path, name: str, data: bytes, says: bytes) -> bytes:
     """A deflated bundle whose directory has the size and checksum of `says` for a file that unpacks to `data`."""
-    whole = bytearray(bundle(path, FILES | {name: data}, zipfile.ZIP_DEFLATED).read_bytes())
-    at = whole.rindex(name.encode()) - 46
-    assert whole[at : at + 4] == b"PK\x01\x02"
-    struct.pack_into("<I", whole, at + 16, zlib.crc32(says))
-    struct.pack_into("<I", whole, at + 24, len(says))
-    return bytes(whole)
+    bundle_bytes = bytearray(bundle(path, FILES | {name: data}, zipfile.ZIP_DEFLATED).read_bytes())
+    at = bundle_bytes.rindex(name.encode()) - 46
+    assert bundle_bytes[at : at + 4] == b"PK\x01\x02"
+    struct.pack_into("<I", bundle_bytes, at + 16, zlib.crc32(says))
+    struct.pack_into("<I", bundle_bytes, at + 24, len(says))
+    return bytes(bundle_bytes)
 
 
 def edit_entry(path: Path, files: dict[str, bytes], name: bytes, offset: int, form: str, value: int) -> bytes:
     """A stored bundle with one number of a directory entry changed."""
-    whole = bytearray(bundle(path, files).read_bytes())
-    struct.pack_into(form, whole, whole.rindex(name) - 46 + offset, value)
-    return bytes(whole)
+    bundle_bytes = bytearray(bundle(path, files).read_bytes())
+    struct.pack_into(form, bundle_bytes, bundle_bytes.rindex(name) - 46 + offset, value)
+    return bytes(bundle_bytes)
 
 
 def test_a_zip_directory_that_lies_about_sizes(tmp_path: Path) -> None:
@@ -75,8 +75,8 @@ def test_uploads_do_not_unpack_what_a_bundle_may_not_hold(method: int, tmp_path:
     data = edit_sizes(path.read_bytes())
     assert len(data) < 100_000
 
-    def claimed(place: Path) -> object:
-        return sniff(place, str(place), 10**6)
+    def claimed(bundle_path: Path) -> object:
+        return sniff(bundle_path, str(bundle_path), 10**6)
 
     assert survives(claimed, path, iter([data]), 8 * MIB) == (0, 1)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=f"packed by method {method}"):
@@ -113,14 +113,14 @@ def test_uploads_are_judged_by_their_headers(tmp_path: Path) -> None:
 def test_entries_that_cannot_all_be_there(tmp_path: Path) -> None:
     path = tmp_path / "a.sog"
     big = os.urandom(MIB)
-    whole = bytearray(bundle(path, FILES | {"one": big, "two": big, "six": big}).read_bytes())
-    place = whole.index(b"one") - 30
+    bundle_bytes = bytearray(bundle(path, FILES | {"one": big, "two": big, "six": big}).read_bytes())
+    name_offset = bundle_bytes.index(b"one") - 30
     for name in (b"two", b"six"):  # all three lie over each other, as in a zip bomb of overlapping files
-        struct.pack_into("<I", whole, whole.rindex(name) - 46 + 42, place)
-    del whole[whole.index(b"two") - 30 : whole.index(b"PK\x01\x02")]
-    at = whole.rindex(b"PK\x05\x06")
-    struct.pack_into("<I", whole, at + 16, whole.index(b"PK\x01\x02"))
-    refused(path, bytes(whole), "its files need more bytes than it has")
+        struct.pack_into("<I", bundle_bytes, bundle_bytes.rindex(name) - 46 + 42, name_offset)
+    del bundle_bytes[bundle_bytes.index(b"two") - 30 : bundle_bytes.index(b"PK\x01\x02")]
+    at = bundle_bytes.rindex(b"PK\x05\x06")
+    struct.pack_into("<I", bundle_bytes, at + 16, bundle_bytes.index(b"PK\x01\x02"))
+    refused(path, bytes(bundle_bytes), "its files need more bytes than it has")
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,10 @@ def test_fit(kind: str) -> None:
         values[:2] = 80, -90
     book = codebooks.fit(values)
     assert (np.diff(book) >= 0).all()
-    known, _ = kmeans2(values[:, None], np.quantile(values, (np.arange(256) + 0.5) / 256)[:, None], 60, minit="matrix")
-    assert error(values, book) < 1.02 * error(values, known[:, 0])
+    reference, _ = kmeans2(
+        values[:, None], np.quantile(values, (np.arange(256) + 0.5) / 256)[:, None], 60, minit="matrix"
+    )
+    assert error(values, book) < 1.02 * error(values, reference[:, 0])
     if kind == "two far values":
         assert np.abs(book - 80).min() < 1e-5 and np.abs(book + 90).min() < 1e-5
 
@@ -37,9 +39,9 @@ def test_fit(kind: str) -> None:
 def test_nearest() -> None:
     rng = np.random.default_rng(0)
     book, values = rng.normal(size=256), rng.normal(size=(500, 3)) * 2
-    found = codebooks.nearest(book, values)
-    assert found.dtype == np.uint8
-    assert np.array_equal(np.abs(book[found] - values), np.abs(book - values[..., None]).min(-1))
+    nearest_ids = codebooks.nearest(book, values)
+    assert nearest_ids.dtype == np.uint8
+    assert np.array_equal(np.abs(book[nearest_ids] - values), np.abs(book - values[..., None]).min(-1))
 
 
 def test_extend() -> None:
@@ -82,6 +84,6 @@ def test_palette() -> None:
     assert len(entries) <= 1024 and labels.shape == (4000,)
     again = codebooks.palette(vectors, 1024)
     assert np.array_equal(again[0], entries) and np.array_equal(again[1], labels)
-    known, mine = kmeans2(vectors, vectors[rng.permutation(4000)[:1024]], 10, minit="matrix")
-    ours, theirs = (((vectors - e[i]) ** 2).mean() for e, i in ((entries, labels), (known, mine)))
+    reference, reference_labels = kmeans2(vectors, vectors[rng.permutation(4000)[:1024]], 10, minit="matrix")
+    ours, theirs = (((vectors - e[i]) ** 2).mean() for e, i in ((entries, labels), (reference, reference_labels)))
     assert ours < 1.15 * theirs

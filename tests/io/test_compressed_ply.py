@@ -305,8 +305,8 @@ def test_morton_order() -> None:
 
     means = cells.astype(np.float64)
     means[5] = np.nan
-    wanted = sorted((k for k in range(200) if k != 5), key=lambda k: key(cells[k]))
-    assert morton_order(means).tolist() == [*wanted, 5]
+    expected = sorted((k for k in range(200) if k != 5), key=lambda k: key(cells[k]))
+    assert morton_order(means).tolist() == [*expected, 5]
     assert len(morton_order(np.zeros((0, 3)))) == 0
 
 

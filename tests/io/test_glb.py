@@ -75,14 +75,14 @@ def test_round_trip_is_exact(tmp_path: Path) -> None:
     splats = random_splats(200, 3)
     splats = replace(splats, quats=splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True))
     for flags in ({}, {"antialiased": True}, {"color_space": "linear"}):
-        said = replace(splats, **flags)
-        write_glb(tmp_path / "a.glb", said)
+        flagged = replace(splats, **flags)
+        write_glb(tmp_path / "a.glb", flagged)
         back = read_glb(tmp_path / "a.glb")
         assert same_bits(back, splats)
-        assert (back.antialiased, back.color_space) == (said.antialiased, said.color_space)
-        write_glb(tmp_path / "b.glb", replace(back, antialiased=not said.antialiased))
+        assert (back.antialiased, back.color_space) == (flagged.antialiased, flagged.color_space)
+        write_glb(tmp_path / "b.glb", replace(back, antialiased=not flagged.antialiased))
         again = read_glb(tmp_path / "b.glb")
-        assert again.antialiased is not said.antialiased and again.color_space == said.color_space
+        assert again.antialiased is not flagged.antialiased and again.color_space == flagged.color_space
         assert same_bits(again, splats)
 
 
@@ -145,8 +145,8 @@ def test_edits_keep_the_other_rows(tmp_path: Path, splat_transform: Oracle) -> N
     assert quats_apart(back.quats, edited.quats) < 1e-6
     # splat-transform's fallback colours are sRGB; those of changed rows follow its habit.
     color = columns((tmp_path / "b.glb").read_bytes())["COLOR_0"]
-    wanted = np.clip(0.5 + SH_C0 * edited.sh[:, 0].astype(np.float64), 0, 1)
-    assert np.abs(color[:, :3] / 255 - wanted).max() <= 0.51 / 255
+    expected = np.clip(0.5 + SH_C0 * edited.sh[:, 0].astype(np.float64), 0, 1)
+    assert np.abs(color[:, :3] / 255 - expected).max() <= 0.51 / 255
 
 
 @pytest.mark.parametrize(
@@ -295,9 +295,9 @@ def test_rows_that_cannot_be_drawn(tmp_path: Path) -> None:
     splats.means[3], splats.scales[4, 1], splats.quats[5], splats.sh[6] = np.nan, 0, 0, np.inf
     write_glb(tmp_path / "a.glb", splats)
     back = read_glb(tmp_path / "a.glb")
-    others = np.delete(np.arange(50), [3, 4, 5, 6])
+    rest = np.delete(np.arange(50), [3, 4, 5, 6])
     assert back.drawable.all() and not back.opacities[3:7].any()
-    assert same_bits(replace(back, quats=splats.quats), splats, others)
+    assert same_bits(replace(back, quats=splats.quats), splats, rest)
     # Already in a file, they keep their bytes when other rows change.
     broken = attributes_of(random_splats(20, 0))
     broken["POSITION"][4] = np.nan

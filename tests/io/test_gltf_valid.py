@@ -34,7 +34,7 @@ SCHEMA = {
     },
 }
 """Values are open (other extensions may add some); KNOWN are the base extension's."""
-KNOWN = {
+SPECIFIED = {
     "kernel": {"ellipse"},
     "colorSpace": {"srgb_rec709_display", "lin_rec709_display"},
     "projection": {"perspective"},
@@ -48,17 +48,17 @@ EXPECTED = {"UNSUPPORTED_EXTENSION", "MESH_PRIMITIVE_INVALID_ATTRIBUTE"}
 def check(path: Path, degree: int, validator: Validator) -> None:
     doc, _ = parts(path.read_bytes())
     assert KHR in doc["extensionsUsed"]
-    found = [p for mesh in doc["meshes"] for p in mesh["primitives"] if KHR in p.get("extensions", {})]
-    assert found
-    for primitive in found:
+    primitives = [p for mesh in doc["meshes"] for p in mesh["primitives"] if KHR in p.get("extensions", {})]
+    assert primitives
+    for primitive in primitives:
         extension = primitive["extensions"][KHR]
         jsonschema.validate(extension, SCHEMA, jsonschema.Draft202012Validator)
-        assert all(extension[key] in values for key, values in KNOWN.items() if key in extension)
+        assert all(extension[key] in values for key, values in SPECIFIED.items() if key in extension)
         assert primitive["mode"] == 0
-        wanted = ATTRIBUTES | dict.fromkeys(COEFFICIENTS[: (degree + 1) ** 2], "VEC3")
+        expected = ATTRIBUTES | dict.fromkeys(COEFFICIENTS[: (degree + 1) ** 2], "VEC3")
         types = {name: doc["accessors"][index]["type"] for name, index in primitive["attributes"].items()}
-        assert {name: types.get(name) for name in wanted} == wanted
-        assert set(types) - set(wanted) <= {"COLOR_0"}
+        assert {name: types.get(name) for name in expected} == expected
+        assert set(types) - set(expected) <= {"COLOR_0"}
     messages = validator(path)
     assert {message["code"] for message in messages} <= EXPECTED, messages
     strange = [m for m in messages if m["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE" and f"{KHR}:" not in m["pointer"]]

@@ -76,25 +76,25 @@ def look(path: Path) -> None:
 
 def mutants(doc: Any) -> Iterator[Any]:
     """`doc` with one value after another removed or replaced by each of STRANGE."""
-    places: list[tuple[Any, ...]] = []
+    value_paths: list[tuple[Any, ...]] = []
 
-    def walk(item: Any, place: tuple[Any, ...]) -> None:
+    def walk(item: Any, value_path: tuple[Any, ...]) -> None:
         children = item.items() if isinstance(item, dict) else enumerate(item[:2]) if isinstance(item, list) else ()
         for key, child in children:
-            places.append((*place, key))
-            walk(child, (*place, key))
+            value_paths.append((*value_path, key))
+            walk(child, (*value_path, key))
 
     walk(doc, ())
-    for k, place in enumerate(places):
+    for k, value_path in enumerate(value_paths):
         for value in [..., *STRANGE][k % 2 :: 2]:
             changed = copy.deepcopy(doc)
             holder = changed
-            for key in place[:-1]:
+            for key in value_path[:-1]:
                 holder = holder[key]
             if value is ...:
-                del holder[place[-1]]
+                del holder[value_path[-1]]
             else:
-                holder[place[-1]] = value
+                holder[value_path[-1]] = value
             yield changed
 
 
@@ -102,8 +102,13 @@ def open_or_refuse(path: Path) -> int:
     try:
         io.read(path)
     except ValueError as error:
-        said = str(error)
-        assert said.startswith(str(path)) and len(said.splitlines()) == 1 and said.isprintable() and len(said) < 500
+        message = str(error)
+        assert (
+            message.startswith(str(path))
+            and len(message.splitlines()) == 1
+            and message.isprintable()
+            and len(message) < 500
+        )
         return 0
     return 1
 

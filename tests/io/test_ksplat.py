@@ -91,8 +91,8 @@ def test_against_the_values_that_were_packed(tmp_path: Path, level: int, degrees
 def test_against_splat_transform(tmp_path: Path, level: int, degree: int, splat_transform: Callable[..., str]) -> None:
     path, _ = make(tmp_path, level, [degree])
     splat_transform(path, tmp_path / "oracle.ply")
-    found = disagreement(io.read(path), float_columns(tmp_path / "oracle.ply"))
-    assert all(value < 2e-6 for value in found.values()), found
+    difference = disagreement(io.read(path), float_columns(tmp_path / "oracle.ply"))
+    assert all(value < 2e-6 for value in difference.values()), difference
 
 
 def test_cannot_be_written(tmp_path: Path) -> None:

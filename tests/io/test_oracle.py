@@ -36,9 +36,9 @@ SPLAT_QUATS = 0.012
 
 def agree(path: Path, oracle: Oracle, folder: Path) -> None:
     oracle(path, folder / "oracle.ply")
-    found = disagreement(io.read(path), float_columns(folder / "oracle.ply"))
+    difference = disagreement(io.read(path), float_columns(folder / "oracle.ply"))
     close = CLOSE | ({"quats": SPLAT_QUATS} if path.suffix == ".splat" else {})
-    assert all(found[name] <= close[name] for name in found), found
+    assert all(difference[name] <= close[name] for name in difference), difference
 
 
 @pytest.mark.shared
@@ -70,9 +70,9 @@ def test_what_we_write(name: str, degree: int, tmp_path: Path, splat_transform: 
     io.write(tmp_path / name, splats)
     agree(tmp_path / name, splat_transform, tmp_path)
     if name == "a.ply":  # raw floats: the oracle also finds the values that went in, not only those we read back
-        found = disagreement(splats, float_columns(tmp_path / "oracle.ply"))
-        assert found["means"] == found["base"] == found["rest"] == 0
-        assert max(found["scales"], found["opacities"], found["quats"]) < 2e-6
+        difference = disagreement(splats, float_columns(tmp_path / "oracle.ply"))
+        assert difference["means"] == difference["base"] == difference["rest"] == 0
+        assert max(difference["scales"], difference["opacities"], difference["quats"]) < 2e-6
 
 
 @pytest.mark.parametrize("degree", [0, 3])

@@ -30,13 +30,13 @@ ATTRIBUTES = {
 SMALL = settings(max_examples=60, deadline=None, database=None)
 
 
-def places(degree: int) -> dict[str, tuple[str, int]]:
+def positions(degree: int) -> dict[str, tuple[str, int]]:
     """Property name -> (attribute, index in its flattened row), from INRIA's definition."""
-    found = {name: (a, k) for a, names in ATTRIBUTES.items() for k, name in enumerate(names)}
+    columns = {name: (a, k) for a, names in ATTRIBUTES.items() for k, name in enumerate(names)}
     bands = (degree + 1) ** 2 - 1
-    found |= {f"f_dc_{c}": ("sh", c) for c in range(3)}
-    found |= {f"f_rest_{c * bands + k}": ("sh", 3 * (1 + k) + c) for c in range(3) for k in range(bands)}
-    return found
+    columns |= {f"f_dc_{c}": ("sh", c) for c in range(3)}
+    columns |= {f"f_rest_{c * bands + k}": ("sh", 3 * (1 + k) + c) for c in range(3) for k in range(bands)}
+    return columns
 
 
 @dataclass
@@ -70,7 +70,7 @@ def files(draw: st.DrawFn) -> Made:
     degree = draw(st.integers(0, 4))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     doubles = draw(st.booleans())
-    properties = [(n, "double" if doubles and rng.random() < 0.3 else "float") for n in places(degree)]
+    properties = [(n, "double" if doubles and rng.random() < 0.3 else "float") for n in positions(degree)]
     extra = draw(st.lists(st.sampled_from(sorted(CODES)), max_size=3))
     properties += [(f"extra_{k}", kind) for k, kind in enumerate(extra)]
     properties = [properties[k] for k in rng.permutation(len(properties))]
@@ -138,7 +138,7 @@ def test_untouched_bytes_stay(made: Made, data: st.DataObject) -> None:
     rows = _split(made, result[len(head) :], len(origins))
     for i, (origin, row) in enumerate(zip(origins, rows, strict=True)):
         for k, (name, kind) in enumerate(made.properties):
-            attribute, column = places(made.degree).get(name, ("", 0))
+            attribute, column = positions(made.degree).get(name, ("", 0))
             if origin >= 0 and (i, attribute, column) not in edited:
                 assert row[k] == made.rows[origin][k], (i, name)
             elif attribute:
@@ -221,13 +221,13 @@ def test_another_sh_degree(made: Made, degree: int) -> None:
     start = lines.index(["element", "vertex", str(len(made.rows))]) + 1
     properties = [(w[2], w[1]) for w in lines[start : start + len(made.properties) + 75] if w[0] == "property"]
     properties = properties[: len(properties) - (["element", "late", "1"] in lines)]
-    kept = [p for p in made.properties if not p[0].startswith("f_rest_")]
-    assert [p for p in properties if not p[0].startswith("f_rest_")] == kept
-    assert len(properties) - len(kept) == 3 * (degree + 1) ** 2 - 3
+    remaining = [p for p in made.properties if not p[0].startswith("f_rest_")]
+    assert [p for p in properties if not p[0].startswith("f_rest_")] == remaining
+    assert len(properties) - len(remaining) == 3 * (degree + 1) ** 2 - 3
     body = result[cut:]
     assert body.startswith(made.before) and body.endswith(made.after)
     rows = _split(replace(made, properties=properties), body[len(made.before) :], len(made.rows))
     for before, after in zip(made.rows, rows, strict=True):
-        for name, kind in kept:
+        for name, kind in remaining:
             old, new = before[made.properties.index((name, kind))], after[properties.index((name, kind))]
             assert (old.strip() == new.strip()) if made.order == "=" else (old == new)

@@ -94,13 +94,13 @@ def test_by_hand(layout: str, tmp_path: Path) -> None:
     splats = io.read(path)
     assert len(splats) == 3 and splats.sh_degree == 1 and splats.source is not None
 
-    def place(low: float, high: float, word: int) -> float:
+    def decoded(low: float, high: float, word: int) -> float:
         v = low + (high - low) * word / 65535
         return math.copysign(math.exp(abs(v)) - 1, v)
 
     words = [[65535, 0, 32768], [0, 0, 65535], [1025, 1282, 1539]]
     ranges = [(-1, 1), (0, 2), (-2, 2)]
-    expected = [[place(*ranges[a], row[a]) for a in range(3)] for row in words]
+    expected = [[decoded(*ranges[a], row[a]) for a in range(3)] for row in words]
     assert np.allclose(splats.means, expected, rtol=1e-6, atol=1e-7)
     small, root = (128 / 255 * 2 - 1) / math.sqrt(2), 1 / math.sqrt(2)
     assert np.allclose(splats.quats[0], [math.sqrt(1 - 3 * small**2), small, small, small], atol=1e-6)
@@ -123,9 +123,9 @@ def test_by_hand(layout: str, tmp_path: Path) -> None:
     back = read_sog(target)
     assert np.array_equal(back.sh, sh) and same_bits(replace(back, sh=sh), replace(splats, sh=sh))
     assert detail(back).meta["note"] == "kept"
-    kept = detail(back).container.files
-    assert all(kept[name] == files[name] for name in files if name not in ("meta.json", "sh0.x"))
-    assert layout == "folder" or kept["docs/readme.txt"] == b"hello"
+    members = detail(back).container.files
+    assert all(members[name] == files[name] for name in files if name not in ("meta.json", "sh0.x"))
+    assert layout == "folder" or members["docs/readme.txt"] == b"hello"
 
 
 @pytest.mark.shared
@@ -136,10 +136,10 @@ def test_real_files(name: str, shared: Path, tmp_path: Path, splat_transform: Or
     assert splats.source is not None and not splats.source.problems
     assert (len(splats), splats.sh_degree) == REAL[name]
     splat_transform(path / "meta.json" if path.is_dir() else path, tmp_path / "oracle.ply")
-    found = disagreement(splats, float_columns(tmp_path / "oracle.ply"))
+    difference = disagreement(splats, float_columns(tmp_path / "oracle.ply"))
     # Both decode in float64 and round once.
     close = {"means": 1e-6, "quats": 1e-6, "scales": 2e-6, "opacities": 2e-6, "base": 0, "rest": 0}
-    assert all(found[key] <= close[key] for key in found), found
+    assert all(difference[key] <= close[key] for key in difference), difference
     write_sog(tmp_path / ("meta.json" if path.is_dir() else "same.sog"), splats)
     if path.is_dir():
         assert all((tmp_path / file.name).read_bytes() == file.read_bytes() for file in path.iterdir())
@@ -165,12 +165,14 @@ def test_what_we_write(name: str, degree: int, tmp_path: Path, splat_transform: 
     back = io.read(path)
     splat_transform(path, tmp_path / "oracle.ply")
     table = float_columns(tmp_path / "oracle.ply")
-    found = disagreement(back, table)
-    assert max(found.values()) < 3e-6, found
-    found = disagreement(splats, table)
+    difference = disagreement(back, table)
+    assert max(difference.values()) < 3e-6, difference
+    difference = disagreement(splats, table)
     extent = np.log1p(np.abs(splats.means)).max() * 2 / 65535 * (1 + np.abs(splats.means).max())
-    assert found["means"] <= extent / 2 and found["quats"] <= 1.5 / 255 * math.sqrt(2), found
-    assert found["opacities"] <= 0.5 / 255 + 1e-6 and found["base"] < 0.01 and found["scales"] < 0.12, found
+    assert difference["means"] <= extent / 2 and difference["quats"] <= 1.5 / 255 * math.sqrt(2), difference
+    assert difference["opacities"] <= 0.5 / 255 + 1e-6 and difference["base"] < 0.01 and difference["scales"] < 0.12, (
+        difference
+    )
     if degree:
         wrong = back.sh[:, 1:] - splats.sh[:, 1:]
         # 3,000 different vectors in 2,048 entries: noise, the worst case.
@@ -231,9 +233,9 @@ def test_painting_keeps_the_other_rows(name: str, shared: Path, tmp_path: Path) 
     assert (np.abs(back.means - edited.means).max(1) <= 2 * edited.scales.max(1) + 1e-4).all()
     # A plane that holds nothing new is the same file.
     write_sog(tmp_path / "b.sog", replace(splats, opacities=opacities))
-    kept, before = detail(read_sog(tmp_path / "b.sog")).container.files, detail(splats).container.files
-    assert {key for key in before if kept[key] != before[key]} <= {"sh0.webp", "meta.json"}
-    assert list(kept) == list(before)
+    members, before = detail(read_sog(tmp_path / "b.sog")).container.files, detail(splats).container.files
+    assert {key for key in before if members[key] != before[key]} <= {"sh0.webp", "meta.json"}
+    assert list(members) == list(before)
 
 
 @pytest.mark.shared
@@ -321,9 +323,9 @@ def test_rows_that_cannot_be_drawn(tmp_path: Path) -> None:
     splats.means[3], splats.scales[4, 1], splats.quats[5], splats.sh[6] = np.nan, 0, 0, np.inf
     write_sog(tmp_path / "a.sog", splats)
     back = read_sog(tmp_path / "a.sog")
-    others = np.delete(np.arange(50), [3, 4, 5, 6])
+    rest = np.delete(np.arange(50), [3, 4, 5, 6])
     assert back.drawable.all() and not back.opacities[3:7].any()
-    assert np.abs(back.means - splats.means)[others].max() < 1e-3 and np.abs(back.sh - splats.sh)[others].max() < 0.01
+    assert np.abs(back.means - splats.means)[rest].max() < 1e-3 and np.abs(back.sh - splats.sh)[rest].max() < 0.01
 
 
 def test_refused_to_write(tmp_path: Path) -> None:

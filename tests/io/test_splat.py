@@ -64,24 +64,24 @@ def test_untouched_bytes_stay(tmp_path_factory: pytest.TempPathFactory, data: by
     rows = rng.integers(0, len(source), 5)
     splats = source.take(rows)
     arrays = {"means": splats.means.copy(), "opacities": splats.opacities.copy(), "quats": splats.quats.copy()}
-    wanted = [data[32 * row : 32 * row + 32] for row in rows]
+    expected = [data[32 * row : 32 * row + 32] for row in rows]
     for _ in range(edits):
         row, value = int(rng.integers(5)), float(np.float32(rng.uniform(0.1, 0.9)))
         kind = rng.integers(3)
         if kind == 0:
             arrays["means"][row, 1] = value
-            wanted[row] = wanted[row][:4] + struct.pack("<f", value) + wanted[row][8:]
+            expected[row] = expected[row][:4] + struct.pack("<f", value) + expected[row][8:]
         elif kind == 1 and splats.opacities[row] != np.float32(value):
             arrays["opacities"][row] = value
-            wanted[row] = wanted[row][:27] + bytes([round(value * 255)]) + wanted[row][28:]
+            expected[row] = expected[row][:27] + bytes([round(value * 255)]) + expected[row][28:]
         elif kind == 2:
             arrays["quats"][row] = [0.5, 0.5, -0.5, 0.5]
             if (splats.quats[row] != arrays["quats"][row]).any():
-                wanted[row] = wanted[row][:28] + bytes([192, 192, 64, 192])
+                expected[row] = expected[row][:28] + bytes([192, 192, 64, 192])
     io.write(folder / "out.splat", replace(splats, **arrays))
     result = (folder / "out.splat").read_bytes()
     # A NaN position keeps its payload; the bytes of means are whole floats, so compare row by row.
-    assert [result[k : k + 32] for k in range(0, 160, 32)] == wanted
+    assert [result[k : k + 32] for k in range(0, 160, 32)] == expected
     assert result[160:] == data[len(source) * 32 :]
 
 

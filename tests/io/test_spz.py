@@ -147,10 +147,10 @@ def test_real_files(name: str, shared: Path, tmp_path: Path, splat_transform: Sp
     assert splats.source is not None and not splats.source.problems
     assert (len(splats), splats.sh_degree, detail(splats).version) == FILES[name]
     splat_transform(path, tmp_path / "oracle.ply")
-    found = disagreement(splats, float_columns(tmp_path / "oracle.ply"))
+    difference = disagreement(splats, float_columns(tmp_path / "oracle.ply"))
     # Its quaternions of version 2 have w from float32 sums; w near 0 magnifies that.
     close = {"means": 0, "quats": 5e-4, "scales": 1e-6, "opacities": 1e-5, "base": 1e-6, "rest": 0}
-    assert all(found[key] <= close[key] for key in found), found
+    assert all(difference[key] <= close[key] for key in difference), difference
     write_spz(tmp_path / "same.spz", splats)
     assert (tmp_path / "same.spz").read_bytes() == path.read_bytes()
 
@@ -209,13 +209,15 @@ def test_what_we_write(version: int, degree: int, tmp_path: Path, splat_transfor
     table = float_columns(tmp_path / "oracle.ply")
     back = read_spz(path)
     assert detail(back).version == version and back.antialiased
-    found = disagreement(back, table)
-    assert found["means"] == found["rest"] == 0 and max(found.values()) < 5e-4, found
-    found = disagreement(splats, table)
+    difference = disagreement(back, table)
+    assert difference["means"] == difference["rest"] == 0 and max(difference.values()) < 5e-4, difference
+    difference = disagreement(splats, table)
     bits = detail(back).fractional_bits
-    assert bits >= 12 and found["means"] <= 0.5 / 2**bits + 1e-6
-    assert all(found[key] <= STEPS[key] + 1e-5 for key in ("scales", "opacities", "base")), found
-    assert found["rest"] <= 1 / 128 + 1e-6 and found["quats"] <= (0.15 if version == 2 else STEPS["quats"] * 3)
+    assert bits >= 12 and difference["means"] <= 0.5 / 2**bits + 1e-6
+    assert all(difference[key] <= STEPS[key] + 1e-5 for key in ("scales", "opacities", "base")), difference
+    assert difference["rest"] <= 1 / 128 + 1e-6 and difference["quats"] <= (
+        0.15 if version == 2 else STEPS["quats"] * 3
+    )
 
 
 def test_degree_4_beside_the_reference(tmp_path: Path, spz_reference: Callable[[list[Path]], list[Splats]]) -> None:
@@ -252,9 +254,9 @@ def test_unchanged_rows(name: str, shared: Path, tmp_path: Path) -> None:
         rows = slice(0, len(splats)) if key != "colors" else np.flatnonzero(~touched)
         assert np.array_equal(words[rows], detail(splats).streams[key][rows]), key
     assert np.abs(back.sh[: len(splats), 0] - sh[:, 0]).max() <= STEPS["base"] + 1e-5
-    kept = np.flatnonzero(rng.random(len(splats)) < 0.5)[::-1]
-    write_spz(tmp_path / "a.spz", splats.take(kept))
-    assert same_bits(read_spz(tmp_path / "a.spz"), splats.take(kept))
+    order = np.flatnonzero(rng.random(len(splats)) < 0.5)[::-1]
+    write_spz(tmp_path / "a.spz", splats.take(order))
+    assert same_bits(read_spz(tmp_path / "a.spz"), splats.take(order))
 
 
 def test_other_degrees(tmp_path: Path) -> None:
@@ -286,8 +288,8 @@ def test_rows_that_cannot_be_drawn(tmp_path: Path) -> None:
     write_spz(tmp_path / "a.spz", splats)
     back = read_spz(tmp_path / "a.spz")
     assert back.drawable.all() and not back.opacities[3:7].any() and back.opacities[[2, 7]].all()
-    others = np.delete(np.arange(50), [3, 4, 5, 6])
-    assert np.abs(back.means - splats.means)[others].max() < 1e-3
+    rest = np.delete(np.arange(50), [3, 4, 5, 6])
+    assert np.abs(back.means - splats.means)[rest].max() < 1e-3
 
 
 def test_far_rows(tmp_path: Path) -> None:

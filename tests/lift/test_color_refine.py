@@ -23,17 +23,17 @@ def pictures(seed: int = 0) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("rounds", [1, 2])
 def test_a_local_round_is_the_written_out_formula(rounds: int) -> None:
-    wanted, rows = pictures()[0], np.arange(len(SHEET)) % 3 > 0
+    target_picture, rows = pictures()[0], np.arange(len(SHEET)) % 3 > 0
     weights, left = dense_weights(SHEET, CAMERAS[0])
-    colors, target = base_colors(SHEET), wanted.reshape(-1, 3).astype(np.float64)
+    colors, target = base_colors(SHEET), target_picture.reshape(-1, 3).astype(np.float64)
     for _ in range(rounds):
         error = target - (weights.T @ colors + left[:, None] * 0.5)
         step = weights @ error / np.maximum(weights.sum(1), 1e-6)[:, None]
         colors = np.clip(np.where(rows[:, None], colors + step, colors), 0, 1.3)
-    result = refine_colors_local(SHEET, [(CAMERAS[0], wanted)], rows, rounds)
+    result = refine_colors_local(SHEET, [(CAMERAS[0], target_picture)], rows, rounds)
     np.testing.assert_allclose(base_colors(result), colors, atol=2e-3)
     assert not differing(SHEET, result)[~rows].any() and result.means is SHEET.means
-    assert refine_colors_local(SHEET, [(CAMERAS[0], wanted)], np.zeros(len(SHEET), bool)) is SHEET
+    assert refine_colors_local(SHEET, [(CAMERAS[0], target_picture)], np.zeros(len(SHEET), bool)) is SHEET
 
 
 def test_of_two_local_pictures_the_latest_wins() -> None:

@@ -66,8 +66,8 @@ def gains(splats: Splats, truth: Splats, result: Splats, *cameras: Camera) -> li
     """(dB before, dB after) against the truth on the asset's pixels, per view."""
     out = []
     for camera in cameras:
-        on, wanted = covered(splats, camera), draw(truth, camera)
-        out.append((db(draw(splats, camera), wanted, on), db(draw(result, camera), wanted, on)))
+        on, expected = covered(splats, camera), draw(truth, camera)
+        out.append((db(draw(splats, camera), expected, on), db(draw(result, camera), expected, on)))
     return out
 
 
@@ -174,8 +174,8 @@ def test_the_later_of_two_conflicting_views_wins_where_both_see(swapped):
     weights = sp.render(splats, [FRONT, NEAR_FRONT], contributions=True).contributions
     both = (weights > 3).all(0)
     assert both.sum() > 200
-    wanted, other = (np.abs(base_colors(result) - base_colors(truth))[both] for truth in (last, first))
-    assert wanted.mean() < 0.05 and (wanted.max(1) < other.max(1)).mean() > 0.99
+    expected, other = (np.abs(base_colors(result) - base_colors(truth))[both] for truth in (last, first))
+    assert expected.mean() < 0.05 and (expected.max(1) < other.max(1)).mean() > 0.99
     on = covered(splats, NEAR_FRONT)
     assert db(draw(result, NEAR_FRONT), draw(last, NEAR_FRONT), on) > 21  # its rim is the first's too
     # What only the first view shows is still the first one's.

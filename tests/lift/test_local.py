@@ -72,9 +72,12 @@ def check_bookkeeping(before: Splats, lifted: LocalLift, camera: Camera) -> None
     assert (np.hypot(*(new - old).T) < 5 * (reach + 1)).all()
     smaller = children.scales.max(1) <= 1.0001 * before.scales[parents].max(1)
     assert (smaller | (size < 5)).all()  # pixel-sized, or smaller than the parent
-    kept = lifted.touched
-    assert (np.linalg.norm(after.means[kept] - before.means[kept], axis=1) < 2 * before.scales[kept].max(1)).all()
-    assert (after.scales[kept] <= 1.0001 * before.scales[kept]).all()
+    touched_ids = lifted.touched
+    assert (
+        np.linalg.norm(after.means[touched_ids] - before.means[touched_ids], axis=1)
+        < 2 * before.scales[touched_ids].max(1)
+    ).all()
+    assert (after.scales[touched_ids] <= 1.0001 * before.scales[touched_ids]).all()
 
 
 # What changes
@@ -113,9 +116,9 @@ def test_paint_shows_from_other_sides_too():
     lifted = lift_local(splats, camera, target, mask)
     for eye in ((1.8, 0, 2.4), (-1.2, 1.5, 2.2), (0, -2, 2.2)):
         side = look_at(eye, (0, 0, 0), width=128, height=128, fov=42)
-        wanted, region = draw(truth, side), np.abs(draw(truth, side) - draw(splats, side)).max(-1) > 0.02
-        assert db(draw(lifted.splats, side), wanted, region) > db(draw(splats, side), wanted, region) + 8
-        assert db(draw(lifted.splats, side), wanted, outside(region)) > 38
+        expected, region = draw(truth, side), np.abs(draw(truth, side) - draw(splats, side)).max(-1) > 0.02
+        assert db(draw(lifted.splats, side), expected, region) > db(draw(splats, side), expected, region) + 8
+        assert db(draw(lifted.splats, side), expected, outside(region)) > 38
 
 
 def test_a_picture_that_is_not_made_of_whole_tiles_edited_in_its_corner():
@@ -220,14 +223,14 @@ def test_arguments_are_not_written_to():
     mask = disk(camera, 48, 48, 14)
     target = painted(splats, camera, mask)
     copies = [getattr(splats, name).copy() for name in ("means", "quats", "scales", "opacities", "sh")]
-    kept = target.copy(), mask.copy()
+    pictures = target.copy(), mask.copy()
     for name in ("means", "quats", "scales", "opacities", "sh"):
         getattr(splats, name).flags.writeable = False
     lift_local(splats, camera, target, mask)
     for name, copy in zip(("means", "quats", "scales", "opacities", "sh"), copies, strict=True):
         np.testing.assert_array_equal(getattr(splats, name), copy)
-    np.testing.assert_array_equal(target, kept[0])
-    np.testing.assert_array_equal(mask, kept[1])
+    np.testing.assert_array_equal(target, pictures[0])
+    np.testing.assert_array_equal(mask, pictures[1])
 
 
 # Colours
@@ -275,9 +278,9 @@ def test_recolor_gives_the_wanted_colour_towards_the_view():
     rng = np.random.default_rng(0)
     seen = seen_colors(splats, camera)
     change = rng.choice([0.02, 0.1, 0.5], (len(splats), 1)) * rng.uniform(-1, 1, seen.shape)
-    wanted = seen + change
-    new = replace(splats, sh=recolor(splats.sh, seen.astype(np.float32), wanted.astype(np.float32), 0.3, 0.4))
-    np.testing.assert_allclose(seen_colors(new, camera), wanted, atol=1e-5)
+    expected = seen + change
+    new = replace(splats, sh=recolor(splats.sh, seen.astype(np.float32), expected.astype(np.float32), 0.3, 0.4))
+    np.testing.assert_allclose(seen_colors(new, camera), expected, atol=1e-5)
     factor = 1 - 0.7 * np.minimum(np.abs(change).max(1) / 0.4, 1)
     np.testing.assert_allclose(new.sh[:, 1:], factor[:, None, None] * splats.sh[:, 1:], atol=1e-6)
 
@@ -319,11 +322,11 @@ def test_colour_rounds_are_sirt_on_the_matrix_of_weights(rounds):
         colors = np.clip(colors + step * (w @ residual), 0, ceiling)
 
     frame = project(splats, camera)
-    found = lift_colors(frame, target, m, editable[frame.gaussian_ids], rounds)
+    lifted_colors = lift_colors(frame, target, m, editable[frame.gaussian_ids], rounds)
     assert len(frame) > 50
-    np.testing.assert_allclose(found, colors[frame.gaussian_ids], atol=1e-4)
+    np.testing.assert_allclose(lifted_colors, colors[frame.gaussian_ids], atol=1e-4)
     if rounds == 6:
-        assert (found == 0).any() and (found == MAX_COLOR).any()  # both clamps were met
+        assert (lifted_colors == 0).any() and (lifted_colors == MAX_COLOR).any()  # both clamps were met
 
 
 def test_every_round_lessens_the_error():

@@ -47,9 +47,9 @@ def test_no_detail_rows_at_an_outline(monkeypatch: pytest.MonkeyPatch) -> None:
 def pixels_of(lifted: LocalLift) -> tuple[np.ndarray, np.ndarray]:
     """(y, x) of the pixels of FRONT that the appended rows lie on."""
     new = lifted.splats.means[len(BALL) :]
-    place = new @ FRONT.world_to_camera[:3, :3].T + FRONT.world_to_camera[:3, 3]
-    x = (FRONT.fx * place[:, 0] / place[:, 2] + FRONT.cx).astype(int)
-    return (FRONT.fy * place[:, 1] / place[:, 2] + FRONT.cy).astype(int), x
+    position = new @ FRONT.world_to_camera[:3, :3].T + FRONT.world_to_camera[:3, 3]
+    x = (FRONT.fx * position[:, 0] / position[:, 2] + FRONT.cx).astype(int)
+    return (FRONT.fy * position[:, 1] / position[:, 2] + FRONT.cy).astype(int), x
 
 
 def test_an_undrawn_part_of_the_picture_is_no_outline() -> None:

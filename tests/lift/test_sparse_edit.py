@@ -57,11 +57,11 @@ def test_an_edit_of_some_is_one_of_more():
     part = splats.take(some)
     ids = np.array([0, 4])
     edit = SparseEdit(ids, numbered(40, 2).take(ids), np.array([7]), numbered(2, 3), np.array([1, 7]))
-    whole = edit.within(some)
-    after = whole.apply(splats)
+    full = edit.within(some)
+    after = full.apply(splats)
     np.testing.assert_array_equal(np.flatnonzero(differing(splats, after)), some[[0, 4, 7]])
     assert same_bits(after.take(np.append(some, [40, 41])), edit.apply(part))
-    np.testing.assert_array_equal(whole.parents, some[[1, 7]])
+    np.testing.assert_array_equal(full.parents, some[[1, 7]])
 
 
 def cut_some(splats: Splats, seed: int) -> tuple[Pieces, Lattice, np.ndarray]:

@@ -31,8 +31,8 @@ def plane(splats: Splats, parent: Splats) -> np.ndarray:
     points = parent.means[0] + u[..., None] * axes[:, 0] + v[..., None] * axes[:, 1]
     clear = np.ones(u.shape)
     for k in range(len(splats)):
-        own = matrix(splats.quats[k])
-        sharp = np.linalg.inv(own @ np.diag(splats.scales[k].astype(np.float64) ** 2) @ own.T)
+        rotation = matrix(splats.quats[k])
+        sharp = np.linalg.inv(rotation @ np.diag(splats.scales[k].astype(np.float64) ** 2) @ rotation.T)
         d = points - splats.means[k]
         clear *= 1 - splats.opacities[k] * np.exp(-0.5 * np.einsum("...i,ij,...j", d, sharp, d))
     return 1 - clear
@@ -98,9 +98,9 @@ def test_children_of_an_opaque_row_are_no_more_than_opaque(opacity):
 
 
 def test_peaks_below_the_table_are_in_proportion_and_symmetric():
-    faint, known = child_peaks(np.array([0.0, 0.001, 0.01]))[[0, 1]], child_peaks(np.array([0.01]))[0]
+    faint, full_peak = child_peaks(np.array([0.0, 0.001, 0.01]))[[0, 1]], child_peaks(np.array([0.01]))[0]
     assert (faint[0] == 0).all()
-    np.testing.assert_allclose(faint[1], known / 10)
+    np.testing.assert_allclose(faint[1], full_peak / 10)
     many = child_peaks(np.linspace(0, 0.999, 50))
     np.testing.assert_array_equal(many, many[:, ::-1])
     assert (np.diff(many[:, 2]) > -1e-9).all() and (many[1:, 2] > many[1:, 1]).all()
@@ -139,8 +139,8 @@ def test_children_lie_in_their_parents_plane_and_look_like_it():
             np.testing.assert_array_equal(bits(getattr(some, name)), bits(np.stack([values] * len(some))))
     assert all(getattr(children, name).dtype == np.float32 for name in ATTRIBUTES)
     # The long axis of each is its owner's, also where a child is longer across it.
-    own = np.take_along_axis(projected_sizes(children, CAMERA), lattice.axes[owner], 1)
-    np.testing.assert_allclose(lattice.widths, own, rtol=0.02)  # a little nearer or farther than its owner
+    rotation = np.take_along_axis(projected_sizes(children, CAMERA), lattice.axes[owner], 1)
+    np.testing.assert_allclose(lattice.widths, rotation, rtol=0.02)  # a little nearer or farther than its owner
 
 
 def test_one_row_of_each_parent_takes_its_place_and_it_is_near_the_middle():

@@ -76,9 +76,9 @@ def test_detail_arrives_and_is_seen_from_another_side(asset, views, lifted) -> N
 
 def test_gaussians_that_are_off_are_moved_before_they_take_colours(monkeypatch) -> None:
     """A plane that stands out in waves: two views see its Gaussians in two places, which colours cannot mend."""
-    truth, places = with_detail(48), with_detail(48).means
-    waves = 0.08 * np.sin(6 * places[:, :1]) * np.cos(6 * places[:, 1:2]) * [0, 0, 1]
-    wavy = replace(truth, means=(places + waves).astype(np.float32))
+    truth, positions = with_detail(48), with_detail(48).means
+    waves = 0.08 * np.sin(6 * positions[:, :1]) * np.cos(6 * positions[:, 1:2]) * [0, 0, 1]
+    wavy = replace(truth, means=(positions + waves).astype(np.float32))
     cameras = [look_at((x, 0.1, 1.3), (0, 0, 0), width=PX, height=PX, fov=40) for x in (0.9, -0.9)]
     views = edit_views(wavy, cameras, [picture(truth, c) for c in cameras], [np.ones((PX, PX), bool)] * 2)
     moved, between = lift_wide(wavy, views, LOCAL_DEFAULTS).splats, [closeup(0.05, -0.3), closeup(-0.1, 0.3)]

@@ -23,6 +23,7 @@ from splatpainter.voxels.grid import voxelize
 from splatpainter.voxels.raycast import editable_gaussians
 from tests.support.lift_scenes import base_colors, bits, dense_weights, differing, disk, front, same_bits
 from tests.support.painter_scenes import (
+    ASSET_BASE,
     BLUE,
     CAMERA,
     COPY,
@@ -30,7 +31,6 @@ from tests.support.painter_scenes import (
     FRONT,
     GREEN,
     LIFT,
-    OWN,
     REAR,
     RED,
     built,
@@ -150,7 +150,7 @@ def test_an_edit_that_reaches_nothing_is_named() -> None:
 # What the network makes of them
 
 
-@pytest.mark.parametrize("config", [OWN, LIFT], ids=["own", "lift"])
+@pytest.mark.parametrize("config", [ASSET_BASE, LIFT], ids=["own", "lift"])
 @torch.no_grad()
 def test_an_untrained_network_returns_the_lifted_edit_bit_for_bit(config) -> None:  # noqa: ANN001
     model, views = built(config), views_here()
@@ -199,7 +199,7 @@ def test_each_gaussian_is_a_residual_on_its_lift_from_its_own_latent() -> None:
 
 @torch.no_grad()
 def test_in_chunks_and_with_the_second_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    model, views = built(OWN, awake=0.05), views_here()
+    model, views = built(ASSET_BASE, awake=0.05), views_here()
     encoded, edit = encoded_by(model), lift_local_views(SPLATS, GRID, views_here(), "own")
     complete = refine_edit(model, model.initial_state(), encoded, edit, views)
     for module in ("model", "refine", "compress"):
@@ -298,7 +298,7 @@ def test_gaussians_of_a_file_keep_their_origin(tmp_path: Path) -> None:
     file = read(tmp_path / "a.ply")
     views = views_of(dab(file, RED), splats=file)
     for awake in (0.0, 0.05):
-        model = built(OWN, awake=awake)
+        model = built(ASSET_BASE, awake=awake)
         edit = lift_local_views(file, voxelize(file), views, "own")
         _, edited, further = refine_edit(model, model.initial_state(), encode_asset(model, file), edit, views)
         asset = assemble(edit, edited, further)

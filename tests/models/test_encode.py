@@ -15,7 +15,7 @@ from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.voxels.grid import bounding_cube, voxelize
 from tests.support.lift_scenes import dense_weights
 from tests.support.model_scenes import TINY
-from tests.support.painter_scenes import COPY, DRAWABLE, OWN, built, thing, uneven
+from tests.support.painter_scenes import ASSET_BASE, COPY, DRAWABLE, built, thing, uneven
 
 
 @pytest.mark.parametrize("count", [1, 2, 8, 9, 16])
@@ -140,7 +140,7 @@ def test_copy_becomes_what_stage_one_decodes() -> None:
 
 
 def test_gradients_are_there_where_torch_has_them() -> None:
-    model = built(OWN)
+    model = built(ASSET_BASE)
     encoded = encode_asset(model, thing())
     encoded.latents.values.sum().backward()
     assert all(p.grad is not None for p in [*model.compressor.parameters(), *model.lrm.blocks.parameters()])

@@ -19,7 +19,7 @@ from splatpainter.models.encode import Encoded
 from splatpainter.painter import Painter
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.lift_scenes import same_bits
-from tests.support.painter_scenes import COPY, OWN, RED, built, dab, thing
+from tests.support.painter_scenes import ASSET_BASE, COPY, RED, built, dab, thing
 
 SPLATS = thing()
 
@@ -45,7 +45,7 @@ def count(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 @torch.no_grad()
-def cached(config: ModelConfig = OWN, splats: Splats = SPLATS, seed: int = 7) -> Encoded:
+def cached(config: ModelConfig = ASSET_BASE, splats: Splats = SPLATS, seed: int = 7) -> Encoded:
     return encode_cached(built(config, seed=seed), splats)
 
 
@@ -61,7 +61,7 @@ def same(one: Encoded, two: Encoded) -> bool:
     )
 
 
-@pytest.mark.parametrize("config", [OWN, COPY], ids=["native", "copy"])
+@pytest.mark.parametrize("config", [ASSET_BASE, COPY], ids=["native", "copy"])
 @torch.no_grad()
 def test_a_hit_is_bitwise_what_a_miss_made(folder: Path, count: list[int], config: ModelConfig) -> None:
     miss, hit = cached(config), cached(config)
@@ -79,12 +79,12 @@ def test_everything_that_matters_is_in_the_key(folder: Path, count: list[int], t
     turned = replace(SPLATS, sh=-SPLATS.sh)
     for n, (config, splats, seed) in enumerate(
         [
-            (OWN, turned, 7),
-            (OWN, replace(SPLATS, antialiased=True), 7),
-            (OWN, SPLATS, 8),  # other weights
-            (replace(OWN, sh_degree=0), SPLATS, 7),
-            (OWN, file, 7),  # the file, and then its Gaussians under their own hash
-            (OWN, replace(file, sh=file.sh * 2), 7),
+            (ASSET_BASE, turned, 7),
+            (ASSET_BASE, replace(SPLATS, antialiased=True), 7),
+            (ASSET_BASE, SPLATS, 8),  # other weights
+            (replace(ASSET_BASE, sh_degree=0), SPLATS, 7),
+            (ASSET_BASE, file, 7),  # the file, and then its Gaussians under their own hash
+            (ASSET_BASE, replace(file, sh=file.sh * 2), 7),
         ]
     ):
         cached(config, splats, seed)

@@ -313,7 +313,7 @@ def test_gaussians_teach_like_pictures_with_heads_of_their_own() -> None:
     ttt = block.mixer.ttt
     weights = [w.detach().clone().requires_grad_(True) for w in start.blocks[0]]
 
-    def said(kv: Any, rate: Any, x: torch.Tensor, count: torch.Tensor) -> list[torch.Tensor]:
+    def outputs(kv: Any, rate: Any, x: torch.Tensor, count: torch.Tensor) -> list[torch.Tensor]:
         """<f(k), v> of every token, as often as matrices, each with its rate."""
         k, v = torch.nn.functional.silu(kv(x)).chunk(2, dim=1)
         k = k / (k.norm(dim=1, keepdim=True) + 1e-5)
@@ -321,8 +321,8 @@ def test_gaussians_teach_like_pictures_with_heads_of_their_own() -> None:
         rates = torch.nn.functional.softplus(rate(x) + np.log(np.expm1(0.01))) * count[:, None]
         return [(rates[:, m].detach() * ((hidden @ weights[1][0]) * v.detach()).sum(1)).sum() for m in (0, 1, 2)]
 
-    seen = said(ttt.kv, ttt.rates, block.norm_pictures(net.pictures(tokens.pixels)), tokens.weights)
-    teachers = said(ttt.kv_rows, ttt.rates_rows, block.norm_rows(gaussian_tokens), shares)
+    seen = outputs(ttt.kv, ttt.rates, block.norm_pictures(net.pictures(tokens.pixels)), tokens.weights)
+    teachers = outputs(ttt.kv_rows, ttt.rates_rows, block.norm_rows(gaussian_tokens), shares)
     for m, (weight, new) in enumerate(zip(weights, after, strict=True)):
         (way,) = torch.autograd.grad(seen[m] + teachers[m], weight, retain_graph=True)
         moved = weight + way

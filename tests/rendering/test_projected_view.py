@@ -119,10 +119,10 @@ def test_a_part_of_a_view_is_that_view_projected_anew(share: float):
     rng = np.random.default_rng(1)
     view, tiles = project(splats, camera), rng.random(tile_shape(camera)) < share
     some = rng.random(len(splats)) < 0.6
-    for kept in (np.ones(len(splats), bool), some):
+    for subset in (np.ones(len(splats), bool), some):
         part, anew = (
-            view.part(tiles=tiles, gaussian_mask=kept),
-            project(splats, camera, tiles=tiles, gaussian_mask=kept),
+            view.part(tiles=tiles, gaussian_mask=subset),
+            project(splats, camera, tiles=tiles, gaussian_mask=subset),
         )
         drawn = np.diff(anew.pair_offsets) > 0  # where all tiles are drawn some may touch none
         np.testing.assert_array_equal(part.gaussian_ids, anew.gaussian_ids[drawn])

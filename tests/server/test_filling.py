@@ -85,7 +85,7 @@ def test_what_is_selected_is_removed_and_filled_and_coloured_by_a_source(studio:
 def test_the_page_removes_fills_asks_and_takes_it_back(browser: Any, tool: None, tmp_path: Path) -> None:
     with opened_page(browser, tmp_path, still=True) as (live, page):
         session = live.studio.session
-        whole = page.pixels()
+        filled_picture = page.pixels()
         page.tab.keyboard.press("l")
         page.drag(*disc(0.12))
         page.wait("a selection", lambda: page.state()["selection"]["gaussians"])
@@ -96,10 +96,10 @@ def test_the_page_removes_fills_asks_and_takes_it_back(browser: Any, tool: None,
         page.wait("both layers", lambda: page.names() == ["Fill: removed", "Fill"])
         page.settled()
         page.wait("nothing selected", lambda: page.state()["selection"]["gaussians"] == 0)
-        height, width, _ = whole.shape
+        height, width, _ = filled_picture.shape
         middle = np.s_[height // 2 - 8 : height // 2 + 9, width // 2 - 8 : width // 2 + 9]
         filled = page.pixels()
-        assert np.abs(filled - whole)[middle].mean() < 0.1, "closed in the colours around"
+        assert np.abs(filled - filled_picture)[middle].mean() < 0.1, "closed in the colours around"
         page.tab.get_by_text("Filled from its surroundings").click()
         ask = page.tab.get_by_role("button", name="Ask", exact=True)
         page.wait("the sources", ask.is_enabled)
@@ -123,7 +123,7 @@ def test_the_page_removes_fills_asks_and_takes_it_back(browser: Any, tool: None,
         page.wait("the beginning", lambda: page.names() == [])
         page.settled()
         assert np.array_equal(session.splats.means, session.original.means)
-        page.wait("the asset", lambda: np.abs(page.pixels() - whole)[middle].max() < 0.05)
+        page.wait("the asset", lambda: np.abs(page.pixels() - filled_picture)[middle].max() < 0.05)
 
 
 def disc(radius: float) -> list[tuple[float, float]]:

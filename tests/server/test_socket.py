@@ -141,18 +141,18 @@ def test_a_layer_below_is_hidden_and_shown_with_all_its_gaussians(
         session = studio.studio.session
         visible, count = len(session.splats), len(session.original)
         monkeypatch.setattr(WebSocket, "send_bytes", noted)
-        for shown in (False, True):
-            session.set(lower, visible=not shown)
+        for is_visible in (False, True):
+            session.set(lower, visible=not is_visible)
             browser.do("receipt")
             assert browser.mirror.agrees(session.splats)
             sent.clear()
             before = browser.mirror.previews
             with monkeypatch.context() as patch:
                 patch.setattr(Session, "set", after_the_preview)
-                assert browser.ask("layer.set", layer=lower, visible=shown)["ok"] is not fails
+                assert browser.ask("layer.set", layer=lower, visible=is_visible)["ok"] is not fails
             browser.do("receipt")
             assert browser.mirror.previews > before and browser.mirror.agrees(session.splats)
-            assert (len(session.splats) < visible) is (shown is fails) and visible > count
+            assert (len(session.splats) < visible) is (is_visible is fails) and visible > count
 
 
 def test_two_windows_see_the_same(studio: Live) -> None:

@@ -185,13 +185,13 @@ def test_damage_is_one_line():
             decode(case, "here")
 
 
-def followed(known: Splats, delta: AssetDelta) -> Splats:
+def followed(previous: Splats, delta: AssetDelta) -> Splats:
     """What a viewer makes of it."""
     arrays = {}
     for name in ("means", "quats", "scales", "opacities", "sh"):
-        kept = getattr(known, name)[: delta.retained].copy()
-        kept[delta.gaussian_ids] = getattr(delta.values, name)
-        arrays[name] = np.concatenate([kept, getattr(delta.appended, name)])
+        retained_values = getattr(previous, name)[: delta.retained].copy()
+        retained_values[delta.gaussian_ids] = getattr(delta.values, name)
+        arrays[name] = np.concatenate([retained_values, getattr(delta.appended, name)])
     return Splats(**arrays)
 
 
@@ -221,6 +221,6 @@ def test_only_what_changed_travels_and_strangers_get_everything():
     assert near.since == last - 3 and len(near.gaussian_ids) == 3 and len(near.appended) == 0 and near.retained == 36
     assert len(changes.since(last, last, now).gaussian_ids) == 0
     for unknown in (None, 1, last + 5, -4):
-        whole = changes.since(unknown, last, now)
-        assert whole.since is None and whole.retained == 0 and len(whole.appended) == 36
+        everything = changes.since(unknown, last, now)
+        assert everything.since is None and everything.retained == 0 and len(everything.appended) == 36
     assert not len(changed_rows(now, now))

@@ -64,10 +64,10 @@ def test_a_fill_is_a_layer_over_what_it_removed(tmp_path: Path) -> None:
 
 def test_a_fill_takes_the_colours_of_a_picture_and_gives_them_back(tmp_path: Path) -> None:
     splats = ball(1500)
-    whole = splats.take(np.flatnonzero(cap(splats) == 0))
-    around = ((whole.means - np.array([0, 0, -1])) ** 2).sum(1) < 0.7**2
+    full = splats.take(np.flatnonzero(cap(splats) == 0))
+    around = ((full.means - np.array([0, 0, -1])) ** 2).sum(1) < 0.7**2
     camera = look_at((0, 0, -3), (0, 0, 0), (0, -1, 0), width=64, height=64, fov=45)
-    with Session(whole, tmp_path / "a.splatproj") as session:
+    with Session(full, tmp_path / "a.splatproj") as session:
         layer = session.fill(around.astype(np.float32))
         assert [entry.kind for entry in session.layers] == ["fill"]
         before, count = session.splats, len(session.original)

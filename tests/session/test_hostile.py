@@ -90,12 +90,12 @@ def test_wrong_rows_are_one_line_and_leave_nothing(tmp_path: Path, path: Path, k
     changed(path, *statement.split("; ") if "TRIGGER" not in statement else [statement])
     if kind == "rows" and ("'..' WHERE name" in statement or "original SET file" in statement):
         return  # names of files that are not made
-    before = sorted(own.name for own in tmp_path.iterdir())
-    with pytest.raises(ValueError) as said:
+    before = sorted(entry.name for entry in tmp_path.iterdir())
+    with pytest.raises(ValueError) as raised:
         load(path)
-    text = str(said.value)
+    text = str(raised.value)
     assert "\n" not in text and len(text) < 1000 and str(path) in text, text
-    assert sorted(own.name for own in tmp_path.iterdir()) == before and not (tmp_path.parent / "escaped").exists()
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == before and not (tmp_path.parent / "escaped").exists()
 
 
 @pytest.mark.parametrize(
@@ -117,10 +117,10 @@ def test_wrong_rows_are_one_line_and_leave_nothing(tmp_path: Path, path: Path, k
     ],
 )
 def test_wrong_results_are_computed_again(path: Path, statement: str) -> None:
-    shown = two_layers(path)
+    state = two_layers(path)
     changed(path, statement)
     with load(path) as session:
-        assert print_of(session) == shown and len(session.painter.calls) == 2  # type: ignore[attr-defined]
+        assert print_of(session) == state and len(session.painter.calls) == 2  # type: ignore[attr-defined]
         assert all(isinstance(session.facts(layer.id).get("seconds", 0.0), float) for layer in session.layers)
 
 
@@ -251,9 +251,9 @@ def test_version_1_with_wrong_layers_is_one_line(path: Path) -> None:
         connection.execute(statement)
         connection.commit()
         connection.close()
-        with pytest.raises(ValueError, match="damaged project file") as said:
+        with pytest.raises(ValueError, match="damaged project file") as raised:
             load(path)
-        assert "\n" not in str(said.value)
+        assert "\n" not in str(raised.value)
         path.unlink()
 
 
@@ -270,13 +270,13 @@ def named(path: Path, where: Path | str, source: Path) -> None:
 def test_a_project_that_has_to_hold_its_original_opens_no_file(tmp_path: Path, path: Path) -> None:
     ply = tmp_path / "vase.ply"
     sp.write(ply, asset(6))
-    said = set()
+    messages = set()
     for where in (ply, tmp_path / "missing.ply", "/dev/zero", "C:\\x.ply"):
         named(path, where, ply)
         with pytest.raises(ValueError, match="does not hold it") as error:
             load(path, embedded=True)
-        said.add(str(error.value))
-    assert len(said) == 1  # and tells nothing about what is there
+        messages.add(str(error.value))
+    assert len(messages) == 1  # and tells nothing about what is there
     with flat(ply, path, overwrite=True):
         pass
     load(path, embedded=True).close()
@@ -286,11 +286,11 @@ def test_originals_stay_inside_the_folder(tmp_path: Path) -> None:
     folder, secret = tmp_path / "shared", tmp_path / "secret.ply"
     folder.mkdir()
     inside = folder / "vase.ply"
-    for place in (inside, secret):
-        sp.write(place, asset(6))
+    for secret_path in (inside, secret):
+        sp.write(secret_path, asset(6))
     (folder / "sub").mkdir()
     path = folder / "work.splatproj"
-    said = set()
+    messages = set()
     outside = [secret, tmp_path / "missing.ply", "../secret.ply", "sub/../../secret.ply", folder / ".." / "secret.ply"]
     outside += ["..\\secret.ply", "C:\\secret.ply", "\\\\server\\share\\x.ply", folder, "."]
     if hasattr(os, "symlink"):
@@ -305,8 +305,8 @@ def test_originals_stay_inside_the_folder(tmp_path: Path) -> None:
         named(path, where, inside)
         with pytest.raises(ValueError) as error:
             load(path, folder=folder)
-        said.add(str(error.value))
-    assert len(said) == 1 and "lies outside the folder shared" in said.pop()
+        messages.add(str(error.value))
+    assert len(messages) == 1 and "lies outside the folder shared" in messages.pop()
     for where in (inside.resolve(), "vase.ply"):
         named(path, where, inside)
         with load(path, folder=folder) as session:
@@ -377,29 +377,31 @@ def readonly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sqlite3, "connect", connect)
 
 
-@pytest.mark.parametrize(("disk", "said"), [(full, "disk is full"), (readonly, "its folder allows no new files")])
-def test_what_cannot_be_written_can_be_looked_at(path: Path, monkeypatch: pytest.MonkeyPatch, disk, said: str) -> None:
-    shown = two_layers(path)
+@pytest.mark.parametrize(("disk", "raised"), [(full, "disk is full"), (readonly, "its folder allows no new files")])
+def test_what_cannot_be_written_can_be_looked_at(
+    path: Path, monkeypatch: pytest.MonkeyPatch, disk, raised: str
+) -> None:
+    state = two_layers(path)
     data = path.read_bytes()
     with monkeypatch.context() as patch:
         disk(patch)
         with load(path) as session:
-            assert print_of(session) == shown and said in session.read_only and "save_as" in session.read_only
+            assert print_of(session) == state and raised in session.read_only and "save_as" in session.read_only
             assert "part" not in session.read_only and "-lock" not in session.read_only
             for attempt in (lambda: session.add("paint", [dab()]), session.undo, lambda: session.set("1", opacity=0)):
-                with pytest.raises(ValueError, match=said):
+                with pytest.raises(ValueError, match=raised):
                     attempt()
             target = path.with_name("copy.splatproj")
             with pytest.raises(ValueError) as error:
                 session.save_as(target)
             assert str(error.value).startswith(f"{target}: cannot be") and str(path) not in str(error.value)
             assert ".part" not in str(error.value) and "\n" not in str(error.value)
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=raised):
             load(path, readonly=False)
         with pytest.raises(ValueError, match=r"new\.splatproj: cannot be") as error:
             flat(project=path.with_name("new.splatproj"))
         assert ".part" not in str(error.value)
-    assert path.read_bytes() == data and [own.name for own in path.parent.iterdir()] == [path.name]
+    assert path.read_bytes() == data and [entry.name for entry in path.parent.iterdir()] == [path.name]
     with load(path) as session:
         assert session.read_only == "" and session.undo()
 
@@ -474,7 +476,7 @@ def test_left_overs_are_swept_and_nothing_else(tmp_path: Path, path: Path) -> No
         swept = sweep_folder(tmp_path)
         assert ".work.splatproj.part" not in swept and (tmp_path / "work.splatproj-lock").exists()  # in use
     assert sorted([*swept, *sweep_folder(tmp_path)]) == sorted([*ours, ".export.spz.ab12cd_9.part"])
-    assert sorted(own.name for own in tmp_path.iterdir()) == sorted([*theirs, "pictures.part", path.name])
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == sorted([*theirs, "pictures.part", path.name])
     assert sweep_folder(tmp_path / "nowhere") == []
 
 
@@ -492,13 +494,13 @@ def test_scratch_folders_go_with_their_process(tmp_path: Path, monkeypatch: pyte
     assert sorted(sweep_scratch(tmp_path, -1)) == [empty.name]
     assert live.path.exists() and (live.path / f"{OWNER}-lock").exists() and not dead.path.exists()
     live.close()
-    assert sorted(own.name for own in tmp_path.iterdir()) == ["splatpainter-mine", "splatpainter-studio-notebook"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["splatpainter-mine", "splatpainter-studio-notebook"]
 
 
 def test_a_users_file_with_the_name_of_a_lock_is_left_alone(path: Path) -> None:
     two_layers(path)
-    mine = path.with_name("work.splatproj-lock")
-    mine.write_bytes(b"my notes")
+    lock_path = path.with_name("work.splatproj-lock")
+    lock_path.write_bytes(b"my notes")
     with load(path) as session:
         assert "in the way" in session.read_only
-    assert mine.read_bytes() == b"my notes"
+    assert lock_path.read_bytes() == b"my notes"

@@ -22,8 +22,8 @@ def test_killed_writers_lose_nothing(tmp_path: Path) -> None:
     command = [sys.executable, str(script), str(tmp_path), "105", "7"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["wrong"] is None, found
-    assert found["problems"] == []
-    assert found["kills"] >= 100 and found["acknowledged"] >= 100, found
-    assert found["files"] == ["killed.splatproj"]
+    result = json.loads(done.stdout)
+    assert result["wrong"] is None, result
+    assert result["problems"] == []
+    assert result["kills"] >= 100 and result["acknowledged"] >= 100, result
+    assert result["files"] == ["killed.splatproj"]

@@ -72,12 +72,12 @@ def same_as_committed(session: Session, layer: str, **change: Any) -> int:
     exact = session.splats
     appended = ids >= len(before)
     assert (ids[appended] == len(before) + np.arange(int(appended.sum()))).all()
-    for one, shown in zip(ids[~appended].tolist(), np.flatnonzero(~appended).tolist(), strict=True):
+    for one, preview_row in zip(ids[~appended].tolist(), np.flatnonzero(~appended).tolist(), strict=True):
         row = exact.take([one]) if one < len(exact) else None
-        gone = splats.opacities[shown] == 0 and (row is None or not near(row, splats.take([shown])))
-        assert gone or (row is not None and near(row, splats.take([shown]))), one
-    for shown in np.flatnonzero(appended).tolist():
-        assert any(near(exact.take([k]), splats.take([shown])) for k in range(len(session.original), len(exact)))
+        gone = splats.opacities[preview_row] == 0 and (row is None or not near(row, splats.take([preview_row])))
+        assert gone or (row is not None and near(row, splats.take([preview_row]))), one
+    for preview_row in np.flatnonzero(appended).tolist():
+        assert any(near(exact.take([k]), splats.take([preview_row])) for k in range(len(session.original), len(exact)))
     return len(ids)
 
 

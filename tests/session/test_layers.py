@@ -330,8 +330,8 @@ def test_what_cannot_be_done_changes_nothing():
             (lambda: session.move(a, 3), "expected an index of 0 to 2, got 3"),
             (lambda: session.layer("none"), "expected one of 1, 2, 3"),
         ]
-        for action, said in wrong:
-            with pytest.raises(ValueError, match=said):
+        for action, message in wrong:
+            with pytest.raises(ValueError, match=message):
                 action()
         assert session.snapshot is before and len(session.history) == steps
         assert session.verify() == []
@@ -344,8 +344,8 @@ def test_a_mask_that_was_not_given_is_found_once():
     image[mask] = RED
     with flat(splats) as session:
         layer = session.add("picture", [Edit(image, CAMERA)])
-        found = session._replay.main.mask(layer.views[0])
-        assert (found & mask).sum() > 0.9 * mask.sum() and (found & ~mask).sum() < 0.2 * mask.sum()
+        layer_mask = session._replay.main.mask(layer.views[0])
+        assert (layer_mask & mask).sum() > 0.9 * mask.sum() and (layer_mask & ~mask).sum() < 0.2 * mask.sum()
         with pytest.raises(ValueError, match="does not differ from the render"):
             session.add("picture", [Edit(sp.render(session.splats, CAMERA).colors[0], CAMERA)])
 

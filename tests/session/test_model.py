@@ -13,7 +13,7 @@ import torch
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.session import Session
 from tests.support.lift_scenes import same_bits
-from tests.support.painter_scenes import BLUE, COPY, GREEN, LIFT, OWN, RED, built, dab, thing
+from tests.support.painter_scenes import ASSET_BASE, BLUE, COPY, GREEN, LIFT, RED, built, dab, thing
 
 SPLATS = thing()
 
@@ -36,13 +36,13 @@ def straight(painter: Painter, edits: list[Edit]) -> Asset:
 def same_state(state: Any, asset: Asset) -> bool:
     assert asset.encoding is not None and asset.encoding.state is not None
     one, two = (
-        [weight for memory in (*own.blocks, own.detail or ()) for weight in memory]
-        for own in (state, asset.encoding.state)
+        [weight for memory in (*one_state.blocks, one_state.detail or ()) for weight in memory]
+        for one_state in (state, asset.encoding.state)
     )
     return len(one) == len(two) and all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
 
 
-@pytest.mark.parametrize("config", [OWN, LIFT], ids=["own", "lift"])
+@pytest.mark.parametrize("config", [ASSET_BASE, LIFT], ids=["own", "lift"])
 def test_layers_are_the_painter_applied_again_and_again(config, tmp_path: Path):
     painter, path = Painter(model=built(config, awake=0.02)), tmp_path / "a.splatproj"
     with Session(SPLATS, path, painter=painter) as session:
@@ -69,13 +69,13 @@ def test_without_the_weights_results_stay_and_only_new_ones_are_missing(tmp_path
     with Session(SPLATS, path, painter=Painter(model=built(awake=0.02))) as session:
         for edit in EDITS[:2]:
             session.add("paint", [edit])
-        shown = session.splats
+        composed = session.splats
     with Session.load(path, painter=Painter()) as session:
-        assert same_bits(session.splats, shown)
+        assert same_bits(session.splats, composed)
         session.set("1", visible=False)
         assert "needs a preset with trained weights" in session.facts("2")["problem"]
         session.undo()
-        assert same_bits(session.splats, shown)
+        assert same_bits(session.splats, composed)
         assert session.set("2", method="lift").method == "lift"
         assert session.facts("2")["method"] == "lift" and "note" in session.facts("2")
         assert "another painter" not in session.facts("2")["note"]
@@ -100,9 +100,9 @@ def test_the_precision_of_layers_is_in_the_receipt_and_another_one_is_said(tmp_p
         session.add("paint", [EDITS[1]], method="ttt")
         assert session.facts("2")["precision"] == "bfloat16" and "precision" not in session.facts("1")
         assert session.receipt().precision == "bfloat16"
-        shown = session.splats
+        composed = session.splats
     with Session.load(path, painter=Painter(model=net, precision="float32")) as session:
-        assert same_bits(session.splats, shown) and session.receipt().precision == "bfloat16"
+        assert same_bits(session.splats, composed) and session.receipt().precision == "bfloat16"
         session.set("1", visible=False)
         assert session.facts("2")["precision"] == session.receipt().precision == "float32"
         assert "computed by another painter than it was made with" in session.facts("2")["note"]

@@ -64,13 +64,13 @@ def test_everything_is_there_again(path):
         mark = session.add_bookmark("front", CAMERA)
         session.add_bookmark("gone", CAMERA)
         session.delete_bookmark("2")
-        layers, history, cursor, shown = session.layers, session.history, session.cursor, print_of(session)
+        layers, history, cursor, state = session.layers, session.history, session.cursor, print_of(session)
         picture = session.blob(first.views[0].picture or "")
         small = session.blob(first.thumbnail or "")
-    assert [own.name for own in path.parent.iterdir()] == [path.name]  # one file
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]  # one file
     with load(path) as session:
         assert (session.layers, session.history, session.cursor) == (layers, history, cursor)
-        assert print_of(session) == shown and session.painter.calls == []  # type: ignore[attr-defined]
+        assert print_of(session) == state and session.painter.calls == []  # type: ignore[attr-defined]
         (bookmark,) = session.bookmarks()
         assert (bookmark.id, bookmark.name) == (mark, "front")
         np.testing.assert_array_equal(bookmark.camera.world_to_camera, CAMERA.world_to_camera)
@@ -91,9 +91,9 @@ def test_a_session_without_a_project_leaves_nothing(path):
         session.save_as(path)
         assert session.path == path and not temporary.exists()
         session.add("paint", [dab(BLUE)])
-        shown = print_of(session)
+        state = print_of(session)
     with load(path) as session:
-        assert print_of(session) == shown and len(session.layers) == 2
+        assert print_of(session) == state and len(session.layers) == 2
 
 
 def test_save_as_leaves_the_old_file_as_it_is(path):
@@ -149,10 +149,10 @@ def test_a_folder_of_planes_is_kept_too(tmp_path, path):
     folder.mkdir()
     sp.write(folder / "meta.json", asset(8, 0))
     for k, source in enumerate((folder, folder / "meta.json", sp.read(folder))):
-        place = tmp_path / f"{k}.splatproj"
-        with flat(source, place) as session:
+        copy_path = tmp_path / f"{k}.splatproj"
+        with flat(source, copy_path) as session:
             rows = session.splats
-        with load(place) as session:
+        with load(copy_path) as session:
             assert same_bits(session.splats, rows) and session.original.source is not None
 
 
@@ -161,15 +161,15 @@ def test_only_the_path_of_the_original(tmp_path, path):
     sp.write(ply, asset(40))
     with flat(ply, path, embed=False) as session:
         session.add("paint", [dab()])
-        shown = print_of(session)
+        state = print_of(session)
     assert path.stat().st_size < ply.stat().st_size
     with load(path) as session:
-        assert print_of(session) == shown
+        assert print_of(session) == state
     ply.rename(moved)
     with pytest.raises(ValueError, match=r"its original .*vase\.ply is gone; load with original=PATH if it moved"):
         load(path)
     with load(path, original=moved) as session:
-        assert print_of(session) == shown and session.verify() != []  # verify looks at the place it knows
+        assert print_of(session) == state and session.verify() != []  # verify looks at the place it knows
     sp.write(moved, asset(39), overwrite=True)
     with pytest.raises(ValueError, match="the original is not the one that the project was made from"):
         load(path, original=moved)
@@ -224,7 +224,7 @@ def test_the_second_opener_may_look_but_not_touch(path):
         reader.add("paint", [dab(GREEN)])
     with load(path) as session:
         assert session.read_only == ""
-    assert sorted(own.name for own in path.parent.iterdir()) == ["mine.splatproj", path.name]
+    assert sorted(entry.name for entry in path.parent.iterdir()) == ["mine.splatproj", path.name]
 
 
 def test_other_processes_are_kept_out_until_this_one_is_gone(path):
@@ -248,10 +248,10 @@ print("free" if ProjectLock.take(Path({str(path)!r})) else "taken")
 
 
 def test_reading_only_touches_nothing(path):
-    shown = two_layers(path)
+    state = two_layers(path)
     before = path.read_bytes()
     with load(path, readonly=True) as session:
-        assert print_of(session) == shown and session.read_only == "opened for reading only"
+        assert print_of(session) == state and session.read_only == "opened for reading only"
     assert path.read_bytes() == before and len(list(path.parent.iterdir())) == 1
 
 
@@ -289,18 +289,18 @@ def test_files_that_are_no_projects(path):
 
 def test_damage_is_one_clear_line_and_leaves_no_lock(path):
     two_layers(path)
-    whole = path.read_bytes()
-    cases = {"cut": whole[: len(whole) // 2], "head": whole[:100] + b"\xff" * 4000 + whole[4100:]}
+    file_data = path.read_bytes()
+    cases = {"cut": file_data[: len(file_data) // 2], "head": file_data[:100] + b"\xff" * 4000 + file_data[4100:]}
     for name, data in cases.items():
         path.write_bytes(data)
-        with pytest.raises(ValueError, match=r"damaged project file \(.*\)$") as said:
+        with pytest.raises(ValueError, match=r"damaged project file \(.*\)$") as message:
             load(path)
-        assert "\n" not in str(said.value) and path.read_bytes() == data, name
+        assert "\n" not in str(message.value) and path.read_bytes() == data, name
         assert len(list(path.parent.iterdir())) == 1
     rng = np.random.default_rng(5)
     for _ in range(25):  # anywhere: it opens, or says that it cannot
-        broken = bytearray(whole)
-        for at in rng.integers(100, len(whole), 40):
+        broken = bytearray(file_data)
+        for at in rng.integers(100, len(file_data), 40):
             broken[at] ^= int(rng.integers(1, 256))
         path.write_bytes(bytes(broken))
         try:
@@ -313,7 +313,7 @@ def test_damage_is_one_clear_line_and_leaves_no_lock(path):
 
 def test_verify_finds_changed_bytes(path):
     two_layers(path)
-    for statement, said in (
+    for statement, message in (
         ("UPDATE blobs SET bytes = x'00' WHERE rowid = 1", "picture .* is missing or wrong"),
         ("UPDATE deltas SET bytes = x'00' WHERE part = 2", "damaged"),
     ):
@@ -324,7 +324,7 @@ def test_verify_finds_changed_bytes(path):
         with load(copy) as session:
             session._project._db.execute(statement)
             problems = session.verify()
-            assert len(problems) >= 1 and any(said.split(" ")[0] in line for line in problems)
+            assert len(problems) >= 1 and any(message.split(" ")[0] in line for line in problems)
 
 
 def test_version_1_is_brought_up(path):
@@ -407,15 +407,15 @@ def test_export_proves_what_it_wrote(tmp_path, path):
         assert sp.verify(
             ply, tmp_path / "out.ply", sp.Receipt.from_json((tmp_path / "out.ply.receipt.json").read_text())
         ).ok
-        for name, said in (
+        for name, message in (
             ("out.ply", "already exists"),
             ("x.ksplat", "name ending in"),
             ("none/x.ply", "no such folder"),
         ):
-            with pytest.raises(ValueError, match=said):
+            with pytest.raises(ValueError, match=message):
                 session.export(tmp_path / name)
         session.export(tmp_path / "out.ply", overwrite=True)
-    assert not [own for own in tmp_path.iterdir() if own.name.startswith(".")]
+    assert not [entry for entry in tmp_path.iterdir() if entry.name.startswith(".")]
 
 
 def test_one_layer_travels_alone(tmp_path, path):
@@ -423,7 +423,7 @@ def test_one_layer_travels_alone(tmp_path, path):
     with flat() as session:
         session.add("paint", [dab(RED)], name="red", opacity=0.5)
         session.add("paint", [dab(BLUE, 19)], name="blue")
-        shown = print_of(session)
+        state = print_of(session)
         merged = session.merge(["1", "2"], "both")
         session.export_layer(merged.id, file)
         with pytest.raises(ValueError, match="already exists"):
@@ -432,7 +432,7 @@ def test_one_layer_travels_alone(tmp_path, path):
         other.add("paint", [dab(GREEN)])
         other.set("1", visible=False)
         new = other.import_layer(file)
-        assert new.name == "both" and print_of(other) == shown
+        assert new.name == "both" and print_of(other) == state
         assert len({new.id, *(inner.id for inner in new.layers), "1"}) == 4
         assert other.verify() == []
         data = file.read_bytes()

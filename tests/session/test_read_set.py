@@ -64,8 +64,8 @@ def painted_anew(session: Session) -> Splats:
 def four() -> tuple[Session, dict[str, str]]:
     """Three dabs far from each other, and one over the first."""
     session = Session(ground(), painter=Painter.load("lift"))
-    places = {"a": (30, 30, RED), "b": (130, 32, BLUE), "c": (126, 128, GREEN), "over a": (34, 34, BLUE)}
-    ids = {name: session.add("paint", [dab(color, x, y)], name=name).id for name, (x, y, color) in places.items()}
+    positions = {"a": (30, 30, RED), "b": (130, 32, BLUE), "c": (126, 128, GREEN), "over a": (34, 34, BLUE)}
+    ids = {name: session.add("paint", [dab(color, x, y)], name=name).id for name, (x, y, color) in positions.items()}
     assert len(session.splats) > len(session.original) + 20
     return session, ids
 
@@ -102,13 +102,13 @@ def test_again_and_again_after_the_project_was_closed(tmp_path) -> None:
         session.save_as(tmp_path / "own.splatproj")
     with Session.load(tmp_path / "own.splatproj", painter=Painter.load("lift")) as session:
         names = counted(session)
-        whole = session.splats
+        all_layers = session.splats
         session.set(ids["b"], visible=False)
         session.set(ids["c"], visible=False)
         session.set(ids["b"], visible=True)
         assert names == [] and same_bits(session.splats, painted_anew(session))
         session.set(ids["c"], visible=True)
-        assert same_bits(session.splats, whole) and session.verify(repaint=True) == []
+        assert same_bits(session.splats, all_layers) and session.verify(repaint=True) == []
 
 
 def test_conflicts_name_the_rows_where_they_are_now() -> None:
@@ -118,13 +118,13 @@ def test_conflicts_name_the_rows_where_they_are_now() -> None:
         session.add("paint", [dab(BLUE, 110, 116)])
         session.add("paint", [dab(GREEN, 108, 116, camera=side)])
         names = counted(session)
-        before, shown = session.conflicts(), session.splats
+        before, composed = session.conflicts(), session.splats
         session.set(low.id, visible=False)
         assert names == [] and len(before) == 1
         (now,) = session.conflicts()
         assert now.share == before[0].share and len(now.gaussian_ids) == len(before[0].gaussian_ids) > 0
         assert session.verify(repaint=True) == []
-        assert same_bits(session.splats.take(now.gaussian_ids), shown.take(before[0].gaussian_ids))
+        assert same_bits(session.splats.take(now.gaussian_ids), composed.take(before[0].gaussian_ids))
         assert (now.gaussian_ids != before[0].gaussian_ids).any()
 
 
@@ -184,9 +184,9 @@ def test_a_delta_moves_only_where_all_its_rows_do() -> None:
     rows, none = ground().take(np.arange(2)), ground().take(np.zeros(0, np.int64))
     delta = Delta(9, np.array([2, 5]), rows, rows, np.array([5, -1]))
     old, new = ReadSet(np.array([2, 3, 5], np.int32), "x"), ReadSet(np.array([0, 4, 7], np.int32), "x")
-    found = renumber(delta, old, new, 8)
-    assert found is not None and found.count == 8
-    assert found.gaussian_ids.tolist() == [0, 7] and found.parent_ids.tolist() == [7, -1]
+    result = renumber(delta, old, new, 8)
+    assert result is not None and result.count == 8
+    assert result.gaussian_ids.tolist() == [0, 7] and result.parent_ids.tolist() == [7, -1]
     assert renumber(replace(delta, gaussian_ids=np.array([2, 4])), old, new, 8) is None
     assert renumber(replace(delta, gaussian_ids=np.array([2, 9])), old, new, 8) is None
     assert renumber(Delta(9, np.zeros(0, np.int64), none, none, np.zeros(0, np.int64)), old, new, 8) is not None

@@ -23,15 +23,15 @@ def edited(splats: Splats, rows: list[int], more: int = 0) -> Splats:
 @pytest.fixture
 def compared(monkeypatch):
     """[rows that `changed_rows` was asked about, None: all], for each time that it was."""
-    asked = []
+    requests = []
 
     def count(before: Splats, after: Splats, among: np.ndarray | None = None) -> np.ndarray:
-        asked.append(None if among is None else among.tolist())
+        requests.append(None if among is None else among.tolist())
         return changed_rows(before, after, among)
 
     monkeypatch.setattr(recent_changes, "changed_rows", count)
     recent_changes._recent.clear()
-    yield asked
+    yield requests
     recent_changes._recent.clear()
 
 

@@ -52,8 +52,8 @@ def test_erasing_a_part_leaves_the_rest_and_no_holes():
         assert (after.alphas[0] > alpha - 0.1).all()
         inside, outside = disk(camera, 24, 32, 6), disk(camera, 42, 32, 6)
         gone = np.abs(after.colors[0] - original)[inside].mean() / np.abs(painted - original)[inside].mean()
-        kept = np.abs(after.colors[0] - painted)[outside].mean() / np.abs(painted - original)[outside].mean()
-        assert gone < 0.1 and kept < 0.1
+        ratio = np.abs(after.colors[0] - painted)[outside].mean() / np.abs(painted - original)[outside].mean()
+        assert gone < 0.1 and ratio < 0.1
 
 
 def test_what_is_left_of_erased_paint_is_sharp_and_the_originals_stay_behind_it():
@@ -121,8 +121,8 @@ def test_looks_are_functions_of_each_row():
     with flat(adjustments={"grey": lambda sh, parameters: sh.mean(2, keepdims=True).repeat(3, 2)}) as session:
         old = session.splats
         layer = session.add("look", parameters={"look": "gain", "gain": [2, 1, 0.5], "offset": [0, 0.1, 0]})
-        wanted = (0.5 + y0 * old.sh[:, 0].astype(np.float64)) * [2, 1, 0.5] + [0, 0.1, 0]
-        np.testing.assert_allclose(0.5 + y0 * session.splats.sh[:, 0], wanted, atol=1e-6)
+        expected_colors = (0.5 + y0 * old.sh[:, 0].astype(np.float64)) * [2, 1, 0.5] + [0, 0.1, 0]
+        np.testing.assert_allclose(0.5 + y0 * session.splats.sh[:, 0], expected_colors, atol=1e-6)
         np.testing.assert_allclose(session.splats.sh[:, 1:], old.sh[:, 1:] * [2, 1, 0.5], atol=1e-6)
         session.set(layer.id, parameters={"look": "grey"})
         np.testing.assert_allclose(session.splats.sh.std(2), 0, atol=1e-6)
@@ -144,10 +144,10 @@ def test_regraded_pictures_can_stay_within_masks():
     redder = Edit(np.broadcast_to(np.array(RED, np.float32), (SIZE, SIZE, 3)), CAMERA, half)
     with Session(sheet(16, degree=1, opacity=0.95)) as session:
         old = session.splats
-        whole = session.add("look", [redder])
+        look = session.add("look", [redder])
         everywhere = session.splats
         assert differing(old, everywhere).mean() > 0.9
-        session.set(whole.id, visible=False)
+        session.set(look.id, visible=False)
         within = session.add("look", [redder], parameters={"within": True})
         changed = differing(old, session.splats)
         assert changed[old.means[:, 0] > 0.2].all() and not changed[old.means[:, 0] < -0.2].any()
@@ -170,16 +170,16 @@ def conflicting(policy: Any) -> tuple[Session, str, str]:
 def test_conflicts_are_reported():
     session, a, b = conflicting(None)
     with session:
-        (found,) = session.conflicts()
+        (conflict,) = session.conflicts()
         below = session._replay.compose(replace(session.snapshot.document, layers=session.layers[:1])).splats
         first = np.flatnonzero(differing(session.original, below))
         second = np.flatnonzero(differing(below, session.splats))
         expected = np.intersect1d(np.append(first, 100), second)
-        assert (found.lower, found.upper, found.policy, found.winner) == (a, b, "latest", b)
-        np.testing.assert_array_equal(found.gaussian_ids, expected)
-        assert found.share == pytest.approx(len(expected) / (len(first) + 1))
+        assert (conflict.lower, conflict.upper, conflict.policy, conflict.winner) == (a, b, "latest", b)
+        np.testing.assert_array_equal(conflict.gaussian_ids, expected)
+        assert conflict.share == pytest.approx(len(expected) / (len(first) + 1))
         session.add("paint", [dab(GREEN, 17)])  # from where the first one was painted, not the second
-        assert {(own.lower, own.upper) for own in session.conflicts()} == {(a, b), (b, "3")}
+        assert {(conflict.lower, conflict.upper) for conflict in session.conflicts()} == {(a, b), (b, "3")}
         session.add("look", parameters={"look": "gain"})
         assert len(session.conflicts()) == 2
 
@@ -189,17 +189,17 @@ def test_policies_decide_conflicts():
     first, *_ = conflicting("first")
     blend, *_ = conflicting("blend")
     with latest, first, blend:
-        (found,) = latest.conflicts()
-        rows = found.gaussian_ids[found.gaussian_ids < 100]
+        (conflict,) = latest.conflicts()
+        rows = conflict.gaussian_ids[conflict.gaussian_ids < 100]
         assert len(rows)
         red = latest._replay.compose(replace(latest.snapshot.document, layers=latest.layers[:1])).splats
         for name in ("means", "scales", "sh"):
             np.testing.assert_array_equal(getattr(first.splats, name)[rows], getattr(red, name)[rows])
         middle = (red.sh[rows].astype(np.float64) + latest.splats.sh[rows]) / 2
         np.testing.assert_allclose(blend.splats.sh[rows], middle, atol=1e-6)
-        others = np.setdiff1d(np.flatnonzero(differing(red, latest.splats)), found.gaussian_ids)
-        assert len(others)
-        np.testing.assert_array_equal(first.splats.sh[others], latest.splats.sh[others])
+        remaining = np.setdiff1d(np.flatnonzero(differing(red, latest.splats)), conflict.gaussian_ids)
+        assert len(remaining)
+        np.testing.assert_array_equal(first.splats.sh[remaining], latest.splats.sh[remaining])
         assert first.conflicts()[0].winner == a and blend.conflicts()[0].winner is None
         assert first.undo() and same_bits(first.splats, latest.splats)
         with pytest.raises(ValueError, match="^conflict: expected "):

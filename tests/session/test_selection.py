@@ -95,14 +95,14 @@ def test_a_selection_is_seen_from_every_side() -> None:
 def test_what_is_selected_and_too_faint_to_be_seen_is_a_point_of_the_view() -> None:
     solid = ball(3000)
     more = solid.take([0, 0, 0, 0])
-    places = np.array([[0, 1.24, 0], [0.2, 0, -1.4], [0, 0, 1.6], [0, 0, -9]], np.float32)
+    positions = np.array([[0, 1.24, 0], [0.2, 0, -1.4], [0, 0, 1.6], [0, 0, -9]], np.float32)
     opacities = np.array([0.004, 0.02, 0.02, 0.9], np.float32)
-    splats = solid.append(replace(more, means=places, opacities=opacities, scales=np.full((4, 3), 0.02, np.float32)))
+    splats = solid.append(replace(more, means=positions, opacities=opacities, scales=np.full((4, 3), 0.02, np.float32)))
     weights = np.zeros(len(splats), np.float32)
     weights[-4:] = 1
     shares, points = view_and_points(splats, weights, view())
     assert shares.max() < 0.5
-    expected = view().project(places.astype(float))[0][:2]  # one lies behind the ball, one behind the camera
+    expected = view().project(positions.astype(float))[0][:2]  # one lies behind the ball, one behind the camera
     assert points.shape == (2, 2) and np.allclose(np.sort(points, 0), np.sort(expected, 0), atol=1e-3)
     weights[:] = 1
     assert len(view_and_points(splats, weights, view())[1]) < 30, "what is tinted needs no points"

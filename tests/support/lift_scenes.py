@@ -101,12 +101,12 @@ def dense_weights(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarra
     dropped, capped at 0.999): picture = w.T @ colours + left * background. For rows inside the picture."""
     turn, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     x, y, z = (splats.means.astype(np.float64) @ turn.T + shift).T
-    own = Rotation.from_quat(splats.quats.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix()
+    rotations = Rotation.from_quat(splats.quats.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix()
     v, u = (part.ravel() + 0.5 for part in np.mgrid[: camera.height, : camera.width])
     alphas = np.zeros((len(splats), u.size))
     for i in range(len(splats)):
         jacobian = np.array([[camera.fx, 0, -camera.fx * x[i] / z[i]], [0, camera.fy, -camera.fy * y[i] / z[i]]]) / z[i]
-        axes = jacobian @ turn @ own[i] @ np.diag(splats.scales[i].astype(np.float64))
+        axes = jacobian @ turn @ rotations[i] @ np.diag(splats.scales[i].astype(np.float64))
         sharp = np.linalg.inv(axes @ axes.T + 0.3 * np.eye(2))
         d = np.stack([u - camera.fx * x[i] / z[i] - camera.cx, v - camera.fy * y[i] / z[i] - camera.cy])
         alphas[i] = np.minimum(splats.opacities[i] * np.exp(-0.5 * np.einsum("ip,ij,jp->p", d, sharp, d)), 0.999)

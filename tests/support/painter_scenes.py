@@ -22,7 +22,7 @@ CAMERA, REAR = front(SIZE), back(SIZE)
 FRONT, DRAWABLE = 30 * 30, 30 * 30 + 14 * 14
 """Rows of the front sheet come first; the two last rows cannot be drawn."""
 
-OWN = with_refine(TINY, base="own")
+ASSET_BASE = with_refine(TINY, base="own")
 LIFT = with_refine(TINY, base="lift", detail=False)
 COPY = replace(with_refine(TINY, lift_features=False), representation="copy")
 
@@ -40,7 +40,7 @@ def uneven() -> Splats:
     return replace(splats, means=splats.means + noise, opacities=splats.opacities - np.abs(noise[:, 0]))
 
 
-def built(config: ModelConfig = OWN, *, awake: float = 0.0, seed: int = 7) -> SplatPainterModel:
+def built(config: ModelConfig = ASSET_BASE, *, awake: float = 0.0, seed: int = 7) -> SplatPainterModel:
     """An untrained model, or one whose head says something: N(0, awake)."""
     torch.manual_seed(seed)
     model = SplatPainterModel(config).eval()

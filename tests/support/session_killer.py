@@ -79,20 +79,20 @@ def main(folder: Path, rounds: int, seed: int) -> dict[str, Any]:
 
     def kill(path: Path, lines: int, longest: float) -> dict[str, Any] | None:
         """The last thing that a writer said."""
-        told = killed_writer(path, seed + out["kills"], lines, rng.uniform(0, longest))
+        report = killed_writer(path, seed + out["kills"], lines, rng.uniform(0, longest))
         out["kills"] += 1
-        out["acknowledged"] += len(told)
-        out["silent"] += not told
-        return told[-1] if told else None
+        out["acknowledged"] += len(report)
+        out["silent"] += not report
+        return report[-1] if report else None
 
     for k in range(rounds // 5):  # while the project is made
         path = folder / f"new{k % 3}.splatproj"
-        told = kill(path, 0, 0.08)
+        report = kill(path, 0, 0.08)
         if path.exists():
-            judge(path, told, out)
+            judge(path, report, out)
             path.unlink()
-        elif told is not None:
-            out["wrong"] = out["wrong"] or {"told": told, "found": "no project"}
+        elif report is not None:
+            out["wrong"] = out["wrong"] or {"told": report, "found": "no project"}
         else:
             out["unmade"] += 1
     path = folder / "killed.splatproj"
@@ -100,28 +100,28 @@ def main(folder: Path, rounds: int, seed: int) -> dict[str, Any]:
     last = judge(path, None, out)
     for _ in range(rounds - rounds // 5):
         last = judge(path, kill(path, rng.randrange(4), 0.03) or last, out)
-    left = sorted(own.name for own in folder.iterdir() if not own.name.startswith((".new", "new")))
+    left = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith((".new", "new")))
     return {**out, "files": left, "problems": verified(path)}
 
 
-def judge(path: Path, told: dict[str, Any] | None, out: dict[str, Any]) -> dict[str, Any]:
+def judge(path: Path, report: dict[str, Any] | None, out: dict[str, Any]) -> dict[str, Any]:
     """Open a project as a killed writer left it, compare it with what was acknowledged last, and say where it is."""
     painter: Any = FlatPainter()
     with Session.load(path, painter=painter, readonly=False) as session:
         now = position(session)
-        if told is not None and now != told:
+        if report is not None and now != report:
             # One more command may be on disk, of which nothing could be said any more: an undo, or a new step.
             out["ahead"] += 1
-            if now["cursor"] > told["cursor"]:
+            if now["cursor"] > report["cursor"]:
                 session.undo()
-                right = print_of(session) == told["rows"] and session.cursor == told["cursor"]
+                right = print_of(session) == report["rows"] and session.cursor == report["cursor"]
                 session.redo()
             else:
                 session.redo()
-                right = position(session) == told
+                right = position(session) == report
                 session.undo()
             if not right:
-                out["wrong"] = out["wrong"] or {"told": told, "found": now}
+                out["wrong"] = out["wrong"] or {"told": report, "found": now}
         if painter.calls:  # results are as durable as layers
             out["wrong"] = out["wrong"] or {"painted again": len(painter.calls)}
         if len(session.history) > 12:

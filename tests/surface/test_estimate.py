@@ -238,10 +238,10 @@ def test_one_search_looks_at_bounded_numbers_and_finds_what_brute_force_finds():
     arrays = (s.keys, s.level_starts, s.cell_sizes, s.reaches, s.min_corner, s.patches)
     for window in (1e-3, 0.02, 0.2):
         for point in rng.uniform(-1.2, 1.2, (20, 3)):
-            found = search(*arrays, point, window, 2.5, out)
+            hits = search(*arrays, point, window, 2.5, out)
             square = ((s.means.astype(np.float64) - point) ** 2).sum(1)
             reach = s.scales[:, 0].astype(np.float64) ** 2 + window**2
-            np.testing.assert_array_equal(np.sort(out[:found]), np.flatnonzero(square < 2.5**2 * reach))
+            np.testing.assert_array_equal(np.sort(out[:hits]), np.flatnonzero(square < 2.5**2 * reach))
     assert search(*arrays, np.zeros(3), 10.0, 2.5, np.empty(100, np.int64)) == 101
     assert samples.MAX_TESTED > 10 * estimate.MAX_NEIGHBOURS
 

@@ -11,7 +11,7 @@ SPACING = 0.03
 UP = np.array([0.0, 1.0, 0.0])
 
 
-def places(count: int = 60_000, extent: float = 1.3) -> np.ndarray:
+def positions(count: int = 60_000, extent: float = 1.3) -> np.ndarray:
     """[count, 2] exact (u, v), the first one 0."""
     uv = np.random.default_rng(0).uniform(-extent, extent, (count, 2))
     uv[0] = 0
@@ -41,7 +41,7 @@ def errors(shape, noise: float = 0.0) -> tuple[np.ndarray, int]:
     """(distances from the exact places over the width of a square decal, samples under it that were not reached).
     noise: of heights in spacings and of normals in radians."""
     rng = np.random.default_rng(1)
-    exact = places()
+    exact = positions()
     points, normals = shape(exact)
     points = points + noise * SPACING * rng.standard_normal(points.shape)
     normals = normals + noise * rng.standard_normal(normals.shape)
@@ -101,7 +101,7 @@ def test_nothing_steps_over_a_gap_in_depth() -> None:
 
 
 def test_wrap_limit() -> None:
-    points, normals = on_cylinder(places())
+    points, normals = on_cylinder(positions())
     ids = thinned(points, normals, SPACING)
     result = unwrap(points[ids], normals[ids], UP, SPACING, (1.3, 1.0), np.radians(40))
     turned = np.degrees(np.arccos(np.clip(result.normals[result.reached, 2], -1, 1)))
@@ -109,10 +109,10 @@ def test_wrap_limit() -> None:
 
 
 def test_in_between_and_far_away() -> None:
-    points, normals = on_sphere(places())
+    points, normals = on_sphere(positions())
     ids = thinned(points, normals, SPACING)
     result: Unwrapped = unwrap(points[ids], normals[ids], UP, SPACING, (1.0, 1.0))
-    exact = places()[100:3000] * 0.7
+    exact = positions()[100:3000] * 0.7
     uv, nearest = result.at(*on_sphere(exact))
     assert (nearest >= 0).all()
     assert np.linalg.norm(uv - exact, axis=1).max() < 0.016
@@ -122,7 +122,7 @@ def test_in_between_and_far_away() -> None:
 
 
 def test_same_result_every_time() -> None:
-    points, normals = on_sphere(places(8000))
+    points, normals = on_sphere(positions(8000))
     first, second = (unwrap(points, normals, UP, 0.06, (1.0, 1.0)) for _ in range(2))
     assert np.array_equal(first.uv, second.uv, equal_nan=True)
 

@@ -63,10 +63,10 @@ def avif_still(samples: mp4.CodedFrames, key: int) -> bytes:
     entry = mp4.box(b"infe", struct.pack(">IHH", 2 << 24, 1, 0), b"av01", b"\0")
 
     def meta(offset: int) -> bytes:
-        place = struct.pack(">BBHHHHII", 0x44, 0, 1, 1, 0, 1, offset, len(data))
+        record = struct.pack(">BBHHHHII", 0x44, 0, 1, 1, 0, 1, offset, len(data))
         handler = full(b"hdlr", bytes(4), b"pict", bytes(13))
         information = full(b"iinf", struct.pack(">H", 1), entry)
-        return full(b"meta", handler, full(b"pitm", b"\0\1"), full(b"iloc", place), information, properties)
+        return full(b"meta", handler, full(b"pitm", b"\0\1"), full(b"iloc", record), information, properties)
 
     head = mp4.box(b"ftyp", b"avif", bytes(4), b"avifmif1miaf")
     return head + meta(len(head) + len(meta(0)) + 8) + mp4.box(b"mdat", data)

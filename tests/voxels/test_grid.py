@@ -42,10 +42,10 @@ def test_rows_are_grouped_as_plain_sorting_groups_them(seed: int, n: int, resolu
         if row not in drawable:
             assert grid.index[row] == -1
             continue
-        place = (splats.means[row].astype(float) - grid.min_corner) * resolution / grid.extent
+        position = (splats.means[row].astype(float) - grid.min_corner) * resolution / grid.extent
         cell = np.array([grid.index[row] // resolution**2, grid.index[row] // resolution % resolution, 0])
         cell[2] = grid.index[row] - (cell[0] * resolution + cell[1]) * resolution
-        beyond = ((place < cell - 1e-6) & (cell > 0)) | ((place > cell + 1 + 1e-6) & (cell < resolution - 1))
+        beyond = ((position < cell - 1e-6) & (cell > 0)) | ((position > cell + 1 + 1e-6) & (cell < resolution - 1))
         assert not beyond.any() and ((cell >= 0) & (cell < resolution)).all()
     expected = sorted(drawable, key=lambda i: (grid.index[i], -float(splats.opacities[i]), i))
     assert grid.order.tolist() == expected
@@ -101,8 +101,8 @@ def test_a_ray_across_a_flat_row_picks_up_its_opacity(axis: int) -> None:
     total = 2 * math.pi * 0.6 * (1 - math.exp(-(SIGMAS**2) / 2)) * (0.12 / grid.voxel) ** 2
     assert through.sum() == pytest.approx(total, rel=0.05)
     # The same integral weighted by exp(-r^2 / 2), to see that the thickness is in the middle: pi o (1 - exp(-k^2)).
-    places = np.delete(grid.centers(np.arange(64**3)).reshape(64, 64, 64, 3).take(0, axis), axis, -1)
-    squared = (((places - np.delete(centre, axis)) / 0.12) ** 2).sum(-1)
+    positions = np.delete(grid.centers(np.arange(64**3)).reshape(64, 64, 64, 3).take(0, axis), axis, -1)
+    squared = (((positions - np.delete(centre, axis)) / 0.12) ** 2).sum(-1)
     weighted = math.pi * 0.6 * (1 - math.exp(-(SIGMAS**2))) * (0.12 / grid.voxel) ** 2
     assert (through * np.exp(-0.5 * squared)).sum() == pytest.approx(weighted, rel=0.1)
 

@@ -147,9 +147,9 @@ def test_seen_voxels_are_those_before_the_thickness_is_spent(seed: int, dense: f
     ray /= np.linalg.norm(ray)
     seen, through = seen_voxels(grid, origin, ray[None] * np.float32(rng.uniform(0.1, 10)))
     step = 0.002
-    places = np.floor(origin + 3 + np.arange(0, 30, step)[:, None] * ray.astype(float)).astype(int)
-    held = ((places >= 0) & (places < 6)).all(1)
-    path = places[held]
+    step_cells = np.floor(origin + 3 + np.arange(0, 30, step)[:, None] * ray.astype(float)).astype(int)
+    held = ((step_cells >= 0) & (step_cells < 6)).all(1)
+    path = step_cells[held]
     thickness = volume[tuple(path.T)]
     before = np.concatenate([[0], np.cumsum(thickness * step)])
     for cell in np.unique(path, axis=0):
@@ -231,8 +231,8 @@ def test_outliers_may_change_only_where_they_show() -> None:
     splats = make(np.concatenate([body, strays]), FLAT, 0.95)
     grid = voxelize(splats, 64)
     assert grid.outside.nonzero()[0].tolist() == [3600, 3601, 3602, 3603]
-    whole = np.ones((64, 64), bool)
-    hidden, beside, before, back = editable_gaussians(grid, splats, CAMERA, whole)[-4:]
+    full_mask = np.ones((64, 64), bool)
+    hidden, beside, before, back = editable_gaussians(grid, splats, CAMERA, full_mask)[-4:]
     assert (hidden, beside, before, back) == (False, False, True, False)
     hole = make(np.concatenate([body[np.abs(body[:, :2]).max(1) > 0.4], strays]), FLAT, 0.95)
     rows = editable_gaussians(voxelize(hole, 64), hole, CAMERA, disk(32, 32, 2))

@@ -103,12 +103,12 @@ def test_a_view_there_and_a_picture_back(tmp_path: Path) -> None:
 
 
 def test_what_is_no_answer_is_waited_on(tmp_path: Path) -> None:
-    def save_others() -> None:
+    def save_other_files() -> None:
         (tmp_path / "another.png").write_bytes(png())
         (tmp_path / "view_0001.png").write_bytes(png())
         (tmp_path / "view_000.png").write_bytes(b"half a pict")
 
-    person = Person(save_others, lambda: (tmp_path / "view_000.png").write_bytes(png()))
+    person = Person(save_other_files, lambda: (tmp_path / "view_000.png").write_bytes(png()))
     assert edit(tmp_path, person).image.shape == (HEIGHT, WIDTH, 3)
     assert person.reports[1][1].startswith("view_000.png: expected a PNG")
 

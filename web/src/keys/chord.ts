@@ -69,11 +69,11 @@ export function chordOf(press: KeyPress): string {
   return [control && "Ctrl", alt && "Alt", shift && "Shift", name].filter(Boolean).join("-");
 }
 
-const SHOWN: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc" };
+const SYMBOLS: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc" };
 
 /** As people read it. */
 export function spoken(chord: string): string {
   const at = /^((?:Ctrl-|Alt-|Shift-)*)(.+)$/.exec(chord);
   if (!at) return chord;
-  return at[1] + (SHOWN[at[2]] ?? at[2].replace(/^Num(?=.)/, "Numpad "));
+  return at[1] + (SYMBOLS[at[2]] ?? at[2].replace(/^Num(?=.)/, "Numpad "));
 }

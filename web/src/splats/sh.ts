@@ -7,7 +7,7 @@
  */
 
 /** Coefficients (without the constant one) that Spark can show: degrees 1 to 3. */
-export const SH_SHOWN = 15;
+export const MAX_DRAWN_SH = 15;
 
 /** r, g, b of any sign to 32 bits. Magnitudes above 65536 are clamped, those below 2^-15 / 510 become 0. */
 export function encodeSh(r: number, g: number, b: number): number {

@@ -1,7 +1,7 @@
 /** Gaussians as they arrive, and their encoding into the textures that Spark's ExtSplats reads. */
 
 import { toHalf } from "./half";
-import { encodeSh, SH_SHOWN } from "./sh";
+import { encodeSh, MAX_DRAWN_SH } from "./sh";
 
 /** Y_00; base colour = 0.5 + SH_C0 * sh[0]. */
 export const SH_C0 = 0.28209479177387814;
@@ -76,7 +76,7 @@ export function encodeGaussian(texels: Texels, target: number, gaussians: Gaussi
   const { sh } = gaussians;
   appearance[at] = toHalf(0.5 + SH_C0 * sh[c]) | (toHalf(0.5 + SH_C0 * sh[c + 1]) << 16);
   appearance[at + 1] = (appearance[at + 1] & 0xffff0000) | toHalf(0.5 + SH_C0 * sh[c + 2]);
-  encodeHarmonics(texels.sh, at, sh, c + 3, Math.min(gaussians.coefficients - 1, SH_SHOWN));
+  encodeHarmonics(texels.sh, at, sh, c + 3, Math.min(gaussians.coefficients - 1, MAX_DRAWN_SH));
 }
 
 /** Colours that need no encoding; a Gaussian that cannot be drawn keeps its opacity of 0. */

@@ -62,17 +62,17 @@ export function variantOf(row: VariantRow): BatchVariant {
   const name = row.name.trim();
   if (!name) throw new Error("Every row needs a name.");
   const [on, of] = split(row.region);
-  const place = { name, on, of };
-  if (row.kind === "none") return place;
-  if (row.kind === "color") return { ...place, transfer: { kind: "recolor", color: row.color } };
+  const target = { name, on, of };
+  if (row.kind === "none") return target;
+  if (row.kind === "color") return { ...target, transfer: { kind: "recolor", color: row.color } };
   if (row.kind === "file") {
     if (!row.file) throw new Error(`${name}: choose a .cube table or a picture.`);
-    return { ...place, transfer: { kind: row.file.kind, file: row.file.blob } };
+    return { ...target, transfer: { kind: row.file.kind, file: row.file.blob } };
   }
   const { exposure, temperature, saturation, hue } = row;
   if (!(exposure || temperature || saturation || hue)) throw new Error(`${name}: set at least one number.`);
   const hues = hue ? [{ hue: 0, width: ALL_HUES, shift: hue }] : [];
-  return { ...place, look: { exposure, temperature, saturation, hues } };
+  return { ...target, look: { exposure, temperature, saturation, hues } };
 }
 
 function split(region: string): [NonNullable<BatchVariant["on"]>, string] {
@@ -101,9 +101,9 @@ export function rowsFromCsv(
     const at = `Line ${index + 1}:`;
     if (!name) throw new Error(`${at} expected a name before the colour.`);
     if (!color) throw new Error(`${at} expected a colour like #2040a0, got "${given.slice(0, 40)}".`);
-    const known = regions.find(([, label]) => label.toLowerCase() === where.toLowerCase());
-    if (where && !known) throw new Error(`${at} there is no selection or layer called "${where.slice(0, 40)}".`);
-    rows.push(newRow({ name, color, region: known?.[0] ?? region }));
+    const chosen = regions.find(([, label]) => label.toLowerCase() === where.toLowerCase());
+    if (where && !chosen) throw new Error(`${at} there is no selection or layer called "${where.slice(0, 40)}".`);
+    rows.push(newRow({ name, color, region: chosen?.[0] ?? region }));
   });
   if (!rows.length) throw new Error("There is no line of a name and a colour.");
   return rows;

@@ -66,8 +66,8 @@ const toggled = (list: readonly string[], one: string, on: boolean): readonly st
 
 export function BatchAssets() {
   useEffect(() => void run("project.recent", {}).then((answer) => (lists.value = answer)), []);
-  const own = state.value?.project.id;
-  const others = lists.value?.recent.filter((one) => one.id !== own) ?? [];
+  const project = state.value?.project.id;
+  const otherProjects = lists.value?.recent.filter((one) => one.id !== project) ?? [];
   const files = lists.value?.files.filter((name) => !IS_PROJECT.test(name)) ?? [];
   const drop = (event: DragEvent) => {
     const dropped = [...(event.dataTransfer?.files ?? [])];
@@ -95,11 +95,11 @@ export function BatchAssets() {
           </li>
         ))}
       </ul>
-      {others.length > 0 && (
+      {otherProjects.length > 0 && (
         <details>
           <summary>Assets of recent projects{recents.value.length > 0 && `: ${recents.value.length} chosen`}</summary>
           <ul class="list" aria-label="Recent projects">
-            {others.map((one) => (
+            {otherProjects.map((one) => (
               <li key={one.id}>
                 <Check
                   label={one.name}

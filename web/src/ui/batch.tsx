@@ -62,9 +62,9 @@ async function ask(words: string, work: () => Promise<BatchAnswer | void>): Prom
 
 const plan = () =>
   ask("Planning", async () => {
-    const wanted = what.value === "assets" ? { assets: chosenAssets() } : { variants: rows.value.map(variantOf) };
+    const scope = what.value === "assets" ? { assets: chosenAssets() } : { variants: rows.value.map(variantOf) };
     const asset = batchAsset.value?.id;
-    return link.do("batch.plan", { ...wanted, asset, format: format.value, camera: camera.value });
+    return link.do("batch.plan", { ...scope, asset, format: format.value, camera: camera.value });
   });
 const start = (id: string) => ask("Starting", () => link.do("batch.start", { batch: id }));
 const cancel = (id: string) => ask("Cancelling", () => link.do("batch.cancel", { batch: id }));

@@ -14,15 +14,15 @@ const chosenName = signal("");
 const prompt = signal("");
 
 export function FillSettings({ layer }: { layer: LayerInfo | null }) {
-  const shown = layer?.kind === "fill";
+  const isFill = layer?.kind === "fill";
   useEffect(() => {
-    if (shown && sources.value === null)
+    if (isFill && sources.value === null)
       void run("source.list", {}).then((answer) => {
         sources.value = (answer?.sources ?? []).filter((one) => !one.missing);
         chosenName.value = sources.value[0]?.name ?? "";
       });
-  }, [shown]);
-  if (!layer || !shown) return null;
+  }, [isFill]);
+  if (!layer || !isFill) return null;
   const list = sources.value ?? [];
   const source = list.find((one) => one.name === chosenName.value) ?? null;
   const colored = layer.views.length > 0;
