@@ -69,7 +69,13 @@ export function chordOf(press: KeyPress): string {
   return [control && "Ctrl", alt && "Alt", shift && "Shift", name].filter(Boolean).join("-");
 }
 
-const SYMBOLS: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc" };
+const SYMBOLS: Record<string, string> = {
+  ArrowLeft: "←",
+  ArrowRight: "→",
+  ArrowUp: "↑",
+  ArrowDown: "↓",
+  Escape: "Esc",
+};
 
 /** As people read it. */
 export function spoken(chord: string): string {
