@@ -248,6 +248,8 @@ def test_nothing_seems_lost(browser: Any, tmp_path: Path) -> None:
             tab.keyboard.press("Control+o")
             tab.get_by_role("button", name=name, exact=True).click()
             page.wait(f"{name}", lambda: page.state()["asset"]["name"] == name)
+            dialog = tab.get_by_role("dialog", name="Open", exact=True)  # it goes with the command's answer
+            page.wait("the dialog to be closed", lambda: dialog.count() == 0)
 
         try:
             open_file("one.ply")
