@@ -32,7 +32,7 @@ MIN_ALPHA = 0.5
 """Of a pixel that shows a surface."""
 MAX_HEIGHT = 0.02
 """Distance of a point from the plane that a view shows in its pixel, of its depth, up to which the view sees it, ..."""
-MAX_DEPTH_DIFFERENCE = 0.1
+MAX_SIGHT_DISTANCE = 0.1
 """... and of the depths along the line of sight: grazing planes are long."""
 BETTER = 1.3
 """Pixels per area over another view's, from which a view is preferred to a later one."""
@@ -230,7 +230,7 @@ class _ViewOnSurface:
         x, y = x.clip(0, width - 1), y.clip(0, height - 1)
         depth = self.depth[y, x]
         height_over = np.abs((z - depth) * (_rays(self.camera, x, y) * self.normals[y, x]).sum(-1))
-        seen = inside & (depth > 0) & (height_over < MAX_HEIGHT * z) & (np.abs(z - depth) < MAX_DEPTH_DIFFERENCE * z)
+        seen = inside & (depth > 0) & (height_over < MAX_HEIGHT * z) & (np.abs(z - depth) < MAX_SIGHT_DISTANCE * z)
         values = np.concatenate([self.change, self.mask[..., None], self.density[..., None]], -1)
         values = bilinear(values, pixels) * seen[..., None]
         margin = np.where(seen, self.margin_px[y, x], np.inf)
