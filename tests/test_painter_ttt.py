@@ -290,7 +290,7 @@ def test_the_models_own_mode_comes_back_and_counts_for_nothing() -> None:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_polish_brings_the_picture_nearer_and_reaches_no_other_row(mode: Mode, precision: str) -> None:
-    model = built(LIFT, awake=0.02)
+    model = built(LIFT, awake=0.05)
     edits = edits_of(mode)
     plain, polished = (
         painter.apply(painter.encode(SPLATS), edits, mode=mode)

@@ -532,7 +532,8 @@ def _inference(model: SplatPainterModel, precision: Precision) -> Iterator[None]
         with torch.inference_mode(), autocast(next(model.parameters()).device, precision):
             yield
     finally:
-        model.train(training)
+        if training:
+            model.train()
 
 
 def _one_size(edits: Sequence[Edit]) -> None:

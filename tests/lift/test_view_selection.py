@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
+from splatpainter.lift import edits
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import lift_local_views
+from splatpainter.lift.local_edit import NothingPaintableError
+from splatpainter.lift.paint import PaintedView
 from splatpainter.lift.view_selection import view_shares, with_joint_colors
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
@@ -154,3 +159,22 @@ def test_what_others_left_to_a_view_may_lie_beyond_its_limits():
     assert len(lifted.limited) == 2 and lifted.limited[0] == 0
     mask = views[0].mask
     assert db(draw(lifted.splats, front()), views[0].edited, mask) > 28
+
+
+@pytest.mark.parametrize("nothing", [True, False])
+def test_only_views_without_anything_to_paint_are_passed_over(nothing: bool, monkeypatch: pytest.MonkeyPatch):
+    """Other errors of a view that has little to add are not lost, and name it."""
+    splats = wall()
+    truth, wide = recolored(splats, RED), recolored(splats, RED, radius=RADIUS + 0.1)
+    views = views_of(splats, [(front(), truth), (from_side(50), wide)])
+    views = [replace(view, name=f"view {k + 1}") for k, view in enumerate(views)]
+    paint_view = edits.paint_view
+
+    def failing(splats: Splats, surface: Surface, camera: Camera, *arguments, **options) -> PaintedView:
+        if camera is views[1].camera:
+            raise (NothingPaintableError if nothing else ValueError)("edit: as the test wants it")
+        return paint_view(splats, surface, camera, *arguments, **options)
+
+    monkeypatch.setattr(edits, "paint_view", failing)
+    with contextlib.nullcontext() if nothing else pytest.raises(ValueError, match="view 2: as the test wants it"):
+        assert len(painted(splats, views)) > len(splats)

@@ -23,7 +23,7 @@ from splatpainter.rendering.cpu.projected_view import tiles_of_mask
 from splatpainter.splats import SH_C0, Splats, rows_sha256
 from tests.support.lift_scenes import front, sheet
 
-PX = 96
+PX = 64
 
 
 def closeup(x: float, y: float) -> Camera:
@@ -75,18 +75,19 @@ def test_detail_arrives_and_is_seen_from_another_side(asset, views, lifted) -> N
 
 
 def test_gaussians_that_are_off_are_moved_before_they_take_colours(monkeypatch) -> None:
-    """A plane that stands out in waves: two views see its Gaussians in two places, which colours cannot mend."""
+    """A plane whose Gaussians are too large and lie half a spacing beside where they should."""
     truth, positions = with_detail(48), with_detail(48).means
-    waves = 0.08 * np.sin(6 * positions[:, :1]) * np.cos(6 * positions[:, 1:2]) * [0, 0, 1]
-    wavy = replace(truth, means=(positions + waves).astype(np.float32))
+    beside = np.random.default_rng(0).normal(0, 0.02, positions.shape) * [1, 1, 0]
+    means, scales = positions + beside, truth.scales * [2, 2, 1]
+    crooked = replace(truth, means=means.astype(np.float32), scales=scales.astype(np.float32))
     cameras = [look_at((x, 0.1, 1.3), (0, 0, 0), width=PX, height=PX, fov=40) for x in (0.9, -0.9)]
-    views = edit_views(wavy, cameras, [picture(truth, c) for c in cameras], [np.ones((PX, PX), bool)] * 2)
-    moved, between = lift_wide(wavy, views, LOCAL_DEFAULTS).splats, [closeup(0.05, -0.3), closeup(-0.1, 0.3)]
+    views = edit_views(crooked, cameras, [picture(truth, c) for c in cameras], [np.ones((PX, PX), bool)] * 2)
+    moved, between = lift_wide(crooked, views, LOCAL_DEFAULTS).splats, [closeup(0.05, -0.3), closeup(-0.1, 0.3)]
     monkeypatch.setattr(wide_edit, "_moved", lambda splats, views: splats)
-    recolored = lift_wide(wavy, views, LOCAL_DEFAULTS).splats
+    recolored = lift_wide(crooked, views, LOCAL_DEFAULTS).splats
     before, colors, both = (
         np.mean([psnr(picture(splats, camera), picture(truth, camera)) for camera in between])
-        for splats in (wavy, recolored, moved)
+        for splats in (crooked, recolored, moved)
     )
     assert both > colors + 0.2 and colors > before
 
@@ -104,7 +105,7 @@ def test_gaussians_stay_where_moving_explains_nothing(asset, views) -> None:
 def test_gaussians_are_moved_towards_the_picture_and_the_asset_beside_its_mask(asset, monkeypatch) -> None:
     """Only the tiles of the mask were rendered before the edit; the others are no picture to reach."""
     camera, mask, pictures = closeup(0.0, 0.0), np.zeros((PX, PX), bool), []
-    mask[:, :64] = True
+    mask[:, :48] = True
     before, edited = picture(asset, camera), picture(box(with_detail(48)), camera)
     rendered, alpha = np.where(mask[..., None], before, 0), np.asarray(mask, np.float32)
     view = EditView(camera, edited, mask, rendered, alpha=alpha, tiles=tiles_of_mask(mask))
@@ -124,6 +125,22 @@ def test_what_the_views_do_not_show_stays(asset, lifted) -> None:
         old, new = getattr(asset, name), getattr(lifted.splats, name)[: len(asset)]
         assert old[~touched].tobytes() == new[~touched].tobytes()
     assert len(lifted.parents) == len(lifted.splats) - len(asset) > 100 and touched[lifted.parents].all()
+
+
+def test_colors_change_towards_the_views_that_changed_them(asset, monkeypatch) -> None:
+    """A lighter close-up from one side: moved Gaussians are hardly lighter from the other, those that stay are."""
+    side = {
+        x: look_at((x, 0, 0.7), (0, 0, 0), width=PX, height=PX, fov=30, background=(0.5, 0.5, 0.5)) for x in (-2, 2)
+    }
+    before = {x: picture(asset, camera) for x, camera in side.items()}
+    view = edit_views(asset, [side[2]], [np.clip(before[2] + 0.15, 0, 1)], [np.ones((PX, PX), bool)])[0]
+    middle, lighter = np.s_[32:64, 32:64], {}
+    for name, moved in (("moved", replace), ("stay", lambda splats: splats)):
+        monkeypatch.setattr(wide_edit, "_moved", lambda splats, views, moved=moved: moved(splats))
+        after = lift_wide(asset, [view], LOCAL_DEFAULTS).splats
+        lighter[name] = [float((picture(after, side[x]) - before[x])[middle].mean()) for x in (2, -2)]
+    assert min(near for near, _ in lighter.values()) > 0.08
+    assert lighter["moved"][1] < 0.6 * lighter["stay"][1]
 
 
 def test_from_afar_nothing_has_changed(asset, views) -> None:

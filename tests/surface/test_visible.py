@@ -1,6 +1,7 @@
 """What one view sees of a surface, and `render --aov normal,depth`, which shows it."""
 
 import json
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from splatpainter.image_files import find_camera
 from splatpainter.io import read, write
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.sources.picture_reader import read_picture
-from splatpainter.surface.estimate import Surface
+from splatpainter.surface.estimate import Surface, SurfacePoints
 from splatpainter.surface.visible import visible_surface
 from splatpainter.view_files import draw_passes, normals_of
 from tests.support.cli_scenes import Capture, run
@@ -53,6 +54,36 @@ def test_a_view_of_nothing_has_no_surface():
     view = project(empty, CAMERA)
     visible = visible_surface(Surface.of(empty), empty, view, np.ones((120, 160), bool))
     assert (visible.at(np.array([[80.0, 60.0]])).depth == 0).all()
+
+
+@dataclass(frozen=True)
+class CountingSurface(Surface):
+    """Notes how many lines of sight it is asked about."""
+
+    counts: list[int] = field(default_factory=list)
+
+    def at(self, points: np.ndarray, directions: np.ndarray, widths: np.ndarray) -> SurfacePoints:
+        self.counts.append(len(points))
+        return super().at(points, directions, widths)
+
+
+def test_lines_of_sight_that_were_estimated_before_are_taken_over_bit_for_bit():
+    """Also where a part of what the camera sees was edited in between: there they are estimated anew."""
+    asset = sphere(4000)
+    surface = CountingSurface(Surface.of(asset).samples)
+    everything = np.ones((120, 160), bool)
+    part = everything.copy()
+    part[:, 70:] = False
+    estimates = visible_surface(surface, asset, project(asset, CAMERA), part, 1).estimates
+    upper = asset.means[:, 1] > 0.2
+    edited = replace(asset, scales=np.where(upper[:, None], 1.2 * asset.scales, asset.scales))
+    view = project(edited, CAMERA)
+    fresh = visible_surface(surface, edited, view, everything, 1)
+    taken = visible_surface(surface, edited, view, everything, 1, estimates)
+    first, total, rest = surface.counts
+    assert total - first < rest < total - 0.3 * first
+    for name in ("index", "points", "normals", "windows", "residuals", "trusted"):
+        assert getattr(fresh, name).tobytes() == getattr(taken, name).tobytes(), name
 
 
 def test_render_writes_the_surface(tmp_path, capfd: Capture):

@@ -41,6 +41,8 @@ class EditFitOptions:
     """Edge of the held views, pixels; at most that of the edited ones."""
     attributes: tuple[str, ...] = ATTRIBUTES
     """Which ones are optimised; the others keep their bits."""
+    rate_scales: float = FitOptions.rate_scales
+    """As of FitOptions."""
 
 
 SSIM_MARGIN_PX = 5
@@ -64,7 +66,7 @@ def fit_edited(
         view for camera, picture in views if (view := _cropped(lifted, camera, picture, gaussian_ids)) is not None
     ]
     often = max(round(len(anchors) / max(len(edited), 1)), 1)  # so that half of the steps are of edited views
-    how = FitOptions(steps=options.steps, densify=False, attributes=options.attributes)
+    how = FitOptions(steps=options.steps, densify=False, attributes=options.attributes, rate_scales=options.rate_scales)
     return optimize(lifted, edited * often + anchors, how, gaussian_ids=gaussian_ids).splats
 
 

@@ -156,11 +156,9 @@ class _Run:
         growing = options.densify and step <= self.schedule.stop
         drawn = self._drawn()
         done = self.passes(drawn, target, loss_of_view, growing, options.density.absolute)
-        gradients, some = done.gradients, drawn
-        if self.gaussian_ids is not None:
-            gradients = {name: value[self.gaussian_ids] for name, value in gradients.items()}
-            some = drawn.take(self.gaussian_ids)
-        to_raw(gradients, some)
+        moving = slice(None) if self.gaussian_ids is None else self.gaussian_ids
+        gradients = {name: done.gradients[name][moving] for name in options.attributes}
+        to_raw(gradients, drawn.scales[moving], drawn.opacities[moving])
         values = {name: getattr(self.raw, name) for name in options.attributes}
         self.adam.step(values, gradients, self._rates(step))
         if growing and done.pull is not None:

@@ -73,10 +73,12 @@ class RawGaussians:
         return RawGaussians(**{name: torch.cat([getattr(part, name) for part in parts]) for name in ATTRIBUTES})
 
 
-def to_raw(gradients: dict[str, Tensor], splats: Splats) -> None:
-    """Turn gradients of the splats' attributes into those of the parameters, in place."""
-    gradients["scales"].mul_(splats.scales)
-    gradients["opacities"].mul_(splats.opacities * (1 - splats.opacities))
+def to_raw(gradients: dict[str, Tensor], scales: Tensor, opacities: Tensor) -> None:
+    """Turn gradients of splats' attributes, which have these values, into those of the parameters, in place."""
+    if "scales" in gradients:
+        gradients["scales"].mul_(scales)
+    if "opacities" in gradients:
+        gradients["opacities"].mul_(opacities * (1 - opacities))
 
 
 def with_degree(splats: Splats, degree: int | None) -> Splats:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.lift.local_edit import gaussians_in_mask
+from splatpainter.lift.local_edit import NothingPaintableError, gaussians_in_mask
 from splatpainter.splats import Splats
 from splatpainter.voxels.grid import VoxelGrid
 
@@ -82,4 +82,5 @@ def errors_name(name: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"{name}: {str(error).removeprefix('edit: ')}") from None
+        kind = NothingPaintableError if isinstance(error, NothingPaintableError) else ValueError
+        raise kind(f"{name}: {str(error).removeprefix('edit: ')}") from None

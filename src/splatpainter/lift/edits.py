@@ -20,7 +20,7 @@ from splatpainter.lift.colors import refine_colors_local
 from splatpainter.lift.edit_views import EditView, errors_name, gaussians_in_views
 from splatpainter.lift.features import global_features, local_features, no_features
 from splatpainter.lift.global_edit import Predict, lift_global
-from splatpainter.lift.local_edit import gaussians_in_mask, is_wide
+from splatpainter.lift.local_edit import NothingPaintableError, gaussians_in_mask, is_wide
 from splatpainter.lift.masks import median_change
 from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS, GlobalOptions, LocalOptions, ResidualBase
 from splatpainter.lift.paint import PaintedView, is_fine, paint_view
@@ -31,6 +31,7 @@ from splatpainter.lift.wide_edit import lift_wide
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
+from splatpainter.surface.visible import SightEstimates
 from splatpainter.voxels.grid import VoxelGrid, voxelize
 
 HINT_ROUNDS = 4
@@ -194,16 +195,22 @@ def _on_surface(
     result, first = _Painted.of(splats), len(splats) if originals is None else originals
 
     def painted_by(
-        view: EditView, pixels: np.ndarray, settings: LocalOptions, at_hand: ProjectedView | None = None
+        view: EditView,
+        pixels: np.ndarray,
+        settings: LocalOptions,
+        *,
+        at_hand: ProjectedView | None = None,
+        sight: SightEstimates | None = None,
     ) -> PaintedView:
+        camera, edited = view.camera, view.edited
         with errors_name(view.name):
             return paint_view(
-                result.splats, surface, view.camera, view.edited, pixels, settings, None, first, view=at_hand
+                result.splats, surface, camera, edited, pixels, settings, None, first, view=at_hand, sight=sight
             )
 
     if len(views) == 1:
         view = views[0]
-        return result.after(painted_by(view, view.mask, options, view.projected)).lifted(len(splats))
+        return result.after(painted_by(view, view.mask, options, at_hand=view.projected)).lifted(len(splats))
     shares = view_shares(splats, surface, views)
     settings = [replace(options, max_error=1.0) if again else options for again in _shown_again(splats, grid, views)]
     on_surface, limited = [np.zeros_like(view.mask) for view in views], [0.0] * len(views)
@@ -211,8 +218,8 @@ def _on_surface(
         if share.is_empty:
             continue
         try:
-            painted = painted_by(view, share.painted, settings[k])
-        except ValueError:
+            painted = painted_by(view, share.painted, settings[k], sight=share.sight)
+        except NothingPaintableError:
             if np.array_equal(share.painted, view.mask):
                 raise
             limited[k] = float(share.painted.sum())  # what others left to it lies beyond its limits
@@ -222,8 +229,8 @@ def _on_surface(
         bare = share.off_surface(on_surface)
         if not bare.any():
             continue
-        with contextlib.suppress(ValueError):  # it has painted already what it could
-            result = result.after(painted_by(view, bare, settings[k]))
+        with contextlib.suppress(NothingPaintableError):  # it has painted already what it could
+            result = result.after(painted_by(view, bare, settings[k], sight=share.sight))
     return replace(result.with_joint_colors(len(splats), views, shares), limited=tuple(limited)).lifted(len(splats))
 
 

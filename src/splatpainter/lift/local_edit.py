@@ -28,6 +28,10 @@ layer: detail that is everywhere finer than the asset, as in close-ups, would be
 painted on a part is wanted as it is, however fine."""
 
 
+class NothingPaintableError(ValueError):
+    """No Gaussian makes the edited pixels, or all of these lie beyond the limits of their view."""
+
+
 def is_wide(mask: np.ndarray) -> bool:
     """Whether an edit of these pixels ([H, W] bool) is one of the whole picture."""
     return bool(mask.mean() > WIDE_EDIT_FRACTION)
@@ -58,13 +62,15 @@ def lift_local(
 
     target: [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may change (default: all);
     within: [TH, TW] bool tiles of which nothing beyond is looked at.
-    Raises ValueError when no Gaussian contributes to the masked pixels."""
+    Raises NothingPaintableError when no Gaussian contributes to the masked pixels."""
     ids, before, patch = _split_patch(splats, camera, target, mask, options, allowed, within)
     wide = is_wide(mask)
     if wide and patch.evidence.doubt > MAX_DOUBT_WIDE:
         patch = before
+    detailed = options.rounds > 0 and options.max_error < 1 and not (wide and patch.evidence.doubt > MAX_DOUBT_WIDE)
+    patch = patch.merged() if detailed else patch
     painted = patch.painted(options)
-    detail = None if wide and patch.evidence.doubt > MAX_DOUBT_WIDE else patch.detail(painted, options)
+    detail = patch.detail(painted, options) if detailed else None
     return _assemble(splats, ids, painted, patch.lattice, detail)
 
 
@@ -110,7 +116,8 @@ def gaussians_in_mask(
     view: ProjectedView | None = None,
 ) -> np.ndarray:
     """[N] bool Gaussians that visibly contribute to the masked pixels ([H, W] bool). allowed: [N] bool, the only ones
-    that count; view: the splats projected onto the mask's tiles, if at hand. Raises ValueError where there is none."""
+    that count; view: the splats projected onto the mask's tiles, if at hand. Raises
+    NothingPaintableError where there is none."""
     view = view or project(splats, camera, tiles=tiles_of_mask(mask))
     sums = _sums(view, mask)
     reached = np.zeros(view.num_gaussians, bool)
@@ -118,7 +125,7 @@ def gaussians_in_mask(
     if allowed is not None:
         reached &= allowed
     if not reached.any():
-        raise ValueError(NOTHING_THERE)
+        raise NothingPaintableError(NOTHING_THERE)
     return reached
 
 

@@ -29,9 +29,9 @@ class LocalOptions:
     max_halvings: int = 7
     """Of one Gaussian."""
     max_appended: int = 40_000
-    """About how many Gaussians splitting may append."""
+    """About how many Gaussians splitting may append, before those that want one colour are joined again."""
     max_error: float = 0.03
-    """Pixels that are further than this from the picture afterwards get a Gaussian of their own; 1: none do."""
+    """Pixels that are further than this from the picture afterwards are covered by further Gaussians; 1: none are."""
     rim_px: int = 24
     """Pixels around the mask that the detail layer may mend."""
     resurface: bool = True

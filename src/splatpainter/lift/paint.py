@@ -12,7 +12,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.kernels.rows import take
 from splatpainter.lift.limits import paintable
-from splatpainter.lift.local_edit import NOTHING_THERE, gaussians_in_mask, is_wide, lift_local
+from splatpainter.lift.local_edit import NOTHING_THERE, NothingPaintableError, gaussians_in_mask, is_wide, lift_local
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.resurface import MIN_COVER, RING_PX, resurface
@@ -22,7 +22,7 @@ from splatpainter.rendering.cpu.projected_view import ProjectedView, project, ti
 from splatpainter.rendering.cpu.recent_views import recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
-from splatpainter.surface.visible import visible_surface
+from splatpainter.surface.visible import SightEstimates, visible_surface
 
 MIN_ALPHA = 0.1
 """Of a pixel that is painted at all: up to this it shows the faint rims of what lies beside it."""
@@ -67,14 +67,16 @@ def paint_view(
     first_appended: int | None = None,
     *,
     view: ProjectedView | None = None,
+    sight: SightEstimates | None = None,
 ) -> PaintedView:
     """Write the masked pixels of `edited` onto the splats.
 
     surface: of the original; None, and edits of most of a picture: Gaussians are split, nothing is resurfaced. edited:
     [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may be split and recoloured where there
     is no surface (default: all; where there is one, those that visibly make the masked pixels may); first_appended:
-    number of Gaussians of the original (default: N); view: the splats in any tiles, if at hand.
-    Raises ValueError when no Gaussian contributes to the masked pixels."""
+    number of Gaussians of the original (default: N); view: the splats in any tiles, if at hand; sight: what is known
+    already of the surface along lines of sight of this camera.
+    Raises NothingPaintableError when no Gaussian contributes to the masked pixels."""
     none = np.zeros(0, np.int64)
     if surface is None or is_wide(mask):
         lifted = lift_local(splats, camera, edited, mask, options, allowed)
@@ -98,7 +100,7 @@ def paint_view(
     around = replace(around, gaussian_ids=number[around.gaussian_ids], num_gaussians=len(ids))
     originals = len(splats) if first_appended is None else first_appended
     first = int(np.searchsorted(ids, originals))
-    part = _paint_part(take(splats, ids), surface, view, around, edited, mask, options, first, originals)
+    part = _paint_part(take(splats, ids), surface, view, around, edited, mask, options, first, originals, sight)
     return _put_back(splats, ids, part, options.resurface)
 
 
@@ -126,13 +128,14 @@ def _paint_part(
     options: LocalOptions,
     first_appended: int,
     originals: int,
+    sight: SightEstimates | None,
 ) -> _PaintedPart:
     """`paint_view` on the Gaussians that it depends on. view: of them, the tiles of the mask and its ring; around: the
-    tiles of `read_by_edit`; originals: how many the whole asset has."""
+    tiles of `read_by_edit`; originals: how many the whole asset has; sight: as of `paint_view`."""
     camera, reach = view.camera, dilated(mask, RING_PX)
     before, alpha, _ = view.rasterize()
     solid = alpha > MIN_COVER
-    visible = visible_surface(surface, splats, view, reach & solid)
+    visible = visible_surface(surface, splats, view, reach & solid, earlier=sight)
     share = paintable(visible, mask & solid, options.angle_limit, options.depth_edge_limit)
     limited = float((mask & solid).sum() - share.sum())
     share[mask & ~solid & (alpha > MIN_ALPHA)] = 1
@@ -140,8 +143,8 @@ def _paint_part(
     painted = share > MIN_PAINT
     if not painted.any():
         if not limited:
-            raise ValueError(NOTHING_THERE)
-        raise ValueError(
+            raise NothingPaintableError(NOTHING_THERE)
+        raise NothingPaintableError(
             "edit: every edited pixel lies beyond the limits of this view; paint it from the front, or pass "
             "angle_limit 0 and depth_edge_limit 0"
         )
@@ -233,7 +236,7 @@ def _then_split(
     may = np.append(allowed, np.ones(len(edit.parents), bool))
     try:
         lifted = lift_local(edit.apply(splats), camera, target, mask, options, may, tiles)
-    except ValueError:
+    except NothingPaintableError:
         return first
     touched = lifted.touched[lifted.touched < count]
     # A Gaussian that the sheet appended has its own parent among the asset's.

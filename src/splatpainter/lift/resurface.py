@@ -112,7 +112,7 @@ def resurface(
     if not covered.any():
         return None
     near = NearSurface.of(visible, covered)
-    clear, footprints = _is_clear(splats, view, near, covered)
+    clear, footprints = clear_pixels(splats, view, near, covered)
     clear &= covered
     if clear.sum() < MIN_CLEAR * covered.sum():
         return None
@@ -165,7 +165,7 @@ def without_islands(mask: np.ndarray) -> np.ndarray:
     return mask & dilated(core, 3)
 
 
-def _is_clear(
+def clear_pixels(
     splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """([H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the

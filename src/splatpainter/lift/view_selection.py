@@ -26,7 +26,7 @@ from splatpainter.lift.warping import bilinear
 from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.surface.estimate import Surface
-from splatpainter.surface.visible import visible_surface
+from splatpainter.surface.visible import SightEstimates, visible_surface
 
 MIN_ALPHA = 0.5
 """Of a pixel that shows a surface."""
@@ -80,6 +80,8 @@ class ViewShare:
     """[H, W] int: the view that paints a pixel of the mask in its stead, -1: none."""
     pixels: np.ndarray = field(repr=False)
     """[H, W] int64 flat index of the winner's pixel."""
+    sight: SightEstimates = field(repr=False)
+    """What its view sees of the surface."""
 
     @staticmethod
     def of(index: int, mask: np.ndarray, views: Sequence[_ViewOnSurface]) -> ViewShare:
@@ -102,7 +104,7 @@ class ViewShare:
         lost = _majority(judged, judged & (winner != index), mask_here)
         difference = largest_channel(np.abs(box_mean(_float32((here.change - change) * judged[..., None]), ALIKE_PX)))
         nothing = np.zeros_like(mask)
-        out = ViewShare(nothing, nothing.copy(), np.full(mask.shape, -1), np.zeros(mask.shape, int))
+        out = ViewShare(nothing, nothing.copy(), np.full(mask.shape, -1), np.zeros(mask.shape, int), here.sight)
         out.painted[window] = mask_here & dilated(mask_here & ~lost, OVERLAP_PX)
         out.consistent[window] = mask_here & judged & (difference < ALIKE)
         out.winner[window] = np.where(lost & ~silent & (winner != index), winner, -1)
@@ -189,6 +191,7 @@ class _ViewOnSurface:
     """[H, W, 3] camera space."""
     density: np.ndarray
     """[H, W] pixels per area, fx fy cos / z^2."""
+    sight: SightEstimates
 
     @staticmethod
     def of(splats: Splats, surface: Surface, view: EditView) -> _ViewOnSurface:
@@ -198,7 +201,8 @@ class _ViewOnSurface:
             projected = project(splats, camera, tiles=tiles_of_mask(near))
         solid = near & (projected.rasterize()[1] > MIN_ALPHA)
         ys, xs = np.nonzero(solid)
-        at = visible_surface(surface, splats, projected, solid).at(np.stack([xs, ys], 1) + 0.5)
+        visible = visible_surface(surface, splats, projected, solid)
+        at = visible.at(np.stack([xs, ys], 1) + 0.5)
         depth, density, normals = np.zeros(solid.shape), np.zeros(solid.shape), np.zeros((*solid.shape, 3))
         seen = at.depth > 0
         ys, xs = ys[seen], xs[seen]
@@ -208,7 +212,7 @@ class _ViewOnSurface:
         density[ys, xs] = facing * camera.fx * camera.fy / at.depth[seen] ** 2
         mask = (view.mask & (depth > 0)).astype(np.float64)
         change = (view.edited - view.before) * mask[..., None]
-        return _ViewOnSurface(camera, change, mask, _distance_px(view.mask), depth, normals, density)
+        return _ViewOnSurface(camera, change, mask, _distance_px(view.mask), depth, normals, density, visible.estimates)
 
     def cropped(self, window: tuple[slice, slice]) -> _ViewOnSurface:
         """window: rows, columns."""

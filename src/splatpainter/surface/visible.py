@@ -5,7 +5,7 @@ Knows the asset's surface and one projected view; no picture and no paint.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numba import njit
@@ -24,7 +24,7 @@ from splatpainter.rendering.cpu.geometry import (
 )
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import Splats
-from splatpainter.surface.estimate import Surface
+from splatpainter.surface.estimate import Surface, SurfacePoints
 from splatpainter.transforms import quat_to_matrix, turned
 
 STOPPED_LIGHT = 0.5
@@ -65,6 +65,8 @@ class VisibleSurface:
     """[L] float64 in windows."""
     trusted: np.ndarray = field(repr=False)
     """[L] bool: enough patches, close to one surface that neighbours share."""
+    estimates: SightEstimates = field(repr=False)
+    """What it was made of."""
 
     def at(self, pixels: np.ndarray) -> PixelSurface:
         """At Q places of the picture. pixels: [Q, 2] float64 x, y (centres at .5)."""
@@ -76,6 +78,47 @@ class VisibleSurface:
         if len(pixels) and len(self.points):
             run(_interpolate, *planes, np.ascontiguousarray(pixels, np.float64), rays, out)
         return PixelSurface(out[:, 0], out[:, 1:4], out[:, 4], out[:, 5])
+
+
+@dataclass(frozen=True)
+class SightEstimates:
+    """The surface along L lines of sight through pixels of one camera, at most one each."""
+
+    pixels: np.ndarray = field(repr=False)
+    """[L] int64 flat indices."""
+    queries: np.ndarray = field(repr=False)
+    """[L, 7] float64 of each `Surface.at`: point, direction, width."""
+    result: SurfacePoints = field(repr=False)
+
+    @staticmethod
+    def of(
+        surface: Surface, pixels: np.ndarray, queries: np.ndarray, earlier: SightEstimates | None, size: int
+    ) -> SightEstimates:
+        """pixels, queries: as the attributes; earlier: of the same surface and camera, from which equal lines are
+        taken: the same bits, as lines do not depend on each other; size: number of pixels of the camera."""
+        source = np.full(len(pixels), -1)
+        if earlier is not None:
+            line = np.full(size, -1)
+            line[earlier.pixels] = np.arange(len(earlier.pixels))
+            source = line[pixels]
+            at = np.flatnonzero(source >= 0)
+            source[at[(earlier.queries[source[at]] != queries[at]).any(1)]] = -1
+        new = np.flatnonzero(source < 0)
+        result = surface.at(queries[new, :3], queries[new, 3:6], queries[new, 6])
+        if earlier is not None and len(new) < len(pixels):
+            result = _merged(result, new, earlier.result, source)
+        return SightEstimates(pixels, queries, result)
+
+
+def _merged(first: SurfacePoints, at: np.ndarray, second: SurfacePoints, source: np.ndarray) -> SurfacePoints:
+    """At Q queries: `first` at the indices `at`, and `second` where `source` ([Q], its index) is not negative."""
+    taken, values = np.flatnonzero(source >= 0), {}
+    for attribute in fields(SurfacePoints):
+        fresh, old = getattr(first, attribute.name), getattr(second, attribute.name)
+        out = np.empty((len(source), *fresh.shape[1:]))
+        out[at], out[taken] = fresh, old[source[taken]]
+        values[attribute.name] = out
+    return SurfacePoints(**values)
 
 
 @dataclass(frozen=True)
@@ -93,11 +136,17 @@ class PixelSurface:
 
 
 def visible_surface(
-    surface: Surface, splats: Splats, view: ProjectedView, pixels: np.ndarray, step: int = 0
+    surface: Surface,
+    splats: Splats,
+    view: ProjectedView,
+    pixels: np.ndarray,
+    step: int = 0,
+    earlier: SightEstimates | None = None,
 ) -> VisibleSurface:
     """What a view sees of the surface at some pixels ([H, W] bool, of drawn tiles). splats: what the view was projected
     from (edited or not); surface: of the original; step: spacing of the lattice, pixels
-    (0: as fine as the Gaussians that are seen need)."""
+    (0: as fine as the Gaussians that are seen need); earlier: of the same surface and camera, if at hand: what it
+    answers is not computed again."""
     camera = view.camera
     entry = np.full(pixels.shape, -1, np.int32)
     lists = (view.projected, view.flatten_ids, view.tile_ids, view.isect_offsets)
@@ -115,12 +164,14 @@ def visible_surface(
     window = np.maximum(WINDOW_WIDTHS * width, MIN_WINDOW_PX * depth / camera.fx)
     # An edited Gaussian may be far smaller than the surface's own patches; those decide.
     window = np.maximum(window, 0.25 * surface.typical_width)
-    result = surface.at(starts, directions, window)
+    queries = np.concatenate([starts, directions, window[:, None]], 1)
+    estimates = SightEstimates.of(surface, ys * camera.width + xs, queries, earlier, camera.width * camera.height)
+    result = estimates.result
     local = result.points @ rotation.T + camera.world_to_camera[:3, 3]
     normals = result.normals @ rotation.T
     sound = (result.trust >= MIN_TRUST) & (local[:, 2] > 0)
     trusted = sound & (_agreeing(index, local, normals, result.windows, sound) >= MIN_AGREEING)
-    return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted)
+    return VisibleSurface(camera, step, index, local, normals, result.windows, result.residuals, trusted, estimates)
 
 
 def _lattice_step(splats: Splats, view: ProjectedView, entry: np.ndarray) -> int:

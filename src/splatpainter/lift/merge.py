@@ -1,0 +1,297 @@
+"""Split Gaussians that look alike once they are painted become one again.
+
+Splitting halves whatever the paint's edge crosses, in every layer of a capture's fog: of the pieces most lie within the
+paint or beside it, where their neighbours want the same colour. Those are joined, two by two, by their moments, across
+the layers too: in the edited view they lie behind one another, and from other sides the one that takes their place is
+as thick as the fog was. Greedy merging of mixtures by the bound of Runnalls (2007) on what a merger loses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numba import njit
+
+from splatpainter.cameras import Camera
+from splatpainter.rendering.profiles import EPS2D, MIN_ALPHA
+from splatpainter.splats import Splats
+from splatpainter.transforms import matrix_to_quat, quat_to_matrix
+
+ROUNDS = 12
+"""Rounds of pairs, at most; ..."""
+MIN_MERGED_SHARE = 0.01
+"""... none after one that joined fewer than this share."""
+FIRST_CELL_PX, CELL_GROWTH = 2.0, 1.15
+"""Edge of the cells in which partners are looked for in the first round, pixels, and how it grows: what is joined is
+larger and farther apart."""
+DEPTH_SHARE = 0.5
+"""Pixels across the line of sight that a pixel along it counts as in those cells."""
+BLUR_PX = 0.5
+"""Shapes that differ by less than this (standard deviation) do not differ. With 2 along the line of sight a tenth fewer
+Gaussians remain, and what is not painted loses 0.4 dB from other sides."""
+MAX_LOSS = 0.3
+"""Loss of shape of a pair that is joined, nats per Gaussian; two round ones of equal size at most 1.8 widths apart."""
+MAX_COST = 0.1
+"""Variance of the wanted colour (0..1) that joining a pair loses, summed over the pixels that show it."""
+SHAPE_COST = 0.02
+"""Of a nat of lost shape, per pixel that shows it, in the same units."""
+UNSEEN_PX = 0.02
+"""Pixels as which hidden Gaussians count."""
+OVERLAP = 0.15
+"""Of a sum A of peaks at one place, A - OVERLAP A^2 is left: between what Gaussians beside one another (split.py: 0.1)
+and what those behind one another (0.25) would want. Of 0.15, 0.1 and 0.25 none was better by more than 0.1 dB."""
+MIN_FLATNESS = 1e-4
+"""Thickness over length, at least."""
+_CELLS = 1 << 20
+"""Cells along an axis run from -_CELLS to _CELLS."""
+
+
+@dataclass(frozen=True)
+class _Mixture:
+    """M Gaussians in picture space: x, y in pixels, and as depth fx ln(z), of which a pixel's worth is as long."""
+
+    points: np.ndarray = field(repr=False)
+    """[M, 3]"""
+    covariances: np.ndarray = field(repr=False)
+    """[M, 3, 3]"""
+    peaks: np.ndarray = field(repr=False)
+    """[M] peak alphas."""
+    colors: np.ndarray = field(repr=False)
+    """[M, 3] wanted in the edited view."""
+    pixels: np.ndarray = field(repr=False)
+    """[M] how many show each, > 0."""
+    slots: np.ndarray = field(repr=False)
+    """[M] bool: no two of these are joined."""
+
+    def __len__(self) -> int:
+        return len(self.peaks)
+
+    def areas(self) -> np.ndarray:
+        """[M] of the projections, pixels over 2 pi."""
+        c = self.covariances
+        return np.sqrt(np.maximum((c[:, 0, 0] + EPS2D) * (c[:, 1, 1] + EPS2D) - c[:, 0, 1] ** 2, 1e-12))
+
+    def partners(self, cell: float) -> np.ndarray:
+        """[M] the one with which each is joined at the least cost, among those within about `cell` pixels; -1: none."""
+        index = np.clip(np.floor(self.points * (1, 1, DEPTH_SHARE) / cell), 1 - _CELLS, _CELLS - 2).astype(np.int64)
+        index += _CELLS
+        keys = (index[:, 0] * 2 * _CELLS + index[:, 1]) * 2 * _CELLS + index[:, 2]
+        order = np.argsort(keys, kind="stable")
+        blurred = self.covariances + BLUR_PX**2 * np.eye(3)
+        masses = self.peaks * self.areas()
+        log_volumes = np.log(np.linalg.det(blurred))
+        out = np.full(len(self), -1, np.int64)
+        points, colors, pixels, slots = self.points[order], self.colors[order], self.pixels[order], self.slots[order]
+        shapes = (points, blurred[order], log_volumes[order], masses[order])
+        costs = np.full(len(self), MAX_COST)
+        _find_partners(keys[order], *shapes, colors, pixels, slots, np.expm1(2 * MAX_LOSS), costs, out)
+        partners = np.full(len(self), -1, np.int64)
+        partners[order] = np.where(out >= 0, order[out], -1)
+        return partners
+
+    def joined(self, first: np.ndarray, second: np.ndarray) -> _Mixture:
+        """Pairs (first, second: [P] int64, no index twice) joined at the first's index; the seconds left out."""
+        areas = self.areas()
+        masses = self.peaks * areas
+        total = masses[first] + masses[second]
+        share = masses[first] / total
+        points, apart = self.points.copy(), self.points[second] - self.points[first]
+        points[first] += (1 - share)[:, None] * apart
+        covariances, peaks, colors = self.covariances.copy(), self.peaks.copy(), self.colors.copy()
+        spread = (share * (1 - share))[:, None, None] * apart[:, :, None] * apart[:, None, :]
+        one, other = share[:, None, None], (1 - share)[:, None, None]
+        covariances[first] = one * self.covariances[first] + other * self.covariances[second] + spread
+        pixels, slots = self.pixels.copy(), self.slots.copy()
+        pixels[first] += self.pixels[second]
+        weight = (self.pixels[second] / pixels[first])[:, None]
+        colors[first] = (1 - weight) * self.colors[first] + weight * self.colors[second]
+        slots[first] |= self.slots[second]
+        new = _Mixture(points, covariances, peaks, colors, pixels, slots)
+        height = total / new.areas()[first]
+        peaks[first] = np.clip(height - OVERLAP * np.minimum(height, 1 / (2 * OVERLAP)) ** 2, 0, 0.999)
+        left = np.ones(len(self), bool)
+        left[second] = False
+        return _Mixture(*(values[left] for values in (points, covariances, peaks, colors, pixels, slots)))
+
+
+@dataclass(frozen=True)
+class Merged:
+    """Result of `merge`."""
+
+    splats: Splats
+    """R Gaussians; those that were joined with none have their bits."""
+    source: np.ndarray = field(repr=False)
+    """[R] int64 one that each was, or was joined from: the slot, where there is one among them."""
+    group: np.ndarray = field(repr=False)
+    """[S] int64 which of the R each one went into; -1: left out, as none of it is ever drawn."""
+
+
+def merge(
+    splats: Splats, camera: Camera, may: np.ndarray, slots: np.ndarray, colors: np.ndarray, pixels: np.ndarray
+) -> Merged:
+    """Join some of S Gaussians. may: [S] bool, those that may be joined; slots: [S] bool, those whose index is an old
+    Gaussian's: all stay, and no two are joined; colors: [S, 3] that the edited view wants of each, 0..1; pixels: [S] >=
+    0 how many pixels show it."""
+    count = len(splats)
+    drawn = splats.opacities >= MIN_ALPHA
+    chosen = may & (drawn | slots) & (splats.means @ camera.world_to_camera[2, :3] > -camera.world_to_camera[2, 3])
+    ids = np.flatnonzero(chosen)
+    group = np.arange(count)
+    group[may & ~drawn & ~slots] = -1
+    mixture = _picture_space(splats.take(ids), camera, colors[ids], pixels[ids] + UNSEEN_PX, slots[ids])
+    label = np.arange(len(ids))  # [C] which of the mixture each went into
+    source = ids.copy()  # [M] of the mixture
+    cell = FIRST_CELL_PX
+    for _ in range(ROUNDS):
+        if len(mixture) < 2:
+            break
+        partner = mixture.partners(cell)
+        first = np.flatnonzero((partner >= 0) & (partner[partner] == np.arange(len(mixture))))
+        first = first[first < partner[first]]
+        second = partner[first]
+        number = np.ones(len(mixture), bool)
+        number[second] = False
+        number = np.cumsum(number) - 1
+        number[second] = number[first]
+        source[first] = np.where(mixture.slots[second], source[second], source[first])
+        left = np.ones(len(mixture), bool)
+        left[second] = False
+        mixture, label, source = mixture.joined(first, second), number[label], source[left]
+        if len(first) < MIN_MERGED_SHARE * len(number):
+            break
+        cell *= CELL_GROWTH
+    return _put_together(splats, camera, mixture, ids, label, source, group, pixels)
+
+
+def _put_together(
+    splats: Splats,
+    camera: Camera,
+    mixture: _Mixture,
+    ids: np.ndarray,
+    label: np.ndarray,
+    source: np.ndarray,
+    group: np.ndarray,
+    pixels: np.ndarray,
+) -> Merged:
+    """ids: [C] those that might be joined, into the M of the mixture by label [C]; source: [M]; group: [S], of those
+    that are none of these their index, or -1."""
+    rest = group >= 0
+    rest[ids] = False
+    unjoined = np.flatnonzero(rest)
+    chosen = np.concatenate([unjoined, source])
+    order = np.argsort(chosen, kind="stable")
+    number_of = np.empty(len(order), np.int64)
+    number_of[order] = np.arange(len(order))
+    group = group.copy()
+    group[unjoined], group[ids] = number_of[: len(unjoined)], number_of[len(unjoined) :][label]
+    out = splats.take(chosen[order])
+    members = np.bincount(label, minlength=len(mixture))
+    new = np.flatnonzero(members > 1)
+    at = number_of[len(unjoined) :][new]
+    means, quats, scales = _world_space(mixture, new, camera)
+    weight = pixels[ids] + UNSEEN_PX
+    total = np.bincount(label, weight, len(mixture))[new]
+    bands = splats.sh[ids].reshape(len(ids), splats.sh.shape[1] * 3)
+    sh = np.stack([np.bincount(label, weight * band, len(mixture))[new] / total for band in bands.T], 1)
+    sh = sh.reshape(len(new), *splats.sh.shape[1:])
+    values = {"means": means, "quats": quats, "scales": scales, "opacities": mixture.peaks[new], "sh": sh}
+    written = {}
+    for name, rows in values.items():
+        written[name] = getattr(out, name).copy()
+        written[name][at] = rows
+    return Merged(replace(out, **written), chosen[order], group)
+
+
+def _picture_space(
+    splats: Splats, camera: Camera, colors: np.ndarray, pixels: np.ndarray, slots: np.ndarray
+) -> _Mixture:
+    """Of M Gaussians before the camera."""
+    turn = camera.world_to_camera[:3, :3]
+    axes = turn @ (quat_to_matrix(splats.quats.astype(np.float64)) * splats.scales[:, None, :])
+    x, y, z = camera.to_camera(splats.means.astype(np.float64)).T
+    points = np.stack([x / z * camera.fx, y / z * camera.fy, camera.fx * np.log(z)], 1)
+    axes = _jacobians(points, z, camera) @ axes
+    peaks = np.maximum(splats.opacities.astype(np.float64), 1e-6)
+    return _Mixture(
+        points, axes @ axes.transpose(0, 2, 1), peaks, colors.astype(np.float64), pixels.astype(np.float64), slots
+    )
+
+
+def _jacobians(points: np.ndarray, z: np.ndarray, camera: Camera) -> np.ndarray:
+    """[M, 3, 3] picture space by camera space."""
+    out = np.zeros((len(z), 3, 3))
+    out[:, 0, 0], out[:, 1, 1], out[:, 2, 2] = camera.fx / z, camera.fy / z, camera.fx / z
+    out[:, 0, 2], out[:, 1, 2] = -points[:, 0] / z, -points[:, 1] / z
+    return out
+
+
+def _world_space(mixture: _Mixture, ids: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """([K, 3] means, [K, 4] quats, [K, 3] scales) of some of the mixture."""
+    points = mixture.points[ids]
+    z = np.exp(points[:, 2] / camera.fx)
+    before_camera = np.stack([points[:, 0] / camera.fx * z, points[:, 1] / camera.fy * z, z], 1)
+    back = np.linalg.inv(_jacobians(points, z, camera))
+    turn = camera.world_to_camera[:3, :3]
+    covariances = turn.T @ (back @ mixture.covariances[ids] @ back.transpose(0, 2, 1)) @ turn
+    squares, axes = np.linalg.eigh(covariances)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    scales = np.sqrt(np.maximum(squares, MIN_FLATNESS**2 * squares[:, -1:]))
+    return (before_camera - camera.world_to_camera[:3, 3]) @ turn, matrix_to_quat(axes), scales
+
+
+def warm() -> None:
+    """Compile (or load) the kernel of this module."""
+    one = np.ones(1)
+    arrays = (np.ones((1, 3)), np.ones((1, 3, 3)), one, one, np.ones((1, 3)), one, one > 0)
+    _find_partners(np.zeros(1, np.int64), *arrays, 1.0, np.ones(1), np.empty(1, np.int64))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _find_partners(keys, points, covariances, log_volumes, masses, colors, pixels, slots, limit, costs, partners):
+    """`_Mixture.partners`, of arrays in ascending order of their cells' keys; covariances are blurred; limit: of the
+    squared distance that a pair may have, over the larger of their traces and by their shares; costs: [M] MAX_COST."""
+    count, row = keys.shape[0], 2 * _CELLS
+    begins = np.zeros(5, np.int64)  # of the four rows of cells after that of each one, from 1 on
+    for i in range(count):
+        for k in range(5):
+            if k == 0:
+                last, begin = keys[i] + 1, i + 1
+            else:
+                first = keys[i] + (row if k == 1 else row * row + row * (k - 3)) - 1
+                last, begin = first + 2, begins[k]
+                while begin < count and keys[begin] < first:
+                    begin += 1
+                begins[k] = begin
+            for j in range(begin, count):
+                if keys[j] > last:
+                    break
+                if slots[i] and slots[j]:
+                    continue
+                total = pixels[i] + pixels[j]
+                red, green, blue = colors[i, 0] - colors[j, 0], colors[i, 1] - colors[j, 1], colors[i, 2] - colors[j, 2]
+                cost = (red * red + green * green + blue * blue) * pixels[i] * pixels[j] / (3 * total)
+                if cost >= costs[i] and cost >= costs[j]:
+                    continue
+                p, q = covariances[i], covariances[j]
+                x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+                share = masses[i] / (masses[i] + masses[j])
+                other, spread = 1 - share, share * (1 - share)
+                size = max(p[0, 0] + p[1, 1] + p[2, 2], q[0, 0] + q[1, 1] + q[2, 2])
+                if spread * (x * x + y * y + z * z) > limit * size:
+                    continue
+                a = share * p[0, 0] + other * q[0, 0] + spread * x * x
+                b = share * p[0, 1] + other * q[0, 1] + spread * x * y
+                c = share * p[0, 2] + other * q[0, 2] + spread * x * z
+                d = share * p[1, 1] + other * q[1, 1] + spread * y * y
+                e = share * p[1, 2] + other * q[1, 2] + spread * y * z
+                f = share * p[2, 2] + other * q[2, 2] + spread * z * z
+                volume = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+                loss = 0.5 * (np.log(volume) - share * log_volumes[i] - other * log_volumes[j])
+                if not loss < MAX_LOSS:
+                    continue
+                cost += SHAPE_COST * total * max(loss, 0.0)
+                if cost < costs[i]:
+                    costs[i], partners[i] = cost, j
+                if cost < costs[j]:
+                    costs[j], partners[j] = cost, i
