@@ -30,8 +30,8 @@ LIFT = Painter.load("lift")
 
 @pytest.fixture(autouse=True)
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ball looks alike from everywhere; 20 views to choose from are enough, and half the time."""
-    monkeypatch.setattr(coverage, "CANDIDATES", 20)
+    """The ball looks alike from everywhere; 14 views to choose from are enough, and half the time."""
+    monkeypatch.setattr(coverage, "CANDIDATES", 14)
 
 
 def patterned(count: int = 2500) -> Splats:
@@ -146,7 +146,7 @@ def test_plans_choose_what_is_unseen_and_masks_do_not_overlap() -> None:
 
 def test_views_cover_the_surface_once_and_novel_views_agree() -> None:
     splats, source = patterned(), FunctionSource(exchanged)
-    plan = plan_views(splats, size=144, max_views=12, background=GREY)
+    plan = plan_views(splats, size=112, max_views=12, background=GREY)
     asset, steps = LIFT.encode(splats, "lift", ["local"]), []
     made = cover(
         LIFT,
@@ -167,7 +167,7 @@ def test_views_cover_the_surface_once_and_novel_views_agree() -> None:
     truth = replace(splats, sh=(splats.sh @ EXCHANGE.T).astype(np.float32))
     changed = visible = twice = 0
     before_error, after_error = [], []
-    for camera in [c for e in (-35, 10, 50) for c in orbit_cameras(splats, 4, size=120, elevation=e, background=GREY)]:
+    for camera in [c for e in (-35, 10, 50) for c in orbit_cameras(splats, 3, size=80, elevation=e, background=GREY)]:
         before, alpha = displayed(splats, camera)
         after, expected = displayed(made.asset.splats, camera)[0], displayed(truth, camera)[0]
         again = exchanged(expected)
@@ -265,7 +265,7 @@ def test_a_view_that_cannot_be_painted_is_noted() -> None:
 
 
 def test_a_whole_asset_made_anew_is_split_and_a_part_of_it_gets_sheets() -> None:
-    splats = patterned(8000)
+    splats = patterned(4000)
     truth = replace(splats, sh=(splats.sh @ EXCHANGE.T).astype(np.float32))
     remade = edit(splats, FunctionSource(exchanged))
     assert remade.receipt is not None and not len(remade.receipt.replaced)

@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 import torch
-from scipy.interpolate import CubicHermiteSpline
 
 from splatpainter import color
 from splatpainter.sources.color_grading import (
@@ -92,6 +91,8 @@ def test_a_curve_is_the_hermite_spline_with_the_limited_slopes() -> None:
     secants = np.diff([0.2, 0.25, 0.9, 0.9]) / np.diff([0.1, 0.4, 0.6, 1.0])
     # Means of the secants, at most three times the smaller; 0 beside the flat piece.
     slopes = [secants[0], min((secants[0] + secants[1]) / 2, 3 * secants[0]), 0, 0]
+    from scipy.interpolate import CubicHermiteSpline
+
     spline = CubicHermiteSpline([0.1, 0.4, 0.6, 1.0], [0.2, 0.25, 0.9, 0.9], slopes)
     x = np.linspace(0.1, 1, 200)
     np.testing.assert_allclose(tone_curve(x, points), spline(x), atol=1e-12)

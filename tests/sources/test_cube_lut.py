@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.interpolate import RegularGridInterpolator
 
 from splatpainter.sources.cube_lut import MAX_3D_SIZE, parse_cube, read_cube
 
@@ -50,6 +49,8 @@ def test_a_smooth_function_agrees_with_scipy_between_the_entries() -> None:
     size, colors = 17, some_colors()
     table = lattice(size) ** [1.4, 0.9, 1.1]
     steps = np.linspace(0, 1, size)
+    from scipy.interpolate import RegularGridInterpolator
+
     expected = RegularGridInterpolator((steps,) * 3, table)(colors[:, ::-1])
     np.testing.assert_allclose(parse_cube(cube_text(table), "g.cube")(colors), expected, atol=2e-3)
 

@@ -225,7 +225,10 @@ def _samples(views: Sequence[SurfaceView], radius: float, allowed: ViewShare | N
     side = 2 * np.abs(normals).argmax(1) + (
         np.take_along_axis(normals, np.abs(normals).argmax(1)[:, None], 1)[:, 0] > 0
     )
-    _, first = np.unique(np.column_stack([cells, side]), axis=0, return_index=True)
+    keys = np.vstack([cells.T, side])
+    order = np.lexsort(keys[::-1])  # np.unique of rows takes three times as long
+    new = np.append(True, (np.diff(keys[:, order]) != 0).any(0))
+    first = order[new]
     return points[first], normals[first]
 
 

@@ -11,12 +11,14 @@ import numpy as np
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.masks import dilated
+from splatpainter.lift.near_surface import NearSurface
+from splatpainter.lift.resurface import clear_pixels
 from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.sources.decal_fusion import fused_surface
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import Unwrapped, smoothed, thinned, unwrap
-from splatpainter.surface.visible import visible_surface
+from splatpainter.surface.visible import VisibleSurface, visible_surface
 from splatpainter.voxels.raycast import inside
 
 MIN_ALPHA = 0.5
@@ -42,11 +44,16 @@ SMOOTHING_ROUNDS = 2
 """Of the samples."""
 MAX_FIT_PX = 3
 """Reach of planes fitted to rendered depth where the surface is not trusted."""
+MIN_OUTLINE_SHARE, MAX_OUTLINE_SHARE = 0.05, 0.85
+"""Share of the pixels around one that show the same surface: up to the first it is a speck, up to the second it lies
+at an outline, ..."""
+INWARD_SINE = 0.5
+"""... and of the sine of the angle by which these lie above its tangent plane, from which its normal is wrong."""
 MAX_FIT_RESIDUAL = 1.0
 """... and the rms distance of the depths from such a plane, in pixels, up to which it is used."""
 BALL = 0.54
 """Radius of the ball in which views of rough surface are fused, in diagonals of the decal."""
-MAX_SAMPLES = 30_000
+MAX_SAMPLES = 60_000
 """Of one decal; from which on no further view is surveyed."""
 STRIP_MARGIN = 0.35
 """How far beyond its rectangle's side a turned decal may wind around something, in lengths of the other side."""
@@ -70,12 +77,23 @@ RIM = 0.22
 """Length of `Unwrapped.rims` from which a sample is at a rim."""
 WATCHED = np.cos(np.radians(40.0))
 """Cosine between the direction in which a sample asks for a camera and that of one, from which it has got it."""
-MIN_OPEN = 0.004
-"""Share of the samples of a decal that must ask for a camera."""
+MIN_OPEN = 0.25
+"""Samples of a decal that must ask for a camera, over those along its shorter side: a word that goes on around an edge
+asks along a line."""
 FRONTAL = np.cos(np.radians(42.0))
 """Cosine between normal and line of sight from which a view counts as frontal."""
 SIDE_TURN = np.radians(38.0)
-"""To both sides of a view that paints rough surface: more cameras that paint the same part."""
+"""To both sides of a view that paints fog: more cameras that paint the same part."""
+MIN_CLEAR = 0.25
+"""Share of the pixels of a view that show Gaussians on the surface, below which it paints fog, as on rough surface."""
+CREASE_PX = 10
+"""To both sides of an edge between faces, pixels of the decal that a view from between them paints: for those that face
+them the edge is an outline, and what they see there of the other face they would spoil."""
+MAX_CREASE_COSINE = 0.64
+"""Between the directions of two views, so that there is an edge between what they face; less its negative: a rim."""
+MIN_FACE_COSINE = 0.85
+"""Mean, over what lies beside the edge, of the cosine between normals and the direction of the view that faces it:
+round surfaces have no edge."""
 OVERLAP_PX = 3
 """By which the parts of neighbouring views overlap."""
 MARGIN_PX = 24
@@ -111,6 +129,8 @@ class SurfacePixels:
     """[Q, 3] float64 unit, towards the camera."""
     rough: np.ndarray = field(repr=False)
     """[Q] bool where points and normals scatter, or come from rendered depth: to be smoothed."""
+    visible: VisibleSurface | None = field(default=None, repr=False)
+    """What they come from, if not from rendered depth alone."""
 
 
 def surface_pixels(
@@ -132,7 +152,7 @@ def surface_pixels(
     normals[~trusted], sound = _fitted_normals(position, ys[~trusted], xs[~trusted], camera, z[~trusted])
     valid = trusted.copy()
     valid[~trusted] = sound
-    return SurfacePixels(ys[valid], xs[valid], points[valid], normals[valid], rough[valid])
+    return SurfacePixels(ys[valid], xs[valid], points[valid], normals[valid], rough[valid], seen)
 
 
 def _depth_pixels(camera: Camera, pixels: np.ndarray, depth: np.ndarray) -> SurfacePixels:
@@ -192,15 +212,22 @@ def surface_under(
 
 
 def facing_camera(
-    asset: Asset, target: np.ndarray, direction: np.ndarray, up: np.ndarray, radius: float, pixel: float
+    asset: Asset,
+    target: np.ndarray,
+    direction: np.ndarray,
+    up: np.ndarray,
+    radius: float,
+    pixel: float,
+    *,
+    nearer: bool = True,
 ) -> Camera:
     """A square camera that looks at `target` ([3]) from `direction` ([3] unit, from there to the camera), with room for
     a ball of `radius` (world units) around it at `pixel` world units per pixel. It stands nearer where something is in
-    between, and where that does not help at the first distance outside the asset."""
+    between, and where that does not help, or it must not (`nearer`), at the first distance outside the asset."""
     distance, outside = SIZES_AWAY * 2 * radius, 0.0
     for _ in range(MAX_APPROACHES):
         if not inside(asset.grid, asset.grid.occupancy, target + distance * direction):
-            if _clear(asset, target, direction, distance, radius):
+            if not nearer or _clear(asset, target, direction, distance, radius):
                 break
             outside = outside or distance
         distance *= APPROACH
@@ -243,7 +270,9 @@ def survey(
     best = np.zeros(1)
     target, direction = start
     while True:
-        camera = facing_camera(asset, target, direction, up, radius * 1.08, spacing / PIXELS_PER_SPACING)
+        # From behind the start one looks past it: nearer to it is within what it is the surface of.
+        nearer = bool(direction @ start[1] > 0)
+        camera = facing_camera(asset, target, direction, up, radius * 1.08, spacing / PIXELS_PER_SPACING, nearer=nearer)
         view = project(asset.splats, camera)
         _, alpha, depth = view.rasterize()
         frontal = best > GRAZING
@@ -256,6 +285,7 @@ def survey(
             if patch is not None:
                 return patch
         near = ((seen.points - start[0]) ** 2).sum(1) < (1.06 * radius) ** 2
+        near &= ~_facing_inwards(seen, alpha.shape, 4 * spacing)
         points, normals, best, rough = _joined((points, normals, best, rough), seen, near, camera, spacing)
         even, turned = points, normals
         scatters = rough.mean() > MAX_ROUGH
@@ -275,7 +305,7 @@ def survey(
         asking = under & (at_rim | (best < GRAZING))
         asking &= (leaning @ np.stack(directions, 1)).max(1) < WATCHED
         asking[0] = False
-        if asking.sum() <= max(MIN_OPEN * under.sum(), 3):
+        if asking.sum() <= max(MIN_OPEN * min(size) / spacing, 3):
             break
         if len(directions) == MAX_SURVEYS or len(points) > MAX_SAMPLES:
             break
@@ -314,6 +344,24 @@ def _fused_patch(
     within = samples.reached & (samples.normals @ samples.normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
     under = within & (np.abs(samples.uv) < half).all(1)
     return UnwrappedPatch(samples, within, under, SMOOTHED_VOXELS * voxel)
+
+
+def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -> np.ndarray:
+    """[Q] bool specks, and pixels at an outline of a picture [H, W] whose normal leads into it: that of a face behind
+    the outline, turned to the camera. reach: world units up to which neighbours belong together."""
+    index = np.full((shape[0] + 2 * MAX_FIT_PX, shape[1] + 2 * MAX_FIT_PX), -1)
+    index[seen.ys + MAX_FIT_PX, seen.xs + MAX_FIT_PX] = np.arange(len(seen.ys))
+    total, count = np.zeros((len(seen.ys), 3)), np.zeros(len(seen.ys))
+    for dy in range(2 * MAX_FIT_PX + 1):
+        for dx in range(2 * MAX_FIT_PX + 1):
+            other = index[seen.ys + dy, seen.xs + dx]
+            way = seen.points[other] - seen.points
+            near = (other >= 0) & ((way**2).sum(1) < reach**2)
+            total += np.where(near[:, None], way, 0)
+            count += near
+    share = count / (2 * MAX_FIT_PX + 1) ** 2
+    inwards = (total * seen.normals).sum(1) > INWARD_SINE * np.linalg.norm(total, axis=1)
+    return (share < MIN_OUTLINE_SHARE) | (share < MAX_OUTLINE_SHARE) & inwards
 
 
 def _joined(
@@ -391,8 +439,13 @@ def faced_parts(
     samples = patch.samples
     views: list[_PatchView] = []
     groups = _directions(samples.points[painted], samples.normals[painted], limit)
+    creases = [] if patch.smoothing else _creases(samples, painted, groups, max(CREASE_PX * pixel, samples.spacing))
+    faces = len(groups)
+    groups += [(direction, samples.points[beside]) for direction, beside in creases[: limit - faces]]
     for direction, members in groups:
         views.append(_view(asset, surface, patch, painted, direction, members, up, pixel))
+    for view, (_, beside) in zip(views[faces:], creases, strict=False):
+        view.cosines[:] = np.where(beside & (view.cosines > 0), 2, 0)  # there before all others, and nowhere else
     free = [not inside(asset.grid, asset.grid.occupancy, view.camera.position) for view in views]
     if not any(free):
         raise ValueError("decal: no camera that faces it stands free of the asset; choose another pixel")
@@ -409,11 +462,11 @@ def faced_parts(
             break
         keep[small[shares[small].argmin()]] = False
     parts = [view.part(owners == k, patch) for k, view in enumerate(views) if keep[k]]
-    if not patch.smoothing:
-        return parts
-    # What captures show at an angle are often other Gaussians: paint those, too, and before, as the latest view wins.
+    # What shows at an angle in fog are often other Gaussians: paint those, too, and before, as the latest view wins.
     sides: list[FacedPart] = []
     for k in np.flatnonzero(keep)[np.argsort(-shares[keep], kind="stable")]:
+        if not patch.smoothing and not views[k].foggy(painted & (owners == k)):
+            continue
         direction, members = groups[k]
         for turn in (-SIDE_TURN, SIDE_TURN):
             if len(parts) + len(sides) >= limit:
@@ -441,6 +494,13 @@ class _PatchView:
     """[Q] int64 sample of each."""
     cosines: np.ndarray
     """[S] float64 between normal and line of sight, 0 where a sample is not seen."""
+    clear: np.ndarray
+    """[H, W] bool pixels whose light comes from Gaussians on the surface, not from fog before and behind it."""
+
+    def foggy(self, chosen: np.ndarray) -> bool:
+        """Whether most of the pixels of some samples ([S] bool) are not clear."""
+        at = chosen[self.nearest]
+        return bool(at.any()) and self.clear[self.ys[at], self.xs[at]].mean() < MIN_CLEAR
 
     def part(self, owned: np.ndarray, patch: UnwrappedPatch) -> FacedPart:
         """owned: [S] bool samples that this view paints."""
@@ -498,6 +558,11 @@ def _view(
             points, normals = smoothed(even, (points, normals), patch.smoothing)
             points = _on_rays(camera.position, seen.points, points, normals, 2 * patch.smoothing)
         points, normals = smoothed(even, (points, normals), patch.smoothing)
+    clear = np.zeros(region.shape, bool)
+    if seen.visible is not None and len(seen.ys):
+        drawn[:] = False
+        drawn[seen.ys, seen.xs] = True
+        clear, _ = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn)
     coordinates, nearest = samples.at(points, normals)
     uv = np.full((*region.shape, 2), np.nan)
     index = np.full(region.shape, -1, np.int64)
@@ -509,7 +574,7 @@ def _view(
     line = camera.position - samples.points
     cosine = (line * samples.normals).sum(1) / np.linalg.norm(line, axis=1)
     cosine = np.where(visible, np.maximum(cosine, 1e-3), 0)
-    return _PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine)
+    return _PatchView(camera, before, alpha, ys, xs, uv[ys, xs], index[ys, xs], cosine, clear)
 
 
 def _on_rays(
@@ -557,6 +622,52 @@ def _filled_by_one(
             np.copyto(source, neighbour, where=sound[..., 0] & (source < 0))
     empty = region & (index < 0) & (count[..., 0] >= 2)
     return np.where(empty[..., None], total / np.maximum(count, 1), uv), np.where(empty, source, index)
+
+
+def _creases(
+    samples: Unwrapped, painted: np.ndarray, groups: list[tuple[np.ndarray, np.ndarray]], reach: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(direction [3] between both faces, [S] bool samples up to `reach` from it) of outward edges between what views
+    face, the longest first. painted: [S] bool; groups: of `_directions`."""
+    directions = np.stack([direction for direction, _ in groups])
+    face = np.where(painted, (samples.normals @ directions.T).argmax(1), -1)
+    out = []
+    for first in range(len(groups)):
+        for second in range(first):
+            if abs(directions[first] @ directions[second]) > MAX_CREASE_COSINE:
+                continue
+            a, b = (np.flatnonzero(face == k) for k in (first, second))
+            a, b = (
+                a[_beside(samples.points[a], samples.points[b], reach)],
+                b[_beside(samples.points[b], samples.points[a], reach)],
+            )
+            if not len(a) or not len(b):
+                continue
+            flat = [(samples.normals[ids] @ directions[k]).mean() for ids, k in ((a, first), (b, second))]
+            if min(flat) < MIN_FACE_COSINE:
+                continue
+            way = samples.points[b].mean(0) - samples.points[a].mean(0)
+            if way @ directions[first] > 0:  # an inward edge: both views see it well
+                continue
+            beside = np.zeros(len(face), bool)
+            beside[a], beside[b] = True, True
+            direction = directions[first] + directions[second]
+            out.append((direction / np.linalg.norm(direction), beside))
+    return sorted(out, key=lambda crease: -int(crease[1].sum()))
+
+
+def _beside(points: np.ndarray, neighbours: np.ndarray, reach: float) -> np.ndarray:
+    """[P] bool: points [P, 3] in a cube with an edge of `reach` that holds one of `neighbours` [Q, 3], or in one beside
+    it."""
+    if not len(neighbours):
+        return np.zeros(len(points), bool)
+    corner = np.minimum(points.min(0), neighbours.min(0)) - 2 * reach if len(points) else neighbours.min(0)
+    keys = []
+    for values in (points, neighbours):
+        x, y, z = ((values - corner) / reach).astype(np.int64).T
+        keys.append((x << 42) | (y << 21) | z)
+    steps = np.array([(x << 42) + (y << 21) + z for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
+    return np.isin(keys[0], np.unique(keys[1][:, None] + steps))
 
 
 def _directions(points: np.ndarray, normals: np.ndarray, limit: int) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -383,6 +383,16 @@ def _grid(width: int, height: int) -> Iterator[np.ndarray]:
             yield about @ turn @ np.linalg.inv(about)
 
 
+def _block_shares(mask: np.ndarray) -> np.ndarray:
+    """Share of True pixels of each block of SCORE_BLOCK_PX, those at the right and the lower border smaller."""
+    starts = [np.arange(0, size, SCORE_BLOCK_PX) for size in mask.shape]
+    counts, areas = (
+        np.add.reduceat(np.add.reduceat(values, starts[0], 0, np.int64), starts[1], 1)
+        for values in (mask, np.ones_like(mask))
+    )
+    return counts / areas
+
+
 class _Scorer:
     """Judges where a picture was said to lie, by the edges of both."""
 
@@ -396,19 +406,19 @@ class _Scorer:
         self.valid = valid
         self.edges = box_mean(edge_strength(_resized(render, self.size)), 1)
         outside = _resized(weight, self.size) > 0.5
-        self.inside = len(self._blocks(outside)) < MIN_BLOCKS
-        self.blocks = self._blocks(np.ones_like(outside) if self.inside else outside)
+        self.blocks = self._blocks(outside)
+        self.inside = len(self.blocks) < MIN_BLOCKS
+        if self.inside:
+            self.blocks = self._blocks(np.ones_like(outside))
         self.counted = np.ones_like(outside) if self.inside else outside
 
     def _blocks(self, counted: np.ndarray) -> list[tuple[slice, slice]]:
         """Those with texture, half of which counts at least."""
-        height, width = counted.shape
         out = []
-        for top in range(0, height, SCORE_BLOCK_PX):
-            for left in range(0, width, SCORE_BLOCK_PX):
-                block = slice(top, top + SCORE_BLOCK_PX), slice(left, left + SCORE_BLOCK_PX)
-                if counted[block].mean() > 0.5 and self.edges[block].std() > MIN_BLOCK_DEVIATION:
-                    out.append(block)
+        for down, across in np.argwhere(_block_shares(counted) > 0.5) * SCORE_BLOCK_PX:
+            block = slice(down, down + SCORE_BLOCK_PX), slice(across, across + SCORE_BLOCK_PX)
+            if self.edges[block].std() > MIN_BLOCK_DEVIATION:
+                out.append(block)
         return out
 
     def scored(self, motion: np.ndarray, frame: np.ndarray, framing: FramingKind) -> Registration:
@@ -418,14 +428,16 @@ class _Scorer:
         if self.valid is not None:
             content = warped(self.valid, (_square(matrix) @ self.to_full)[:2], self.size)[0] > 0.9
         edges = box_mean(edge_strength(image), 1)
-        scores = []
+        usable, scores = self.counted & inside & content, []
+        empty, used = _block_shares(inside & ~content), _block_shares(usable)
         for block in self.blocks:
-            use = self.counted[block] & inside[block] & content[block]
-            if (inside[block] & ~content[block]).mean() > 0.5:  # says nothing, neither good nor bad
+            at = block[0].start // SCORE_BLOCK_PX, block[1].start // SCORE_BLOCK_PX
+            if empty[at] > 0.5:  # says nothing, neither good nor bad
                 continue
-            if use.mean() < 0.4:
+            if used[at] < 0.4:
                 scores.append(0.0)
                 continue
+            use = usable[block]
             one, other = self.edges[block][use], edges[block][use]
             one, other = one - one.mean(), other - other.mean()
             scores.append(float((one * other).sum() / max(math.sqrt((one**2).sum() * (other**2).sum()), 1e-9)))

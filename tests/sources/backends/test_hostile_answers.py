@@ -50,14 +50,14 @@ def documents(keys: tuple[str, ...], *leaves: str) -> st.SearchStrategy[Any]:
     )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(documents(WORDS))
 def test_gemini(data: Any) -> None:
     with contextlib.suppress(SourceError):
         assert isinstance(picture_of(data), bytes)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(documents(MESSAGES, "progress", "executing", "execution_error", "execution_success", "status"))
 def test_comfyui_messages(data: Any) -> None:
     def progress(share: float, words: str) -> None:
@@ -69,7 +69,7 @@ def test_comfyui_messages(data: Any) -> None:
     assert isinstance(node_errors(data), str)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     st.dictionaries(
         st.sampled_from("123"),
@@ -88,7 +88,7 @@ def test_comfyui_workflows(workflow: dict[str, Any]) -> None:
         assert {"image", "out"} <= {*find_slots(workflow, "w.json")}
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.text(max_size=2000))
 def test_lines_are_lines(text: str) -> None:
     line = without_secrets(text)
