@@ -28,7 +28,7 @@ from splatpainter.io import (
     read,
 )
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
-from splatpainter.splats import ATTRIBUTES, Frame, Splats, rows_sha256
+from splatpainter.splats import ATTRIBUTES, Frame, Splats, row_blocks, rows_sha256
 
 MAX_RECEIPT_ROWS = 1 << 27
 """Rows of an asset that a receipt may speak of."""
@@ -280,8 +280,11 @@ def _same_bits(before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> bool:
         return True
     if before.dtype != after.dtype or before.shape[1:] != after.shape[1:]:
         return False
-    one, two = (np.ascontiguousarray(values[rows]) for values in (before, after))
-    return bool(np.array_equal(one.reshape(-1).view(np.uint8), two.reshape(-1).view(np.uint8)))
+
+    def taken(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(values[ids]).reshape(-1).view(np.uint8)
+
+    return all(np.array_equal(taken(before, ids), taken(after, ids)) for ids in row_blocks(rows))
 
 
 @dataclass(frozen=True)

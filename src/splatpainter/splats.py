@@ -148,6 +148,8 @@ class Splats:
 ATTRIBUTES = ("means", "quats", "scales", "opacities", "sh")
 COMPARED_VALUES = 1 << 16
 """Values that are compared at a time."""
+BLOCK_ROWS = 1 << 14
+"""Rows that are gathered at a time."""
 
 
 @dataclass(frozen=True)
@@ -176,12 +178,17 @@ class Source:
 def rows_sha256(splats: Splats, ids: Array | None = None) -> str:
     """SHA-256 over the float32 little-endian attributes of the given Gaussians (default: all), one after the other."""
     arrays = splats.numpy()
+    blocks = [slice(None)] if ids is None else row_blocks(ids)
     digest = hashlib.sha256()
     for name in ATTRIBUTES:
-        values = getattr(arrays, name)
-        values = values if ids is None else values[ids]
-        digest.update(np.ascontiguousarray(values, dtype="<f4").data)
+        for rows in blocks:
+            digest.update(np.ascontiguousarray(getattr(arrays, name)[rows], dtype="<f4").data)
     return digest.hexdigest()
+
+
+def row_blocks(ids: Array) -> list[Array]:
+    """Row indices in parts of BLOCK_ROWS, whose values are gathered without a second copy of a large asset."""
+    return [ids[first : first + BLOCK_ROWS] for first in range(0, len(ids), BLOCK_ROWS)]
 
 
 def changed_rows(before: Splats, after: Splats, among: np.ndarray | None = None) -> np.ndarray:

@@ -41,7 +41,7 @@ CHANGE = st.tuples(st.floats(0, 1), st.integers(0, 4), st.one_of(DIGITS, st.bina
 
 @pytest.mark.parametrize("name", SEEDS)
 @given(changes=st.lists(CHANGE, min_size=1, max_size=4), keep=st.floats(0, 1), complete=st.booleans())
-@settings(max_examples=150, deadline=None, database=None)
+@settings(max_examples=60, deadline=None, database=None)
 def test_damaged(name: str, changes: list[tuple[float, int, bytes]], keep: float, complete: bool) -> None:
     data = SEEDS[name]
     # Headers are short and decide most: half of the places fall into the first 2,000 bytes.

@@ -76,7 +76,7 @@ def test_refusals(data: bytes, message: str, tmp_path: Path) -> None:
 def test_damaged(tmp_path: Path) -> None:
     path = tmp_path / "a.glb"
     data = build(attributes_of(random_splats(10, 1)), [{"mesh": 1} | QUARTER])
-    assert sum(survives(read_glb, path, damages(data, 1000, head=5000))) == 1064
+    assert sum(survives(read_glb, path, damages(data, 300, head=5000))) == 364
     # JSON of the right form with wrong values in it: any leaf or branch replaced.
     doc, binary = parts(data)
     rng = np.random.default_rng(0)
@@ -95,4 +95,4 @@ def test_damaged(tmp_path: Path) -> None:
             write_glb(path.with_name("b.glb"), splats.take(np.arange(len(splats))[::-1]))
         return splats
 
-    assert sum(survives(both, path, (pack(wrong(doc), binary) for _ in range(500)))) == 500
+    assert sum(survives(both, path, (pack(wrong(doc), binary) for _ in range(200)))) == 200

@@ -42,6 +42,7 @@ def agree(path: Path, oracle: Oracle, folder: Path) -> None:
 
 
 @pytest.mark.shared
+@pytest.mark.parametrize("splat_transform", ["3"], indirect=True, scope="session")  # 2: what we write
 @pytest.mark.parametrize(("name", "rows", "degree"), REAL)
 def test_real_files(name: str, rows: int, degree: int, shared: Path, tmp_path: Path, splat_transform: Oracle) -> None:
     path = shared / "data" / "splats" / name

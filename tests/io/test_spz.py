@@ -140,6 +140,7 @@ def test_every_coordinate_system(tmp_path: Path, spz_reference: Callable[[list[P
 
 
 @pytest.mark.shared
+@pytest.mark.parametrize("splat_transform", ["3"], indirect=True, scope="session")  # 2: test_axes.py
 @pytest.mark.parametrize("name", FILES)
 def test_real_files(name: str, shared: Path, tmp_path: Path, splat_transform: SplatTransform) -> None:
     path = shared / "data" / "splats" / f"{name}.spz"
@@ -323,11 +324,11 @@ def test_damaged(version: int, tmp_path: Path) -> None:
     else:
         write_spz(path, random_splats(40, 2), version)
     data = path.read_bytes()
-    good, bad = survives(read_spz, path, damages(data, 300, seed=version))
-    assert bad > 64 and good + bad == 364
+    good, bad = survives(read_spz, path, damages(data, 100, seed=version))
+    assert bad > 64 and good + bad == 164
     if version < 4:  # damage inside the compressed stream, past its checksum
-        inside = (gzip.compress(piece, 1) for piece in damages(gzip.decompress(data), 300, head=20))
-        assert sum(survives(read_spz, path, inside)) == 364
+        inside = (gzip.compress(piece, 1) for piece in damages(gzip.decompress(data), 100, head=20))
+        assert sum(survives(read_spz, path, inside)) == 164
 
 
 @pytest.mark.parametrize(
@@ -355,7 +356,7 @@ def test_refusals(data: bytes, message: str, tmp_path: Path) -> None:
 
 def test_bombs(tmp_path: Path) -> None:
     """Rows that truly are there, a thousand to a byte: refused before they are unpacked."""
-    rows = 30_000_000
+    rows = 6_000_000
     compressor = zlib.compressobj(9, wbits=31)
     bomb = compressor.compress(head(2, rows=rows, degree=0))
     for _ in range(19 * rows // (1 << 20) + 1):

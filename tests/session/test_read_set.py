@@ -3,7 +3,9 @@ a session makes that paints everything."""
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,6 +63,16 @@ def painted_anew(session: Session) -> Splats:
         return other.splats
 
 
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+    """A project of `four`, to be copied."""
+    path = tmp_path_factory.mktemp("four") / "four.splatproj"
+    session, ids = four()
+    with session:
+        session.save_as(path)
+    return path, ids
+
+
 def four() -> tuple[Session, dict[str, str]]:
     """Three dabs far from each other, and one over the first."""
     session = Session(ground(), painter=Painter.load("lift"))
@@ -85,9 +97,10 @@ def four() -> tuple[Session, dict[str, str]]:
     ],
     ids=["hide", "opacity", "blend", "hide aside", "top", "within", "over", "delete", "merge"],
 )
-def test_only_what_read_something_else_is_painted_again(change, again) -> None:
-    session, ids = four()
-    with session:
+def test_only_what_read_something_else_is_painted_again(change, again, project, tmp_path) -> None:
+    path, ids = project
+    shutil.copy(path, tmp_path)
+    with Session.load(tmp_path / path.name, painter=Painter.load("lift"), readonly=False) as session:
         names = counted(session)
         change(session, ids)
         assert names == again

@@ -20,10 +20,10 @@ RECORDED_NAMES = {
     "rim_px": "rim",
 }
 """Fields of LocalOptions -> their names in projects: results of layers are found by them."""
-SHEETS = "sheets-6"
+SHEETS = "sheets-7"
 """What stands in the fingerprints of painters that lay sheets. Layers of painters that knew none are lifted as they
 were made: split, without sheets, blended and erased from the colours of parents."""
-OLDER_SHEETS = ("sheets-2", "sheets-3", "sheets-4", "sheets-5")
+OLDER_SHEETS = ("sheets-2", "sheets-3", "sheets-4", "sheets-5", "sheets-6")
 """Of earlier ways to lay sheets: their results are kept; where one is computed anew it is laid as now."""
 
 

@@ -15,39 +15,24 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
-
-import numpy as np
+from typing import Any, get_args
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.jsonio import brief
 from splatpainter.session import database
 from splatpainter.session.database import ContentError, Database, closed_on_error, is_unwritable, one_line
-from splatpainter.session.delta import decode, encode
+from splatpainter.session.delta import decode
 from splatpainter.session.document import MAX_REASON, MAX_STROKES, Document, Layer, Policy, check_stroke, digest
 from splatpainter.session.layer_state import LayerResult
 from splatpainter.session.lock import ProjectLock
 from splatpainter.session.scene_asset import MAIN, SceneAsset, parse_assets
-
-if TYPE_CHECKING:
-    from splatpainter.models.refine import RefineState
+from splatpainter.session.stored_results import loaded_result, store_result
 
 MAX_STEPS = 1000
 """Of the history."""
 ELSEWHERE = "open elsewhere: this copy can be looked at, not changed; save_as makes one of your own"
 UNWRITABLE = "cannot be written ({}): it can be looked at, not changed; save_as makes one that can"
-FACT_KINDS: dict[str, type | tuple[type, ...]] = {
-    "rows_touched": int,
-    "rows_appended": int,
-    "seconds": (int, float),
-    "method": str,
-    "note": str,
-    "problem": str,
-    "preset": str,
-    "views": list,
-}
-"""Facts of a result that others read, and what they are."""
 
 
 @dataclass(frozen=True)
@@ -239,11 +224,7 @@ class Project:
         where = f"{self.path}: result {key[:12]}..."
         delta = decode(self._parts(key), where)
         try:
-            values = None if confidence is None else np.frombuffer(confidence, np.uint8)
-            count = delta.count + len(delta.appended)
-            if values is not None and len(values) != count:
-                raise ValueError(f"{len(values)} values of confidence for {count} Gaussians")
-            return LayerResult(delta, _result_facts(facts), values, None if state is None else _unpack_state(state))
+            return loaded_result(delta, facts, confidence, state)
         except (ValueError, TypeError, RecursionError) as error:
             raise ValueError(f"{where}: damaged ({error})") from None
 
@@ -361,7 +342,7 @@ class Project:
             for index, layer in enumerate(document.layers):
                 db.execute("INSERT INTO step_layers VALUES (?, ?, ?)", (step, index, _store_layer(db, layer)))
             for key, result in new.results.items():
-                _store_result(db, key, result, new.previous.get(key))
+                store_result(db, key, result, new.previous.get(key))
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
             _set_cursor(db, step)
             removed = _sweep(db) if dropped else set()
@@ -376,7 +357,7 @@ class Project:
         with self._writing() as db:
             self._forget_sizes(new.results)
             for key, result in new.results.items():
-                _store_result(db, key, result, new.previous.get(key))
+                store_result(db, key, result, new.previous.get(key))
             db.executemany("INSERT OR IGNORE INTO step_results VALUES (?, ?)", [(step, key) for key in results])
             _set_cursor(db, step)
 
@@ -384,7 +365,7 @@ class Project:
         """One result in place of several in a row: it is what `next_key`, which follows them, needs now. Returns the
         keys of results that are no longer stored."""
         with self._writing() as db:
-            _store_result(db, key, result, None)
+            store_result(db, key, result, None)
             db.execute("UPDATE results SET previous = ? WHERE key = ?", (key, next_key))
             rows = [(old,) for old in keys]
             db.executemany("DELETE FROM step_results WHERE result = ?", rows)
@@ -512,57 +493,6 @@ def _insert_layer(db: sqlite3.Connection, sha256: str, text: str, previous: int 
     return row
 
 
-def _store_result(db: sqlite3.Connection, key: str, result: LayerResult, previous: str | None) -> None:
-    state = None if result.painter_state is None else _pack_state(result.painter_state)
-    confidence = None if result.confidence is None else result.confidence.tobytes()
-    if previous is None:  # stored again: what it needs is what it needed
-        row = db.execute("SELECT previous FROM results WHERE key = ?", (key,)).fetchone()
-        previous = None if row is None else row[0]
-    db.execute("DELETE FROM results WHERE key = ?", (key,))
-    values = (key, json.dumps(result.facts), confidence, state, previous)
-    db.execute("INSERT INTO results (key, facts, confidence, state, previous) VALUES (?, ?, ?, ?, ?)", values)
-    for part, data in enumerate(encode(result.delta)):
-        db.execute("INSERT INTO deltas VALUES (?, ?, ?)", (key, part, data))
-
-
-def _pack_state(state: RefineState) -> bytes:
-    """What a painter has learnt as safetensors, never pickle: tensors named block.K.w0, .w1, .w2 (fast weights) or
-    block.K (tokens); detail likewise."""
-    from safetensors.torch import save
-
-    named = {}
-    blocks = [(f"block.{k}", block) for k, block in enumerate(state.blocks)]
-    for name, block in [*blocks, ("detail", state.detail)]:
-        if block is None:
-            continue
-        parts = {f"{name}.{k}": v for k, v in block._asdict().items()} if hasattr(block, "_asdict") else {name: block}
-        named |= {key: value.detach().cpu().contiguous().clone() for key, value in parts.items()}
-    return save(named)
-
-
-def _unpack_state(data: bytes) -> RefineState:
-    """The inverse of `_pack_state`, on the CPU. Raises ValueError for other bytes."""
-    from safetensors import SafetensorError
-    from safetensors.torch import load
-
-    from splatpainter.models.refine import RefineState
-    from splatpainter.nn.fast_weights import FastWeights
-
-    try:
-        named = load(data)
-
-        def block(name: str):
-            if name in named:
-                return named[name]
-            return FastWeights(*(named[f"{name}.{part}"] for part in FastWeights._fields))
-
-        count = len({key.split(".")[1] for key in named if key.startswith("block.")})
-        detail = block("detail") if any(key.split(".")[0] == "detail" for key in named) else None
-        return RefineState(tuple(block(f"block.{k}") for k in range(count)), detail)
-    except (SafetensorError, KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise ValueError(f"project: the painter's state is damaged ({error!r})") from None
-
-
 def _set_cursor(db: sqlite3.Connection, step: int) -> None:
     db.execute("UPDATE facts SET value = ? WHERE name = 'cursor'", (str(step),))
     db.execute("INSERT OR REPLACE INTO facts VALUES ('edited', ?)", (f"{time.time():.3f}",))
@@ -602,24 +532,6 @@ def _sweep_assets(db: sqlite3.Connection) -> None:
             stored -= {asset.sha256 for asset in parse_assets(json.loads(text))}
     for sha in stored:
         db.execute("DELETE FROM original WHERE substr(file, 1, 65) = ?", (f"{sha}/",))
-
-
-def _result_facts(text: str) -> dict[str, Any]:
-    """Facts of a result. Raises ValueError where one that others read is not what it should be."""
-    facts = json.loads(text)
-    if not isinstance(facts, dict):
-        raise ValueError("its facts are no JSON object")
-    for name, kind in FACT_KINDS.items():
-        value = facts.get(name, kind() if isinstance(kind, type) else 0)
-        if not isinstance(value, kind) or (isinstance(value, (int, float)) and not 0 <= value < 1e15):
-            raise ValueError(f"unexpected {name} {value!r:.40}")
-    for view in facts.get("views", ()):
-        if not isinstance(view, dict):
-            raise ValueError(f"unexpected view {view!r:.40}")
-        scores = [view.get(name) for name in ("psnr_before", "psnr_after", "psnr_outside")]
-        if not all(score is None or (isinstance(score, (int, float)) and abs(score) < 1e15) for score in scores):
-            raise ValueError(f"unexpected scores {scores!r:.80}")
-    return facts
 
 
 def _policies(pairs: Any) -> tuple[tuple[str, str, Policy], ...]:

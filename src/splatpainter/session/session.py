@@ -388,6 +388,8 @@ class Session(AssetCommands, ExportCommands, Annotations, GeometryCommands):
         None: a layer for each that it reaches (that with the most pixels is returned). Raises ValueError as
         Painter.apply does, with nothing changed."""
         with self._command():
+            if kind == "look" and "look" in (parameters or {}):
+                method = "lift"  # no painter is asked, whose weights would be read for its name
             method = self.painter.choose(method, mode or ("global" if kind == "look" else "local"))[0]
             settings = {"mode": mode, "method": method, "opacity": opacity, "blend": blend}
             settings["painter"] = fingerprint(self.painter, method)
