@@ -32,16 +32,21 @@ GARBAGE_OBJECTS = 50_000
 """Made since the last collection, after which the garbage collector looks at the young ones."""
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Bytecode is kept, whatever the environment prefers: without it 16 s go by before the first test, and each of a
     hundred Python processes that tests start compiles its modules anew.
 
     A shell's background jobs ignore interrupts; tests that interrupt themselves would wait for ever.
 
+    Of several workers each runs kernels on one thread: waking others for arrays of tests takes a tenth of the time of
+    tests that render and lift. Tests of threads say how many (SPLATPAINTER_THREADS decides otherwise).
+
     Temporary files lie in memory where the system has a disk of it: half of the time of tests that commit to project
     files hundreds of times was the disk's. TMPDIR decides otherwise."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if hasattr(config, "workerinput"):
+        os.environ.setdefault("SPLATPAINTER_THREADS", "1")
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     search_path = os.environ.get("PYTHONPATH", "").split(os.pathsep)

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.syntax import nodes
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"splatpainter": ROOT / "src" / "splatpainter", "splatbench": ROOT / "benchmarks" / "splatbench"}
 ORDER = (
@@ -85,7 +87,7 @@ def name_called(call: ast.Call) -> str:
 def imports(source: str, package: str) -> Iterator[str]:
     """Dotted names that a source imports anywhere in it: modules, names in them, literals of import_module. package:
     that which relative imports start from."""
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

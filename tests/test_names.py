@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from tests.support.syntax import nodes
+
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (ROOT / "src" / "splatpainter", ROOT / "benchmarks" / "splatbench")
 TESTS = (ROOT / "tests", ROOT / "benchmarks" / "tests")
@@ -48,12 +50,13 @@ SHARED = {"Config"}
 """Classes of one name by design: each command's options."""
 
 
-def assigned(tree: ast.AST) -> set[str]:
-    """Names of variables, parameters, attributes, functions and classes that a module makes."""
+def assigned(tree: list[ast.AST]) -> set[str]:
+    """Names of variables, parameters, attributes, functions and classes that a module's nodes make."""
     names = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
-            names.add(node.id if isinstance(node, ast.Name) else node.attr)
+    for node in tree:
+        if isinstance(node, ast.Name | ast.Attribute):
+            if isinstance(node.ctx, ast.Store):
+                names.add(node.id if isinstance(node, ast.Name) else node.attr)
         elif isinstance(node, ast.arg):
             names.add(node.arg)
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
@@ -74,12 +77,13 @@ def modules() -> dict[Path, Module]:
     """What each file of FOLDERS and TESTS defines; parsed once for all tests."""
     out = {}
     for path in (path for folder in (*FOLDERS, *TESTS) for path in sorted(folder.rglob("*.py"))):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        classes = tuple(node.name for node in tree.body if isinstance(node, ast.ClassDef))
+        tree = nodes(path.read_text(encoding="utf-8"))
+        classes = tuple(node.name for node in tree[0].body if isinstance(node, ast.ClassDef))  # type: ignore[attr-defined]
         out[path] = Module(frozenset(assigned(tree)), classes)
     return out
 
 
+@cache
 def words(name: str) -> set[str]:
     """The words of snake_case and CamelCase, lower case."""
     return set(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().strip("_").split("_"))
@@ -120,5 +124,5 @@ def test_a_class_has_its_name_for_itself() -> None:
 
 def test_the_search_sees_every_kind_of_name() -> None:
     source = "class A:\n  def b(self, c):\n    self.d = e = [f for f in c]\n"
-    assert assigned(ast.parse(source)) == {"A", "b", "self", "c", "d", "e", "f"}
+    assert assigned(nodes(source)) == {"A", "b", "self", "c", "d", "e", "f"}
     assert words("_KnownGradient") == {"known", "gradient"} and words("whole_FOLDER2") == {"whole", "folder2"}

@@ -6,6 +6,7 @@ import ast
 import io
 import mimetypes
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from splatpainter.server.launch import listen
 from splatpainter.session.lock import ProjectLock
 from tests.support.cli_scenes import Capture, ball, run, saved
 from tests.support.studio_scenes import live, make_studio
+from tests.support.syntax import nodes
 from tests.support.systems import posix_only
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,12 +53,13 @@ def test_the_main_paths_need_nothing_that_only_posix_has(tmp_path: Path) -> None
 
 
 OPENERS = {"open", "fdopen", "read_text", "write_text", "_read_text", "NamedTemporaryFile", "TemporaryFile"}
+MAY_OPEN = re.compile(r"(open|_text|TemporaryFile)\s*\(|\b(text|universal_newlines)\s*=")
 
 
 def unsaid_encodings(source: str) -> list[int]:
     """Lines of calls that open text in whatever encoding the system prefers (cp1252 on Windows)."""
     lines = []
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source) if MAY_OPEN.search(source) else ():
         if not isinstance(node, ast.Call):
             continue
         last = str(getattr(node.func, "attr", getattr(node.func, "id", "")))

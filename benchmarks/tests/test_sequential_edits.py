@@ -60,7 +60,7 @@ def cases() -> dict[str, Case]:
     keys = {key.label: key for key in TABLE.keys(SETUP)}
     endings = ["0-views", "0-edits", "0-conflict", "1-views", "2-views"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ground_truth, "MIN_SURFELS", 5000)
+        patch.setattr(ground_truth, "MIN_SURFELS", 2000)
         return {w: TABLE.make(next(k for n, k in keys.items() if n.endswith(w)), SETUP) for w in endings}
 
 

@@ -20,7 +20,7 @@ WORDS = ["--data", "procedural:2", "--device", "cpu", "--samples.surfels", "800"
 def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The tests' recipe as a file, with validation."""
     path = tmp_path_factory.mktemp("recipe") / "tiny.json"
-    data = RECIPE.to_dict() | {"validate_every": 2, "validation_samples": 2, "steps": 4, "batch": 1}
+    data = RECIPE.to_dict() | {"validate_every": 1, "validation_samples": 1, "steps": 2, "batch": 1}
     del data["stage"]  # for every stage
     path.write_text(json.dumps(data))
     return path
@@ -39,23 +39,23 @@ def test_three_stages_one_after_the_other(
     lrm, refine = tmp_path / "lrm", tmp_path / "refine"
     assert run("lrm", "--recipe", recipe, *WORDS, *plain, "--out", lrm, "--perceptual", 0.5) == 0
     output = capsys.readouterr()
-    assert "step 1 of 4 (session steps)" in output.out and "--resume" in output.out
+    assert "step 1 of 2 (session steps)" in output.out and "--resume" in output.out
     assert "the perceptual term is dropped" in output.err and "validation reconstruction: asset" in output.err
     assert run("refine", "--recipe", recipe, *WORDS, "--out", refine, "--from", lrm / "model", "--json") == 0
     output = capsys.readouterr()
     record = json.loads(output.out)
-    assert record["step"] == 4 and record["ended"] == "done" and record["validation"]["all"]["lift"] > 0
+    assert record["step"] == 2 and record["ended"] == "done" and record["validation"]["all"]["lift"] > 0
     assert "lrm as trained by stage lrm" in output.err
     names = {p.relative_to(refine).as_posix() for p in refine.rglob("*") if p.is_file()}
     assert {"recipe.json", "log.csv", "validation.csv", "model/model.json", "state/model.json"} <= names
-    assert {f"sheets/step_000000{k}.png" for k in (0, 2, 4)} <= names and any("tfevents" in name for name in names)
+    assert {f"sheets/step_000000{k}.png" for k in (0, 1, 2)} <= names and any("tfevents" in name for name in names)
     first, last = SplatPainterModel.load(lrm / "model"), SplatPainterModel.load(refine / "model")
     assert torch.equal(first.lrm.head.weight, last.lrm.head.weight) and last.config == LIFT
     assert last.notes["stage"] == "refine" and last.notes["recipe"]["samples"]["surfels"] == 800
     assert recipes.parse((refine / "recipe.json").read_text(), "refine").samples.size == SAMPLES.size
     # It is over: going on does nothing, beginning again is refused.
     assert run("refine", "--recipe", recipe, *WORDS, "--out", refine, "--resume") == 0
-    assert "step 4 of 4 (done)" in capsys.readouterr().out
+    assert "step 2 of 2 (done)" in capsys.readouterr().out
     assert run("refine", "--recipe", recipe, *WORDS, "--out", refine) == 2
     assert "holds a run already" in capsys.readouterr().err
     # Weights of another model are named.

@@ -18,7 +18,7 @@ from splatpainter.cameras import Camera
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from tests.support import studio_scenes
-from tests.support.studio_pages import FLAGS, STATIC, SWIFTSHADER, WEB, Page, chromium, opened_page
+from tests.support.studio_pages import FLAGS, STATIC, SWIFTSHADER, WEB, WITH_WINDOWS, Page, chromium, opened_page
 
 SOURCES = (
     "index.html",
@@ -57,7 +57,7 @@ def test_the_bundle_is_small_and_alone() -> None:
 def gpu_browser(browser: Any) -> Iterator[Any]:
     """One that puts the page together as for users, by SwiftShader, beside the other: Playwright's loop runs once per
     process."""
-    one = browser.browser_type.launch(executable_path=chromium(), args=[*FLAGS, *SWIFTSHADER])
+    one = browser.browser_type.launch(executable_path=chromium(WITH_WINDOWS), args=[*FLAGS, *SWIFTSHADER])
     yield one
     one.close()
 

@@ -103,7 +103,7 @@ FIRST_AND_LATER_FRAME = """async (bytes) => {
   const canvas = new OffscreenCanvas(video.videoWidth, video.videoHeight);
   const context = canvas.getContext("2d", { willReadFrequently: true });
   const at = async (time) => {
-    const sought = new Promise((done) => (video.onseeked = done));
+    const sought = new Promise((done) => video.requestVideoFrameCallback(done));
     video.currentTime = time;
     await sought;
     context.drawImage(video, 0, 0);

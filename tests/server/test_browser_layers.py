@@ -314,7 +314,8 @@ def test_the_eraser_takes_the_layers_paint_and_leaves_what_is_below(opened: tupl
     page.tab.keyboard.press("e")
     page.drag((0.44, 0.5), (0.56, 0.5))
     page.settled()
-    assert np.abs(middle() - red).max() < 0.05 and page.names() == ["Paint", "Paint 2"]
+    page.wait("the red again", lambda: np.abs(middle() - red).max() < 0.05)
+    assert page.names() == ["Paint", "Paint 2"]
     page.tab.keyboard.press("Control+z")
     page.wait("the blue again", lambda: middle()[2] > 0.5)
     page.tab.keyboard.down("Shift")

@@ -16,6 +16,7 @@ from splatpainter import image_files
 from splatpainter.image_files import find_alpha, find_camera, read_deep
 from splatpainter.painter import Edit
 from splatpainter.rendering import render
+from splatpainter.server.commands import picture_check, viewing
 from splatpainter.server.image_registration import png_bytes
 from splatpainter.server.watched_folder import saved_picture
 from splatpainter.session import Session
@@ -115,13 +116,16 @@ def test_an_export_into_the_folder_comes_back_unchanged(studio: Live, transparen
     assert 0.015 < checked["share"] < 0.04
 
 
-def test_a_view_larger_than_what_is_painted_comes_back_smaller(studio: Live) -> None:
-    made = studio.post("view.export", camera=wire(view()), size=2100, name="huge")
+def test_a_view_larger_than_what_is_painted_comes_back_smaller(studio: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (viewing, picture_check):
+        assert module.MAX_VIEW_PIXELS == 4_000_000
+        monkeypatch.setattr(module, "MAX_VIEW_PIXELS", 360_000)
+    made = studio.post("view.export", camera=wire(view()), size=630, name="huge")
     data = studio.http.get(made["url"]).content
     checked = studio.post("picture.check", picture=studio.send(data))
     camera = checked["camera"]
-    assert camera["width"] * camera["height"] <= 4_000_000 and camera["width"] > 1990
-    assert checked["share"] < 0.001 and any("resampled from 2100x2100" in note for note in checked["notes"])
+    assert camera["width"] * camera["height"] <= 360_000 and camera["width"] > 590
+    assert checked["share"] < 0.001 and any("resampled from 630x630" in note for note in checked["notes"])
 
 
 def test_what_is_refused(studio: Live) -> None:

@@ -203,7 +203,7 @@ def test_the_first_stages_learn(tmp_path: Path, stage: Any, config: ModelConfig)
             return supply[0]
 
     recipe = replace(
-        RECIPE, stage=stage, model=config, samples=PLAIN, steps=16, batch=1, pull_steps=3, learning_rate=2e-3
+        RECIPE, stage=stage, model=config, samples=PLAIN, steps=10, batch=1, pull_steps=3, learning_rate=4e-3
     )
     run = loop(recipe, tmp_path, samples=One())
     assert trained(run.task) <= {"lrm"} if stage == "lrm" else "lrm" not in trained(run.task)
