@@ -314,6 +314,27 @@ def test_two_windows_agree_and_a_lost_connection_comes_back(
         other.tab.close()
 
 
+def test_a_dialog_opens_right_after_another_was_closed(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """The browser says `close` a task later: it must not close what a key has opened in between."""
+    _, page = opened
+    page.tab.keyboard.press("Control+o")
+    page.wait("Open", page.tab.get_by_role("dialog", name="Open").count)
+    page.ask(
+        """() => {
+            document.querySelector("dialog").close();
+            const save = { key: "s", code: "KeyS", ctrlKey: true, bubbles: true };
+            document.body.dispatchEvent(new KeyboardEvent("keydown", save));
+        }"""
+    )
+    save = page.tab.get_by_role("dialog", name="Save and export")
+    page.wait("Save and export", save.count)
+    page.ask("new Promise((done) => setTimeout(done, 50))")
+    assert save.count() == 1
+    page.tab.keyboard.press("Escape")
+    page.tab.keyboard.press("?")
+    page.wait("Shortcuts", page.tab.get_by_role("dialog", name="Shortcuts").count)
+
+
 def test_nothing_serious_for_those_who_cannot_see_or_point(opened: tuple[studio_scenes.Live, Page]) -> None:
     _, page = opened
     page.drag((0.45, 0.5), (0.55, 0.5))

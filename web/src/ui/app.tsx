@@ -119,7 +119,9 @@ export function App({ canvas }: { canvas: HTMLCanvasElement }) {
       <Continue />
       <Tour />
       <BatchDialog />
-      {filesOpen.value && <Files saving={filesOpen.value === "save"} onClose={() => (filesOpen.value = null)} />}
+      {filesOpen.value && (
+        <Files key={filesOpen.value} saving={filesOpen.value === "save"} onClose={() => (filesOpen.value = null)} />
+      )}
     </div>
   );
 }

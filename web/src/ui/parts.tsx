@@ -292,18 +292,30 @@ export function Dialog({
   useEffect(() => {
     box.current!.showModal();
   }, []);
+  // At once, and only while it is there: the browser's own `close` event comes a task later, when a key may have opened
+  // the next dialog.
+  const finish = () => {
+    if (!box.current) return;
+    box.current.close(); // gives the keys back to what had them
+    onClose();
+  };
   return (
     <dialog
       ref={box}
       class="dialog"
       aria-label={title}
-      onClose={onClose}
-      onClick={(event) => event.target === box.current && onClose()}
+      onCancel={(event) => {
+        if (event.target !== box.current) return; // a file chooser's
+        event.preventDefault();
+        finish();
+      }}
+      onClose={(event) => event.target === box.current && finish()}
+      onClick={(event) => event.target === box.current && finish()}
       onKeyDown={(event) => event.stopPropagation()}
     >
       <header>
         <h2>{title}</h2>
-        <Button icon="close" label="Close" onClick={onClose} />
+        <Button icon="close" label="Close" onClick={finish} />
       </header>
       <div class="dialog-body">{children}</div>
     </dialog>
