@@ -31,9 +31,11 @@ def asset(page: Page, number: int) -> dict[str, Any]:
     return page.state()["assets"][number]
 
 
-def pull(page: Page, title: str, x: float, y: float) -> None:
+def pull(opened: tuple[studio_scenes.Live, Page], title: str, x: float, y: float) -> None:
     """Drag a handle by CSS pixels, once it stands still: handles follow what the server says of their asset."""
+    live, page = opened
     page.settled()
+    page.wait("the server's state", lambda: page.state()["version"] == live.studio.session.version)
     handle = page.tab.locator(".asset-handles .grab").filter(has=page.tab.locator(f"title:text-is('{title}')"))
     boxes: list[Any] = [None]
     page.wait("a handle at rest", lambda: boxes.append(handle.bounding_box()) or boxes[-1] == boxes[-2])
@@ -69,11 +71,11 @@ def test_a_second_asset_is_added_moved_painted_and_removed(
     page.wait("it to move", lambda: asset(page, 1)["move"][0] == 0.2)
     page.wait("the view", lambda: page.ask("window.studio.viewer.count") == len(live.studio.session.splats))
     before = asset(page, 1)
-    pull(page, "Move in the view", 60, 10)
+    pull(opened, "Move in the view", 60, 10)
     page.wait("a drag", lambda: asset(page, 1)["move"] != before["move"])
-    pull(page, "Scale: drag to the right or left", 40, 0)
+    pull(opened, "Scale: drag to the right or left", 40, 0)
     page.wait("a larger one", lambda: asset(page, 1)["scale"] > 1.1)
-    pull(page, "Turn about Z", 20, 30)
+    pull(opened, "Turn about Z", 20, 30)
     page.wait("a turn", lambda: abs(asset(page, 1)["turn"][2]) > 1)
     page.tab.keyboard.press("Numpad1")  # along an axis: its disc stands aside
     page.wait("no handle under another", lambda: page.ask(COVERED) == [])

@@ -77,12 +77,14 @@ def publish_batches(hub: Hub) -> None:
     loop, studio = asyncio.get_running_loop(), hub.studio
 
     def changed(batch: StudioBatch | None, number: int | None) -> None:
+        revision = studio.batches.revision
         if batch is None:
-            event = BatchEvent()
+            event = BatchEvent(revision=revision)
         elif number is None:
-            event = BatchEvent(batch=batch_info(studio, batch), id=batch.id)
+            event = BatchEvent(revision=revision, batch=batch_info(studio, batch), id=batch.id)
         else:
-            event = BatchEvent(id=batch.id, job=job_info(studio, batch, number), zip_url=zip_url(batch))
+            job, archive = job_info(studio, batch, number), zip_url(batch)
+            event = BatchEvent(revision=revision, id=batch.id, job=job, zip_url=archive)
         with contextlib.suppress(RuntimeError):  # the loop has ended
             loop.call_soon_threadsafe(hub.publish, event)
 

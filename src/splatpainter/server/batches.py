@@ -76,6 +76,8 @@ class Batches:
         self._lock = threading.RLock()
         self._present: StudioBatch | None = None
         self._preparing = False
+        self.revision = 0
+        """How often something changed: what was described at a lower one is older. Read before describing."""
         self.changed: Callable[[StudioBatch | None, int | None], None] = lambda batch, number: None
         """Called, from any thread, with the batch and the number of the job that changed; None: the whole of it."""
 
@@ -113,7 +115,7 @@ class Batches:
             before, self._present = self._present, batch
         if before is not None:
             shutil.rmtree(before.folder, ignore_errors=True)
-        self.changed(batch, None)
+        self._tell(batch, None)
         return batch
 
     def start(self, id: str) -> StudioBatch:
@@ -132,7 +134,7 @@ class Batches:
             batch.state = "running"
             batch.follower = threading.Thread(target=self._follow, args=(batch,), name="studio-batch", daemon=True)
             batch.follower.start()
-        self.changed(batch, None)
+        self._tell(batch, None)
         return batch
 
     def cancel(self, id: str) -> StudioBatch:
@@ -149,7 +151,7 @@ class Batches:
             batch.deadline = threading.Timer(CANCEL_SECONDS, processes.kill, (child,))
             batch.deadline.daemon = True
             batch.deadline.start()
-        self.changed(batch, None)
+        self._tell(batch, None)
         return batch
 
     def discard(self, id: str) -> None:
@@ -160,7 +162,7 @@ class Batches:
                 raise ValueError("batch: is at work; cancel it first")
             self._present = None
         shutil.rmtree(batch.folder, ignore_errors=True)
-        self.changed(None, None)
+        self._tell(None, None)
 
     def close(self) -> None:
         """End whatever is at work, and remove everything."""
@@ -176,6 +178,12 @@ class Batches:
         if batch.deadline is not None:
             batch.deadline.cancel()
         shutil.rmtree(batch.folder, ignore_errors=True)
+
+    def _tell(self, batch: StudioBatch | None, number: int | None) -> None:
+        """After a change."""
+        with self._lock:
+            self.revision += 1
+        self.changed(batch, number)
 
     def _follow(self, batch: StudioBatch) -> None:
         """Read what the program says until it ends."""
@@ -195,7 +203,7 @@ class Batches:
             else:
                 job.record = event["record"]
                 job.state = "done" if job.record.get("status") == "done" else "failed"
-            self.changed(batch, number)
+            self._tell(batch, number)
         child.stdout.close()
         with contextlib.suppress(OSError):
             child.stdin.close()
@@ -212,7 +220,7 @@ class Batches:
             batch.state = "cancelled" if cancelled else "done"
         if not ended:
             (batch.folder / "out" / "index.html").unlink(missing_ok=True)  # it does not say what has become of all
-        self.changed(batch, None)
+        self._tell(batch, None)
 
 
 def _events(stream: IO[bytes]) -> Any:

@@ -524,6 +524,8 @@ class BatchEvent(Message):
     """Something happened to the studio's batch."""
 
     event: Literal["batch"] = "batch"
+    revision: int
+    """Rises with every change: events and answers overtake one another, and the highest one holds."""
     batch: BatchInfo | None = None
     """All of it, where its state changed; None with a job: only that one changed; without: there is none any more."""
     id: str = ""

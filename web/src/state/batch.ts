@@ -2,17 +2,33 @@
 
 import { signal } from "@preact/signals";
 
-import type { BatchEvent, BatchInfo, BatchVariant } from "../messages";
+import type { BatchAnswer, BatchEvent, BatchInfo, BatchVariant } from "../messages";
 
 /** null: there is none. */
 export const batch = signal<BatchInfo | null>(null);
 export const batchOpen = signal(false);
 
-export function applyBatch({ batch: all, id, job, zip_url }: BatchEvent): void {
+/** Of what `batch` holds, and the highest of events about jobs of a batch that was not known yet. */
+let revision = -1;
+let missed = -1;
+
+/** Answers and events overtake one another: what is older than what is there already is left out. */
+export function applyBatch(news: BatchAnswer | BatchEvent): void {
+  if (news.revision < revision) return;
   const now = batch.value;
-  if (all || !job) batch.value = all;
-  else if (now?.id === id)
+  if ("job" in news && news.job && !news.batch) {
+    const { id, job, zip_url } = news;
+    if (now?.id !== id) return void (missed = Math.max(missed, news.revision));
     batch.value = { ...now, zip_url, jobs: now.jobs.map((one) => (one.number === job.number ? job : one)) };
+  } else batch.value = news.batch;
+  revision = news.revision;
+}
+
+/** What a server says that may be another one: its revisions begin anew. `ask`: for the batch as it is. */
+export async function learnBatch(ask: () => Promise<BatchAnswer>): Promise<void> {
+  revision = missed = -1;
+  do applyBatch(await ask());
+  while (revision < missed);
 }
 
 export const atWork = (one: BatchInfo | null): boolean => one?.state === "running" || one?.state === "cancelling";

@@ -6,7 +6,7 @@ import type { AssetInfo, Event, State, StateEvent } from "../messages";
 import { CommandError, Link, type Fields, type Name, type Result } from "../net/connection";
 import { between, fromCamera, sameView, toCamera, type Pose, type Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
-import { applyBatch, batch } from "./batch";
+import { applyBatch, learnBatch } from "./batch";
 import { axisName } from "./up-axis";
 import {
   camera,
@@ -48,7 +48,7 @@ export function start(canvas: HTMLCanvasElement): void {
     },
     greeted: (greeting) => {
       adopt(greeting.state);
-      link.do("batch.status", {}).then((answer) => (batch.value = answer.batch), report);
+      learnBatch(() => link.do("batch.status", {})).catch(report);
     },
     event,
     answered: ({ python }) => {

@@ -9,7 +9,7 @@ import type { BatchAnswer, BatchJobInfo } from "../messages";
 import type { Fields } from "../net/connection";
 import { CommandError } from "../net/connection";
 import { download } from "../net/blobs";
-import { atWork, batch, batchOpen, countOf, variantOf } from "../state/batch";
+import { applyBatch, atWork, batch, batchOpen, countOf, variantOf } from "../state/batch";
 import { assets as sceneAssets, batchAsset, selectedAsset } from "../state/assets";
 import { camera, state } from "../state/store";
 import { link } from "../state/studio";
@@ -51,7 +51,7 @@ async function ask(words: string, work: () => Promise<BatchAnswer | void>): Prom
   problem.value = "";
   try {
     const answer = await work();
-    if (answer) batch.value = answer.batch;
+    if (answer) applyBatch(answer);
   } catch (error) {
     const hint = error instanceof CommandError ? error.hint : "";
     problem.value = `${(error as Error).message} ${hint}`.trim();

@@ -15,11 +15,13 @@ from pydantic import Field
 from splatpainter.batch.plan import JobList
 from splatpainter.io import format_of_name
 from splatpainter.server.batch_folder import LOOKS, BatchFolder
+from splatpainter.server.batches import StudioBatch
 from splatpainter.server.commands.color_grading import ColorTransfer, GradeSliders, settings_of
 from splatpainter.server.commands.context import CommandContext, command, naming_errors
 from splatpainter.server.describe_batch import batch_info
 from splatpainter.server.protocol import Answer, BatchInfo, Blob, CameraInfo, Command, FileName, Message
 from splatpainter.server.storage import PROJECT
+from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.annotations import keep_selection
 from splatpainter.session.asset_files import write_original
@@ -57,6 +59,8 @@ class BatchVariant(Message):
 class BatchAnswer(Answer):
     batch: BatchInfo | None
     """None: there is none."""
+    revision: int
+    """As in BatchEvent."""
 
 
 class BatchPlan(Command):
@@ -144,17 +148,17 @@ def plan_batch(context: CommandContext, request: BatchPlan) -> BatchAnswer:
             title = f"{_count(len(request.variants), 'variant')} of {name}"
         return batch.plan(request.format, camera), words, title
 
-    return BatchAnswer(batch=batch_info(studio, studio.batches.make(prepare)))
+    return _answer(studio, studio.batches.make(prepare))
 
 
 @command(BatchStart, background=True, once=True)
 def start_batch(context: CommandContext, request: BatchStart) -> BatchAnswer:
-    return BatchAnswer(batch=batch_info(context.studio, context.studio.batches.start(request.batch)))
+    return _answer(context.studio, context.studio.batches.start(request.batch))
 
 
 @command(BatchCancel)
 def cancel_batch(context: CommandContext, request: BatchCancel) -> BatchAnswer:
-    return BatchAnswer(batch=batch_info(context.studio, context.studio.batches.cancel(request.batch)))
+    return _answer(context.studio, context.studio.batches.cancel(request.batch))
 
 
 @command(BatchDiscard, background=True)
@@ -165,8 +169,14 @@ def discard_batch(context: CommandContext, request: BatchDiscard) -> Answer:
 
 @command(BatchStatus)
 def show_batch(context: CommandContext, request: BatchStatus) -> BatchAnswer:
+    revision = context.studio.batches.revision  # first: what is described may be newer, never older
     batch = context.studio.batches.present
-    return BatchAnswer(batch=None if batch is None else batch_info(context.studio, batch))
+    return BatchAnswer(batch=None if batch is None else batch_info(context.studio, batch), revision=revision)
+
+
+def _answer(studio: Studio, batch: StudioBatch) -> BatchAnswer:
+    revision = studio.batches.revision
+    return BatchAnswer(batch=batch_info(studio, batch), revision=revision)
 
 
 def _present_asset(session: Session, asset: str | None) -> tuple[SceneAsset, str]:
