@@ -288,9 +288,12 @@ def test_the_models_own_mode_comes_back_and_counts_for_nothing() -> None:
 # Polish
 
 
+@pytest.mark.parametrize(("awake", "gain_db"), [(0.05, 0.5), (0.02, 0.0)])  # near the lift little is left to mend
 @pytest.mark.parametrize("mode", MODES)
-def test_polish_brings_the_picture_nearer_and_reaches_no_other_row(mode: Mode, precision: str) -> None:
-    model = built(LIFT, awake=0.05)
+def test_polish_brings_the_picture_nearer_and_reaches_no_other_row(
+    mode: Mode, awake: float, gain_db: float, precision: str
+) -> None:
+    model = built(LIFT, awake=awake)
     edits = edits_of(mode)
     plain, polished = (
         painter.apply(painter.encode(SPLATS), edits, mode=mode)
@@ -298,7 +301,7 @@ def test_polish_brings_the_picture_nearer_and_reaches_no_other_row(mode: Mode, p
     )
     inside = disk(CAMERA, 32, 32, 7) if mode == "local" else np.ones((SIZE, SIZE), bool)
     scores = [db(render(a.splats, CAMERA).colors[0], edits[0].image, inside) for a in (plain, polished)]
-    assert scores[1] > scores[0] + 0.5
+    assert scores[1] >= scores[0] + gain_db
     assert set(receipt_of(polished).touched) <= set(receipt_of(plain).touched)
     assert len(plain.splats) == len(polished.splats)
     assert "polish" in receipt_of(polished).note and "polish" in receipt_of(polished).seconds

@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from splatpainter.transforms import (
     fibonacci_sphere,
+    inverses,
     matrix_to_quat,
+    principal_axes,
     quat_to_matrix,
     row_max,
     sh_basis,
@@ -30,6 +32,28 @@ def random_rotations(count: int) -> np.ndarray:
 def random_directions(count: int) -> np.ndarray:
     d = np.random.default_rng(3).normal(size=(count, 3))
     return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("flatness", [1.0, 1e-2, 1e-6, 0.0])
+def test_principal_axes_are_those_of_lapack(flatness: float) -> None:
+    rng = np.random.default_rng(5)
+    axes, scales = random_rotations(200), np.sort(rng.uniform(0.1, 3, (200, 3)), 1) * (flatness, 1, 1)
+    covariances = (axes * scales[:, None, :] ** 2) @ axes.transpose(0, 2, 1)
+    covariances[:4] = [np.zeros((3, 3)), np.eye(3), np.diag([3.0, 1, 2]), np.ones((3, 3))]
+    squares, result = principal_axes(covariances)
+    largest = np.maximum(squares[:, -1:], 1e-30)
+    np.testing.assert_allclose(squares / largest, np.linalg.eigvalsh(covariances) / largest, atol=1e-14)
+    np.testing.assert_allclose((result * squares[:, None, :]) @ result.transpose(0, 2, 1), covariances, atol=3e-14)
+    np.testing.assert_allclose(result.transpose(0, 2, 1) @ result, np.broadcast_to(np.eye(3), result.shape), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(result), 1, atol=1e-14)
+
+
+@pytest.mark.parametrize("size", [1, 4])
+def test_inverses_are_those_of_lapack(size: int) -> None:
+    half = np.random.default_rng(6).normal(size=(50, size, size))
+    matrices = half @ half.transpose(0, 2, 1) + 0.1 * np.eye(size)
+    np.testing.assert_allclose(inverses(matrices), np.linalg.inv(matrices), rtol=1e-9, atol=1e-9)
+    assert inverses(matrices.astype(np.float32)).dtype == np.float32
 
 
 def test_quaternions_of_any_norm_are_rotations_as_scipy_says() -> None:

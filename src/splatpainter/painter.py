@@ -299,7 +299,7 @@ class Painter:
         notes = [note, _beside(views) if mode != "global" else "", _beyond_limits(views, lifted.limited), lifted.note]
         if chosen == "ttt":
             assert self.model is not None
-            notes.append("polished: two rounds of the lift after the network" if self.polish else "")
+            notes.append("polished: two rounds of the lift after the network, where they help" if self.polish else "")
             if self.model.config.representation == "copy":
                 notes.append(f"the asset is a copy of {len(asset.splats)} Gaussians that the model made")
         # Those that a lift may have changed it names; a proof does not believe it.
@@ -510,15 +510,26 @@ class Painter:
     def _recolored(
         self, before: Splats, after: Splats, lifted: LiftedEdit, views: Sequence[EditView], mode: Mode
     ) -> Splats:
-        """Two rounds of the lift's colours on the Gaussians that the edit may change."""
+        """Two rounds of the lift's colours on the Gaussians that the edit may change; `after`, where these bring the
+        pictures no nearer."""
         from splatpainter.lift.colors import refine_colors_global, refine_colors_local
 
         if mode == "global":
-            return refine_colors_global(after, [(v.camera, v.edited, v.mask) for v in views])
-        editable = np.ones(len(after), bool)
-        editable[: len(before)] = False
-        editable[lifted.ids] = True
-        return refine_colors_local(after, [(v.camera, v.target) for v in views], editable)
+            recolored = refine_colors_global(after, [(v.camera, v.edited, v.mask) for v in views])
+        else:
+            editable = np.ones(len(after), bool)
+            editable[: len(before)] = False
+            editable[lifted.ids] = True
+            recolored = refine_colors_local(after, [(v.camera, v.target) for v in views], editable)
+        return recolored if _squared_error(recolored, views) < _squared_error(after, views) else after
+
+
+def _squared_error(splats: Splats, views: Sequence[EditView]) -> float:
+    """Sum over the edited pixels of all views."""
+    from splatpainter.rendering import render
+
+    errors = (np.clip(render(splats, v.camera).colors[0], 0, 1)[v.mask] - v.edited[v.mask] for v in views)
+    return sum(float(np.square(error).sum(dtype=np.float64)) for error in errors)
 
 
 @contextmanager

@@ -12,6 +12,8 @@ import numpy as np
 
 from splatpainter.splats import MIN_QUAT, SH_C0, Array
 
+JACOBI_SWEEPS = 6
+"""Off the diagonal of 3 x 3 matrices 1e-16 of the largest eigenvalue is left after five, at most."""
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Between neighbours of a Fibonacci lattice, radians."""
 
@@ -61,6 +63,49 @@ def matrix_to_quat(matrices: np.ndarray) -> np.ndarray:
     outer = [squares[:, 0], wx, wy, wz, wx, squares[:, 1], xy, xz, wy, xy, squares[:, 2], yz, wz, xz, yz, squares[:, 3]]
     quats = np.stack(outer, 1).reshape(-1, 4, 4)[np.arange(len(m)), squares.argmax(1)]
     return quats / np.linalg.norm(quats, axis=1, keepdims=True)
+
+
+def principal_axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of symmetric matrices [N, 3, 3]: (eigenvalues [N, 3], rising; right-handed axes [N, 3, 3], in columns), float64.
+
+    Cyclic Jacobi rotations (Golub and Van Loan, Matrix Computations, 8.5), each for all matrices at once: additions,
+    products and square roots alone, so that bits are the same on every machine, which LAPACK's are not.
+    """
+    values = np.array(covariances, np.float64)
+    axes = np.broadcast_to(np.eye(3), values.shape).copy()
+    for _ in range(JACOBI_SWEEPS):
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            off, half = values[:, p, q], (values[:, q, q] - values[:, p, p]) / 2
+            reach = np.abs(half) + np.sqrt(half * half + off * off)
+            tangent = np.where(half < 0, -off, off) / np.where(reach > 0, reach, 1)
+            cosine = (1 / np.sqrt(tangent * tangent + 1))[:, None]
+            sine = tangent[:, None] * cosine
+            for matrix in (values, values.transpose(0, 2, 1), axes):
+                one, other = matrix[:, :, p].copy(), matrix[:, :, q].copy()
+                matrix[:, :, p], matrix[:, :, q] = cosine * one - sine * other, sine * one + cosine * other
+    squares = values[:, range(3), range(3)]
+    order = np.argsort(squares, 1, kind="stable")
+    axes = np.take_along_axis(axes, order[:, None, :], 2)
+    axes[:, :, 0] = np.cross(axes[:, :, 1], axes[:, :, 2])
+    return np.take_along_axis(squares, order, 1), axes
+
+
+def inverses(matrices: np.ndarray) -> np.ndarray:
+    """[N, B, B] of symmetric positive definite matrices [N, B, B], in their dtype: Gauss-Jordan elimination in float64,
+    for all of them at once, with the same bits on every machine."""
+    left = np.array(matrices, np.float64)
+    count = left.shape[1]
+    out = np.broadcast_to(np.eye(count), left.shape).copy()
+    for k in range(count):
+        pivot = left[:, k, k, None].copy()
+        left[:, k] /= pivot
+        out[:, k] /= pivot
+        for j in range(count):
+            if j != k:
+                factor = left[:, j, k, None].copy()
+                left[:, j] -= factor * left[:, k]
+                out[:, j] -= factor * out[:, k]
+    return out.astype(matrices.dtype)
 
 
 def fibonacci_sphere(count: int, offset: float = 0.5) -> np.ndarray:

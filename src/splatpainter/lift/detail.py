@@ -19,7 +19,7 @@ from splatpainter.lift.depth_normals import SMOOTHING_PX, surface, surface_norma
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.splats import MAX_MAGNITUDE, Splats
-from splatpainter.transforms import matrix_to_quat
+from splatpainter.transforms import matrix_to_quat, principal_axes
 
 REACHES_PX = (0.4, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Half lengths and half widths of what a detail Gaussian covers, pixels; ..."""
@@ -134,8 +134,7 @@ def _axes(
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
     ends.append((DETAIL_THICKNESS * np.minimum(along, across) * unit)[:, None] * flat)
     conjugate = np.stack(ends, 2)
-    squares, axes = np.linalg.eigh(conjugate @ conjugate.transpose(0, 2, 1))
-    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    squares, axes = principal_axes(conjugate @ conjugate.transpose(0, 2, 1))
     return np.einsum("ji,njk->nik", camera.world_to_camera[:3, :3], axes), np.sqrt(np.maximum(squares, 1e-30))
 
 

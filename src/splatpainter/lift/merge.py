@@ -16,7 +16,7 @@ from numba import njit
 from splatpainter.cameras import Camera
 from splatpainter.rendering.profiles import EPS2D, MIN_ALPHA
 from splatpainter.splats import Splats
-from splatpainter.transforms import matrix_to_quat, quat_to_matrix
+from splatpainter.transforms import matrix_to_quat, principal_axes, quat_to_matrix
 
 ROUNDS = 12
 """Rounds of pairs, at most; ..."""
@@ -80,7 +80,7 @@ class _Mixture:
         order = np.argsort(keys, kind="stable")
         blurred = self.covariances + BLUR_PX**2 * np.eye(3)
         masses = self.peaks * self.areas()
-        log_volumes = np.log(np.linalg.det(blurred))
+        log_volumes = np.log(_determinants(blurred))
         out = np.full(len(self), -1, np.int64)
         points, colors, pixels, slots = self.points[order], self.colors[order], self.pixels[order], self.slots[order]
         shapes = (points, blurred[order], log_volumes[order], masses[order])
@@ -226,16 +226,30 @@ def _jacobians(points: np.ndarray, z: np.ndarray, camera: Camera) -> np.ndarray:
     return out
 
 
+def _inverse_jacobians(points: np.ndarray, z: np.ndarray, camera: Camera) -> np.ndarray:
+    """[M, 3, 3] inverses of `_jacobians`, which are triangular."""
+    out = np.zeros((len(z), 3, 3))
+    out[:, 0, 0], out[:, 1, 1], out[:, 2, 2] = z / camera.fx, z / camera.fy, z / camera.fx
+    out[:, 0, 2] = points[:, 0] / camera.fx * out[:, 2, 2]
+    out[:, 1, 2] = points[:, 1] / camera.fy * out[:, 2, 2]
+    return out
+
+
+def _determinants(m: np.ndarray) -> np.ndarray:
+    """[M] of symmetric matrices [M, 3, 3]."""
+    xx, yy, zz, xy, xz, yz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], m[:, 0, 1], m[:, 0, 2], m[:, 1, 2]
+    return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+
+
 def _world_space(mixture: _Mixture, ids: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """([K, 3] means, [K, 4] quats, [K, 3] scales) of some of the mixture."""
     points = mixture.points[ids]
     z = np.exp(points[:, 2] / camera.fx)
     before_camera = np.stack([points[:, 0] / camera.fx * z, points[:, 1] / camera.fy * z, z], 1)
-    back = np.linalg.inv(_jacobians(points, z, camera))
+    back = _inverse_jacobians(points, z, camera)
     turn = camera.world_to_camera[:3, :3]
     covariances = turn.T @ (back @ mixture.covariances[ids] @ back.transpose(0, 2, 1)) @ turn
-    squares, axes = np.linalg.eigh(covariances)
-    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    squares, axes = principal_axes(covariances)
     scales = np.sqrt(np.maximum(squares, MIN_FLATNESS**2 * squares[:, -1:]))
     return (before_camera - camera.world_to_camera[:3, 3]) @ turn, matrix_to_quat(axes), scales
 

@@ -38,7 +38,7 @@ from splatpainter.lift.views_around import views_around
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import SH_C0, Splats, changed_rows
-from splatpainter.transforms import sh_basis
+from splatpainter.transforms import inverses, sh_basis
 
 GEOMETRY = ("means", "scales", "quats", "opacities")
 RATE_SCALES = 1.5e-2
@@ -208,7 +208,7 @@ def _recolored(
     for k in range(1, bands):
         divisor[:, k, k] += SH_C0**2 * np.maximum(DIRECTION_RIDGE * (weight + slow), MIN_DIVISOR)
     rows = np.flatnonzero(visible > MIN_SEEN_PX)
-    steps = np.linalg.inv(divisor[rows])
+    steps = inverses(divisor[rows])
     change = np.zeros((count, bands, 3), np.float32)
     for _ in range(options.rounds):
         gain = np.zeros_like(change)
