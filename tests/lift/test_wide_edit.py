@@ -12,15 +12,18 @@ from PIL import Image
 import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.fit import edited as fit_module
+from splatpainter.lift import edits as edits_module
 from splatpainter.lift import wide_edit
 from splatpainter.lift.edit_views import EditView, edit_views
-from splatpainter.lift.masks import changed_throughout
+from splatpainter.lift.masks import changed_throughout, median_change
 from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lift.wide_edit import WideLift, lift_wide
 from splatpainter.metrics import psnr
 from splatpainter.painter import Asset, Edit, Painter
 from splatpainter.rendering.cpu.projected_view import tiles_of_mask
 from splatpainter.splats import SH_C0, Splats, rows_sha256
+from splatpainter.surface.estimate import Surface
+from splatpainter.voxels.grid import voxelize
 from tests.support.lift_scenes import front, sheet
 
 PX = 64
@@ -180,6 +183,36 @@ def test_paint_and_noise_are_not_taken_for_detail(asset, views) -> None:
     assert not changed_throughout(np.asarray(Image.open(file), np.float32) / 255, before, alpha)
     assert not changed_throughout(before, before, np.zeros_like(alpha))
     assert changed_throughout(views[0].edited, views[0].before, np.ones((PX, PX), np.float32))
+
+
+def test_fine_detail_is_told_from_noise_and_jpeg() -> None:
+    """Stripes that averaging over 9 x 9 pixels takes away; noise as strong, and what JPEG leaves of a textured view."""
+    camera, splats = front(2 * PX), sheet(40, opacity=0.95)
+    before, alpha = picture(splats, camera), np.asarray(sp.render(splats, camera).alphas[0, ..., 0])
+    stripes = 0.06 * np.sin(np.arange(2 * PX) * 1.2)[None, :, None]
+    noise = np.random.default_rng(2).normal(0, 0.06, before.shape)
+    assert changed_throughout(np.clip(before + stripes, 0, 1), before, alpha)
+    assert not changed_throughout(np.clip(before + noise, 0, 1), before, alpha)
+    busy = np.clip(before + stripes, 0, 1)
+    for quality in (50, 75):
+        file = io.BytesIO()
+        Image.fromarray((busy * 255).astype(np.uint8)).save(file, "JPEG", quality=quality)
+        assert not changed_throughout(np.asarray(Image.open(file), np.float32) / 255, busy, alpha)
+
+
+def test_strong_detail_of_fine_gaussians_is_no_new_paint(monkeypatch) -> None:
+    """Stripes finer than the Gaussians, and the same view with its colours exchanged: both differ from it by 0.2."""
+    splats, camera = sheet(40, opacity=0.95), front(PX)
+    before, calls = picture(splats, camera), []
+    monkeypatch.setattr(edits_module, "lift_wide", lambda *given: calls.append(given) or lift_wide(*given))
+    grid = voxelize(splats, 32)
+    stripes = np.clip(before + 0.3 * np.sign(np.sin(np.arange(PX) * 2.1))[None, :, None], 0, 1)
+    for edited, is_detail in ((stripes, True), (before[..., [1, 2, 0]], False)):
+        calls.clear()
+        view = edit_views(splats, [camera], [edited], [np.ones((PX, PX), bool)])[0]
+        assert median_change(edited, before, np.asarray(view.alpha)) > edits_module.MIN_REPAINTED
+        edits_module.lift_local_views(splats, grid, [view], "lift", features=False, surface=Surface.of(splats))
+        assert bool(calls) == is_detail
 
 
 def test_a_view_beside_the_asset_is_named(asset, views) -> None:

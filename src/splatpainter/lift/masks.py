@@ -20,6 +20,14 @@ MIN_SMOOTH_SHARE = 0.6
 """What averaging over 9 x 9 pixels leaves of the median difference, at least: noise averages out, other detail less."""
 MIN_SMOOTH_SHARE_LARGE, LARGE_MEDIAN_CHANGE = 0.52, 4.4 / 255
 """The same where the median difference is larger than JPEG's mostly is."""
+RISE, MIN_RISEN_SHARE = 1.1, 0.75
+"""Detail is added where contrast, a mean over 9 x 9 pixels, is RISE times what it was; and the share of the asset's
+pixels where it is, from which all of the picture was made anew. JPEG takes detail away, or adds some to what is flat.
+Where the median difference is large, JPEG of quality 30 to 90 of renders and of painted renders has at most 0.60,
+close-ups of the truth whose change averages out 0.94 and more."""
+MIN_FINE_SHARE = 0.5
+"""What averaging over 3 x 3 pixels leaves of the median difference, where detail is added: of noise it leaves a
+third."""
 
 
 def change_mask(edited: np.ndarray, render: np.ndarray) -> np.ndarray:
@@ -59,15 +67,27 @@ def changed_throughout(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray
     """Whether a picture differs from the render nearly everywhere on the asset, and by more than a camera's or JPEG's
     noise: it was sharpened, upscaled, relit or made anew, not painted on. edited, render: [H, W, 3]; alpha: [H, W].
 
-    Of 28 meshes: 93 % of the close-ups made from a finer asset, no painted view as PNG, 3 of 28 as JPEG of quality 50
-    to 90, no render as such JPEG."""
+    A change of colours lasts where it is averaged over 9 x 9 pixels; detail need not, but there is more of it. Of 18
+    training meshes, fitted and sampled: all close-ups of the truth (without the second rule 72 %), no painted view as
+    PNG, 2 % of them as JPEG of quality 50 to 90, no render as such JPEG or with noise."""
     solid = alpha > 0.9
     median = median_change(edited, render, alpha)
     if median < MIN_MEDIAN_CHANGE:
         return False
-    smooth = largest_channel(np.abs(box_mean(np.clip(edited, 0, 1) - np.clip(render, 0, 1), 4)))[solid]
+    edited, render = np.clip(edited, 0, 1), np.clip(render, 0, 1)
+    smooth = largest_channel(np.abs(box_mean(edited - render, 4)))[solid]
     share = MIN_SMOOTH_SHARE if median < LARGE_MEDIAN_CHANGE else MIN_SMOOTH_SHARE_LARGE
-    return float(np.quantile(smooth, 0.75)) > MIN_UPPER_CHANGE and float(np.median(smooth)) > share * median
+    if float(np.quantile(smooth, 0.75)) > MIN_UPPER_CHANGE and float(np.median(smooth)) > share * median:
+        return True
+    return median >= LARGE_MEDIAN_CHANGE and _more_detailed(edited, render, solid, median)
+
+
+def _more_detailed(edited: np.ndarray, render: np.ndarray, solid: np.ndarray, median: float) -> bool:
+    """Whether a picture has more detail than the render nearly everywhere, and more than noise. solid: [H, W] bool the
+    asset's pixels; median: of the difference there."""
+    fine = float(np.median(largest_channel(np.abs(box_mean(edited - render, 1)))[solid]))
+    before, after = (box_mean(_contrast(image), 4)[solid] for image in (render, edited))
+    return fine > MIN_FINE_SHARE * median and float((after > RISE * before).mean()) >= MIN_RISEN_SHARE
 
 
 def median_change(edited: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> float:
