@@ -108,7 +108,8 @@ def test_fast_weights_go_on_to_the_next_step_and_polish_comes_after_the_network(
     assert second.setup_seconds == 0
     assert not torch.equal(second.state.encoding.state.blocks[0].w0, state.w0)
     task = work(dab(thing(), RED))
-    plain, polished = (row_of(name).edit(task, budget) for name in ("ttt", "ttt-polish"))
+    far = Budget(weights={"compact": saved(built(LIFT, awake=25 * AWAKE), tmp_path / "far")})  # leaves much to polish
+    plain, polished = (row_of(name).edit(task, far) for name in ("ttt", "ttt-polish"))
     errors = [db(render(d.splats, CAMERA).colors[0], task.step.edited.colors[0]) for d in (plain, polished)]
     assert errors[1] > errors[0] and "polished" in polished.note
 
