@@ -108,6 +108,8 @@ def _use(config: ModelConfig, gain: Mapping[str, float]) -> str:
     lines = [
         f"{mode} edits: {value:+.2f} dB over the lift, so `auto` uses {_method(value)}" for mode, value in gain.items()
     ]
+    if not config.edits_locally:
+        lines.append("local edits are the lift's: Stage II has learnt global ones alone")
     return f"""
 ## Use
 

@@ -30,6 +30,7 @@ from splatpainter.data.row_assets import ASSET_KINDS, AssetKind
 from splatpainter.data.row_edits import EditKind, RowEdit, RowEditStream
 from splatpainter.metrics.bootstrap import interval
 from splatpainter.models.cache import cache_folder
+from splatpainter.train.recipes import Carrier
 from splatpainter.train.stages.rows import RowsTask, fixed_ridge, unseen
 
 VIEWS = (1, 2, 4)
@@ -43,16 +44,16 @@ CURVE_EVERY = 6
 """Every so many relit edits are judged for the curve."""
 CHANGED = (("strength 0", 0.0, False), ("another edit", None, True))
 """(label, edit strength, whether the memory is another edit's) of what Stage II is asked besides."""
-SHIPPED = "predictor, shipped"
+SHIPPED, SHIPPED_STAGE2 = "predictor, shipped", "TTT, shipped"
 CURVE_WIDTH_PX = 900
 NOTES = (
     "PSNR in dB of base colours of the Gaussians that no picture shows, means over edits of held-out objects. "
     "`nothing`: no change. `ridge on fixed features`: the lift's regression, untrained, on all Gaussians that are "
     "shown; the others are shown 512 of them. `Mesa`: the predictor's network. "
-    "`shipped`: the predictor of the package, trained elsewhere and longer. Carriers of Stage II are one network with "
-    "another memory each. `strength 0`: the same weights without adaptation; `another edit`: with the memory that "
-    "another light on the same asset leaves. `low`, `high`: middle 95 % of bootstrap means over objects, of all relit "
-    "edits. CPU seconds: of training steps, one thread.",
+    "`shipped`: the predictor and Stage II of the package, trained elsewhere and longer. Carriers of Stage II are one "
+    "network with another memory each. `strength 0`: the same weights without adaptation; `another edit`: with the "
+    "memory that another light on the same asset leaves. `low`, `high`: middle 95 % of bootstrap means over objects, "
+    "of all relit edits. CPU seconds: of training steps, one thread.",
 )
 Folder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 
@@ -238,7 +239,7 @@ def in_views_of(other: RowEdit, edit: RowEdit) -> RowEdit:
 def all_scores(edits: Sequence[HeldEdit], contestants: Sequence[Contestant]) -> list[EditScore]:
     """Every carrier on every edit."""
     scores: list[EditScore] = []
-    task, shipped = contestants[0].task, _shipped()
+    task, shipped, adapting = contestants[0].task, _shipped("predictor"), _shipped("stage2")
 
     def add(carrier: str, number: int, answer: Tensor | None, moved: float | None = None) -> None:
         edit = edits[number].edit
@@ -250,20 +251,26 @@ def all_scores(edits: Sequence[HeldEdit], contestants: Sequence[Contestant]) -> 
         add("ridge on fixed features", number, fixed_ridge(held.edit))
         if shipped is not None:
             add(SHIPPED, number, shipped.answer(held.edit))
+
+    def add_all(carrier: str, carrier_task: RowsTask) -> None:
+        for number, held in enumerate(edits):
+            answer = held.ask(carrier_task)
+            add(carrier, number, answer)
+            for label, strength, swapped in CHANGED:
+                # The predictor has no strength, and without its memory cross-attention has nothing to read.
+                if carrier == MESA or held.edit.kind != "relight":
+                    continue
+                if carrier == "cross-attention" and not swapped:
+                    continue
+                changed = held.ask(carrier_task, strength, swapped)
+                add(f"{carrier}: {label}", number, changed, relative(changed, answer))
+
+    if adapting is not None:
+        add_all(SHIPPED_STAGE2, adapting)
     for one in contestants:
         one.task.eval()
         with one.average.used_by(one.task), torch.no_grad():
-            for number, held in enumerate(edits):
-                answer = held.ask(one.task)
-                add(one.name, number, answer)
-                for label, strength, swapped in CHANGED:
-                    # The predictor has no strength, and without its memory cross-attention has nothing to read.
-                    if one.name == MESA or held.edit.kind != "relight":
-                        continue
-                    if one.name == "cross-attention" and not swapped:
-                        continue
-                    changed = held.ask(one.task, strength, swapped)
-                    add(f"{one.name}: {label}", number, changed, relative(changed, answer))
+            add_all(one.name, one.task)
     return scores
 
 
@@ -295,7 +302,7 @@ def means(scores: Sequence[EditScore], seconds: dict[str, float], seed: int = 0)
 def remarks(scores: Sequence[EditScore], contestants: Sequence[Contestant]) -> list[str]:
     """What the figures say about adaptation, and what the training was."""
     lines = []
-    for name in STAGE2:
+    for name in (SHIPPED_STAGE2, *STAGE2):
         adapted = {s.edit: s.psnr for s in scores if s.carrier == name and s.kind == "relight"}
         for label, _, _ in CHANGED:
             part = [s for s in scores if s.carrier == f"{name}: {label}" and s.kind == "relight"]
@@ -313,15 +320,17 @@ def remarks(scores: Sequence[EditScore], contestants: Sequence[Contestant]) -> l
     return lines
 
 
-def _shipped() -> RowsTask | None:
-    """The predictor of the package; None where there is none."""
+def _shipped(carrier: Carrier) -> RowsTask | None:
+    """The predictor or Stage II of the package; None where there is none that is asked row by row."""
     from splatpainter.models import weights
     from splatpainter.models.model import SplatPainterModel
     from splatpainter.train.stages.rows import RowOptions
 
     folder = weights.find("compact")
     model = None if folder is None else SplatPainterModel.load(folder)
-    return None if model is None or model.predictor is None else RowsTask(model, RowOptions("predictor")).eval()
+    if model is None or (model.predictor is None if carrier == "predictor" else model.config.edits_locally):
+        return None
+    return RowsTask(model, RowOptions(carrier)).eval()
 
 
 def _check(config: AdaptBench) -> Path:

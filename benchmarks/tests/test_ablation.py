@@ -18,6 +18,7 @@ from splatbench.tables import ablation as ablate
 
 from splatpainter.data.shards import INDEX
 from splatpainter.lift.options import LocalOptions
+from splatpainter.models import weights
 from splatpainter.models.image_tokens import tokenize
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.nn import fast_weights
@@ -233,6 +234,13 @@ def test_a_setting_that_is_the_weights_own_is_not_run_twice(tmp_path: Path) -> N
     versions = {m.version(budget) for m in ablations.METHODS}
     assert len(versions) == len(ablations.METHODS)
     assert ROWS["same-strength-2"].missing(Budget(weights={"compact": str(tmp_path)})).startswith("no weights: ")
+    # Of the shipped weights Stage II makes none of the edits; of preset "rows" all global ones.
+    runs = {
+        preset: {m.name for m in ablations.METHODS if not m.missing(Budget(weights={"compact": str(folder)}))}
+        for preset in ("compact", "rows")
+        if (folder := weights.find(preset))
+    }
+    assert runs["compact"] == {"same-no-predictor"} and {"same-strength-0", "same-inner-steps-5"} < runs["rows"]
 
 
 def test_a_row_runs_end_to_end_and_differs_from_the_weights_own_settings(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from splatbench import adapt, adapt_carriers
-from splatbench.adapt import AdaptBench, EditScore, means, relative, remarks
+from splatbench.adapt import SHIPPED, SHIPPED_STAGE2, AdaptBench, EditScore, means, relative, remarks
 from splatbench.adapt_carriers import MESA, TRAINED, contestant
 
 from splatpainter.data import row_assets, row_edits
@@ -34,7 +34,7 @@ def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr(row_edits, "LIGHTS", 6)
     monkeypatch.setattr(adapt, "STOPS", (0.5, 1.0))
     monkeypatch.setattr(adapt, "MIN_UNSEEN", 8)
-    monkeypatch.setattr(weights, "find", lambda preset, *more: None)
+    monkeypatch.setattr(weights, "find", lambda preset, *more: tmp_path / "encoder")
     monkeypatch.setenv("SPLATPAINTER_CACHE", str(tmp_path / "cache"))
     torch.manual_seed(0)
     SplatPainterModel(TINY_RECIPE.model).save(tmp_path / "encoder", dtype="float32")
@@ -59,6 +59,7 @@ def test_from_start_to_end(tiny: Path) -> None:
     rows = adapt.run(config)
     names = [row.carrier for row in rows]
     assert names[:2] == ["nothing", "ridge on fixed features"] and set(chosen) < set(names)
+    assert {SHIPPED, SHIPPED_STAGE2, f"{SHIPPED_STAGE2}: another edit"} < set(names)
     assert f"{chosen[1]}: strength 0" in names and f"{MESA}: strength 0" not in names
     spent = {row.carrier: row.cpu_seconds for row in rows if row.cpu_seconds is not None}
     assert set(spent) == set(chosen) and all(0.2 <= seconds < 1.5 for seconds in spent.values())

@@ -99,6 +99,14 @@ def test_untrained_weights_on_the_lift_are_the_lift(tmp_path: Path, mode: Mode) 
     assert {"seconds_encode", "seconds_ttt"} <= set(ours.numbers)
 
 
+def test_weights_that_leave_local_edits_to_the_lift_have_no_row_there(tmp_path: Path) -> None:
+    config = with_refine(LIFT, answers="teachers", picture_tokens=False, row_tokens=64, base="own")
+    budget = Budget(weights={"compact": saved(built(config), tmp_path)})
+    with pytest.raises(ValueError, match="in global edits alone"):
+        row_of("ttt").edit(work(dab(thing(), GREEN)), budget)
+    assert row_of("ttt").edit(work(grade(thing()), "global"), budget).note == ""
+
+
 def test_fast_weights_go_on_to_the_next_step_and_polish_comes_after_the_network(tmp_path: Path) -> None:
     budget = Budget(weights={"compact": saved(built(LIFT, awake=AWAKE), tmp_path)})
     first = row_of("ttt").edit(work(grade(thing()), "global"), budget)

@@ -40,6 +40,8 @@ Method = Literal["auto", "ttt", "lift", "fit"]
 MAX_VIEWS = 16
 LOW_ASIDE_DB = 20.0
 """Paint that scores less from the side is said to; sound paint on 24 held-out meshes has 29 on average."""
+NOT_LOCAL = "Stage II of these weights answers what pictures do not show, in global edits alone: the analytic lift"
+"""Why a local edit is the lift's, whatever was asked for (ModelConfig.edits_locally)."""
 MIN_ASIDE_COVERED = 0.25
 """Share of the paint that side views must be able to check for that."""
 
@@ -238,7 +240,8 @@ class Painter:
         """Whether edits by this method, not "auto", are made on an encoded asset."""
         if method != "ttt" or self.model is None:
             return False
-        return mode == "local" or not self.model.config.predictor_only
+        config = self.model.config
+        return config.edits_locally if mode == "local" else not config.predictor_only
 
     def apply(self, asset: Asset, edits: Sequence[Edit], mode: Mode = "local", method: Method = "auto") -> Asset:
         """The asset after 1..16 edits; `asset` itself does not change. Later edits win where edits conflict.
@@ -352,7 +355,8 @@ class Painter:
     def choose(self, method: Method, mode: Mode) -> tuple[Method, str]:
         """What `apply` does for a method: (method, never "auto", and the one line that says why). Weights whose notes
         hold `gain`, {mode: dB over the lift on objects kept out of training}, are used by "auto" only where that is
-        above 0. Raises ValueError for a method that is not known, or needs a model."""
+        above 0; a Stage II that has learnt global edits alone makes no local ones. Raises ValueError for a method that
+        is not known, or needs a model."""
         if method == "ttt" and self.model is None:
             raise ValueError(
                 "method 'ttt' needs a preset with trained weights; use method 'lift' or 'auto' without them"
@@ -361,6 +365,9 @@ class Painter:
             if method not in ("auto", "lift"):
                 raise ValueError(f"method: mode spread is made by the lift alone, got {method!r}")
             return "lift", "mode spread: the analytic lift"
+        networks = method == "ttt" or (method == "auto" and not self.why)
+        if mode == "local" and networks and self.model is not None and not self.model.config.edits_locally:
+            return "lift", NOT_LOCAL
         if method == "auto":
             if self.model is not None and not self.why:
                 gain = self.model.notes.get("gain", {}).get(mode)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.lighting import prt_transfer
-from splatpainter.models import checkpoint, weights
+from splatpainter.models import weights
 from splatpainter.models.carry import EncodedGaussians, carry, carrying
 from splatpainter.models.compress import LatentScale
 from splatpainter.models.config import ModelConfig, RefineConfig
@@ -20,7 +20,7 @@ from splatpainter.models.decode import color_change
 from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.model import GaussianInputs, SplatPainterModel
 from splatpainter.models.refine import position_waves, unit_rms
-from splatpainter.painter import Edit, Painter
+from splatpainter.painter import NOT_LOCAL, Edit, Painter
 from splatpainter.splats import Splats
 from tests.lift.test_global import FRONT, SIDE, ball, draw, regraded
 from tests.support.model_scenes import with_refine
@@ -151,9 +151,6 @@ def test_a_painter_predicts_what_no_view_shows_by_stage_two() -> None:
     for name in ("means", "quats", "scales", "opacities"):
         np.testing.assert_array_equal(getattr(adapted.splats, name), getattr(splats, name))
     assert adapted.receipt is not None and adapted.receipt.method == "ttt"
-    # Local edits run through the same Stage II.
-    local = painter.apply(painter.encode(splats, "ttt"), [Edit(draw(regraded(splats), SIDE), SIDE)], "local", "ttt")
-    assert len(local.splats) >= 300
 
 
 def test_terms_have_rms_one() -> None:
@@ -203,67 +200,86 @@ def test_an_absolute_decoder_tells_no_change() -> None:
 
 
 @cache
-def shipped() -> tuple[Encoded, Splats]:
-    folder = weights.PACKAGED / "compact"
-    splats = ball(400)
-    with torch.no_grad():
-        return encode_asset(SplatPainterModel.load(folder), splats), splats
-
-
-@pytest.mark.parametrize(("inputs", "repaired"), [("raw", False), ("normalised", True)])
-def test_gaussians_differ_in_what_the_shipped_stage_two_reads(inputs: str, repaired: bool, float32: None) -> None:
-    """The first weights' latents hardly differ between Gaussians; inputs that are centred and scaled do."""
-    saved = checkpoint.load(weights.PACKAGED / "compact")
-    config = replace(saved.config, refine=replace(saved.config.refine, inputs=inputs))
-    with torch.device("meta"):
-        made = SplatPainterModel(config)
-    checkpoint.fill(made, saved.tensors)
-    encoded, splats = shipped()
-    order = encoded.latents.groups.order
-    gray = torch.full((len(order), 13), 0.5)
-    means = torch.from_numpy(splats.means[order])
-    with torch.no_grad():
-        values = made.prepared(encoded.latents, np.arange(len(order)), GaussianInputs(gray, None, means, None))
-        shares = [between(values)]
-        state = made.initial_state()
-        for block, memory in zip(made.refiner.blocks, state.blocks, strict=True):
-            queries = block.mixer.ttt.queries["voxel"](block.norm_rows(values))  # type: ignore[union-attr]
-            shares += [between(queries)]
-            values = block.read(memory, values)  # type: ignore[operator]
-            shares += [between(values)]
-    shares.pop()  # nothing asks a memory with what the last block gives
-    assert (min(shares) >= MIN_SHARE) == repaired, shares
-
-
-def test_adaptation_of_the_shipped_stage_two_moves_what_it_adds(float32: None) -> None:
-    """Of preset "rows": without adaptation, and after another edit, the added colours are others."""
-    made = weights.load("rows")
-    assert made.config.carries and made.config.refine.inputs == "normalised"
-    _, splats = shipped()
+def shipped() -> tuple[SplatPainterModel, EncodedGaussians]:
+    """The weights of the package, and a ball of 400 Gaussians encoded for them."""
+    made, splats = weights.load("compact"), ball(400)
     with torch.no_grad():
         encoded = encode_asset(made, splats)
     normals = outward_normals(splats)
     transfer = prt_transfer(splats.means, normals)
-    gaussians = EncodedGaussians.of(made, encoded.latents, encoded.latent_ids, splats, normals, transfer)
-    lift = torch.cat([gaussians.colors, gaussians.colors, torch.zeros(len(splats), 1)], 1)
-    lift = torch.cat([lift, gaussians.colors, gaussians.normals], 1)
+    return made, EncodedGaussians.of(made, encoded.latents, encoded.latent_ids, splats, normals, transfer)
+
+
+def test_gaussians_differ_in_what_the_shipped_stage_two_reads(float32: None) -> None:
+    made, gaussians = shipped()
+    assert made.config.refine.inputs == "normalised" and made.config.refine.answers == "teachers"
+    unseen = torch.zeros(len(gaussians.colors), 1)
+    lift = torch.cat([gaussians.colors, gaussians.colors, unseen, gaussians.colors, gaussians.normals], 1)
     inputs = GaussianInputs(lift, None, gaussians.means, gaussians.facts)
     with torch.no_grad():
-        values, shares = made.prepared(encoded.latents, encoded.latent_ids, inputs), []
+        values, shares = made.prepared(gaussians.latents, gaussians.latent_ids, inputs), []
         for block, memory in zip(made.refiner.blocks, made.initial_state().blocks, strict=True):
             queries = block.mixer.ttt.queries["voxel"](block.norm_rows(values))  # type: ignore[union-attr]
             shares += [between(values), between(queries)]
             values = block.read(memory, values)  # type: ignore[operator]
     assert min(shares) >= MIN_SHARE, shares
-    seen = torch.from_numpy(np.flatnonzero(normals[:, 2] > 0))
-    hidden = torch.from_numpy(np.flatnonzero(normals[:, 2] <= 0))
+
+
+def test_adaptation_of_the_shipped_stage_two_moves_what_it_adds(float32: None) -> None:
+    """Without adaptation, and after another edit, the added colours are others."""
+    made, gaussians = shipped()
+    facing = gaussians.normals[:, 2]
+    seen, hidden = torch.nonzero(facing > 0)[:, 0], torch.nonzero(facing <= 0)[:, 0]
+    pixels = torch.full((len(facing),), 9.0)
     answers = []
     for light, strength in (((0.3, 0.9, 0.3), None), ((0.3, 0.9, 0.3), 0.0), ((-0.9, -0.3, 0.3), None)):
-        lit = torch.from_numpy(normals @ np.array(light, np.float32)).clamp_min(0)[:, None]
+        lit = (gaussians.normals @ torch.tensor(light)).clamp_min(0)[:, None]
         change = gaussians.colors * (0.3 + lit * torch.tensor([1.2, 1.0, 0.8])) - gaussians.colors
-        pixels = torch.full((len(splats),), 9.0)
         with torch.no_grad():
             answers.append(carry(made, gaussians, change, pixels, seen, hidden, strength))
     for other in answers[1:]:
         share = float((other - answers[0]).square().mean().sqrt() / answers[0].square().mean().sqrt())
         assert share >= MIN_MOVED, share
+
+
+def test_preset_rows_is_compact_without_its_predictor() -> None:
+    compact, rows = shipped()[0], weights.load("rows")
+    assert rows.config == replace(compact.config, preset="rows", predict=rows.config.predict)
+    assert rows.config.carries and rows.predictor is None and compact.config.predictor_only
+    parts = compact.state_dict()
+    assert all(torch.equal(tensor, parts[name]) for name, tensor in rows.state_dict().items())
+    assert not list((weights.PACKAGED / "rows").glob("weights-*")), "no tensor of its own"
+
+
+def test_global_edits_of_the_shipped_weights_are_the_predictors_or_stage_twos() -> None:
+    """`auto` does not read Stage II; preset "rows" reads nothing else beyond the lift."""
+    splats = ball(300)
+    view = Edit(draw(regraded(splats), FRONT), FRONT)
+    colors = {}
+    for preset in ("compact", "rows"):
+        made = weights.load(preset)
+        for awake in (True, False):
+            if not awake:
+                torch.nn.init.zeros_(made.head.linear.weight)
+            painter = Painter(model=made)
+            result = painter.apply(painter.encode(splats, "ttt", ("global",)), [view], "global", "ttt")
+            assert result.receipt is not None and result.receipt.method == "ttt"
+            colors[preset, awake] = result.splats.sh
+    np.testing.assert_array_equal(colors["compact", True], colors["compact", False])
+    assert np.abs(colors["rows", True] - colors["rows", False]).max() > 0.01
+    assert np.abs(colors["rows", True] - colors["compact", True]).max() > 0.01
+
+
+@pytest.mark.parametrize("preset", ["compact", "rows"])
+def test_local_edits_of_the_shipped_weights_are_the_lifts(preset: str) -> None:
+    splats = ball(300)
+    view = Edit(draw(regraded(splats), SIDE), SIDE, np.pad(np.ones((16, 16), bool), 40))
+    lift = Painter().apply(Painter().encode(splats), [view], "local", "lift")
+    painter = Painter(model=weights.load(preset))
+    for method in ("ttt", "auto"):
+        asset = painter.encode(splats, method, ("local",))
+        result = painter.apply(asset, [view], "local", method)
+        assert asset.encoding is None and result.receipt is not None and result.receipt.method == "lift"
+        assert NOT_LOCAL in result.receipt.note and "\n" not in result.receipt.note
+        for name in ("means", "quats", "scales", "opacities", "sh"):
+            np.testing.assert_array_equal(getattr(result.splats, name), getattr(lift.splats, name))

@@ -19,7 +19,7 @@ import tyro
 
 from splatpainter.cli import main
 from splatpainter.models import checkpoint
-from splatpainter.models.config import ModelConfig
+from splatpainter.models.config import ModelConfig, PredictConfig
 from splatpainter.models.model import SplatPainterModel
 from splatpainter.painter import Painter
 from splatpainter.train import judge, state
@@ -31,6 +31,13 @@ from tests.support.train_scenes import LIFT, RECIPE, SAMPLES, SMALL, model
 KINDS = {"stroke": 1.0, "relight": 2.0}
 JUDGED = replace(RECIPE, samples=replace(SAMPLES, surfels=800, kinds=KINDS))
 PLAIN = replace(SAMPLES, surfels=800, kinds={"plain": 1.0})
+ROWS = replace(
+    LIFT,
+    refine=replace(
+        LIFT.refine, inputs="normalised", answers="teachers", picture_tokens=False, row_tokens=64, base="own"
+    ),
+)
+"""A Stage II as `train rows` makes it."""
 SUPPLY = Supply("procedural:3", JUDGED.samples, 0, 0.1, ResourceFolders())
 COPY = replace(SMALL, representation="copy", preset="tiny-copy")
 
@@ -198,6 +205,25 @@ def test_the_command_writes_tables_notes_and_card(
     for part in ("# Model card: tiny", "Gaussian LRM | 94 | 1.00", "Stage II | 6 | 2.00", "an abacus; 3.0 hours"):
         assert part in output
     assert "| 0.375 | 0.375 |" in output and "are procedural" in output and "| relight | 2 | 1 | 1 |" in output
+
+
+def test_a_stage_two_of_global_edits_is_judged_by_those(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = weights(tmp_path / "model", replace(JUDGED, stage="rows", model=ROWS))
+    words = ["judge", folder, "--data", "procedural:3", "--device", "cpu", "--out", tmp_path / "out"]
+    assert run(*words, "--samples", 1, "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert {row["kind"] for row in record["rows"]} == {"relight", "global"} and set(record["gain"]) == {"global"}
+    assert run(*words, "--kinds", "stroke") == 2
+    assert "for weights that make global edits alone, got 'stroke'" in capsys.readouterr().err
+
+
+def test_a_predictor_that_stands_alone_is_judged_on_the_lift(held: list[Any]) -> None:
+    """Untrained it leaves the lift as it is, whatever Stage II would start from."""
+    config = replace(ROWS, predict=PredictConfig(features=8, hidden=16, alone=True))
+    task = judge.refine_task(replace(JUDGED, model=config), spoken(config), None)
+    relit = next(trial.sample for trial in held if trial.kind == "relight")
+    numbers = task.judge(relit).numbers
+    assert numbers["ours"] == pytest.approx(numbers["lift"], abs=1e-4) and numbers["gain"] == pytest.approx(0, abs=1e-4)
 
 
 @pytest.mark.parametrize(("stage", "config"), [("lrm", LIFT), ("compress", COPY), ("compress", LIFT)])

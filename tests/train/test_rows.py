@@ -20,9 +20,10 @@ from splatpainter.data.object_sources import ProceduralSource
 from splatpainter.data.row_assets import RowAssets
 from splatpainter.data.row_edits import RowEdit, RowEditStream
 from splatpainter.data.sample_recipes import SampleRecipe
-from splatpainter.models import checkpoint
+from splatpainter.models import checkpoint, weights
 from splatpainter.models.config import PredictConfig
 from splatpainter.models.model import SplatPainterModel
+from splatpainter.train import recipes
 from splatpainter.train.build import make_task, start
 from splatpainter.train.recipes import Recipe
 from splatpainter.train.stages.rows import RowOptions, RowsTask, fixed_ridge, judged, unseen
@@ -152,6 +153,16 @@ def test_the_stage_is_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[st
     (tmp_path / "nothing").mkdir()
     assert main([*words[:-4], "--data", str(tmp_path / "nothing"), "--out", str(tmp_path / "other")]) == 2
     assert "holds no mesh files" in capsys.readouterr().err
+
+
+def test_training_goes_on_from_the_shipped_weights() -> None:
+    lines: list[str] = []
+    folder = weights.PACKAGED / "compact"
+    start(recipes.load("compact", "rows"), folder, lines.append)
+    start(recipes.load("compact", "refine"), folder, lines.append, "compress")
+    assert ["refiner" in line for line in lines] == [True, False]
+    with pytest.raises(ValueError, match="learnt without pictures .* --from-stage compress"):
+        start(recipes.load("compact", "refine"), folder)
 
 
 def test_train_refine_leaves_it_to_rows() -> None:

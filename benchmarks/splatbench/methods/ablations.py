@@ -41,7 +41,9 @@ class Change:
         return dataclasses.replace(config, refine=dataclasses.replace(config.refine, **self.refine))
 
     def idle(self, config: ModelConfig) -> bool:
-        """Whether a model of this config has nothing to change."""
+        """Whether a model of this config has nothing to change, or makes all its edits without what is changed."""
+        if config.predictor_only and not config.edits_locally:
+            return PREDICTOR not in self.zeroed
         active = {
             "refiner.lift.weight": config.refine.lift_features,
             "refiner.drift.weight": config.refine.base == "lift",

@@ -96,7 +96,8 @@ class Weights:
             if index["format"] != self.config_class.format:
                 raise ValueError(f"expected format '{self.config_class.format}', got {index['format']!r}")
             config = self.config_class.from_json(json.dumps(index["config"]), INDEX)
-            text = json.dumps([index["config"], index["tensors"], index["shards"]], sort_keys=True)
+            parts = [index[key] for key in ("config", "tensors", "shards", "base") if key != "base" or key in index]
+            text = json.dumps(parts, sort_keys=True)
         except OSError as error:
             raise ValueError(f"expected a folder with {INDEX} and its shards ({error.strerror})") from None
         except (KeyError, TypeError, ValueError) as error:

@@ -236,14 +236,15 @@ def _painter(config: Config) -> Painter:
         from splatpainter.spread.options import SpreadOptions
 
         painter = replace(painter, spread_options=SpreadOptions(config.spread_threshold))
-    method = painter.choose(config.method, config.mode)[0]
+    method, why = painter.choose(config.method, config.mode)
     if method == "ttt" and painter.model is not None and painter.model.config.representation == "copy":
         raise ValueError(
             f"preset '{painter.preset}': paints on a copy of the asset (representation copy), of which no "
             "Gaussian could be verified; use it from Python, or a preset of representation native"
         )
     if config.polish and method != "ttt":
-        raise ValueError("splatpainter edit: --polish is for method ttt alone: it adds rounds of the lift")
+        reason = f" ({why})" if config.method == "ttt" else ""
+        raise ValueError(f"splatpainter edit: --polish is for method ttt alone: it adds rounds of the lift{reason}")
     return painter
 
 

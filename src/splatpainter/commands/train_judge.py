@@ -190,9 +190,12 @@ def _kinds(config: JudgeConfig, recipe: Recipe) -> dict[str, float]:
     from splatpainter.data.sample_recipes import GLOBAL, KINDS
 
     possible = [kind for kind in KINDS if (kind == "plain") != (recipe.stage == "refine")]
+    if recipe.stage == "refine" and not recipe.model.edits_locally:
+        possible = [kind for kind in possible if kind in GLOBAL]
     for kind in config.kinds:
         if kind not in possible:
-            raise ValueError(f"--kinds: expected some of {', '.join(possible)} for stage {recipe.stage}, got {kind!r}")
+            what = f"stage {recipe.stage}" if recipe.model.edits_locally else "weights that make global edits alone"
+            raise ValueError(f"--kinds: expected some of {', '.join(possible)} for {what}, got {kind!r}")
     stored = {kind: weight for kind, weight in recipe.samples.kinds.items() if weight > 0 and kind in possible}
     if recipe.model.predictor_only and not set(stored) & set(GLOBAL):  # Stage II does not train on them
         stored |= {kind: sum(stored.values()) * share for kind, share in (("relight", 0.75), ("regrade", 0.25))}

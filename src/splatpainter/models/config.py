@@ -256,12 +256,17 @@ class ModelConfig:
         return self.predict.alone and self.predict.features > 0 and self.representation == "native"
 
     @property
+    def edits_locally(self) -> bool:
+        """Whether Stage II makes local edits. One that only shown Gaussians teach (`train rows`) has learnt what
+        pictures do not show, in global edits alone: local ones are then the lift's."""
+        return self.refine.answers != "teachers" or self.refine.picture_tokens
+
+    @property
     def carries(self) -> bool:
         """Whether Stage II alone says what becomes of Gaussians that no picture of a global edit shows, in place of the
         lift's regression (models/carry.py)."""
         native = self.representation == "native" and self.decoder != "absolute"
-        teaches = self.refine.answers == "teachers" and not self.refine.picture_tokens
-        return native and teaches and not self.predictor_only
+        return native and not self.edits_locally and not self.predictor_only
 
     def to_json(self) -> str:
         """Every field, nested as here, two spaces per level."""
@@ -324,7 +329,8 @@ COMPACT = ModelConfig(
     predict=PredictConfig(features=64, alone=True),
     decoder="bounded",
 )
-"""What ships trained: one unified model for local and global edits, on two CPU cores. Stage II spends 1.7 MFLOP per
-Gaussian, so that a global edit of 100,000 Gaussians fits in 2.5 s also where only float32 is fast (AVX2)."""
+"""One unified model for local and global edits, on two CPU cores. Stage II spends 1.7 MFLOP per Gaussian, so that a
+global edit of 100,000 Gaussians fits in 2.5 s also where only float32 is fast (AVX2). What ships trained has this LRM,
+Stage I and predictor, and a smaller Stage II, for global edits alone (recipes/compact-rows.json)."""
 
 PRESETS = {"paper": PAPER, "compact": COMPACT}

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 VARIABLE = "SPLATPAINTER_WEIGHTS"
 """Environment variable: a folder with one folder of weights per preset, looked into before the package."""
 NAMES = (*PRESETS, "rows")
-"""Names under which weights are found: the presets, and "rows": `compact` with a Stage II that learnt without pictures
-and is the only carrier of global edits (models/carry.py), as the paper has it."""
+"""Names under which weights are found: the presets, and "rows": `compact` without its predictor, so that Stage II is
+the only carrier of global edits (models/carry.py), as the paper has it."""
 PACKAGED = Path(__file__).parents[1] / "weights"
 """The same for weights that come with the package."""
 

@@ -81,10 +81,14 @@ def start(recipe: Recipe, weights: Path | None, say: Say = print, until: Stage |
 
 
 def _stage_two_hint(stage: Stage, differing: Sequence[str]) -> str:
-    """What to do where only Stage II differs (lines of `state.differing_config`), such as the shipped one, whose inputs
-    are raw; "" elsewhere."""
+    """What to do where only Stage II differs (lines of `state.differing_config`), such as the shipped one, which learnt
+    without pictures; "" elsewhere."""
     if stage != "refine" or not all(line.startswith(("refine.", "decoder ")) for line in differing):
         return ""
+    if any(line.startswith("refine.picture_tokens False there") for line in differing):
+        return (
+            "; its Stage II learnt without pictures (train rows): train another on its encoder, --from-stage compress"
+        )
     words = [line.split("'") for line in differing if line.startswith("refine.inputs ")]
     same = f"--model.refine.inputs {words[0][1]}" if words and len(differing) == 1 else "the same settings"
     return f"; go on with {same}, or train a new Stage II on its encoder with --from-stage compress"

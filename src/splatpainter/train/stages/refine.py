@@ -142,10 +142,8 @@ class RefineTask(Task[SplatPainterModel]):
         lifted = self._start(sample, prepared, views, analytic=True)
         same = self.base == "lift" and (sample.mode == "local" or prepared.predict is None)
         start = lifted if same else self._start(sample, prepared, views)
-        config = self.model.config
-        alone = sample.mode == "global" and (config.predictor_only or config.carries)
         with self.arithmetic():
-            edited = start.splats if alone else self._refined(prepared, start, views)
+            edited = start.splats if self._predicted(sample) else self._refined(prepared, start, views)
         target = self._novel(sample, prepared, range(len(sample.novel_after.cameras)))
         near = np.flatnonzero(np.asarray(sample.near)) if sample.mode == "local" else np.arange(len(target.colors))
         if not len(near):
@@ -225,9 +223,13 @@ class RefineTask(Task[SplatPainterModel]):
         base = "lift" if analytic else self.base
         if sample.mode == "global":
             predict = None if analytic else prepared.predict
-            base = "lift" if self.model.config.carries else base
+            base = "lift" if self._predicted(sample) else base
             return lift_global_views(prepared.splats, views, base, normals=prepared.normals, predict=predict)
         return lift_local_views(prepared.splats, prepared.grid, views, base)
+
+    def _predicted(self, sample: Sample) -> bool:
+        """Whether the edit is the lift's with the model's prediction in place of its regression, and no more."""
+        return sample.mode == "global" and (self.model.config.predictor_only or self.model.config.carries)
 
     def _first(self, sample: Sample, rng: np.random.Generator) -> int:
         """How many of the views are an edit of their own, before the others."""
