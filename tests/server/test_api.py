@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +13,17 @@ import pytest
 from PIL import Image
 
 from splatpainter.io import read, write
+from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, verify
 from splatpainter.rendering import render
-from splatpainter.server import frames
+from splatpainter.server import describe, frames
 from splatpainter.server.commands import COMMANDS
 from splatpainter.server.image_registration import png_bytes
 from splatpainter.session import Session
 from splatpainter.splats import changed_rows, rows_sha256
 from splatpainter.video.mp4 import avif_samples
+from tests.support.model_scenes import with_refine
+from tests.support.painter_scenes import LIFT, built
 from tests.support.studio_scenes import Live, ball, dab, live, live_with_folder, make_studio, view, wire
 
 
@@ -27,6 +31,15 @@ from tests.support.studio_scenes import Live, ball, dab, live, live_with_folder,
 def studio(tmp_path: Path) -> Iterator[Live]:
     with live_with_folder(tmp_path) as served:
         yield served
+
+
+def test_the_network_is_offered_where_it_makes_something_of_its_own() -> None:
+    carrying = with_refine(LIFT, answers="teachers", picture_tokens=False, base="own", row_tokens=64)
+    predicting = replace(carrying, predict=replace(carrying.predict, features=8, alone=True))
+    for config, offered in ((None, False), (LIFT, True), (carrying, True), (predicting, False)):
+        painter = Painter() if config is None else Painter(model=built(config))
+        with Session(ball(50), painter=painter) as session:
+            assert ("ttt" in describe.methods(session)) == offered, config
 
 
 def edited(studio: Live, color=(0.9, 0.1, 0.1), camera=None) -> tuple[np.ndarray, np.ndarray]:
