@@ -92,8 +92,9 @@ def _anchors(before: Splats, lifted: Splats, like: Camera, options: EditFitOptio
     anchors = []
     for elevation, background in ELEVATIONS.items():
         cameras = orbit_cameras(before, options.views, size=size, elevation=elevation, background=background)
-        was, now = (render(splats, cameras).colors for splats in (before, lifted))
-        same = (np.abs(now - was).max(-1) < options.same)[..., None]
-        pictures = np.where(same, was, now)
+        pictures = was = render(before, cameras).colors
+        if lifted is not before:
+            now = render(lifted, cameras).colors
+            pictures = np.where((np.abs(now - was).max(-1) < options.same)[..., None], was, now)
         anchors += [TrainingView(c, p, weight=options.weight) for c, p in zip(cameras, pictures, strict=True)]
     return anchors

@@ -74,8 +74,9 @@ class Pass:
 class CpuPasses:
     """Passes by the CPU kernels. Keeps the gradients' memory from pass to pass: fresh pages cost more than maths."""
 
-    def __init__(self) -> None:
-        self._out: tuple[np.ndarray, ...] = ()
+    def __init__(self, colors: bool = True) -> None:
+        """colors: whether gradients have "sh", which is most of their memory."""
+        self._colors, self._out = colors, ()
 
     def __call__(
         self, splats: Splats, target: Target, custom_loss: CustomLoss | None, pull: bool, absolute: bool = False
@@ -89,10 +90,17 @@ class CpuPasses:
         loss, slope = _image_loss(image, target, custom_loss)
         nothing = np.zeros(shape, np.float32)
         sums = frame.rasterize_backward(ends, image, alpha, depth, slope, nothing, nothing)
-        if not self._out or self._out[0].shape != gaussians.means.shape or self._out[4].shape != gaussians.sh.shape:
-            self._out = tuple(np.empty_like(getattr(gaussians, name)) for name in ATTRIBUTES)
+        if (
+            not self._out
+            or self._out[0].shape != gaussians.means.shape
+            or self._out[4].shape[1:] != gaussians.sh.shape[1:]
+        ):
+            values = [getattr(gaussians, name) for name in ATTRIBUTES]
+            self._out = tuple(np.empty_like(v if self._colors or v is not gaussians.sh else v[:0]) for v in values)
         frame.project_backward(gaussians, sums, self._out)
         gradients: dict[str, Tensor] = dict(zip(ATTRIBUTES, map(torch.from_numpy, self._out), strict=True))
+        if not self._colors:
+            del gradients["sh"]
         return Pass(loss, gradients, _pull(frame, sums, absolute) if pull else None)
 
 

@@ -40,23 +40,24 @@ def picture_loss(
     """
     height, width = target.shape[:2]
     target = np.ascontiguousarray(target, np.float32)
-    heavy = np.ones((height, width), np.float32) if weights is None else np.ascontiguousarray(weights, np.float32)
-    if weights is not None:
+    if weights is None:
+        each, total = np.ones((height, 3 * width), np.float32), 1.0
+    else:
+        heavy = np.ascontiguousarray(weights, np.float32)
         image = np.where(heavy[..., None] > 0, image, target)
+        each, total = np.repeat(heavy, 3, 1), float(heavy[RADIUS:-RADIUS, RADIUS:-RADIUS].mean(dtype=np.float64))
     image = np.ascontiguousarray(image, np.float32)
     rows, flat = (height, 3 * width), (height - WINDOW + 1, 3 * (width - WINDOW + 1))
     maps = np.empty((3, *flat) if share > 0 else (3, 0, 0), np.float32)
     sums = np.zeros((2, height), np.float64)
     a, b, gradient = image.reshape(rows), target.reshape(rows), np.empty(rows, np.float32)
-    each = np.repeat(heavy, 3, 1)
     if share > 0:
         scale = np.float32(share / maps[0].size)
         run(_similarity, a, b, each, TAPS, scale, maps, sums[0])
     run(_gather, a, b, each, TAPS, np.float32((1 - share) / a.size), maps, gradient, sums[1])
     loss = (1 - share) * sums[1].sum() / a.size
     if share > 0:
-        inner = heavy[RADIUS:-RADIUS, RADIUS:-RADIUS]
-        loss += share * (float(inner.mean(dtype=np.float64)) - sums[0].sum() / maps[0].size)
+        loss += share * (total - sums[0].sum() / maps[0].size)
     return float(loss), gradient.reshape(image.shape)
 
 

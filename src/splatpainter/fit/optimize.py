@@ -148,7 +148,7 @@ class _Run:
         self.schedule = options.schedule if isinstance(options.schedule, Schedule) else named[options.schedule]
         self.pulls = Pulls(len(start))
         self.generator = torch.Generator().manual_seed(options.seed)
-        self.passes = CpuPasses() if device == "cpu" else torch_pass
+        self.passes = CpuPasses("sh" in options.attributes) if device == "cpu" else torch_pass
         self.was_reset = False
 
     def step(self, step: int, target: Target, loss_of_view: Callable[[Tensor], Tensor] | None) -> float:

@@ -38,6 +38,7 @@ WARMUPS: dict[str, tuple[str, ...]] = {
     "splatpainter.kernels.rows:warm": ("kernels/rows.py",),
     "splatpainter.voxels.raycast:warm": ("voxels/raycast.py", "voxels/footprints.py", "rendering/profiles.py"),
     "splatpainter.lift.depth_normals:warm": ("lift/depth_normals.py", "rendering/cpu/geometry.py"),
+    "splatpainter.lift.joint_colors:warm": ("lift/joint_colors.py",),
     "splatpainter.lift.merge:warm": ("lift/merge.py",),
     "splatpainter.lift.detail:warm": ("lift/detail.py",),
     "splatpainter.lift.near_surface:warm": ("lift/near_surface.py", "lift/nearest.py"),

@@ -28,17 +28,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splatpainter.cameras import Camera
-from splatpainter.lift.colors import MAX_COLOR, MIN_CHANGE, MIN_SEEN_PX
 from splatpainter.lift.edit_views import EditView, errors_name
-from splatpainter.lift.evidence import footprints
+from splatpainter.lift.joint_colors import Picture, recolored_together
 from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE, NOTHING_THERE, split_local
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.views_around import views_around
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
-from splatpainter.rendering.cpu.sirt import sirt_steps
-from splatpainter.splats import SH_C0, Splats, changed_rows
-from splatpainter.transforms import inverses, sh_basis
+from splatpainter.splats import Splats, changed_rows
 
 GEOMETRY = ("means", "scales", "quats", "opacities")
 RATE_SCALES = 1.5e-2
@@ -56,13 +52,6 @@ MAX_APPENDED = 40_000
 """About how many Gaussians splitting may append for each view."""
 MIN_ALPHA = 0.02
 """Pixels that the asset covers by less are not its."""
-SLOWNESS = 0.1
-"""Pixels' worth of weight that each pixel's worth of a Gaussian that no edited view shows adds to the divisor of its
-steps."""
-MIN_DIVISOR = 1e-6
-"""Pixels' worth of weight; keeps divisors above 0."""
-DIRECTION_RIDGE = 1.0
-"""Pixels' worth of weight that each pixel's worth that shows a Gaussian adds to the divisors of band 1."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +74,11 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     degree = min(splats.sh_degree, 1) if moved is not splats else 0
     around = views_around(splats, views, directional=degree > 0)
     split = _split(moved, views)
-    movable = _visible(split.splats, views)
-    pictures = [_Picture.of(split.splats, view.camera, view.target, _solid(view), movable) for view in views]
-    further = [_Picture.of(split.splats, *picture, movable) for picture in around]
-    result = replace(split.splats, sh=_recolored(split.splats, pictures, further, options, degree))
+    projected = [project(split.splats, view.camera) for view in views]
+    movable = _visible(split.splats, views, projected)
+    pictures = [Picture.of(p, view.target, _solid(view), movable) for p, view in zip(projected, views, strict=True)]
+    further = [Picture.of(project(split.splats, camera), *rest, movable) for camera, *rest in around]
+    result = replace(split.splats, sh=recolored_together(split.splats, pictures, further, options, degree))
     return replace(split, splats=result, touched=changed_rows(splats, result))
 
 
@@ -97,11 +87,12 @@ def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
     where that leaves more than MAX_ERROR_LEFT."""
     from splatpainter.fit.edited import EditFitOptions, fit_edited
 
-    visible, pictures, before = _visible(splats, views), [], 0.0
+    projected, pictures, before = [project(splats, view.camera) for view in views], [], 0.0
+    visible = _visible(splats, views, projected)
     if not visible.any():
         raise ValueError(NOTHING_THERE)
-    for view in views:
-        image = project(splats, view.camera).rasterize()[0]  # `view.before` may show the tiles of its mask alone
+    for view, shown in zip(views, projected, strict=True):
+        image = shown.rasterize()[0]  # `view.before` may show the tiles of its mask alone
         pictures.append((view.camera, np.where(view.mask[..., None], view.edited, image)))
         before += _error(image, view)
     how = EditFitOptions(attributes=GEOMETRY, rate_scales=RATE_SCALES)
@@ -115,13 +106,12 @@ def _error(image: np.ndarray, view: EditView) -> float:
     return float((_solid(view)[view.mask, None] * (image - view.edited)[view.mask] ** 2).sum(dtype=np.float64))
 
 
-def _visible(splats: Splats, views: Sequence[EditView]) -> np.ndarray:
+def _visible(splats: Splats, views: Sequence[EditView], projected: Sequence[ProjectedView]) -> np.ndarray:
     """[N] bool: Gaussians of which some view shows more than MIN_VISIBLE_SHARE."""
     visible = np.zeros(len(splats), bool)
-    for view in views:
-        projected = project(splats, view.camera)
-        sums = projected.backproject(view.target, _solid(view))
-        visible[projected.gaussian_ids[sums.weight > MIN_VISIBLE_SHARE * sums.alpha]] = True
+    for view, shown in zip(views, projected, strict=True):
+        sums = shown.backproject(view.edited, _solid(view))
+        visible[shown.gaussian_ids[sums.weight > MIN_VISIBLE_SHARE * sums.alpha]] = True
     return visible
 
 
@@ -145,87 +135,3 @@ def _split(splats: Splats, views: Sequence[EditView]) -> WideLift:
         ancestry = np.append(ancestry, ancestry[part.parents])
         splats = part.splats
     return WideLift(splats, np.flatnonzero(touched), ancestry[count:])
-
-
-class _Picture:
-    """One picture to reach, and what it weighs."""
-
-    def __init__(self, view: ProjectedView, target: np.ndarray, use: np.ndarray, movable: np.ndarray) -> None:
-        self.view = view
-        ids = view.gaussian_ids
-        here = movable[ids]
-        self.ids = ids[here]
-        """[C] of the Gaussians that may move, those that the view shows."""
-        self.before = view.unclamped_colors[here]
-        """[C, 3]"""
-        self.footprints = footprints(view)[here]
-        self._steps = sirt_steps(view, target, use, here)
-        self.weight = self._steps.weight
-        """[C] pixels' worth of each in the picture."""
-
-    @staticmethod
-    def of(splats: Splats, camera: Camera, target: np.ndarray, use: np.ndarray, movable: np.ndarray) -> _Picture:
-        """target: [H, W, 3] float32; use: [H, W] float32, what each pixel counts; movable: [N] bool."""
-        tiles = project(splats, camera, gaussian_mask=movable).tiles_of(movable)
-        return _Picture(project(splats, camera, tiles=tiles), target, use, movable)
-
-    def basis(self, splats: Splats, degree: int) -> np.ndarray:
-        """[C, B] SH basis in the directions of the lines of sight."""
-        away = splats.means[self.ids] - self.view.camera.position.astype(np.float32)
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-        return np.asarray(sh_basis(away, degree), np.float32)
-
-    def gain(self, change: np.ndarray) -> np.ndarray:
-        """[C, 3] sum_p w_ip m_p (target_p - image_p) with colours changed by `change` [C, 3]."""
-        ceiling = np.maximum(self.before, MAX_COLOR)
-        return self._steps.residual(np.clip(self.before + change, 0, ceiling))
-
-
-def _recolored(
-    splats: Splats, pictures: Sequence[_Picture], around: Sequence[_Picture], options: LocalOptions, degree: int
-) -> np.ndarray:
-    """[N, K, 3] SH after `options.rounds` towards all pictures at once, bands up to `degree` of them.
-
-    SIRT, with the sum of w_ip y y^T over the pictures in place of the divisor, y [B] being the basis in a picture's
-    direction: since a pixel's weights add up to at most 1, rounds still converge, and larger divisors slow them."""
-    count, bands = len(splats), (degree + 1) ** 2
-    visible, hidden, weight = (np.zeros(count, np.float32) for _ in range(3))
-    varying = np.zeros((count, 3), np.float32)  # what bands >= 1 add in the edited views, by weight
-    for picture in pictures:
-        visible[picture.ids] += picture.weight
-        hidden[picture.ids] += np.maximum(picture.footprints - picture.weight, 0)
-        flat = 0.5 + SH_C0 * splats.sh[picture.ids, 0]
-        varying[picture.ids] += picture.weight[:, None] * (picture.before - flat)
-    if not (visible > 0).any():
-        raise ValueError(NOTHING_THERE)
-    divisor = np.zeros((count, bands, bands), np.float32)
-    every = [(picture, picture.basis(splats, degree)) for picture in (*pictures, *around)]
-    for picture, basis in every:
-        divisor[picture.ids] += np.einsum("c,ca,cb->cab", picture.weight, basis, basis)
-        weight[picture.ids] += picture.weight
-    slow = SLOWNESS * hidden
-    divisor[:, 0, 0] += SH_C0**2 * np.maximum(slow, MIN_DIVISOR)
-    for k in range(1, bands):
-        divisor[:, k, k] += SH_C0**2 * np.maximum(DIRECTION_RIDGE * (weight + slow), MIN_DIVISOR)
-    rows = np.flatnonzero(visible > MIN_SEEN_PX)
-    steps = inverses(divisor[rows])
-    change = np.zeros((count, bands, 3), np.float32)
-    for _ in range(options.rounds):
-        gain = np.zeros_like(change)
-        for picture, basis in every:
-            colors = np.einsum("cb,cbk->ck", basis, change.take(picture.ids, 0))
-            gain[picture.ids] = gain.take(picture.ids, 0) + np.einsum("cb,ck->cbk", basis, picture.gain(colors))
-        limit = MAX_COLOR / SH_C0
-        change[rows] = np.clip(change.take(rows, 0) + steps @ gain.take(rows, 0), -limit, limit)
-    size = SH_C0 * np.abs(change).max((1, 2))
-    moved = np.flatnonzero(size > MIN_CHANGE)
-    if not len(moved):
-        return splats.sh
-    sh = splats.sh.copy()
-    sh[moved, :bands] += change[moved]
-    if degree == 0 and sh.shape[1] > 1:  # as in colors.recolor, with the mean over the views of what the bands add
-        keep = (1 - (1 - options.damping) * np.clip(size[moved] / 0.3, 0, 1))[:, None]
-        mean = varying[moved] / np.maximum(visible[moved], 1e-6)[:, None]
-        sh[moved, 0] += (1 - keep) * mean / SH_C0
-        sh[moved, 1:] *= keep[..., None]
-    return sh

@@ -246,8 +246,9 @@ class ProjectedView:
     def project_backward(
         self, splats: Splats, sums: np.ndarray, out: tuple[np.ndarray, ...], *, overwrite: bool = True
     ) -> None:
-        """Write (or add) this view's gradients to `out`: arrays shaped as the splats' attributes, in ATTRIBUTES' order.
-        splats: those that were projected; sums: of `rasterize_backward`."""
+        """Write (or add) this view's gradients to `out`: arrays shaped as the splats' attributes, in ATTRIBUTES' order;
+        that of `sh` may have no rows, and is then left out. splats: those that were projected; sums: of
+        `rasterize_backward`."""
         attributes = [simd.readonly(getattr(splats, name), sums.dtype) for name in ATTRIBUTES]
         entries = np.full(len(splats), -1, np.int32)
         entries[self.gaussian_ids] = np.arange(len(self), dtype=np.int32)

@@ -263,7 +263,7 @@ def project_gaussians_backward(
     v_quats,
     v_scales,
     v_opacities,
-    v_sh,
+    v_sh,  # or [0, K, 3]: not wanted
     thread,
     threads,
 ):
@@ -292,7 +292,7 @@ def project_gaussians_backward(
                     v_scales[n, c] = zero
                 for c in range(4):
                     v_quats[n, c] = zero
-                if entries[n] < 0:
+                if entries[n] < 0 and v_sh.shape[0] > 0:
                     for k in range(coefficients):
                         for c in range(3):
                             v_sh[n, k, c] = zero
@@ -422,9 +422,10 @@ def project_gaussians_backward(
             dz *= rn
             geo.sh_basis(dx, dy, dz, degree, basis)
             for k in range(coefficients):
-                v_sh[n, k, 0] = (zero if overwrite else v_sh[n, k, 0]) + basis[k] * red
-                v_sh[n, k, 1] = (zero if overwrite else v_sh[n, k, 1]) + basis[k] * green
-                v_sh[n, k, 2] = (zero if overwrite else v_sh[n, k, 2]) + basis[k] * blue
+                if v_sh.shape[0] > 0:
+                    v_sh[n, k, 0] = (zero if overwrite else v_sh[n, k, 0]) + basis[k] * red
+                    v_sh[n, k, 1] = (zero if overwrite else v_sh[n, k, 1]) + basis[k] * green
+                    v_sh[n, k, 2] = (zero if overwrite else v_sh[n, k, 2]) + basis[k] * blue
                 mixed[k] = red * sh[n, k, 0] + green * sh[n, k, 1] + blue * sh[n, k, 2]
             ex, ey, ez = geo.sh_gradient(dx, dy, dz, degree, mixed)
             along = ex * dx + ey * dy + ez * dz
