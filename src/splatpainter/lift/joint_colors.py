@@ -32,7 +32,7 @@ BLOCK = 1024
 """Gaussians of a picture that a thread takes at a time."""
 
 
-class Picture:
+class TargetPicture:
     """One picture to reach, and what it weighs."""
 
     def __init__(self, view: ProjectedView, target: np.ndarray, use: np.ndarray, movable: np.ndarray) -> None:
@@ -49,10 +49,10 @@ class Picture:
         """[C] pixels' worth of each in the picture."""
 
     @staticmethod
-    def of(view: ProjectedView, target: np.ndarray, use: np.ndarray, movable: np.ndarray) -> Picture:
+    def of(view: ProjectedView, target: np.ndarray, use: np.ndarray, movable: np.ndarray) -> TargetPicture:
         """view: of all tiles; target: [H, W, 3] float32; use: [H, W] float32, what each pixel counts; movable: [N]
         bool."""
-        return Picture(view.part(tiles=view.tiles_of(movable)), target, use, movable)
+        return TargetPicture(view.part(tiles=view.tiles_of(movable)), target, use, movable)
 
     def basis(self, splats: Splats, degree: int) -> np.ndarray:
         """[C, B] SH basis in the directions of the lines of sight."""
@@ -69,7 +69,11 @@ class Picture:
 
 
 def recolored_together(
-    splats: Splats, pictures: Sequence[Picture], around: Sequence[Picture], options: LocalOptions, degree: int
+    splats: Splats,
+    pictures: Sequence[TargetPicture],
+    around: Sequence[TargetPicture],
+    options: LocalOptions,
+    degree: int,
 ) -> np.ndarray:
     """[N, K, 3] SH after `options.rounds` towards all pictures at once, bands up to `degree` of them.
 

@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from splatpainter.lift.edit_views import EditView, errors_name
-from splatpainter.lift.joint_colors import Picture, recolored_together
+from splatpainter.lift.joint_colors import TargetPicture, recolored_together
 from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE, NOTHING_THERE, split_local
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.views_around import views_around
@@ -76,8 +76,10 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     split = _split(moved, views)
     projected = [project(split.splats, view.camera) for view in views]
     movable = _visible(split.splats, views, projected)
-    pictures = [Picture.of(p, view.target, _solid(view), movable) for p, view in zip(projected, views, strict=True)]
-    further = [Picture.of(project(split.splats, camera), *rest, movable) for camera, *rest in around]
+    pictures = [
+        TargetPicture.of(p, view.target, _solid(view), movable) for p, view in zip(projected, views, strict=True)
+    ]
+    further = [TargetPicture.of(project(split.splats, camera), image, use, movable) for camera, image, use in around]
     result = replace(split.splats, sh=recolored_together(split.splats, pictures, further, options, degree))
     return replace(split, splats=result, touched=changed_rows(splats, result))
 
@@ -91,8 +93,8 @@ def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
     visible = _visible(splats, views, projected)
     if not visible.any():
         raise ValueError(NOTHING_THERE)
-    for view, shown in zip(views, projected, strict=True):
-        image = shown.rasterize()[0]  # `view.before` may show the tiles of its mask alone
+    for view, projection in zip(views, projected, strict=True):
+        image = projection.rasterize()[0]  # `view.before` may show the tiles of its mask alone
         pictures.append((view.camera, np.where(view.mask[..., None], view.edited, image)))
         before += _error(image, view)
     how = EditFitOptions(attributes=GEOMETRY, rate_scales=RATE_SCALES)
@@ -109,9 +111,9 @@ def _error(image: np.ndarray, view: EditView) -> float:
 def _visible(splats: Splats, views: Sequence[EditView], projected: Sequence[ProjectedView]) -> np.ndarray:
     """[N] bool: Gaussians of which some view shows more than MIN_VISIBLE_SHARE."""
     visible = np.zeros(len(splats), bool)
-    for view, shown in zip(views, projected, strict=True):
-        sums = shown.backproject(view.edited, _solid(view))
-        visible[shown.gaussian_ids[sums.weight > MIN_VISIBLE_SHARE * sums.alpha]] = True
+    for view, projection in zip(views, projected, strict=True):
+        sums = projection.backproject(view.edited, _solid(view))
+        visible[projection.gaussian_ids[sums.weight > MIN_VISIBLE_SHARE * sums.alpha]] = True
     return visible
 
 
