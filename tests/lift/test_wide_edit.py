@@ -95,6 +95,20 @@ def test_gaussians_that_are_off_are_moved_before_they_take_colours(monkeypatch) 
     assert both > colors + 0.2 and colors > before
 
 
+def test_sizes_change_fast_only_where_gaussians_are_badly_placed(asset, monkeypatch) -> None:
+    """Not for detail finer than they are, and not for other colours."""
+    camera, rates = closeup(0.0, 0.0), []
+    before, detailed = picture(asset, camera), with_detail(48)
+    beside = np.random.default_rng(0).normal(0, 0.02, detailed.means.shape) * [1, 1, 0]
+    crooked = replace(detailed, means=(detailed.means + beside).astype(np.float32))
+    stripes = 0.1 * np.sign(np.sin(np.arange(PX) * 2.4))[None, :, None]
+    monkeypatch.setattr(fit_module, "fit_edited", lambda *given: rates.append(given[-1].rate_scales) or given[1])
+    pairs = ((asset, before + stripes), (asset, 0.7 * before), (crooked, picture(detailed, camera)))
+    for splats, edited in pairs:
+        lift_wide(splats, edit_views(splats, [camera], [edited], [np.ones((PX, PX), bool)]), LOCAL_DEFAULTS)
+    assert rates == pytest.approx([wide_edit.RATE_SCALES[0]] * 2 + [wide_edit.RATE_SCALES[1]])
+
+
 def test_gaussians_stay_where_moving_explains_nothing(asset, views) -> None:
     noise = np.random.default_rng(5).uniform(-0.2, 0.2, (PX, PX, 1)).astype(np.float32)
     noisy = [replace(view, edited=np.clip(view.before + noise, 0, 1)) for view in views]

@@ -31,16 +31,22 @@ import numpy as np
 from splatpainter.lift.edit_views import EditView, errors_name
 from splatpainter.lift.joint_colors import TargetPicture, recolored_together
 from splatpainter.lift.local_edit import MIN_VISIBLE_SHARE, NOTHING_THERE, split_local
+from splatpainter.lift.masks import box_mean
 from splatpainter.lift.options import LocalOptions
 from splatpainter.lift.views_around import views_around
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import Splats, changed_rows
 
 GEOMETRY = ("means", "scales", "quats", "opacities")
-RATE_SCALES = 1.5e-2
-"""Of the steps that move Gaussians, per step; 3DGS's 5e-3 is for 30,000 steps. With that, this and 3e-2, novel
-close-ups: fitted 21.5, 21.7, 21.7 dB; two clean meshes 34.1, 34.5, 34.8 and 30.1, 30.4, 30.6; beside
-sharpened views of three captures 28.5, 28.4, 27.9 (that with faster turns and opacities, which gain little)."""
+RATE_SCALES = (1.5e-2, 5e-2)
+"""Per step of those that move Gaussians, at least and at most, by how far the change tells that Gaussians are badly
+sized (`_rate_of_scales`); 3DGS's 5e-3 is for 30,000 steps. Novel close-ups with the one and the other: fitted (8
+meshes) 21.69, 21.83 dB, clean (4) 33.7, 34.0; beside sharpened views of four captures 34.0, 33.4, beside graded ones of
+three 33.0, 32.3."""
+COARSE_SHARES = (0.08, 0.16, 0.75, 0.9)
+"""Share of the change that is coarser than the Gaussians' spacing. Below the first only detail is added to what is
+right (sharpened captures 0.01 to 0.06), above the last colours change (graded views 0.92 to 0.99): the lowest rate.
+From the second to the third the asset is wrong at its own scale (close-ups of the truth 0.12 to 0.68): the highest."""
 MAX_ERROR_LEFT = 0.75
 """Squared error in the edited views that moving Gaussians may leave, against before, else they stay. Close-ups of the
 truth: 0.05 to 0.57; noise of one pixel 0.97, of four pixels 0.79; exchanged colours 0.84."""
@@ -93,11 +99,13 @@ def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
     visible = _visible(splats, views, projected)
     if not visible.any():
         raise ValueError(NOTHING_THERE)
+    coarse = 0.0
     for view, projection in zip(views, projected, strict=True):
         image = projection.rasterize()[0]  # `view.before` may show the tiles of its mask alone
         pictures.append((view.camera, np.where(view.mask[..., None], view.edited, image)))
         before += _error(image, view)
-    how = EditFitOptions(attributes=GEOMETRY, rate_scales=RATE_SCALES)
+        coarse += _coarse_error(image, view, int(visible[projection.gaussian_ids].sum()))
+    how = EditFitOptions(attributes=GEOMETRY, rate_scales=_rate_of_scales(coarse / max(before, 1e-12)))
     moved = fit_edited(splats, splats, pictures, np.flatnonzero(visible), how)
     after = sum(_error(project(moved, view.camera).rasterize()[0], view) for view in views)
     return moved if after < MAX_ERROR_LEFT * before else splats
@@ -106,6 +114,23 @@ def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
 def _error(image: np.ndarray, view: EditView) -> float:
     """Sum of squared differences from the view's edited pixels."""
     return float((_solid(view)[view.mask, None] * (image - view.edited)[view.mask] ** 2).sum(dtype=np.float64))
+
+
+def _coarse_error(image: np.ndarray, view: EditView, count: int) -> float:
+    """What is left of `_error` when the change is averaged over squares of the standard deviation that is the spacing
+    of the Gaussians that the view shows, `count` of them."""
+    counted = (_solid(view) * view.mask)[..., None]
+    spacing = float(np.sqrt(counted.sum(dtype=np.float64) / max(count, 1)))
+    radius = max(round(np.sqrt(3) * spacing - 0.5), 1)  # a square of 2 r + 1 pixels deviates by (2 r + 1) / sqrt(12)
+    radius = min(radius, min(view.mask.shape) // 2)
+    mean = box_mean(counted * (view.edited - image), radius) / np.maximum(box_mean(counted, radius), 1e-6)
+    return float((counted * mean**2).sum(dtype=np.float64))
+
+
+def _rate_of_scales(coarse: float) -> float:
+    """coarse: share of the change that is coarser than the Gaussians' spacing."""
+    low, high = RATE_SCALES
+    return float(np.interp(coarse, COARSE_SHARES, (low, high, high, low)))
 
 
 def _visible(splats: Splats, views: Sequence[EditView], projected: Sequence[ProjectedView]) -> np.ndarray:
