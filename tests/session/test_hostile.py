@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sqlite3
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -15,6 +17,7 @@ import splatpainter as sp
 from splatpainter.session import database, delta
 from splatpainter.session.asset_files import is_local_path, is_plain_name
 from splatpainter.session.document import Document, Layer, move_layer, resolve_conflict
+from splatpainter.session.lock import ProjectLock
 from splatpainter.session.project_file import Project
 from splatpainter.session.scratch import OWNER, ScratchFolder, sweep_folder, sweep_scratch
 from tests.support.session_scenes import BLUE, RED, asset, dab, flat, load, print_of, two_layers
@@ -478,6 +481,30 @@ def test_left_overs_are_swept_and_nothing_else(tmp_path: Path, path: Path) -> No
     assert sorted([*swept, *sweep_folder(tmp_path)]) == sorted([*ours, ".export.spz.ab12cd_9.part"])
     assert sorted(entry.name for entry in tmp_path.iterdir()) == sorted([*theirs, "pictures.part", path.name])
     assert sweep_folder(tmp_path / "nowhere") == []
+
+
+def test_a_new_scratch_folder_that_somebody_sweeps_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another program that starts at the same time may take it for a left-over before it is locked."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    take, calls = ProjectLock.take, []
+
+    def taken(project: Path) -> ProjectLock | None:
+        calls.append(project)
+        if len(calls) == 1:  # swept while its lock was made
+            shutil.rmtree(project.parent)
+            return take(project)
+        return None if len(calls) == 2 else take(project)  # 2: the sweeper holds it
+
+    monkeypatch.setattr(ProjectLock, "take", staticmethod(taken))
+    folder = ScratchFolder("studio")
+    assert len(calls) == 3 and [path.name for path in tmp_path.iterdir()] == [folder.path.name]
+    folder.close()
+    monkeypatch.setattr(ProjectLock, "take", staticmethod(lambda project: take(project / "nowhere")))
+    with pytest.raises(ValueError, match="cannot be locked"):
+        ScratchFolder("studio")
+    assert not list(tmp_path.iterdir())
 
 
 def test_scratch_folders_go_with_their_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

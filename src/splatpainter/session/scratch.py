@@ -24,6 +24,8 @@ SCRATCH_FOLDER = re.compile(r"splatpainter-(original|session|studio|blobs|verify
 """Names of scratch folders, in the system's folder for temporary files."""
 OWNER = f"owner{SUFFIX}"
 """The name whose lock a scratch folder's process holds; there is no such file."""
+ATTEMPTS = 20
+"""Folders that are made, one after the other, before a scratch folder cannot be had."""
 OLD_SECONDS = 24 * 3600.0
 """Age from which files and folders without a lock are left-overs."""
 PARTIAL_FILE = re.compile(r"\..+\.[0-9a-f]{8}\.part")
@@ -35,13 +37,22 @@ PARTIAL_PROJECT = re.compile(rf"\.(.+{re.escape(SUFFIX)})\.part(-wal|-shm|-journ
 
 
 class ScratchFolder:
-    """A new folder of this process; `close` removes it."""
+    """A new folder of this process; `close` removes it. Raises ValueError where none can be locked, OSError where none
+    can be made."""
 
     def __init__(self, purpose: str) -> None:
-        self._lock = None
-        while self._lock is None:  # where another process took the new folder for a left-over
+        self._lock, failure = None, None
+        for _ in range(ATTEMPTS):
             self.path = Path(tempfile.mkdtemp(prefix=f"splatpainter-{purpose}-"))
-            self._lock = ProjectLock.take(self.path / OWNER)
+            try:
+                self._lock = ProjectLock.take(self.path / OWNER)
+            except ValueError as error:
+                failure = error
+            if self._lock is not None:
+                return
+            # Another process took the new folder for a left-over: it holds the lock, or has removed all of it.
+            shutil.rmtree(self.path, ignore_errors=True)
+        raise failure or ValueError(f"{self.path}: cannot be locked")
 
     def close(self) -> None:
         """Remove it and all that is in it. Closing twice does nothing."""
