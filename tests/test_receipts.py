@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import splatpainter as sp
-from splatpainter.cameras import orbit
+from splatpainter.cameras import Camera, orbit
 from splatpainter.painter import Edit, Painter
 from splatpainter.receipts import Receipt, ViewScore, from_runs, score, to_runs
 from splatpainter.splats import Splats, changed_rows
@@ -66,6 +66,16 @@ def edited_files(folder: Path, suffix: str = ".ply") -> tuple[Path, Path, Receip
     return original, edited, receipt
 
 
+def paint_red(splats: Splats, camera: Camera, mask: np.ndarray, path: Path) -> Receipt:
+    """Write the asset with red inside the mask to a file; the receipt names it."""
+    image = np.where(mask[..., None], [0.9, 0.1, 0.1], sp.render(splats, camera).colors[0])
+    painter = Painter.load("lift")
+    result = painter.apply(painter.encode(splats), [Edit(image, camera, mask)])
+    sp.write(path, result.splats)
+    assert result.receipt is not None
+    return replace(result.receipt, output_sha256=file_hash(path))
+
+
 @cache
 def edited_bytes(suffix: str) -> tuple[bytes, bytes, Receipt]:
     """The contents of these files, painted once for all tests."""
@@ -73,13 +83,7 @@ def edited_bytes(suffix: str) -> tuple[bytes, bytes, Receipt]:
         original, edited = Path(folder, "original.ply"), Path(folder, f"edited{suffix}")
         write_by_hand(original, sheet(30, degree=1))
         splats, camera = sp.read(original), front(64)
-        mask = disk(camera, 30, 34, 9)
-        image = np.where(mask[..., None], [0.9, 0.1, 0.1], sp.render(splats, camera).colors[0])
-        painter = Painter.load("lift")
-        result = painter.apply(painter.encode(splats), [Edit(image, camera, mask)])
-        sp.write(edited, result.splats)
-        assert result.receipt is not None
-        receipt = replace(result.receipt, output_sha256=file_hash(edited))
+        receipt = paint_red(splats, camera, disk(camera, 30, 34, 9), edited)
         return original.read_bytes(), edited.read_bytes(), receipt
 
 
@@ -456,13 +460,7 @@ def test_a_capture_keeps_every_byte_that_was_not_painted(shared, tmp_path, name)
     center = np.median(splats.means, 0)
     radius = float(np.quantile(np.linalg.norm(splats.means - center, axis=1), 0.9))
     camera = orbit(center, 2.2 * radius, 1, width=192, height=192)[0]
-    mask = disk(camera, 96, 96, 12)
-    image = np.where(mask[..., None], [0.9, 0.1, 0.1], sp.render(splats, camera).colors[0])
-    painter = Painter.load("lift")
-    result = painter.apply(painter.encode(splats), [Edit(image, camera, mask)])
-    sp.write(edited, result.splats)
-    assert result.receipt is not None
-    proof = replace(result.receipt, output_sha256=file_hash(edited))
+    proof = paint_red(splats, camera, disk(camera, 96, 96, 12), edited)
     assert proof.asset_sha256 == file_hash(original)
 
     old, new = original.read_bytes(), edited.read_bytes()
