@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.syntax import nodes
+from tests.support.syntax import nodes, statements
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"splatpainter": ROOT / "src" / "splatpainter", "splatbench": ROOT / "benchmarks" / "splatbench"}
@@ -87,7 +87,7 @@ def name_called(call: ast.Call) -> str:
 def imports(source: str, package: str) -> Iterator[str]:
     """Dotted names that a source imports anywhere in it: modules, names in them, literals of import_module. package:
     that which relative imports start from."""
-    for node in nodes(source):
+    for node in nodes(source) if "import_module" in source else statements(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -133,6 +133,8 @@ def test_there_are_no_circles() -> None:
 def test_the_search_for_circles_finds_one() -> None:
     lazy = "def later():\n    from a import b\n"
     assert list(imports(lazy, "c")) == ["a.b"]
+    nested = "class A:\n  try:\n    pass\n  except OSError:\n    with b:\n      match c:\n        case 1: import d\n"
+    assert list(imports(nested + "  else:\n    import e\n  finally:\n    import f\n", "c")) == ["e", "f", "d"]
     with pytest.raises(CycleError):
         TopologicalSorter({"a": {"b"}, "b": {"a"}}).prepare()
 

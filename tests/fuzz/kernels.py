@@ -1,5 +1,5 @@
 """Extreme values for every kernel, with bounds checked: in a process and a kernel cache of its own, because kernels
-that were compiled before ignore the switch.
+that were compiled before ignore the switch. The cache is kept until any source of the package changes.
 
     python tests/fuzz/kernels.py --seconds 600 --seed 0            all kernels, float32 and float64
     python tests/fuzz/kernels.py --count 1 --seed 1234             one input again
@@ -12,15 +12,17 @@ from __future__ import annotations
 
 import argparse
 import gc
+import hashlib
 import os
+import shutil
 import subprocess
 import sys
-import tempfile
 import time
 import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ EXTREMES = (0.0, -0.0, 1e-45, 1e-38, 1e-20, 1e-15, 1e-3, 1.0, 1.0000001, 2.0, 25
 EXTREMES += (1e19, 1e30, 3.4e38, np.inf, np.nan)
 EXTREMES += tuple(-value for value in EXTREMES)
 STARTED = "inside"
+CACHE = Path(__file__).with_name("__pycache__") / "checked_kernels"
 
 
 def extreme(rng: np.random.Generator, values: np.ndarray, share: float) -> np.ndarray:
@@ -267,17 +270,30 @@ def main() -> int:
     if config.inside:
         names = config.cases.split(",")
         return min(inside(names, config.seconds, config.count, config.seed, not config.single), 100)
-    with tempfile.TemporaryDirectory() as folder:
-        checked = {
-            "NUMBA_BOUNDSCHECK": "1",
-            "NUMBA_CACHE_DIR": folder,
-            "NUMBA_OPT": os.environ.get("NUMBA_OPT", "1"),
-            "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])),
-            "SPLATPAINTER_THREADS": "1",
-            "PYTHONFAULTHANDLER": "1",
-        }
-        command = [sys.executable, *sys.argv, f"--{STARTED}"]
-        return subprocess.run(command, env={**os.environ, **checked}, check=False).returncode
+    optimised = os.environ.get("NUMBA_OPT", "1")
+    checked = {
+        "NUMBA_BOUNDSCHECK": "1",
+        "NUMBA_CACHE_DIR": str(kernel_cache(optimised)),
+        "NUMBA_OPT": optimised,
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])),
+        "SPLATPAINTER_THREADS": "1",
+        "PYTHONFAULTHANDLER": "1",
+    }
+    command = [sys.executable, *sys.argv, f"--{STARTED}"]
+    return subprocess.run(command, env={**os.environ, **checked}, check=False).returncode
+
+
+def kernel_cache(optimised: str) -> Path:
+    """The folder of kernels with checked bounds that were compiled from these very sources; all others are deleted."""
+    state = hashlib.sha256(f"{sys.version} {version('numba')} {version('llvmlite')} {optimised}".encode())
+    for source in sorted((ROOT / "src" / "splatpainter").rglob("*.py")):
+        state.update(source.read_bytes())
+    folder = CACHE / state.hexdigest()[:16]
+    for other in CACHE.glob("*"):
+        if other != folder:
+            shutil.rmtree(other, ignore_errors=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 if __name__ == "__main__":

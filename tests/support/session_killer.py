@@ -87,7 +87,7 @@ def main(folder: Path, rounds: int, seed: int) -> dict[str, Any]:
 
     for k in range(rounds // 5):  # while the project is made
         path = folder / f"new{k % 3}.splatproj"
-        report = kill(path, 0, 0.08)
+        report = kill(path, 0, 0.05)
         if path.exists():
             judge(path, report, out)
             path.unlink()
@@ -99,7 +99,7 @@ def main(folder: Path, rounds: int, seed: int) -> dict[str, Any]:
     flat(asset(8), path).close()
     last = judge(path, None, out)
     for _ in range(rounds - rounds // 5):
-        last = judge(path, kill(path, rng.randrange(4), 0.03) or last, out)
+        last = judge(path, kill(path, rng.randrange(4), 0.015) or last, out)
     left = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith((".new", "new")))
     return {**out, "files": left, "problems": verified(path)}
 
@@ -124,7 +124,7 @@ def judge(path: Path, report: dict[str, Any] | None, out: dict[str, Any]) -> dic
                 out["wrong"] = out["wrong"] or {"told": report, "found": now}
         if painter.calls:  # results are as durable as layers
             out["wrong"] = out["wrong"] or {"painted again": len(painter.calls)}
-        if len(session.history) > 12:
+        if len(session.history) > 6:
             session.jump(0)  # the next new step drops the rest: keep the rounds short
         return position(session)
 

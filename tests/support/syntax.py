@@ -3,6 +3,23 @@
 from __future__ import annotations
 
 import ast
+import re
+
+TEXT = (
+    r'"""(?s:\\.|[^\\])*?"""|' + r"'''(?s:\\.|[^\\])*?'''" + r'|"(?:\\(?s:.)|[^"\\\n])*"' + r"|'(?:\\(?s:.)|[^'\\\n])*'"
+)
+TOKEN = re.compile(rf"\b(?:[fF][rR]?|[rR][fF])(?:{TEXT})|{TEXT}|#.*|[^\W\d]\w*")
+WORD = re.compile(r"[^\W\d]\w*")
+
+
+def identifiers(source: str) -> set[str]:
+    """All words of a source but those of comments and texts; of texts with an f, all. A tenth of the time of `nodes`,
+    for a search whose finds are then looked at in the tree."""
+    tokens = set(TOKEN.findall(source))
+    formatted = [token for token in tokens if token[-1] in "\"'" and token[0] in "fFrR"]
+    return {token for token in tokens if token[-1] not in "\"'" and token[0] != "#"}.union(
+        *map(WORD.findall, formatted)
+    )
 
 
 def nodes(source: str) -> list[ast.AST]:
@@ -14,4 +31,13 @@ def nodes(source: str) -> list[ast.AST]:
                 result += [item for item in value if isinstance(item, ast.AST)]
             elif isinstance(value, ast.AST) and value.__dict__:
                 result.append(value)
+    return result
+
+
+def statements(source: str) -> list[ast.AST]:
+    """All statements of a source, also those within others; of expressions none."""
+    result: list[ast.AST] = list(ast.parse(source).body)
+    for node in result:
+        for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+            result += getattr(node, part, ())
     return result
