@@ -56,6 +56,39 @@ function noise(x: number, y: number, period: number, seed: number, down = period
   return top + (low - top) * fy;
 }
 
+/** A round spot of a tip: its centre, where its edge begins and ends, and its cover. */
+interface Dot {
+  u: number;
+  v: number;
+  outer: number;
+  inner: number;
+  cover: number;
+}
+
+const HAIRS = Array.from({ length: 46 }, (_, k): Dot => {
+  const [angle, radius] = [2.39996 * k, 0.93 * Math.sqrt((k + 0.5) / 46)]; // sunflower seeds
+  const hair = 0.035 + 0.055 * random(21, k);
+  const cover = 0.35 + 0.65 * random(22, k);
+  return { u: radius * Math.cos(angle), v: radius * Math.sin(angle), outer: hair + 0.03, inner: hair - 0.02, cover };
+});
+const DROPS = Array.from({ length: 150 }, (_, k): Dot => {
+  const radius = 0.96 * random(31, k) ** 0.75;
+  const angle = 2 * Math.PI * random(32, k);
+  const drop = 0.012 + 0.03 * random(33, k) ** 3;
+  return { u: radius * Math.cos(angle), v: radius * Math.sin(angle), outer: drop + 0.022, inner: drop, cover: 1 };
+});
+
+/** The densest of the dots at (u, v). */
+function dots(spots: readonly Dot[], u: number, v: number): number {
+  let densest = 0;
+  for (const spot of spots) {
+    const [du, dv] = [u - spot.u, v - spot.v];
+    if (du * du + dv * dv >= spot.outer * spot.outer) continue; // ramp would be 0
+    densest = Math.max(densest, spot.cover * ramp(Math.hypot(du, dv), spot.outer, spot.inner));
+  }
+  return densest;
+}
+
 /** Cover of a tip at (u, v), the circle of the brush being the unit circle. */
 const SHAPES: Record<Exclude<BuiltInTip, "round">, (u: number, v: number) => number> = {
   square: (u, v) => ramp(Math.max(Math.abs(u), Math.abs(v)), 0.86, 0.8),
@@ -64,27 +97,8 @@ const SHAPES: Record<Exclude<BuiltInTip, "round">, (u: number, v: number) => num
     const rough = 0.6 * noise(8 * u + 20, 8 * v + 20, 64, 11) + 0.4 * noise(22 * u + 60, 22 * v + 60, 256, 12);
     return ramp(r, 1, 0.8) * ramp(rough, 0.36, 0.62);
   },
-  bristle: (u, v) => {
-    let cover = 0;
-    for (let k = 0; k < 46; k++) {
-      const [angle, radius] = [2.39996 * k, 0.93 * Math.sqrt((k + 0.5) / 46)]; // sunflower seeds
-      const hair = 0.035 + 0.055 * random(21, k);
-      const away = Math.hypot(u - radius * Math.cos(angle), v - radius * Math.sin(angle));
-      cover = Math.max(cover, (0.35 + 0.65 * random(22, k)) * ramp(away, hair + 0.03, hair - 0.02));
-    }
-    return cover;
-  },
-  spray: (u, v) => {
-    let cover = 0;
-    for (let k = 0; k < 150; k++) {
-      const radius = 0.96 * random(31, k) ** 0.75;
-      const angle = 2 * Math.PI * random(32, k);
-      const drop = 0.012 + 0.03 * random(33, k) ** 3;
-      const away = Math.hypot(u - radius * Math.cos(angle), v - radius * Math.sin(angle));
-      cover = Math.max(cover, ramp(away, drop + 0.022, drop));
-    }
-    return cover;
-  },
+  bristle: (u, v) => dots(HAIRS, u, v),
+  spray: (u, v) => dots(DROPS, u, v),
   sponge: (u, v) => {
     const r = Math.hypot(u, v);
     const holes = 0.55 * noise(5 * u + 20, 5 * v + 20, 64, 41) + 0.45 * noise(13 * u + 40, 13 * v + 40, 128, 42);

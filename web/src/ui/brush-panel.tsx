@@ -16,7 +16,7 @@ import {
   type Preset,
 } from "../paint/brush-settings";
 import { DabPath, roundFrame, type Brush } from "../paint/dabs";
-import { emptyMask } from "../paint/raster";
+import { emptyMask, type Mask } from "../paint/raster";
 import {
   builtInTip,
   BUILT_IN_TIPS,
@@ -70,10 +70,18 @@ function sampleOf({ size, hardness, flow, engine: e }: Preset, canvas: HTMLCanva
   for (let k = 1; k <= 40; k++) path.move(at(k / 40));
   path.up();
   const tile = textureTile(e.texture);
-  const image = new ImageData(width, height);
+  const grain = (k: number): number =>
+    tile ? grainAt(tile, k % width, Math.floor(k / width), 0.5 * e.textureScale, e.textureDepth) : 1;
+  show(mask, canvas, grain);
+}
+
+/** Draw a mask in the colour of text. grain: a factor of each pixel. */
+function show(mask: Mask, canvas: HTMLCanvasElement, grain: (k: number) => number = () => 1): void {
+  const image = new ImageData(mask.width, mask.height);
+  const { data } = image;
   for (let k = 0; k < mask.data.length; k++) {
-    const grain = tile ? grainAt(tile, k % width, Math.floor(k / width), 0.5 * e.textureScale, e.textureDepth) : 1;
-    image.data.set([230, 231, 234, mask.data[k] * grain * 255], k * 4);
+    [data[k * 4], data[k * 4 + 1], data[k * 4 + 2]] = [230, 231, 234];
+    if (mask.data[k] > 0) data[k * 4 + 3] = mask.data[k] * grain(k) * 255;
   }
   canvas.getContext("2d")!.putImageData(image, 0, 0);
 }
@@ -96,9 +104,7 @@ function TipPicture({ name }: { name: BuiltInTip }) {
       y: 16,
       pressure: 1,
     });
-    const image = new ImageData(32, 32);
-    for (let k = 0; k < 1024; k++) image.data.set([230, 231, 234, mask.data[k] * 255], k * 4);
-    canvas.current!.getContext("2d")!.putImageData(image, 0, 0);
+    show(mask, canvas.current!);
   }, [name]);
   return <canvas ref={canvas} width={32} height={32} aria-hidden="true" />;
 }
