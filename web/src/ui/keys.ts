@@ -179,13 +179,13 @@ const ACTIONS: Record<CommandId, () => unknown> = {
 /** What has keys itself: rows of layers and assets (F2, Alt-arrows), and what opens a field or a menu. */
 const KEEPS_KEYS = ".layer-list, .asset-list, [role=tab], .more";
 
-let digits = { time: 0, value: 0, flow: false };
+let digits = { time: -Infinity, value: 0, flow: false };
 
 /** Opacity (of the layer where the tool has none) or flow by digits: 4 is 40 %, 4 5 is 45 %, 0 is 100 %, 0 0 is 0 or 1 %. */
 function setByDigit(digit: number, flow: boolean, time: number): void {
   const second = time - digits.time < DIGITS_MS && digits.flow === flow;
   const percent = second ? digits.value * 10 + digit : digit === 0 ? 100 : digit * 10;
-  digits = { time: second ? 0 : time, value: digit, flow };
+  digits = { time: second ? -Infinity : time, value: digit, flow };
   const value = Math.max(0.01, percent / 100);
   if (flow) brush.value = { ...brush.value, flow: value };
   else if (!LOOKING.includes(tool.value)) brush.value = { ...brush.value, opacity: value };
