@@ -18,7 +18,17 @@ from splatpainter.cameras import Camera
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from tests.support import studio_scenes
-from tests.support.studio_pages import FLAGS, STATIC, SWIFTSHADER, WEB, WITH_WINDOWS, Page, chromium, opened_page
+from tests.support.studio_pages import (
+    FLAGS,
+    STATIC,
+    SWIFTSHADER,
+    WEB,
+    WITH_WINDOWS,
+    Page,
+    chromium,
+    opened_page,
+    window,
+)
 
 SOURCES = (
     "index.html",
@@ -302,16 +312,13 @@ def test_two_windows_agree_and_a_lost_connection_comes_back(
     browser: Any, opened: tuple[studio_scenes.Live, Page]
 ) -> None:
     live, page = opened
-    other = Page(browser, live.url)
-    try:
+    with window(browser, live.url) as other:
         other.ask("window.studio.link.lose()")
         page.drag((0.45, 0.5), (0.55, 0.5))
         page.wait("the layer", lambda: page.names() == ["Paint"])
         page.settled()
         other.wait("the layer in the other window", lambda: other.names() == ["Paint"])
         assert np.array_equal(other.pixels(), page.pixels())
-    finally:
-        other.tab.close()
 
 
 def test_a_dialog_opens_right_after_another_was_closed(opened: tuple[studio_scenes.Live, Page]) -> None:

@@ -8,7 +8,6 @@ import io
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -27,7 +26,8 @@ from splatpainter.rendering import render
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.user_folders import PROJECTS_VARIABLE
 from tests.support.cli_scenes import ball
-from tests.support.studio_pages import FEW_PIXELS, Page
+from tests.support.studio_pages import FEW_PIXELS, PORTS, Page, window
+from tests.support.studio_scenes import bind
 from tests.support.systems import posix_only
 
 SHOTS = os.environ.get("SPLATPAINTER_SCREENSHOTS")
@@ -37,9 +37,8 @@ SHOTS = os.environ.get("SPLATPAINTER_SCREENSHOTS")
 class Server:
     """`splatpainter studio` in a process of its own, on one port whenever it is started."""
 
-    def __init__(self, asset: Path, folder: Path) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
+    def __init__(self, asset: Path, folder: Path, port: int) -> None:
+        with bind(port) as free:
             self.port = free.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}/"
         self._command = [sys.executable, "-m", "splatpainter", "studio", str(asset), "--no-browser"]
@@ -158,13 +157,11 @@ def colored_ball() -> Splats:
 def studio(browser: Any, tmp_path: Path) -> Iterator[tuple[Server, Page, Path]]:
     asset = tmp_path / "ball.ply"
     write(asset, colored_ball())
-    server = Server(asset, tmp_path)
+    server = Server(asset, tmp_path, PORTS.get(browser, 0))
     try:
         server.start()
-        page = Page(browser, server.url, resolution="0.5")  # holes and letters are looked at
-        page.tab.emulate_media(reduced_motion="reduce")
-        yield server, page, asset
-        page.tab.close()
+        with window(browser, server.url, still=True, resolution="0.5") as page:  # holes and letters are looked at
+            yield server, page, asset
     finally:
         with contextlib.suppress(ProcessLookupError):
             server.end(crash=False)
@@ -428,7 +425,7 @@ def test_forty_steps_of_an_artist_with_a_crash_in_the_middle(studio: tuple[Serve
     assert np.abs(picture - a.seen)[inside].mean() < 0.05, "the file shows what the page showed"
     a.steps.append("and it looks as it did")
     assert len(a.steps) >= 40, a.steps
-    assert [problem for problem in page.problems if "WebSocket" not in problem and "ERR_" not in problem] == []
+    page.problems = [problem for problem in page.problems if "WebSocket" not in problem and "ERR_" not in problem]
 
 
 def stripes() -> bytes:

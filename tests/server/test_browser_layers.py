@@ -238,10 +238,10 @@ def test_nothing_seems_lost(browser: Any, tmp_path: Path) -> None:
     """An asset that was painted is offered again; another window's project does not take this one's place unsaid."""
     from splatpainter.io import write
 
-    with studio_scenes.live_with_folder(tmp_path) as live:
-        for seed, name in enumerate(("one", "two")):
-            write(tmp_path / "shared" / f"{name}.ply", studio_scenes.ball(300, seed))
-        page = Page(browser, live.url)
+    (tmp_path / "shared").mkdir()
+    for seed, name in enumerate(("one", "two")):
+        write(tmp_path / "shared" / f"{name}.ply", studio_scenes.ball(300, seed))
+    with opened_page(browser, tmp_path) as (live, page):
         tab = page.tab
 
         def open_file(name: str) -> None:
@@ -251,46 +251,43 @@ def test_nothing_seems_lost(browser: Any, tmp_path: Path) -> None:
             dialog = tab.get_by_role("dialog", name="Open", exact=True)  # it goes with the command's answer
             page.wait("the dialog to be closed", lambda: dialog.count() == 0)
 
-        try:
-            open_file("one.ply")
-            page.drag((0.45, 0.5), (0.55, 0.5))
-            page.settled()
-            project = page.state()["project"]["id"]
-            open_file("two.ply")
-            assert tab.get_by_role("dialog").count() == 0
-            open_file("one.ply")
-            offer = tab.get_by_role("button", name="Continue (1 layer,")
-            offer.wait_for()
-            assert re.fullmatch(r"Continue \(1 layer, \d\d:\d\d( [AP]M)?\)", offer.inner_text().strip())
-            offer.click()
-            page.wait("the layer", lambda: page.names() == ["Paint"] and page.state()["project"]["id"] == project)
-            tab.keyboard.press("Control+o")
-            entry = tab.get_by_role("dialog", name="Open").locator(".list button", has_text="1 layer")
-            entry.wait_for()
-            assert "open now" in entry.inner_text() and entry.locator("img").count() == 1
-            tab.get_by_role("button", name="Close").click()
-            open_file("two.ply")
-            open_file("one.ply")
-            tab.get_by_role("button", name="Start anew").click()
-            page.wait("no dialog", lambda: tab.get_by_role("dialog").count() == 0)
-            assert page.names() == [] and page.state()["project"]["id"] != project
+        open_file("one.ply")
+        page.drag((0.45, 0.5), (0.55, 0.5))
+        page.settled()
+        project = page.state()["project"]["id"]
+        open_file("two.ply")
+        assert tab.get_by_role("dialog").count() == 0
+        open_file("one.ply")
+        offer = tab.get_by_role("button", name="Continue (1 layer,")
+        offer.wait_for()
+        assert re.fullmatch(r"Continue \(1 layer, \d\d:\d\d( [AP]M)?\)", offer.inner_text().strip())
+        offer.click()
+        page.wait("the layer", lambda: page.names() == ["Paint"] and page.state()["project"]["id"] == project)
+        tab.keyboard.press("Control+o")
+        entry = tab.get_by_role("dialog", name="Open").locator(".list button", has_text="1 layer")
+        entry.wait_for()
+        assert "open now" in entry.inner_text() and entry.locator("img").count() == 1
+        tab.get_by_role("button", name="Close").click()
+        open_file("two.ply")
+        open_file("one.ply")
+        tab.get_by_role("button", name="Start anew").click()
+        page.wait("no dialog", lambda: tab.get_by_role("dialog").count() == 0)
+        assert page.names() == [] and page.state()["project"]["id"] != project
 
-            page.drag((0.45, 0.5), (0.55, 0.5))
-            page.settled()
-            project = page.state()["project"]["id"]
-            tab.context.set_offline(True)
-            page.ask("window.studio.link.lose()")
-            live.post("asset.open", file="two.ply")
-            tab.context.set_offline(False)
-            note = tab.get_by_role("alert").filter(has_text="has another project open now")
-            note.wait_for()
-            assert "You were in one.ply (1 layer" in note.inner_text()
-            tab.get_by_role("button", name="Back to one.ply").click()
-            page.wait("the project", lambda: page.state()["project"]["id"] == project and page.names() == ["Paint"])
-            page.wait("no note", lambda: note.count() == 0)
-            assert [problem for problem in page.problems if "WebSocket" not in problem] == []
-        finally:
-            tab.close()
+        page.drag((0.45, 0.5), (0.55, 0.5))
+        page.settled()
+        project = page.state()["project"]["id"]
+        tab.context.set_offline(True)
+        page.ask("window.studio.link.lose()")
+        live.post("asset.open", file="two.ply")
+        tab.context.set_offline(False)
+        note = tab.get_by_role("alert").filter(has_text="has another project open now")
+        note.wait_for()
+        assert "You were in one.ply (1 layer" in note.inner_text()
+        tab.get_by_role("button", name="Back to one.ply").click()
+        page.wait("the project", lambda: page.state()["project"]["id"] == project and page.names() == ["Paint"])
+        page.wait("no note", lambda: note.count() == 0)
+        page.problems = [problem for problem in page.problems if "WebSocket" not in problem]
 
 
 def test_the_eraser_takes_the_layers_paint_and_leaves_what_is_below(opened: tuple[studio_scenes.Live, Page]) -> None:

@@ -53,14 +53,12 @@ def pixel(page: Page, point: np.ndarray) -> np.ndarray:
 
 def test_the_page_and_the_server_see_the_same_surface(browser: Any, tmp_path: Path) -> None:
     solid = replace(studio_scenes.ball(), scales=2 * studio_scenes.ball().scales)
-    with studio_scenes.live(studio_scenes.make_studio(tmp_path, solid)) as live:
-        page = Page(browser, live.url)
+    with opened_page(browser, tmp_path, splats=solid) as (live, page):
         view = page.camera()
         for x, y in ((0.5, 0.5), (0.42, 0.6)):
             answer = live.post("pick", camera=view, x=x * view["width"], y=y * view["height"])
             assert np.linalg.norm(surface(page, x, y) - answer["point"]) < 0.15
         assert page.ask("window.studio.viewer.hit(window.studio.pose.value.eye, [0, -1, 0])") is None
-        page.tab.close()
 
 
 def test_the_wheel_goes_to_the_cursor_and_a_drag_turns_about_it(opened: tuple[studio_scenes.Live, Page]) -> None:

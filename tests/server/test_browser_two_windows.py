@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support import studio_scenes
-from tests.support.studio_pages import Page, opened_page
+from tests.support.studio_pages import Page, opened_page, window
 
 VERSION = "window.studio.state.value.version"
 
@@ -20,13 +20,8 @@ VERSION = "window.studio.state.value.version"
 def windows(browser: Any, tmp_path: Path) -> Iterator[tuple[studio_scenes.Live, Page, Page]]:
     """A studio with the ball, and two pages, which must not complain."""
     with opened_page(browser, tmp_path, still=True) as (live, one):
-        two = Page(browser, live.url)
-        two.tab.emulate_media(reduced_motion="reduce")
-        try:
+        with window(browser, live.url, still=True) as two:
             yield live, one, two
-            assert two.problems == []
-        finally:
-            two.tab.close()
 
 
 def strokes(page: Page) -> int:

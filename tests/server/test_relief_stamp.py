@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.support import studio_scenes
-from tests.support.studio_pages import Page
+from tests.support.studio_pages import opened_page
 from tests.support.studio_scenes import view, wire
 
 
@@ -39,30 +39,24 @@ def test_a_stamp_copies_gaussians_from_one_view_to_another(tmp_path: Path) -> No
 
 def test_the_clone_tool_stamps_with_relief(browser: Any, tmp_path: Path) -> None:
     """Alt-click chooses, the view may turn, a click stamps; without the tick it paints as before."""
-    with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
-        page = Page(browser, live.url)
-        page.tab.emulate_media(reduced_motion="reduce")
-        try:
-            page.tab.keyboard.press("s")
-            page.tab.get_by_role("checkbox", name="With relief").check()
-            size = page.tab.get_by_role("textbox", name="Size, number")
-            size.fill("140")
-            size.press("Enter")
-            box = page.tab.locator("#stage").bounding_box()
-            middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-            page.tab.mouse.click(*middle)
-            page.wait("what to do", lambda: page.tab.get_by_text("Choose where to copy from first.").count())
-            page.tab.keyboard.down("Alt")
-            page.tab.mouse.click(*middle)
-            page.tab.keyboard.up("Alt")
-            for _ in range(8):
-                page.tab.locator("#stage").press("ArrowLeft")
-            page.tab.mouse.click(*middle)
-            page.wait("the stamp", lambda: page.names() == ["Clone with relief"])
-            page.settled()
-            assert page.state()["asset"]["gaussians"] > 600
-            page.tab.keyboard.press("Control+z")
-            page.wait("nothing", lambda: page.names() == [] and page.state()["asset"]["gaussians"] == 600)
-            assert page.problems == []
-        finally:
-            page.tab.close()
+    with opened_page(browser, tmp_path, still=True) as (_, page):
+        page.tab.keyboard.press("s")
+        page.tab.get_by_role("checkbox", name="With relief").check()
+        size = page.tab.get_by_role("textbox", name="Size, number")
+        size.fill("140")
+        size.press("Enter")
+        box = page.tab.locator("#stage").bounding_box()
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.tab.mouse.click(*middle)
+        page.wait("what to do", lambda: page.tab.get_by_text("Choose where to copy from first.").count())
+        page.tab.keyboard.down("Alt")
+        page.tab.mouse.click(*middle)
+        page.tab.keyboard.up("Alt")
+        for _ in range(8):
+            page.tab.locator("#stage").press("ArrowLeft")
+        page.tab.mouse.click(*middle)
+        page.wait("the stamp", lambda: page.names() == ["Clone with relief"])
+        page.settled()
+        assert page.state()["asset"]["gaussians"] > 600
+        page.tab.keyboard.press("Control+z")
+        page.wait("nothing", lambda: page.names() == [] and page.state()["asset"]["gaussians"] == 600)

@@ -15,7 +15,7 @@ from splatbench.studio_client import encoded, wire
 from splatpainter.image_files import encode_png, to_uint8
 from tests.support.lift_scenes import differing
 from tests.support.spread_scenes import CAMERA, SIDE, board, left_half, painted_picture
-from tests.support.studio_pages import Page
+from tests.support.studio_pages import opened_page
 from tests.support.studio_scenes import Live, live, make_studio
 
 BACK = np.arange(2 * SIDE**2) >= SIDE**2
@@ -82,19 +82,15 @@ def test_a_stroke_that_spreads_goes_into_no_other_layer(studio: Live) -> None:
 
 
 def test_the_page_spreads_a_stroke_and_shows_how_sure_it_is(browser: Any, tmp_path: Path) -> None:
-    with live(make_studio(tmp_path, board())) as studio:
-        page = Page(browser, studio.url)
-        try:
-            page.tab.get_by_role("button", name="Spread").click()
-            page.drag((0.42, 0.4), (0.44, 0.6))
-            page.wait("the layer", lambda: [layer["mode"] for layer in page.state()["layers"]] == ["spread"])
-            page.settled()
-            panel = page.tab.get_by_role("region", name="Layers")
-            panel.get_by_label("Show confidence").check()
-            page.wait("the overlay", lambda: page.tab.locator("[data-still=confidence]").count())
-            panel.get_by_role("textbox", name="Threshold, number").fill("100")
-            panel.get_by_role("textbox", name="Threshold, number").press("Enter")
-            page.wait("the slider", lambda: page.state()["layers"][0]["parameters"]["spread_threshold"] == 1)
-            assert behind(studio) == 0 and page.problems == []
-        finally:
-            page.tab.close()
+    with opened_page(browser, tmp_path, splats=board()) as (studio, page):
+        page.tab.get_by_role("button", name="Spread").click()
+        page.drag((0.42, 0.4), (0.44, 0.6))
+        page.wait("the layer", lambda: [layer["mode"] for layer in page.state()["layers"]] == ["spread"])
+        page.settled()
+        panel = page.tab.get_by_role("region", name="Layers")
+        panel.get_by_label("Show confidence").check()
+        page.wait("the overlay", lambda: page.tab.locator("[data-still=confidence]").count())
+        panel.get_by_role("textbox", name="Threshold, number").fill("100")
+        panel.get_by_role("textbox", name="Threshold, number").press("Enter")
+        page.wait("the slider", lambda: page.state()["layers"][0]["parameters"]["spread_threshold"] == 1)
+        assert behind(studio) == 0

@@ -17,11 +17,12 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import urljoin
+from urllib.parse import urljoin, urlsplit
 
 import numpy as np
 import pytest
 
+from splatpainter.splats import Splats
 from tests.support import studio_scenes
 
 WITH_WINDOWS = ("chromium", "chromium-browser")
@@ -48,9 +49,12 @@ READS_OF_COMPOSITOR = "GPU stall due to ReadPixels"
 """In the driver's message about the compositor, which then reads the view back. Not ignored with GPU compositing."""
 STATIC = Path(__file__).resolve().parents[2] / "src/splatpainter/server/static"
 WEB = Path(__file__).resolve().parents[2] / "web"
-IDLE_TABS: dict[Any, Any] = {}
-"""Browser -> a tab that a page has left. A new tab would be a new process, which compiles the code and its shaders
-anew: a third of the time of most tests."""
+IDLE_TABS: dict[Any, list[Any]] = {}
+"""Browser -> tabs that pages have left, the latest last. A new tab would be a new process, which compiles the code and
+its shaders anew: a third of the time of most tests."""
+PORTS: dict[Any, int] = {}
+"""Browser -> the port of the studio that it has shown last: code from the same address is not compiled again, which is
+half of the time to open a page."""
 FEW_PIXELS = "0.25"
 """Pixels of the view per pixel of the screen, in each direction: fewer than users can choose. SwiftShader's time
 for those of a view at half resolution was half of the time of all browser tests."""
@@ -91,6 +95,7 @@ def browsing() -> Iterator[Any]:
             yield browser
         finally:
             IDLE_TABS.pop(browser, None)
+            PORTS.pop(browser, None)
             browser.close()
 
 
@@ -103,7 +108,7 @@ def _with_llvmpipe(playwright: Any, program: str) -> Any:
     browser = playwright.chromium.launch(executable_path=program, args=flags, env=environment)
     tab = browser.new_page()
     if "llvmpipe" in tab.evaluate(DRIVER):
-        IDLE_TABS[browser] = tab
+        IDLE_TABS[browser] = [tab]
         return browser
     browser.close()
     WITHOUT_LLVMPIPE.add(program)
@@ -293,22 +298,33 @@ class Page:
 
 
 @contextlib.contextmanager
+def window(browser: Any, url: str, *, still: bool = False, resolution: str = FEW_PIXELS) -> Iterator[Page]:
+    """A page of a studio, which must not complain. still: nothing in it glides."""
+    idle = IDLE_TABS.setdefault(browser, [])
+    PORTS[browser] = urlsplit(url).port or 0
+    page = Page(browser, url, tab=idle.pop() if idle else None, resolution=resolution)
+    if still:
+        page.tab.emulate_media(reduced_motion="reduce")
+    try:
+        yield page
+        assert page.problems == []
+        page.leave()
+    except BaseException:
+        page.tab.close()
+        raise
+    idle.append(page.tab)
+
+
+@contextlib.contextmanager
 def opened_page(
-    browser: Any, folder: Path, *, still: bool = False, resolution: str = FEW_PIXELS
+    browser: Any, folder: Path, *, splats: Splats | None = None, still: bool = False, resolution: str = FEW_PIXELS
 ) -> Iterator[tuple[studio_scenes.Live, Page]]:
-    """A studio with the ball, and its page, which must not complain. still: nothing in it glides."""
-    with studio_scenes.live(studio_scenes.make_studio(folder)) as live:
-        page = Page(browser, live.url, tab=IDLE_TABS.pop(browser, None), resolution=resolution)
-        if still:
-            page.tab.emulate_media(reduced_motion="reduce")
-        try:
-            yield live, page
-            assert page.problems == []
-            page.leave()
-        except BaseException:
-            page.tab.close()
-            raise
-        if browser in IDLE_TABS:
-            page.tab.close()
-        else:
-            IDLE_TABS[browser] = page.tab
+    """A studio with the ball, or with `splats`, and its page. Where there is a `folder`/shared, its files may be
+    named."""
+    shared = folder / "shared"
+    studio = studio_scenes.make_studio(folder, splats, shared=shared if shared.is_dir() else None)
+    with (
+        studio_scenes.live(studio, port=PORTS.get(browser, 0)) as live,
+        window(browser, live.url, still=still, resolution=resolution) as page,
+    ):
+        yield live, page
