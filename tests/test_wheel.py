@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -11,14 +12,26 @@ import urllib.request
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 import splatpainter
 from splatpainter import processes
+from splatpainter.commands.demo import FRAMES
 from splatpainter.kernels.compile import ensure_compiled
 from splatpainter.user_folders import PROJECTS_VARIABLE
+from tests.support.cli_scenes import Capture, ball, rows_of, run, saved
 
 ROOT = Path(__file__).resolve().parents[1]
+CHILD_PROCESSES = ROOT / "tests" / "support" / "child_processes"
+DEMO_FILES = {
+    "asset.ply", "before.png", "before.json", "edited.png", "edited.json", "painted.ply", "painted.ply.receipt.json",
+    "after.png", "after_left.png", "after_above.png", "regraded.png", "regraded.json", "evening.ply",
+    "evening.ply.receipt.json", "evening.png", "overview.png", "turntable.webp",
+}  # fmt: skip
+BUILD = "import sys; from setuptools.build_meta import build_wheel; build_wheel(sys.argv[1])"
+"""What pip calls, without the second process in which pip asks for metadata first."""
 PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
 
 
@@ -30,8 +43,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT / "src", source / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    words = ["wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder), str(source)]
-    done = subprocess.run([*PIP, *words], capture_output=True, encoding="utf-8", errors="replace")
+    build = [sys.executable, "-c", BUILD, str(folder)]
+    done = subprocess.run(build, cwd=source, capture_output=True, encoding="utf-8", errors="replace")
     assert done.returncode == 0, done.stderr
     (path,) = folder.glob("*.whl")
     return path
@@ -59,6 +72,11 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def pixels(path: Path) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB")).astype(float)
+
+
 def command(installed: Path) -> str:
     """The program that pip made."""
     program = shutil.which("splatpainter", path=os.pathsep.join([str(installed / "bin"), str(installed / "Scripts")]))
@@ -67,8 +85,9 @@ def command(installed: Path) -> str:
 
 
 def surroundings(installed: Path, home: Path) -> dict[str, str]:
+    """Of its programs: nothing of the checkout, but for what every process of the tests does first."""
     folders = {"XDG_CACHE_HOME": str(home / "cache"), PROJECTS_VARIABLE: str(home / "projects")}
-    return {**os.environ, **folders, "PYTHONPATH": str(installed)}
+    return {**os.environ, **folders, "PYTHONPATH": os.pathsep.join([str(installed), str(CHILD_PROCESSES)])}
 
 
 def test_the_wheel_has_what_the_package_needs_and_nothing_else(wheel: Path) -> None:
@@ -89,7 +108,10 @@ def test_the_wheel_has_what_the_package_needs_and_nothing_else(wheel: Path) -> N
     assert not any("test" in Path(name).name.split("_") or name.startswith(("tests", "web")) for name in names)
 
 
-def test_the_demo_runs_in_an_empty_folder(installed: Path, tmp_path: Path) -> None:
+def test_the_demo_makes_everything_it_promises_in_an_empty_folder(
+    installed: Path, tmp_path: Path, capfd: Capture
+) -> None:
+    """Small, so that it is quick."""
     (tmp_path / "empty").mkdir()
     program = "import splatpainter, sys; print(splatpainter.__file__, 'torch' in sys.modules)"
     variables = surroundings(installed, tmp_path)
@@ -98,23 +120,53 @@ def test_the_demo_runs_in_an_empty_folder(installed: Path, tmp_path: Path) -> No
     )
     assert where.stdout.startswith(str(installed)), where
     done = subprocess.run(
-        [command(installed), "demo", "--size", "64"],
+        [command(installed), "demo", "--size", "160", "--json"],
         cwd=tmp_path / "empty",
         env=variables,
         capture_output=True,
         encoding="utf-8",
         timeout=600,
     )
-    assert done.returncode == 0, done.stderr
-    assert {"painted.ply", "painted.ply.receipt.json", "overview.png", "turntable.webp"} <= {
-        path.name for path in (tmp_path / "empty" / "demo").iterdir()
-    }
+    assert (done.returncode, done.stderr) == (0, "")
+    out = tmp_path / "empty" / "demo"
+    assert {path.name for path in out.iterdir()} == DEMO_FILES
+    steps = {step["what"]: step for step in json.loads(done.stdout)["steps"]}
+
+    # The paint is where it was painted, and nowhere else.
+    before, edited, after = (pixels(out / f"{name}.png") for name in ("before", "edited", "after"))
+    mask = np.abs(edited - before).max(-1) > 12
+    assert 0.01 < mask.mean() < 0.2
+    assert np.abs(after - edited)[mask].mean() < 0.5 * np.abs(before - edited)[mask].mean()
+    assert np.abs(after - before)[~mask].mean() < 1.5
+    local = steps["local edit"]
+    assert local["psnr_after"] > local["psnr_before"] + 8 and local["psnr_outside"] > 35
+
+    # The proof holds against the files' own bytes.
+    old, new = rows_of(out / "asset.ply"), rows_of(out / "painted.ply")
+    same = (old == new[: len(old)]).all(1)
+    receipt = json.loads((out / "painted.ply.receipt.json").read_text())
+    assert int(same.sum()) == local["same_rows"] >= len(old) - receipt["touched_rows"] > 0.9 * len(old)
+    assert len(new) - len(old) == receipt["appended_rows"]
+    assert run(capfd, "verify", out / "asset.ply", out / "painted.ply").code == 0
+    assert run(capfd, "verify", out / "painted.ply", out / "evening.ply").code == 0
+
+    # The regrade is warm: red gains on blue, also from a side that no picture showed.
+    day, dusk = (pixels(out / f"{name}.png") for name in ("after_left", "evening"))
+    middle = (slice(60, 110), slice(50, 110))
+    assert (dusk[middle][..., 0] / dusk[middle][..., 2]).mean() > 1.2 * (
+        day[middle][..., 0] / day[middle][..., 2]
+    ).mean()
+
+    with Image.open(out / "turntable.webp") as film:
+        assert (film.n_frames, film.size) == (FRAMES, (80, 80))  # type: ignore[attr-defined]
+    with Image.open(out / "edited.png") as picture:
+        stored = json.loads(picture.text["splatpainter"])  # type: ignore[attr-defined]
+    assert stored["asset_sha256"] == json.loads((out / "painted.ply.receipt.json").read_text())["asset"]["sha256"]
+    assert pixels(out / "overview.png").shape[1] == 1600
 
 
 def test_the_studio_serves_its_page(installed: Path, tmp_path: Path) -> None:
     """On a small asset, to be quick."""
-    from tests.support.cli_scenes import ball, saved
-
     (tmp_path / "empty").mkdir()
     asset = saved(tmp_path / "ball.ply", ball(200))
     words = [command(installed), "studio", str(asset), "--no-browser", "--port", "0"]
