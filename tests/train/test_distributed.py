@@ -17,9 +17,10 @@ import torch
 
 from splatpainter import processes
 from splatpainter.models import checkpoint
+from splatpainter.train.build import make_task
 from splatpainter.train.distributed import join
 from splatpainter.train.loop import sample_numbers
-from tests.support.train_scenes import RECIPE, loop, stream
+from tests.support.train_scenes import RECIPE, loop, model
 
 STEPS = 2
 ONCE = replace(RECIPE, steps=STEPS)
@@ -36,15 +37,14 @@ def work(out: Path, rank: int) -> None:
     group.close()
 
 
-def both(out: Path) -> int:
-    """Both processes, forked where the system can: torch is imported and samples are made once for them."""
+def all_runs(out: Path) -> int:
+    """One process, then both together, forked where the system can: torch is imported, kernels are loaded and samples
+    are made once for them. Returns how many failed."""
     import torch._dynamo  # noqa: F401
     import torch.distributed.fsdp  # noqa: F401
 
     torch.set_num_threads(1)
-    for step in range(STEPS):
-        for number in sample_numbers(step, ONCE.batch, ONCE.stay):
-            _ = stream()[number]
+    loop(ONCE, out / "one")()
     context: Any = multiprocessing.get_context("fork" if hasattr(os, "fork") else "spawn")
     ranks = [context.Process(target=work, args=(out, rank)) for rank in range(2)]
     for process in ranks:
@@ -67,15 +67,17 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         port = free.getsockname()[1]
     root = Path(__file__).parents[2]
     shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "OMP_NUM_THREADS": "1"}
-    shared |= {"PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
-    code = "import sys; from pathlib import Path; from tests.train.test_distributed import both; "
-    code += "sys.exit(both(Path(sys.argv[1])))"
+    shared |= {
+        "SPLATPAINTER_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")]),
+    }
+    code = "import sys; from pathlib import Path; from tests.train.test_distributed import all_runs; "
+    code += "sys.exit(all_runs(Path(sys.argv[1])))"
     # A process of its own: forking this one, with its threads, would not be sound.
     command = [sys.executable, "-c", code, str(out)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     process = processes.begin(command, env={**os.environ, **shared}, **pipes)
     try:
-        loop(ONCE, out / "one")()  # meanwhile
         output = process.communicate(timeout=180)[0]
     finally:
         processes.end(process)
@@ -90,7 +92,7 @@ def test_two_processes_are_one(runs: Path, kind: str) -> None:
     torch.testing.assert_close(torch.tensor(two), torch.tensor(one), rtol=2e-4, atol=1e-7)
     a, b = (checkpoint.load(runs / name / "state").tensors for name in ("one", kind))
     assert a.keys() == b.keys()
-    start = dict(loop(ONCE, runs / "fresh").task.named_parameters())
+    start = dict(make_task(ONCE, model(ONCE.model, ONCE.seed), None, lambda line: None).named_parameters())
     # All updates as one vector: Adam makes whole steps of gradients that are nothing but rounding.
     apart, moved = 0.0, 0.0
     for name, value in a.items():
