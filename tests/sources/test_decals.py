@@ -81,7 +81,7 @@ def test_features_lie_where_the_exact_map_puts_them(shape, angle: float, across:
     centers = np.array([[u, v] for u in (values if across else values / 2) for v in (-0.22, 0, 0.22)])
     painter = sp.Painter()
     asset = painter.encode(splats)
-    laid = Decal(dots(centers), MIDDLE, FRONT, width, angle).laid(asset)
+    laid = Decal(dots(centers, 120), MIDDLE, FRONT, width, angle).laid(asset)
     edited = painter.apply(asset, laid.edits)
     errors = []
     for uv in turned(centers, angle) * width:

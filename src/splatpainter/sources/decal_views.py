@@ -349,19 +349,40 @@ def _fused_patch(
 def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -> np.ndarray:
     """[Q] bool specks, and pixels at an outline of a picture [H, W] whose normal leads into it: that of a face behind
     the outline, turned to the camera. reach: world units up to which neighbours belong together."""
+    rows, columns = seen.ys + MAX_FIT_PX, seen.xs + MAX_FIT_PX
+    share = _share_near(seen.points, rows, columns, (shape[0] + 2 * MAX_FIT_PX, shape[1] + 2 * MAX_FIT_PX), reach)
+    outline = np.flatnonzero((share >= MIN_OUTLINE_SHARE) & (share < MAX_OUTLINE_SHARE))
     index = np.full((shape[0] + 2 * MAX_FIT_PX, shape[1] + 2 * MAX_FIT_PX), -1)
-    index[seen.ys + MAX_FIT_PX, seen.xs + MAX_FIT_PX] = np.arange(len(seen.ys))
-    total, count = np.zeros((len(seen.ys), 3)), np.zeros(len(seen.ys))
-    for dy in range(2 * MAX_FIT_PX + 1):
-        for dx in range(2 * MAX_FIT_PX + 1):
-            other = index[seen.ys + dy, seen.xs + dx]
-            way = seen.points[other] - seen.points
+    index[rows, columns] = np.arange(len(rows))
+    total = np.zeros((len(outline), 3))
+    for dy in range(-MAX_FIT_PX, MAX_FIT_PX + 1):
+        for dx in range(-MAX_FIT_PX, MAX_FIT_PX + 1):
+            other = index[rows[outline] + dy, columns[outline] + dx]
+            way = seen.points[other] - seen.points[outline]
             near = (other >= 0) & ((way**2).sum(1) < reach**2)
             total += np.where(near[:, None], way, 0)
-            count += near
-    share = count / (2 * MAX_FIT_PX + 1) ** 2
-    inwards = (total * seen.normals).sum(1) > INWARD_SINE * np.linalg.norm(total, axis=1)
-    return (share < MIN_OUTLINE_SHARE) | (share < MAX_OUTLINE_SHARE) & inwards
+    inwards = share < MIN_OUTLINE_SHARE
+    inwards[outline] = (total * seen.normals[outline]).sum(1) > INWARD_SINE * np.linalg.norm(total, axis=1)
+    return inwards
+
+
+def _share_near(
+    points: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int], reach: float
+) -> np.ndarray:
+    """[Q] share of the pixels up to MAX_FIT_PX away, itself among them, whose points are nearer than `reach`. points:
+    [Q, 3] at some rows and columns ([Q], not nearer to the edges) of a picture [H, W]."""
+    planes = np.full((3, *shape), np.nan)
+    planes[:, rows, columns] = points.T
+    count = np.ones(shape, np.uint8)
+    for dy in range(MAX_FIT_PX + 1):
+        for dx in range(-MAX_FIT_PX if dy else 1, MAX_FIT_PX + 1):  # each pair once
+            first = slice(0, shape[0] - dy), slice(max(-dx, 0), shape[1] - max(dx, 0))
+            second = slice(dy, None), slice(max(dx, 0), shape[1] - max(-dx, 0))
+            x, y, z = (plane[first] - plane[second] for plane in planes)
+            near = x * x + y * y + z * z < reach**2
+            count[first] += near
+            count[second] += near
+    return count[rows, columns] / (2 * MAX_FIT_PX + 1) ** 2
 
 
 def _joined(
@@ -604,24 +625,24 @@ def _filled_by_one(
     uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `_filled`, one pixel far."""
-    height, width = region.shape
+    ys, xs = np.nonzero(region & (index < 0))
     padded = np.pad(uv, [(2, 2), (2, 2), (0, 0)], constant_values=np.nan)
-    ids = np.pad(index, 2, constant_values=-1)
-    total, count, source = np.zeros_like(uv), np.zeros((height, width, 1)), index.copy()
+    total, count, source = np.zeros((len(ys), 2)), np.zeros(len(ys)), np.full(len(ys), -1, np.int64)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             if not (dy or dx):
                 continue
-            first = padded[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
-            second = padded[2 + 2 * dy : 2 + 2 * dy + height, 2 + 2 * dx : 2 + 2 * dx + width]
-            with np.errstate(invalid="ignore"):
-                sound = np.all(np.abs(first - second) < limit, axis=-1)[..., None]
-            total += np.where(sound, 2 * first - second, 0)
+            first, second = padded[ys + 2 + dy, xs + 2 + dx], padded[ys + 2 + 2 * dy, xs + 2 + 2 * dx]
+            sound = (np.abs(first - second) < limit).all(1)  # NaN is not near
+            total[sound] += 2 * first[sound] - second[sound]
             count += sound
-            neighbour = ids[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
-            np.copyto(source, neighbour, where=sound[..., 0] & (source < 0))
-    empty = region & (index < 0) & (count[..., 0] >= 2)
-    return np.where(empty[..., None], total / np.maximum(count, 1), uv), np.where(empty, source, index)
+            neighbour = sound & (source < 0)
+            source[neighbour] = index[ys[neighbour] + dy, xs[neighbour] + dx]
+    some = count >= 2
+    uv, index = uv.copy(), index.copy()
+    uv[ys[some], xs[some]] = total[some] / count[some, None]
+    index[ys[some], xs[some]] = source[some]
+    return uv, index
 
 
 def _creases(

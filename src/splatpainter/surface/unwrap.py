@@ -27,6 +27,8 @@ MIN_DISTANCE = 0.7
 """Between samples, in spacings."""
 REACH = 2.2
 """Distance up to which samples are neighbours, in spacings."""
+MAX_NEIGHBOURS = 256
+"""Of a sample; beyond them it has none."""
 MAX_CREASE = math.radians(120.0)
 """Angle between the normals of neighbours, at most."""
 HINGE = math.radians(20.0)
@@ -37,6 +39,8 @@ SAME_SHEET = 1.5
 """Spacings by which neighbours may disagree about a point and still be averaged: behind a bump, ways around it meet."""
 WEIGHT_WIDTH = 0.8
 """Spacings: standard deviation of the weights of neighbours."""
+CHORD = 1 - 1e-6
+"""No way is shorter than so many straight lines: where that is too long already, the way need not be measured."""
 MIN_AGREEING_COSINE = 0.2
 """Between the normals of a query and of a sample that smooths it."""
 SMOOTHED_TURN = 0.4
@@ -349,37 +353,37 @@ def _step(point, normal, right, qx, qy, qz, mx, my, mz, out):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _average(points, normals, right, uv, distances, near, count, px, py, pz, nx, ny, nz, spacing, step, out):
+def _average(points, normals, right, uv, distances, near, count, px, py, pz, nx, ny, nz, spacing, step, ways, out):
     """Where the reached ones of some neighbours see a point: out = (u, v, right) [5]. Returns the one with the
-    shortest way to it, -1 where none is reached."""
-    best, shortest = -1, math.inf
+    shortest way to it, -1 where none is reached. step [5] and ways [MAX_NEIGHBOURS, 6] are written to."""
+    best, shortest, reached = -1, math.inf, 0
     bu, bv = 0.0, 0.0
     for k in range(count):
         j = near[k]
         if not distances[j] < math.inf:
             continue
-        length = distances[j] + _step(points[j], normals[j], right[j], px, py, pz, nx, ny, nz, step)
+        way = _step(points[j], normals[j], right[j], px, py, pz, nx, ny, nz, step)
+        length, ju, jv = distances[j] + way, uv[j, 0] + step[0], uv[j, 1] + step[1]
         if length < shortest:
             best, shortest = j, length
-            bu, bv = uv[j, 0] + step[0], uv[j, 1] + step[1]
+            bu, bv = ju, jv
+        ways[reached, 0], ways[reached, 1], ways[reached, 2] = way, ju, jv
+        ways[reached, 3], ways[reached, 4], ways[reached, 5] = step[2], step[3], step[4]
+        reached += 1
     if best < 0:
         return -1
     total, u, v, rx, ry, rz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(count):
-        j = near[k]
-        if not distances[j] < math.inf:
-            continue
-        length = _step(points[j], normals[j], right[j], px, py, pz, nx, ny, nz, step) / (WEIGHT_WIDTH * spacing)
-        ju, jv = uv[j, 0] + step[0], uv[j, 1] + step[1]
+    for k in range(reached):
+        length, ju, jv = ways[k, 0] / (WEIGHT_WIDTH * spacing), ways[k, 1], ways[k, 2]
         if (ju - bu) ** 2 + (jv - bv) ** 2 > (SAME_SHEET * spacing) ** 2:
             continue
         w = math.exp(-0.5 * length * length) + 1e-9
         total += w
         u += w * ju
         v += w * jv
-        rx += w * step[2]
-        ry += w * step[3]
-        rz += w * step[4]
+        rx += w * ways[k, 3]
+        ry += w * ways[k, 4]
+        rz += w * ways[k, 5]
     out[0], out[1] = u / total, v / total
     scale = rx * nx + ry * ny + rz * nz
     rx, ry, rz = rx - scale * nx, ry - scale * ny, rz - scale * nz
@@ -396,7 +400,7 @@ def _spread(
     total = points.shape[0]
     tentative = np.full(total, math.inf)
     settled = np.zeros(total, np.bool_)
-    near = np.empty(256, np.int64)
+    near, ways = np.empty(MAX_NEIGHBOURS, np.int64), np.empty((MAX_NEIGHBOURS, 6))
     step, out = np.empty(5), np.empty(5)
     heap_key, heap_id = np.empty(64 * total + 64), np.empty(64 * total + 64, np.int64)
     heap_key[0], heap_id[0], filled = 0.0, 0, 1
@@ -430,7 +434,7 @@ def _spread(
         count = _neighbours(points, normals, i, px, py, pz, nx, ny, nz, reach, keys, order, corner, size, near)
         if i > 0:
             if _average(
-                points, normals, right, uv, distances, near, count, px, py, pz, nx, ny, nz, spacing, step, out
+                points, normals, right, uv, distances, near, count, px, py, pz, nx, ny, nz, spacing, step, ways, out
             ) < 0:  # fmt: skip
                 continue
             uv[i, 0], uv[i, 1] = out[0], out[1]
@@ -451,6 +455,9 @@ def _spread(
         for k in range(count):
             j = near[k]
             if settled[j]:
+                continue
+            dx, dy, dz = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
+            if key + CHORD * math.sqrt(dx * dx + dy * dy + dz * dz) >= tentative[j]:
                 continue
             length = key + _step(
                 points[i], normals[i], right[i], points[j, 0], points[j, 1], points[j, 2],
@@ -474,7 +481,7 @@ def _interpolate(
     points, normals, right, uv, distances, spacing, keys, order, corner, size, queries, query_normals, out, nearest,
     thread, threads,
 ):  # fmt: skip
-    near = np.empty(256, np.int64)
+    near, ways = np.empty(MAX_NEIGHBOURS, np.int64), np.empty((MAX_NEIGHBOURS, 6))
     step, value = np.empty(5), np.empty(5)
     for start in range(thread * BLOCK, queries.shape[0], threads * BLOCK):
         for q in range(start, min(start + BLOCK, queries.shape[0])):
@@ -488,7 +495,7 @@ def _interpolate(
             if count == 0:
                 continue
             best = _average(
-                points, normals, right, uv, distances, near, count, px, py, pz, nx, ny, nz, spacing, step, value
+                points, normals, right, uv, distances, near, count, px, py, pz, nx, ny, nz, spacing, step, ways, value
             )
             if best < 0:
                 continue
