@@ -50,6 +50,8 @@ MAX_TARGET_OFFSET = 0.1
 """Between the depth of a window's middle and that of the surface that is seen there, of that depth."""
 DEPTH_MEDIAN_PX = 5
 """Takes single Gaussians out of the depth from which normals are read."""
+ANGLE_MARGIN_PX = 4
+"""Around pixels whose angles are asked for: their own do not depend on what is beyond."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def grazing_closeup(
 
 @dataclass(frozen=True)
 class ViewAngles:
-    """How a view sees the surface, H x W pixels."""
+    """How a view sees the surface, H x W pixels: all of a picture, or its middle."""
 
     degrees: np.ndarray
     """[H, W] between the line of sight and the normal, from smoothed depth."""
@@ -135,12 +137,19 @@ class ViewAngles:
     """[H, W] smoothed z-depth, world units."""
 
     @staticmethod
-    def of(splats: Splats, camera: Camera) -> ViewAngles:
-        from splatpainter.rendering.cpu.projected_view import project
+    def of(splats: Splats, camera: Camera, rim: int = 0) -> ViewAngles:
+        """rim: pixels at every side of the picture that are left out, and not drawn; of the rest, the outermost
+        ANGLE_MARGIN_PX know one side only."""
+        from splatpainter.rendering.cpu.projected_view import project, tiles_of_mask
 
-        _, alpha, expected = project(splats, camera).rasterize()
+        inner = camera.cropped(rim, rim, camera.width - 2 * rim, camera.height - 2 * rim)
+        rows, columns = slice(rim, rim + inner.height), slice(rim, rim + inner.width)
+        drawn = np.zeros((camera.height, camera.width), bool)
+        drawn[rows, columns] = True
+        _, alpha, expected = project(splats, camera, tiles=tiles_of_mask(drawn)).rasterize()
+        alpha, expected = alpha[rows, columns], expected[rows, columns]
         depth = ndimage.median_filter(expected, DEPTH_MEDIAN_PX, mode="nearest")
-        points = camera.unproject(depth)
+        points = inner.unproject(depth)
         normals = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
         sight = points - camera.position
@@ -152,12 +161,13 @@ class ViewAngles:
 def _grazing_shares(splats: Splats, camera: Camera, target: np.ndarray) -> tuple[float, float, float]:
     """(part of the picture's middle half, each way, that is surface; part of it, and of its own middle half, seen at
     GRAZING_DEGREES); zeros where something hides the target [3], the middle of the picture."""
-    angles = ViewAngles.of(splats, camera)
     half, quarter = camera.height // 2, camera.height // 4
-    if abs(angles.depth[half, half] / camera.to_camera(target)[2] - 1) > MAX_TARGET_OFFSET:
+    rim = max(quarter - ANGLE_MARGIN_PX, 0)
+    angles = ViewAngles.of(splats, camera, rim)
+    if abs(angles.depth[half - rim, half - rim] / camera.to_camera(target)[2] - 1) > MAX_TARGET_OFFSET:
         return 0.0, 0.0, 0.0
-    middle = (slice(quarter, camera.height - quarter),) * 2
-    core = (slice(half - quarter // 2, half + quarter // 2),) * 2
+    middle = (slice(quarter - rim, camera.height - quarter - rim),) * 2
+    core = (slice(half - quarter // 2 - rim, half + quarter // 2 - rim),) * 2
     low, high = GRAZING_DEGREES
     grazing = angles.valid & (angles.degrees >= low) & (angles.degrees <= high)
     return float(angles.valid[middle].mean()), float(grazing[middle].mean()), float(grazing[core].mean())

@@ -31,6 +31,7 @@ def few() -> object:
     """Coarser surfels, for speed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ground_truth, "MIN_SURFELS", 6000)
+        patch.setattr(ground_truth, "SURFELS_PER_PIXEL", 0.15)
         yield
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from splatbench import ground_truth
 from splatbench.cases import Case, Setup
 from splatbench.ground_truth import SURFEL_SH_DEGREE, GroundTruth, build_asset
 from splatbench.methods import EditResult
@@ -25,6 +27,14 @@ from splatpainter.splats import Splats
 SETUP = Setup(
     objects=2, size=40, detail=3, truth="surfels", base_views=5, rows=800, asset_steps=12, novel_views=4, lights=2
 )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few() -> Iterator[None]:
+    """Coarser surfels, for speed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ground_truth, "MIN_SURFELS", 6000)
+        yield
 
 
 @lru_cache(maxsize=1)

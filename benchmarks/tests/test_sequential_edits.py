@@ -61,6 +61,7 @@ def cases() -> dict[str, Case]:
     endings = ["0-views", "0-edits", "0-conflict", "1-views", "2-views"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ground_truth, "MIN_SURFELS", 2000)
+        patch.setattr(ground_truth, "SURFELS_PER_PIXEL", 0.15)
         return {w: TABLE.make(next(k for n, k in keys.items() if n.endswith(w)), SETUP) for w in endings}
 
 
