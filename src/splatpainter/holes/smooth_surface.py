@@ -42,10 +42,12 @@ class ThinPlate:
         kernel = _phi(_distances(knots, knots))
         ones = np.concatenate([np.ones((len(knots), 1)), knots], 1)
         weights, solved = np.ones(len(knots)), np.zeros(len(knots) + 3)
+        on_line = np.linalg.cond(ones) > MAX_CONDITION
         for _ in range(ROBUST_ROUNDS):
             stiff = np.diag(STIFFNESS * len(knots) / weights)
             system = np.block([[kernel + stiff, ones], [ones.T, np.zeros((3, 3))]])
-            solved = np.linalg.lstsq(system, np.append(heights, np.zeros(3)), rcond=1e-12)[0]
+            right = np.append(heights, np.zeros(3))
+            solved = np.linalg.lstsq(system, right, rcond=1e-12)[0] if on_line else np.linalg.solve(system, right)
             residual = heights - kernel @ solved[:-3] - ones @ solved[-3:]
             weights = 1 / (1 + (residual / max(2 * noise, 1e-12)) ** 2)
         return ThinPlate(knots, solved, scale)
@@ -61,6 +63,8 @@ class ThinPlate:
         return out
 
 
+MAX_CONDITION = 1e6
+"""Of the knots' linear functions: beyond it they lie on a line, and slopes across it are open (the least are taken)."""
 STIFFNESS = 1e-6
 """Weight of the bending energy for each knot (lengths over the extent): noise is smoothed, slopes at the rim stay."""
 

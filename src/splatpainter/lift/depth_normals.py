@@ -164,8 +164,33 @@ def _medians(depth, out, thread, threads):
                     if depth[v, u] > 0:
                         near[n] = depth[v, u]
                         n += 1
-            part = np.sort(near[:n])
-            out[y, x] = part[n // 2]
+            out[y, x] = _smallest(near, n, n // 2)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _smallest(values, count, rank):
+    """The value that would have a rank (0: the smallest) if the first so many were sorted; puts them into another
+    order (Hoare's quickselect)."""
+    low, high = 0, count - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if rank <= j:
+            high = j
+        elif rank >= i:
+            low = i
+        else:
+            break
+    return values[rank]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
