@@ -16,17 +16,18 @@ from splatpainter.sources.registration import warped
 def drawn_scene(size: int = 240, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """([size, size, 3] overlapping shaded disks with grain on grey, [size, size] alpha: where they are), read-only."""
     rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:size, :size] + 0.5
     image, alpha = np.full((size, size, 3), 0.25), np.zeros((size, size))
     for _ in range(24):
         cx, cy = rng.uniform(0.25 * size, 0.75 * size, 2)
         radius = rng.uniform(0.05, 0.16) * size
+        rows, columns = (slice(int(max(c - radius - 1, 0)), int(c + radius + 2)) for c in (cy, cx))
+        y, x = np.mgrid[rows, columns][:, : size - rows.start, : size - columns.start] + 0.5
         cover = np.clip(radius - np.hypot(x - cx, y - cy), 0, 1)
         light = 0.7 + 0.3 * (x - cx + cy - y) / radius / 2
         stripes = 0.85 + 0.15 * np.sin((x * rng.normal() + y * rng.normal()) / 2.5)
         color = rng.uniform(0.15, 0.85, 3) * (light * stripes)[..., None]
-        image = image * (1 - cover[..., None]) + color * cover[..., None]
-        alpha = np.maximum(alpha, cover)
+        image[rows, columns] = image[rows, columns] * (1 - cover[..., None]) + color * cover[..., None]
+        alpha[rows, columns] = np.maximum(alpha[rows, columns], cover)
     pictures = np.clip(image, 0.02, 0.98).astype(np.float32), alpha.astype(np.float32)
     for picture in pictures:
         picture.flags.writeable = False
