@@ -355,13 +355,12 @@ def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -
     index = np.full((shape[0] + 2 * MAX_FIT_PX, shape[1] + 2 * MAX_FIT_PX), -1)
     index[rows, columns] = np.arange(len(rows))
     total = np.zeros((len(outline), 3))
-    for dy in range(-MAX_FIT_PX, MAX_FIT_PX + 1):
-        for dx in range(-MAX_FIT_PX, MAX_FIT_PX + 1):
-            other = index[rows[outline] + dy, columns[outline] + dx]
-            way = seen.points[other] - seen.points[outline]
-            near = (other >= 0) & ((way**2).sum(1) < reach**2)
-            total += np.where(near[:, None], way, 0)
-    inwards = share < MIN_OUTLINE_SHARE
+    for dy, dx in np.ndindex(2 * MAX_FIT_PX + 1, 2 * MAX_FIT_PX + 1):
+        other = index[seen.ys[outline] + dy, seen.xs[outline] + dx]
+        way = seen.points[other] - seen.points[outline]
+        near = (other >= 0) & ((way**2).sum(1) < reach**2)
+        total += np.where(near[:, None], way, 0)
+    inwards = share < MIN_OUTLINE_SHARE  # specks
     inwards[outline] = (total * seen.normals[outline]).sum(1) > INWARD_SINE * np.linalg.norm(total, axis=1)
     return inwards
 
@@ -369,8 +368,8 @@ def _facing_inwards(seen: SurfacePixels, shape: tuple[int, int], reach: float) -
 def _share_near(
     points: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int], reach: float
 ) -> np.ndarray:
-    """[Q] share of the pixels up to MAX_FIT_PX away, itself among them, whose points are nearer than `reach`. points:
-    [Q, 3] at some rows and columns ([Q], not nearer to the edges) of a picture [H, W]."""
+    """[Q] share of the pixels up to MAX_FIT_PX away, itself too, with points nearer than `reach`. points: [Q, 3] at
+    rows and columns ([Q], so far from the edges) of a picture [H, W]."""
     planes = np.full((3, *shape), np.nan)
     planes[:, rows, columns] = points.T
     count = np.ones(shape, np.uint8)
@@ -613,35 +612,23 @@ def _on_rays(
 
 
 def _filled(uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """uv [H, W, 2] and sample [H, W] of pixels in `region` without them, continued linearly from neighbours up to
-    FILL_PX away: creases, outlines and specks of surface that is not trusted. limit: largest step per pixel, world
-    units."""
+    """uv [H, W, 2] and sample [H, W], continued linearly up to FILL_PX into pixels of `region` without them: creases,
+    outlines and specks of surface that is not trusted. limit: largest step per pixel, world units."""
+    uv, index = uv.copy(), index.copy()
     for _ in range(FILL_PX):
-        uv, index = _filled_by_one(uv, index, region, limit)
-    return uv, index
-
-
-def _filled_by_one(
-    uv: np.ndarray, index: np.ndarray, region: np.ndarray, limit: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """As `_filled`, one pixel far."""
-    ys, xs = np.nonzero(region & (index < 0))
-    padded = np.pad(uv, [(2, 2), (2, 2), (0, 0)], constant_values=np.nan)
-    total, count, source = np.zeros((len(ys), 2)), np.zeros(len(ys)), np.full(len(ys), -1, np.int64)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            if not (dy or dx):
-                continue
+        ys, xs = np.nonzero(region & (index < 0))
+        padded = np.pad(uv, [(2, 2), (2, 2), (0, 0)], constant_values=np.nan)
+        total, count, source = np.zeros((len(ys), 2)), np.zeros(len(ys)), np.full(len(ys), -1, np.int64)
+        for dy, dx in ((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx):
             first, second = padded[ys + 2 + dy, xs + 2 + dx], padded[ys + 2 + 2 * dy, xs + 2 + 2 * dx]
             sound = (np.abs(first - second) < limit).all(1)  # NaN is not near
             total[sound] += 2 * first[sound] - second[sound]
             count += sound
             neighbour = sound & (source < 0)
             source[neighbour] = index[ys[neighbour] + dy, xs[neighbour] + dx]
-    some = count >= 2
-    uv, index = uv.copy(), index.copy()
-    uv[ys[some], xs[some]] = total[some] / count[some, None]
-    index[ys[some], xs[some]] = source[some]
+        some = count >= 2
+        uv[ys[some], xs[some]] = total[some] / count[some, None]
+        index[ys[some], xs[some]] = source[some]
     return uv, index
 
 

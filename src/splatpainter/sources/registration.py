@@ -469,9 +469,9 @@ class _Scorer:
             rows, columns = (self.starts // SCORE_BLOCK_PX).T
             empty, used = _block_shares(inside & ~content)[rows, columns], _block_shares(usable)[rows, columns]
             scores = np.zeros(len(self.blocks))
-            whole = (used == 1) & (self.starts + SCORE_BLOCK_PX <= usable.shape).all(1)  # all at once, not one by one
-            scores[whole] = _correlations(*(_blocks_at(values, self.starts[whole]) for values in (self.edges, edges)))
-            for k in np.flatnonzero(~whole & (used >= 0.4)):
+            full = (used == 1) & (self.starts + SCORE_BLOCK_PX <= usable.shape).all(1)  # all at once, not one by one
+            scores[full] = _correlations(*(_blocks_at(values, self.starts[full]) for values in (self.edges, edges)))
+            for k in np.flatnonzero(~full & (used >= 0.4)):
                 use = usable[self.blocks[k]]
                 one, other = self.edges[self.blocks[k]][use], edges[self.blocks[k]][use]
                 scores[k] = _correlations(one[None], other[None])[0]
