@@ -7,5 +7,5 @@ The garbage collector looks at new objects seldom, and not at all at the end: wa
 import atexit
 import gc
 
-gc.set_threshold(50_000, 20, 20)
+gc.set_threshold(1_000_000, 20, 20)
 atexit.register(gc.freeze)  # registered first, so it comes last
