@@ -19,9 +19,9 @@ from splatpainter.commands import Outcome, grade
 from splatpainter.commands.batch import Config, run_jobs
 from splatpainter.commands.batch.work import BatchWork
 from splatpainter.painter import Painter
-from tests.support.batch_jobs import CAMERA, Killed, colored_ball, jobs_file, write_assets
+from tests.support.batch_jobs import CAMERA, colored_ball, jobs_file, write_assets
 from tests.support.cli_scenes import Capture, listing, run, saved
-from tests.support.killers import Work, attempts
+from tests.support.killers import Killed, Work, attempts
 
 RECOLOR = """\
 out: out

@@ -19,7 +19,7 @@ from splatpainter.data.jobs import RenderJob, render_scene
 from splatpainter.data.samples import SampleRecipe
 from splatpainter.data.shards import RenderedScene, ShardWriter, check
 from tests.support.data_meshes import write_box
-from tests.support.killers import Work, attempts
+from tests.support.killers import Killed, Work, attempts
 
 SQUARES = {n: n * n for n in range(5)}
 
@@ -108,7 +108,7 @@ def test_ray_with_two_workers_one_killed_fills_the_shards(tmp_path: Path, local_
     )
     job = RenderJob(str(meshes), recipe)
     (tmp_path / "seen").mkdir()
-    work = Killed(Work(str(tmp_path / "seen"), dies_once=1), job)
+    work = Killed(Work(str(tmp_path / "seen"), dies_once=1), partial(render_scene, job))
     with ShardWriter(tmp_path / "ray", job.spec(), 3, 2) as writer:
         for number, scene in run_on_ray(work, writer.missing(), workers=2):
             assert isinstance(scene, RenderedScene), scene
@@ -121,17 +121,6 @@ def test_ray_with_two_workers_one_killed_fills_the_shards(tmp_path: Path, local_
         assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
     health = check(tmp_path / "ray")
     assert health.complete and health.samples == 3 and health.skipped == 0
-
-
-class Killed:
-    """`render_scene` after `Work`, which may kill the process."""
-
-    def __init__(self, work: Work, job: RenderJob) -> None:
-        self.work, self.job = work, job
-
-    def __call__(self, number: int) -> RenderedScene:
-        self.work(number)
-        return render_scene(self.job, number)
 
 
 def test_without_ray_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from splatpainter.cameras import look_at
-from splatpainter.commands.batch.work import BatchWork
 from splatpainter.image_files import write_png
 from splatpainter.rendering import render
 from splatpainter.splats import Splats
 from tests.support.cli_scenes import BOX, ball, paint, saved
-from tests.support.killers import Work
 
 CAMERA = look_at((0, 0, -3.5), (0, 0, 0), (0, -1, 0), width=96, height=96)
 
@@ -47,14 +44,3 @@ def jobs_file(folder: Path, text: str) -> Path:
     path = folder / "jobs.yaml"
     path.write_text(text, encoding="utf-8")
     return path
-
-
-class Killed:
-    """A batch's work after `Work`, which may kill the process."""
-
-    def __init__(self, work: Work, batch: BatchWork) -> None:
-        self.work, self.batch = work, batch
-
-    def __call__(self, number: int) -> dict[str, Any]:
-        self.work(number)
-        return self.batch(number)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import pickle
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,18 @@ class Work:
         if number == self.fails:
             raise ValueError(f"{number}: is unlucky")
         return number * number
+
+
+class Killed:
+    """`function` after `work`, which may kill the process. It is pickled apart: a worker that is killed before it loads
+    nothing for it."""
+
+    def __init__(self, work: Work, function: Callable[[int], Any]) -> None:
+        self.work, self.function = work, pickle.dumps(function)
+
+    def __call__(self, number: int) -> Any:
+        self.work(number)
+        return pickle.loads(self.function)(number)
 
 
 def attempts(folder: Path, number: int) -> int:
