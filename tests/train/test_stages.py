@@ -181,13 +181,13 @@ def test_a_step_that_is_not_finite_is_skipped_and_logged(tmp_path: Path, monkeyp
 def test_a_toy_run_halves_its_loss(tmp_path: Path) -> None:
     supply = FixedSamples(SampleStream(ProceduralSource(2, seed=3), replace(SAMPLES, kinds={"regrade": 1.0}), seed=1))
 
-    class Four:
+    class Two:
         def __getitem__(self, i: int) -> Sample:
-            return supply[i % 4]
+            return supply[i % 2]
 
-    recipe = replace(RECIPE, model=SMALL, steps=60, batch=1, learning_rate=6e-3, warmup=5, gradient_rows=0)
+    recipe = replace(RECIPE, model=SMALL, steps=30, batch=1, learning_rate=6e-3, warmup=5, gradient_rows=0)
     recipe = replace(recipe, sequence=0.0)
-    run = loop(recipe, tmp_path, samples=Four())
+    run = loop(recipe, tmp_path, samples=Two())
     losses = [run.step()["loss"] for _ in range(recipe.steps)]
     first, last = np.mean(losses[:6]), np.mean(losses[-8:])
     assert last < 0.5 * first, (first, last)
