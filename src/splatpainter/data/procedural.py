@@ -215,15 +215,13 @@ def cells(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray,
     each [S, S], tileable (Worley 1996)."""
     half = SIDE_PX // 2
     seeds = rng.random((count, 2))
-    y, x = np.mgrid[0:half, 0:half] / half
-    dx, dy = np.abs(x[..., None] - seeds[:, 0]), np.abs(y[..., None] - seeds[:, 1])
-    d = np.hypot(np.minimum(dx, 1 - dx), np.minimum(dy, 1 - dy))
-    two = np.argpartition(d, 1, -1)[..., :2]
-    near = np.take_along_axis(d, two, -1)
-    first = near.argmin(-1)
-    numbers = rng.random(count)[np.take_along_axis(two, first[..., None], -1)[..., 0]]
-    near.sort(-1)
-    parts = np.stack([near[..., 0], numbers, near[..., 1] - near[..., 0]])
+    at = np.arange(half) / half
+    dx, dy = (np.abs(at - seeds[:, axis, None]) for axis in (0, 1))
+    d = np.hypot(np.minimum(dx, 1 - dx)[:, None], np.minimum(dy, 1 - dy)[:, :, None])
+    first = d.argmin(0)
+    numbers, near = rng.random(count)[first], d.min(0)
+    np.put_along_axis(d, first[None], np.inf, 0)
+    parts = np.stack([near, numbers, d.min(0) - near])
     gap, number, edge = parts.repeat(2, 1).repeat(2, 2)
     return gap, number, edge
 
