@@ -171,9 +171,9 @@ def _uniform():  # noqa: ANN202
 def test_a_model_without_predictor_and_data_without_meshes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="features"):
         make_task(replace(RECIPE, model=LIFT), model(LIFT), None)
-    supply = Supply("procedural:4", SAMPLES, 0, 0.5, ResourceFolders())
-    data = open_global_edits(supply, 3)
-    assert len(data.validation) == 3 and all(len(edit.asset) == 400 for edit in data.validation)
+    small = replace(SAMPLES, size=24, rows=90, surfels=600)
+    data = open_global_edits(Supply("procedural:4", small, 0, 0.5, ResourceFolders()), 3)
+    assert len(data.validation) == 3 and all(len(edit.asset) == 90 for edit in data.validation)
     names = {edit.name for edit in data.validation}
     assert data.training[0].name not in names
 
