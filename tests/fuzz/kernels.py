@@ -1,5 +1,5 @@
 """Extreme values for every kernel, with bounds checked: in a process and a kernel cache of its own, because kernels
-that were compiled before ignore the switch. The cache is kept until any source of the package changes.
+that were compiled before ignore the switch. The cache is kept until one of the kernels' sources changes.
 
     python tests/fuzz/kernels.py --seconds 600 --seed 0            all kernels, float32 and float64
     python tests/fuzz/kernels.py --count 1 --seed 1234             one input again
@@ -21,7 +21,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -286,14 +286,26 @@ def main() -> int:
 def kernel_cache(optimised: str) -> Path:
     """The folder of kernels with checked bounds that were compiled from these very sources; all others are deleted."""
     state = hashlib.sha256(f"{sys.version} {version('numba')} {version('llvmlite')} {optimised}".encode())
-    for source in sorted((ROOT / "src" / "splatpainter").rglob("*.py")):
-        state.update(source.read_bytes())
+    for path, source in kernel_sources():
+        state.update(f"{path}".encode() + source)
     folder = CACHE / state.hexdigest()[:16]
     for other in CACHE.glob("*"):
         if other != folder:
             shutil.rmtree(other, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def kernel_sources() -> Iterator[tuple[Path, bytes]]:
+    """What kernels are made of: modules that hold some, and those whose edits make the package's own ones stale."""
+    from splatpainter.kernels.compile import WARMUPS
+
+    package = ROOT / "src" / "splatpainter"
+    registered = tuple(str(package / path) for paths in WARMUPS.values() for path in paths)
+    for path in sorted(package.rglob("*.py")):
+        source = path.read_bytes()
+        if b"numba" in source or b"@kernel" in source or str(path).startswith(registered):
+            yield path, source
 
 
 if __name__ == "__main__":
