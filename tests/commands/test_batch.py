@@ -15,6 +15,7 @@ import pytest
 import splatpainter as sp
 from splatpainter.batch import schema
 from splatpainter.batch.plan import read_jobs
+from splatpainter.cameras import Camera
 from splatpainter.commands import Outcome, grade
 from splatpainter.commands.batch import Config, run_jobs
 from splatpainter.commands.batch.work import BatchWork
@@ -240,11 +241,13 @@ def test_what_variants_have_in_common_fails_once(folder: Path, capfd: Capture) -
 
 
 def test_views_are_refined(folder: Path, capfd: Capture) -> None:
-    text = "assets: [shoes/shoe0.ply]\nedits: [{refine: {views: [cam.json]}}]\n"
+    camera = Camera.from_json((folder / "cam.json").read_text())
+    (folder / "small.json").write_text(camera.resized(40, 40).to_json())
+    text = "assets: [shoes/shoe0.ply]\nedits: [{refine: {views: [small.json]}}]\n"
     jobs = jobs_file(folder, text)
     assert run(capfd, "batch", jobs, "--dry-run", "--json").json["free_calls"] == 1
     assert run(capfd, "batch", jobs).code == 0
-    words = ["--view", folder / "cam.json", "--out", folder / "r.ply"]
+    words = ["--view", folder / "small.json", "--out", folder / "r.ply"]
     assert run(capfd, "refine", folder / "shoes/shoe0.ply", *words).code == 0
     assert (folder / "out/shoe0.ply").read_bytes() == (folder / "r.ply").read_bytes()
 

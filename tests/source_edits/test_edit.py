@@ -226,7 +226,7 @@ def test_a_refused_view_is_noted_and_the_others_are_painted() -> None:
 
 def test_views_are_refined_from_python() -> None:
     splats = patterned(600)
-    (camera,) = orbit_cameras(splats, 1, size=64, background=GREY)
+    (camera,) = orbit_cameras(splats, 1, size=40, background=GREY)
 
     def striped(image: np.ndarray) -> np.ndarray:
         large = image.repeat(2, 0).repeat(2, 1)
