@@ -46,7 +46,7 @@ def density(
     parallel.run(_deposit, *_arrays(splats), *args)
     result = np.empty(resolution**3, np.float32)
     total = totals[0] if volumes == 1 else totals.sum(0)
-    np.divide(total, FIXED_POINT_UNIT, out=result, dtype=np.float64, casting="same_kind")  # without a float64 volume
+    parallel.run(_floats, total, result)
     return result.reshape((resolution,) * 3)
 
 
@@ -165,6 +165,13 @@ def _deposit(means, quats, scales, opacities, gaussian_ids, min_corner, voxel, r
         for s in range(count):
             # In this order NaN becomes 0: casts of NaN are undefined.
             total[keys[s]] += int(min(max(0.0, thickness[s]), MAX_SAMPLE_THICKNESS) * FIXED_POINT_UNIT + 0.5)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _floats(total, out, thread, threads):
+    """From fixed point: np.divide, which casts piece by piece, takes six times as long."""
+    for i in range(total.shape[0] * thread // threads, total.shape[0] * (thread + 1) // threads):
+        out[i] = np.float32(total[i] / FIXED_POINT_UNIT)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
