@@ -23,11 +23,11 @@ from splatpainter.cameras import Camera
 from splatpainter.io import read, write
 from splatpainter.receipts import verify
 from splatpainter.rendering import render
+from splatpainter.server.launch import listen
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.user_folders import PROJECTS_VARIABLE
 from tests.support.cli_scenes import ball
-from tests.support.studio_pages import FEW_PIXELS, PORTS, Page, window
-from tests.support.studio_scenes import bind
+from tests.support.studio_pages import FEW_PIXELS, Page, window
 from tests.support.systems import posix_only
 
 SHOTS = os.environ.get("SPLATPAINTER_SCREENSHOTS")
@@ -37,8 +37,8 @@ SHOTS = os.environ.get("SPLATPAINTER_SCREENSHOTS")
 class Server:
     """`splatpainter studio` in a process of its own, on one port whenever it is started."""
 
-    def __init__(self, asset: Path, folder: Path, port: int) -> None:
-        with bind(port) as free:
+    def __init__(self, asset: Path, folder: Path) -> None:
+        with listen("127.0.0.1", 0) as free:
             self.port = free.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}/"
         self._command = [sys.executable, "-m", "splatpainter", "studio", str(asset), "--no-browser"]
@@ -157,7 +157,7 @@ def colored_ball() -> Splats:
 def studio(browser: Any, tmp_path: Path) -> Iterator[tuple[Server, Page, Path]]:
     asset = tmp_path / "ball.ply"
     write(asset, colored_ball())
-    server = Server(asset, tmp_path, PORTS.get(browser, 0))
+    server = Server(asset, tmp_path)
     try:
         server.start()
         with window(browser, server.url, still=True, resolution="0.5") as page:  # holes and letters are looked at

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import urljoin, urlsplit
+from urllib.parse import urljoin
 
 import numpy as np
 import pytest
@@ -52,9 +52,6 @@ WEB = Path(__file__).resolve().parents[2] / "web"
 IDLE_TABS: dict[Any, list[Any]] = {}
 """Browser -> tabs that pages have left, the latest last. A new tab would be a new process, which compiles the code and
 its shaders anew: a third of the time of most tests."""
-PORTS: dict[Any, int] = {}
-"""Browser -> the port of the studio that it has shown last: code from the same address is not compiled again, which is
-half of the time to open a page."""
 FEW_PIXELS = "0.25"
 """Pixels of the view per pixel of the screen, in each direction: fewer than users can choose. SwiftShader's time
 for those of a view at half resolution was half of the time of all browser tests."""
@@ -95,7 +92,6 @@ def browsing() -> Iterator[Any]:
             yield browser
         finally:
             IDLE_TABS.pop(browser, None)
-            PORTS.pop(browser, None)
             browser.close()
 
 
@@ -301,13 +297,12 @@ class Page:
 def window(browser: Any, url: str, *, still: bool = False, resolution: str = FEW_PIXELS) -> Iterator[Page]:
     """A page of a studio, which must not complain. still: nothing in it glides."""
     idle = IDLE_TABS.setdefault(browser, [])
-    PORTS[browser] = urlsplit(url).port or 0
     page = Page(browser, url, tab=idle.pop() if idle else None, resolution=resolution)
     if still:
         page.tab.emulate_media(reduced_motion="reduce")
     try:
         yield page
-        assert page.problems == []
+        assert page.problems == [], page.problems
         page.leave()
     except BaseException:
         page.tab.close()
@@ -324,7 +319,7 @@ def opened_page(
     shared = folder / "shared"
     studio = studio_scenes.make_studio(folder, splats, shared=shared if shared.is_dir() else None)
     with (
-        studio_scenes.live(studio, port=PORTS.get(browser, 0)) as live,
+        studio_scenes.live(studio) as live,
         window(browser, live.url, still=still, resolution=resolution) as page,
     ):
         yield live, page

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -86,17 +85,10 @@ class Live:
             yield browser
 
 
-def bind(port: int = 0) -> socket.socket:
-    """A bound socket of that port of this machine; of any that is free for 0 and where it is taken."""
-    with contextlib.suppress(ValueError):
-        return listen("127.0.0.1", port)
-    return listen("127.0.0.1", 0)
-
-
 @contextlib.contextmanager
-def live(studio: Studio, access: Access | None = None, port: int = 0) -> Iterator[Live]:
-    """Serve a studio by the real server; it is closed afterwards. port: see `bind`."""
-    bound = bind(port)
+def live(studio: Studio, access: Access | None = None) -> Iterator[Live]:
+    """Serve a studio on a port of its own by the real server; it is closed afterwards."""
+    bound = listen("127.0.0.1", 0)
     server = make_server(studio, access or Access())
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
     thread.start()
