@@ -18,7 +18,7 @@ from splatpainter.data.row_edits import RowEdit, RowEditStream
 from splatpainter.models import checkpoint
 from splatpainter.models.config import ModelConfig
 from splatpainter.models.model import SplatPainterModel
-from splatpainter.train.optim import AdamW, Average, Guard, adamw, rate_at
+from splatpainter.train.optim import Average, Guard, adamw, rate_at
 from splatpainter.train.recipes import Carrier, Recipe, load
 from splatpainter.train.stages.rows import RowOptions, RowsTask
 
@@ -44,7 +44,7 @@ class Contestant:
 
     name: str
     task: RowsTask
-    optimizer: AdamW = field(repr=False)
+    optimizer: torch.optim.AdamW = field(repr=False)
     average: Average = field(repr=False)
     guard: Guard = field(repr=False)
     seconds: float = 0.0
@@ -112,7 +112,7 @@ def train(one: Contestant, edits: RowEditStream, until: float, budget: float, ba
         rate = rate_at(int(share * STEPS), settings.learning_rate, STEPS // 50, STEPS, settings.final_rate)
         for group in one.optimizer.param_groups:
             group["lr"] = rate
-        one.optimizer.zero_grad()
+        one.optimizer.zero_grad(set_to_none=True)
         for k, sample in enumerate(samples):
             (task(sample, one.steps * batch + k)["loss"] / batch).backward()
             one.problems += bool(task.problem)

@@ -170,7 +170,8 @@ def warped(picture: np.ndarray, matrix: np.ndarray, size: tuple[int, int]) -> tu
         picture = resample(np.clip(picture, 0, 1), *small)
         matrix = np.diag([small[0] / width, small[1] / height]) @ matrix
     values = np.clip(_sampled(picture, matrix, size, cubic=True), 0, 1)
-    return values, _within(picture.shape[:2], matrix, size)
+    inside = _sampled(np.ones(picture.shape[:2], np.float32), matrix, size, cubic=False) > 0.999
+    return values, inside
 
 
 def _sampled(picture: np.ndarray, matrix: np.ndarray, size: tuple[int, int], cubic: bool) -> np.ndarray:
@@ -185,13 +186,6 @@ def _sampled(picture: np.ndarray, matrix: np.ndarray, size: tuple[int, int], cub
         for plane in np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
     ]
     return out[0] if picture.ndim == 2 else np.stack(out, -1)
-
-
-def _within(shape: tuple[int, ...], matrix: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """[H, W] bool where matrix @ pixel centres lie within a picture of a shape (height, width)."""
-    across, down = np.arange(size[0]) + 0.5, np.arange(size[1])[:, None] + 0.5
-    x, y = (row[0] * across + row[1] * down + row[2] for row in matrix)
-    return (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
 
 
 _NOT_MOVED = np.eye(3)
@@ -238,8 +232,6 @@ class _Level:
     """[3, 3] from pixels of the full render to the level's."""
     to_picture: np.ndarray
     """[3, 3] likewise of the picture."""
-    everywhere: bool
-    """Whether all of the picture is valid."""
 
     @staticmethod
     def of(
@@ -263,7 +255,6 @@ class _Level:
             _resized(content, small),
             np.diag([size[0] / width, size[1] / height, 1]),
             np.diag([small[0] / w, small[1] / h, 1]),
-            valid is None,
         )
 
 
@@ -324,10 +315,7 @@ def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarr
     rim[1:-1, 1:-1] = True
     for _ in range(MAX_STEPS):
         matrix = (full @ motion @ to_level)[:2]
-        if level.everywhere:
-            seen = _within(level.valid.shape, matrix, (width, height))
-        else:
-            seen = _sampled(level.valid, matrix, (width, height), cubic=False) > 0.9
+        seen = _sampled(level.valid, matrix, (width, height), cubic=False) > 0.9
         trust = np.where(seen & rim, level.weight, 0)
         image = _sampled(level.picture, matrix, (width, height), cubic=False)
         normal, gain = np.zeros((4, 4)), np.zeros(4)
@@ -336,7 +324,7 @@ def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarr
             steep = strong[channel] & (trust > 0.5)
             if steep.sum() < 32:
                 continue
-            spread = 1.4826 * _median(np.abs(error[steep])) + 1e-3
+            spread = 1.4826 * float(np.median(np.abs(error[steep]))) + 1e-3
             share = trust * np.maximum(1 - (error / (TUKEY * spread)) ** 2, 0) ** 2 / spread**2
             flat = slope.reshape(-1, 4)
             scaled = flat * share.reshape(-1, 1)
@@ -354,15 +342,6 @@ def _descended(level: _Level, frame: np.ndarray, motion: np.ndarray) -> np.ndarr
         if np.abs(step).max() < STILL_PX:
             break
     return motion
-
-
-def _median(values: np.ndarray) -> float:
-    """As np.median, without its care for axes and NaN."""
-    middle = len(values) // 2
-    if len(values) % 2:
-        return float(np.partition(values, middle)[middle])
-    low, high = np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1]
-    return float((low + high) / 2)
 
 
 def _searched(
@@ -414,20 +393,6 @@ def _block_shares(mask: np.ndarray) -> np.ndarray:
     return counts / areas
 
 
-def _blocks_at(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """[B, SCORE_BLOCK_PX^2] of [H, W] values: whole blocks, by their first rows and columns [B, 2]."""
-    steps = np.arange(SCORE_BLOCK_PX)
-    rows, columns = starts[:, :1] + steps, starts[:, 1:] + steps
-    return values[rows[:, :, None], columns[:, None]].reshape(len(starts), SCORE_BLOCK_PX**2)
-
-
-def _correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """[B] of B pairs of P float32 values."""
-    one, other = (values - values.mean(1, keepdims=True) for values in (one, other))
-    power = (one**2).sum(1) * (other**2).sum(1)
-    return (one * other).sum(1) / np.maximum(np.sqrt(power.astype(np.float64)), 1e-9).astype(np.float32)
-
-
 class _Scorer:
     """Judges where a picture was said to lie, by the edges of both."""
 
@@ -446,7 +411,6 @@ class _Scorer:
         if self.inside:
             self.blocks = self._blocks(np.ones_like(outside))
         self.counted = np.ones_like(outside) if self.inside else outside
-        self.starts = np.array([(down.start, across.start) for down, across in self.blocks])
 
     def _blocks(self, counted: np.ndarray) -> list[tuple[slice, slice]]:
         """Those with texture, half of which counts at least."""
@@ -464,20 +428,19 @@ class _Scorer:
         if self.valid is not None:
             content = warped(self.valid, (_square(matrix) @ self.to_full)[:2], self.size)[0] > 0.9
         edges = box_mean(edge_strength(image), 1)
-        usable = self.counted & inside & content
-        if self.blocks:
-            rows, columns = (self.starts // SCORE_BLOCK_PX).T
-            empty, used = _block_shares(inside & ~content)[rows, columns], _block_shares(usable)[rows, columns]
-            scores = np.zeros(len(self.blocks))
-            full = (used == 1) & (self.starts + SCORE_BLOCK_PX <= usable.shape).all(1)  # all at once, not one by one
-            scores[full] = _correlations(*(_blocks_at(values, self.starts[full]) for values in (self.edges, edges)))
-            for k in np.flatnonzero(~full & (used >= 0.4)):
-                use = usable[self.blocks[k]]
-                one, other = self.edges[self.blocks[k]][use], edges[self.blocks[k]][use]
-                scores[k] = _correlations(one[None], other[None])[0]
-            scores = scores[empty <= 0.5]  # an empty one says nothing, neither good nor bad
-        else:
-            scores = np.zeros(0)
+        usable, scores = self.counted & inside & content, []
+        empty, used = _block_shares(inside & ~content), _block_shares(usable)
+        for block in self.blocks:
+            at = block[0].start // SCORE_BLOCK_PX, block[1].start // SCORE_BLOCK_PX
+            if empty[at] > 0.5:  # says nothing, neither good nor bad
+                continue
+            if used[at] < 0.4:
+                scores.append(0.0)
+                continue
+            use = usable[block]
+            one, other = self.edges[block][use], edges[block][use]
+            one, other = one - one.mean(), other - other.mean()
+            scores.append(float((one * other).sum() / max(math.sqrt((one**2).sum() * (other**2).sum()), 1e-9)))
         moved = motion @ self.center - self.center
         scale = math.sqrt(abs(np.linalg.det(motion[:2, :2])))
         turn = math.degrees(math.atan2(motion[1, 0], motion[0, 0]))
@@ -488,7 +451,7 @@ class _Scorer:
             turn,
             float(moved[0]),
             float(moved[1]),
-            float(np.mean(scores)) if len(scores) else 0.0,
+            float(np.mean(scores)) if scores else 0.0,
             self.inside,
         )
 

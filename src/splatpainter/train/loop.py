@@ -163,7 +163,7 @@ class Loop:
         rate = rate_at(step, recipe.learning_rate, recipe.warmup, recipe.steps, recipe.final_rate)
         for parameters in optimizer.param_groups:
             parameters["lr"] = rate
-        optimizer.zero_grad()
+        optimizer.zero_grad(set_to_none=True)
         task.train()
         task.step = step
         numbers = sample_numbers(step, recipe.batch, recipe.stay, self.group.rank, self.group.world)

@@ -10,14 +10,11 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.optim.adamw import adamw as adamw_step
 
 BETAS = (0.9, 0.95)
-EPSILON = 1e-8
 MEMORY = 0.98
 """Share of the running gradient norm that a step keeps."""
 PATIENCE = 20
@@ -30,55 +27,14 @@ def decays(name: str, parameter: Tensor) -> bool:
     return parameter.ndim >= 2 and name.rsplit(".", 1)[-1] not in ("w0", "w1", "w2")
 
 
-@dataclass
-class AdamW:
-    """torch.optim.AdamW with the same bits, by the same function. The class itself imports torch's compiler when it is
-    made: a second of every start."""
-
-    param_groups: list[dict[str, Any]]
-    """Of {"params": tensors, "lr", "weight_decay"}."""
-    state: dict[Tensor, dict[str, Tensor]] = field(default_factory=dict, repr=False)
-    """Parameter -> "step", "exp_avg" and "exp_avg_sq", from its first gradient on."""
-
-    def zero_grad(self) -> None:
-        for group in self.param_groups:
-            for parameter in group["params"]:
-                parameter.grad = None
-
-    @torch.no_grad()
-    def step(self) -> None:
-        """Parameters without a gradient stay."""
-        for group in self.param_groups:
-            used = [p for p in group["params"] if p.grad is not None]
-            for p in used:
-                if p not in self.state:
-                    moments = {key: torch.zeros_like(p) for key in ("exp_avg", "exp_avg_sq")}
-                    self.state[p] = {"step": torch.tensor(0.0), **moments}
-            adamw_step(
-                used,
-                [p.grad for p in used],
-                *([self.state[p][key] for p in used] for key in ("exp_avg", "exp_avg_sq")),
-                max_exp_avg_sqs=[],
-                state_steps=[self.state[p]["step"] for p in used],
-                foreach=True,
-                amsgrad=False,
-                beta1=BETAS[0],
-                beta2=BETAS[1],
-                lr=group["lr"],
-                weight_decay=group["weight_decay"],
-                eps=EPSILON,
-                maximize=False,
-            )
-
-
-def adamw(named: Iterable[tuple[str, Tensor]], rate: float, weight_decay: float) -> AdamW:
+def adamw(named: Iterable[tuple[str, Tensor]], rate: float, weight_decay: float) -> torch.optim.AdamW:
     """AdamW over those parameters that want gradients, in two groups."""
     trainable = [(name, p) for name, p in named if p.requires_grad]
     groups = [
-        {"params": [p for n, p in trainable if decays(n, p)], "lr": rate, "weight_decay": weight_decay},
-        {"params": [p for n, p in trainable if not decays(n, p)], "lr": rate, "weight_decay": 0.0},
+        {"params": [p for n, p in trainable if decays(n, p)], "weight_decay": weight_decay},
+        {"params": [p for n, p in trainable if not decays(n, p)], "weight_decay": 0.0},
     ]
-    return AdamW([group for group in groups if group["params"]])
+    return torch.optim.AdamW([g for g in groups if g["params"]], lr=rate, betas=BETAS, foreach=True)
 
 
 def rate_at(step: int, peak: float, warmup: int, steps: int, floor: float = 0.0) -> float:

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 
 from splatpainter.models import checkpoint
 from splatpainter.train.distributed import Group, gathered, give
-from splatpainter.train.optim import AdamW, Average, Guard
+from splatpainter.train.optim import Average, Guard
 
 STATE, MODEL = "state", "model"
 HALF = "~half"
@@ -61,7 +61,7 @@ class TrainingState:
 
     task: nn.Module
     """Unwrapped: its parameters' names are those in the state."""
-    optimizer: AdamW
+    optimizer: torch.optim.Optimizer
     average: Average
     guard: Guard
     progress: Progress
