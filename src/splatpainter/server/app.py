@@ -156,7 +156,8 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
 
     @app.get("/api/state", response_model=State, summary="What every client has")
     async def state() -> Response:
-        return Response(hub.state().model_dump_json(), media_type="application/json", headers=NO_STORE)
+        now = hub.with_clients(studio.state)
+        return Response(now.model_dump_json(), media_type="application/json", headers=NO_STORE)
 
     @app.get("/api/version", summary="Of the package and of the protocol")
     async def version() -> JSONResponse:

@@ -1,7 +1,7 @@
 """One WebSocket connection: its commands in order and each of them once, `hello` first, `cancel` at once.
 
 What a client is sent is always in this order: Gaussians that bring it to the present version, the state, then what was
-waiting for it (answers, previews). So an answer never comes before the Gaussians that it speaks of.
+waiting for it (answers, previews). So neither a state nor an answer comes before the Gaussians that it speaks of.
 """
 
 from __future__ import annotations
@@ -112,10 +112,17 @@ class Client:
         self._wake.set()
 
     def show_preview(self, frame: bytes | None, gaussian_ids: np.ndarray | None, session: str) -> None:
-        """Send a preview, if there is one, and end the one before where its page's `clear_preview` says so. session: id
-        of the one that was open when it was begun; it is dropped where another one is open by now."""
+        """Send a preview, if there is one. session: id of the one that was open when it was begun; it is dropped where
+        another one is open by now."""
         if frame is not None and gaussian_ids is not None:
             self._append(_Preview(frame, gaussian_ids, session))
+        self._wake.set()
+
+    def end_previews(self) -> None:
+        """Show the true colours of all that was previewed; previews that have not been sent yet never are."""
+        self.page.clear_preview = True
+        self._unsent_bytes -= sum(item.size for item in self._unsent if isinstance(item, _Preview))
+        self._unsent = [item for item in self._unsent if not isinstance(item, _Preview)]
         self._wake.set()
 
     def _append(self, item: str | _Preview | Greeting) -> None:
@@ -147,19 +154,21 @@ class Client:
             items, self._unsent = self._unsent, []
             self._unsent_bytes = 0
             self._writable.set()
+            # As it is now: what follows while Gaussians are sent may speak of others.
+            state, due, self._state_due = self.hub.studio.state, self._state_due, False
             if self.greeted:
                 await self._send_gaussians([item for item in items if isinstance(item, _Preview)])
-                if self._state_due and self._state is not None:
-                    self._state_due = False
-                    self._state, text = self.hub.state_diff(self._state)
+                if due and self._state is not None:
+                    text = self.hub.state_diff(self._state, state)
+                    self._state = state
                     await self.socket.send_text(text)
             for item in items:
                 if isinstance(item, str):
                     await self.socket.send_text(item)
                 elif isinstance(item, Greeting):
-                    self._state, self._state_due = self.hub.studio.state, False
-                    state = self.hub.state()
-                    await self.socket.send_text(item.model_copy(update={"state": state}).model_dump_json())
+                    self._state = state
+                    greeting = item.model_copy(update={"state": self.hub.with_clients(state)})
+                    await self.socket.send_text(greeting.model_dump_json())
                 elif item.session == self.session and item.version == self.version:
                     old = self.page.previewed_ids
                     self.page.previewed_ids = np.union1d(old, item.gaussian_ids) if len(old) else item.gaussian_ids
@@ -175,14 +184,19 @@ class Client:
             return
         old, page.previewed_ids = page.previewed_ids, np.zeros(0, np.int64)
         stale_ids, shapes = old if clear else np.zeros(0, np.int64), page.previewed_shapes
-        if clear and previews and not shapes:  # Gaussians that are about to be previewed anew need not flicker
-            stale_ids = np.setdiff1d(stale_ids, previews[-1].gaussian_ids, assume_unique=True)
+        due = previews[-1] if clear and previews and not shapes and previews[-1].version == version else None
+        if due is not None:  # Gaussians that are about to be previewed anew need not flicker
+            stale_ids = np.setdiff1d(stale_ids, due.gaussian_ids, assume_unique=True)
         since = self.version if self.session == session_id and self.version >= 0 else None
         version, packed = await self.hub.frames(since, stale_ids, shapes)
         if clear:
             page.previewed_shapes = False
         else:
             page.previewed_ids = old
+        if due is not None and due.version != version:  # a writer was faster: that preview will not come
+            page.previewed_ids = np.setdiff1d(old, stale_ids, assume_unique=True)
+            page.clear_preview = True
+            self._wake.set()
         for frame in packed:
             await self.socket.send_bytes(frame)
         self.session, self.version = session_id, version
@@ -260,7 +274,7 @@ class CommandReader:
             schema_hash=protocol_hash(),
             client=client.name,
             returning=self.hub.pages.attach(client, command.page),
-            state=self.hub.state(),
+            state=self.hub.with_clients(studio.state),
         )
         client.greeted = True
         client.send(greeting)

@@ -48,19 +48,19 @@ class Hub:
         self._diffs: tuple[State, dict[tuple[int, int], tuple[State, str]]] | None = None
         self._delta: tuple[Session, int, int, asyncio.Future[tuple[int, list[bytes]]]] | None = None
 
-    def state(self) -> State:
-        """The state as clients get it."""
-        return self.studio.state.model_copy(update={"clients": len(self.clients)})
+    def with_clients(self, state: State) -> State:
+        """A state as clients get it."""
+        return state.model_copy(update={"clients": len(self.clients)})
 
-    def state_diff(self, before: State) -> tuple[State, str]:
-        """(the state now, the event for a client that has another one); made once for all clients that have it."""
-        now, clients = self.studio.state, len(self.clients)
+    def state_diff(self, before: State, now: State) -> str:
+        """The event that turns one state into another; made once for all clients that have the first."""
+        clients = len(self.clients)
         if self._diffs is None or self._diffs[0] is not now:
             self._diffs = (now, {})
         cached, key = self._diffs[1], (id(before), clients)
         if key not in cached:  # `before` is kept beside the text, or another state could get its id
             cached[key] = before, describe.changes(before, now, clients).model_dump_json()
-        return now, cached[key][1]
+        return cached[key][1]
 
     async def frames(self, since: int | None, stale_ids: np.ndarray, shapes: bool) -> tuple[int, list[bytes]]:
         """(version, frames that bring a client from version `since` (None: nothing) there, and previewed Gaussians
@@ -119,14 +119,15 @@ class Hub:
             answer = await self.queue.run(handler.lane, job, ticket)
         except Exception as error:
             if client is not None and context.clear_preview:
-                client.page.clear_preview = True
-                (client.page.client or client).show_preview(None, None, before)
+                (client.page.client or client).end_previews()
             raise CommandError(self.studio.public_problem(problem_of(error))) from error
         finally:
             self._background.discard(ticket)
         if client is not None:  # the page may have another connection by now
-            client.page.clear_preview |= context.clear_preview
-            (client.page.client or client).show_preview(context.preview, context.previewed_ids, before)
+            receiver = client.page.client or client
+            if context.clear_preview:
+                receiver.end_previews()
+            receiver.show_preview(context.preview, context.previewed_ids, before)
         if handler.writes:
             self.mark_dirty()
         news = f"Another window opened {self.studio.name}." if handler.writes and opened else context.news
