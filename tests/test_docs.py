@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
+
+import splatpainter as sp
+from splatpainter.commands.demo import HALF_TURN
+from splatpainter.demo_asset import demo_asset
+from splatpainter.io.axes import flip
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [
@@ -15,11 +21,23 @@ DOCUMENTS = [
         *(ROOT / "docs").rglob("*.md"),
         ROOT / "web" / "README.md",
         *ROOT.glob("benchmarks/*.md"),
+        *ROOT.glob("examples/**/*.md"),
+        ROOT / "integrations" / "comfyui" / "README.md",
     ]
     if path.name not in ("LOG.md", "cli.md")  # a log speaks of its day; the reference is made from the help
 ]
 FOLDERS = ("src/", "tests/", "benchmarks/", "scripts/", "examples/", "docs/", "web/")
 MAX_README_LINES = 120
+OTHER_PROGRAMS = {"ADAPTERS.md"}
+"""Documents that speak of programs of other systems."""
+
+
+@cache
+def programs() -> tuple[str, ...]:
+    """Every Python and TypeScript file of the repository."""
+    roots = (ROOT / name for name in ("src", "tests", "benchmarks", "scripts", "examples", "integrations", "web/src"))
+    files = [path for root in roots for ending in ("py", "ts", "tsx") for path in root.rglob(f"*.{ending}")]
+    return tuple("/" + path.relative_to(ROOT).as_posix() for path in files)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
@@ -29,7 +47,23 @@ def test_files_that_a_document_names_are_there(document: Path) -> None:
     missing = {link for link in links if not (document.parent / link).exists() and link != "reference/cli.md"}
     quoted = {name for name in re.findall(r"`([\w./-]+)`", text) if name.startswith(FOLDERS)}
     missing |= {name for name in quoted if not (ROOT / name).exists()}
+    if document.name not in OTHER_PROGRAMS:
+        modules = set(re.findall(r"`([\w./-]+\.(?:py|tsx?))`", text))
+        missing |= {name for name in modules if not any(path.endswith("/" + name) for path in programs())}
     assert not missing
+
+
+def test_the_readmes_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("demo").mkdir()
+    sp.write("demo/asset.ply", flip(demo_asset(), HALF_TURN))
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    asset = names["asset"]
+    assert isinstance(asset, sp.Asset) and asset.receipt is not None
+    assert len(asset.receipt.touched) > 100, "the painted rectangle lies on the asset"
+    assert sp.verify("demo/asset.ply", "by_hand.ply", asset.receipt).ok
 
 
 def test_sources_cite_only_documents_of_the_repository() -> None:
