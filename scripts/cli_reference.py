@@ -16,8 +16,9 @@ from splatpainter.commands import SUMMARIES
 
 HEAD = """# Command line
 
-Made from `--help`. Every command takes `--json` (one JSON object instead of text); exit codes: 0 done, 1 `verify` found
-a difference, 2 bad input or options, 70 a fault of ours, 130 Ctrl-C.
+Made from `--help`. Every command takes `--json` (one JSON object instead of text); exit codes: 0 done; 1 done, and
+not all is well (`verify` found a difference, a job of `batch` failed, `data check` found damage, a table of `bench`
+lacks figures); 2 bad input or options; 70 a fault of ours; 130 Ctrl-C; 143 terminated.
 """
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "reference" / "cli.md"
 

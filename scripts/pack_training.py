@@ -1,8 +1,8 @@
-"""Training in short leases: on a machine that starts bare, has Python with PyTorch, no internet, and takes and gives
-back little.
+"""Training on a machine that starts bare, has Python with PyTorch, no internet, and takes and gives back little, a few
+minutes at a time.
 
-    scripts/pack_training.py pack --out lease.tar --meshes meshes/ --wheels wheels/ [--run runs/refine]   here
-    bash run.sh refine --minutes 8 ...                      there, where lease.tar was unpacked; makes back/part-*.bin
+    scripts/pack_training.py pack --out packed.tar --meshes meshes/ --wheels wheels/ [--run runs/refine]  here
+    bash run.sh refine --minutes 8 ...                      there, where packed.tar was unpacked; makes back/part-*.bin
     scripts/pack_training.py unpack back/ --run runs/refine                                              here again
 
 docs/TRAINING.md describes the whole round.

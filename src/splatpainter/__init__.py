@@ -87,6 +87,7 @@ __all__ = [
     "Render",
     "Session",
     "Splats",
+    "WriteOptions",
     "edit_with_source",
     "fill",
     "grade",

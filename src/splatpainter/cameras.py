@@ -140,7 +140,7 @@ class Camera:
         return self.position.astype(np.float32), world.astype(np.float32)
 
     def to_json(self) -> str:
-        """The object that pictures carry, as one line (docs/pictures.md)."""
+        """The object that pictures carry, as one line (docs/CONVENTIONS.md says what each key means)."""
         return json.dumps(
             {
                 "version": VERSION,

@@ -28,7 +28,7 @@ SUMMARIES = {
     "verify": "prove which rows of an edited asset are the same; exit 1 if a wrong one differs",
     "fit": "optimise an asset from a mesh, from pictures with cameras, or from another asset",
     "data": "training and evaluation data: render, check, list",
-    "train": "train the networks: stages lrm, compress, refine",
+    "train": "train the networks: stages lrm, compress, predict, rows, refine",
     "studio": "paint on an asset in the browser",
     "bench": "measure speed, or quality on given assets",
 }

@@ -41,8 +41,8 @@ class Config:
     """Write edited pictures of an asset onto the asset. Gaussians that the edit does not reach stay as they are, byte
     for byte where the format allows it, and the receipt proves it.
 
-    Pictures: PNG, JPEG, WebP or TIFF, painted on what `splatpainter render` made. Transparent pixels mean: unchanged.
-    Later pictures win where several disagree.
+    Pictures: PNG, JPEG, WebP, TIFF or OpenEXR, painted on what `splatpainter render` made. Transparent pixels mean:
+    unchanged. Later pictures win where several disagree.
 
     example:
       splatpainter edit vase.ply views/view_000.png --out painted.ply

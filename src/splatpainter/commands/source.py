@@ -77,7 +77,7 @@ class SourceTryConfig:
     name: SourceName
     """Source, see splatpainter source list."""
     picture: Annotated[Positional[Path], arg(metavar="PICTURE")]
-    """The picture to be edited: PNG, JPEG, WebP or TIFF."""
+    """The picture to be edited: PNG, JPEG, WebP, TIFF or OpenEXR."""
     out: Annotated[Path, arg(metavar="OUT.png")]
     """The answer, a PNG."""
     prompt: Annotated[str, arg(metavar="TEXT")] = ""

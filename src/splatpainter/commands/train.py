@@ -220,5 +220,5 @@ def _help() -> str:
     rows = [f"  {name:<9} {line}" for name, line in SUMMARIES.items()]
     example = "example:\n  splatpainter train refine --recipe compact --data procedural:500 --out runs/refine"
     after = [f"  {name:<9} {line}" for name, line in AFTERWARDS.items()]
-    usage = ["usage: splatpainter train STAGE ...", "       splatpainter train judge|card CHECKPOINT ..."]
+    usage = ["usage: splatpainter train STAGE ...", "       splatpainter train judge CHECKPOINT ..."]
     return "\n".join([*usage, "", "stages:", *rows, "", "afterwards:", *after, "", example])

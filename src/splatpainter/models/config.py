@@ -304,8 +304,9 @@ def _degree(config: Any) -> None:
 
 
 PAPER = ModelConfig()
-"""Every number as the paper states it. One deviation by default: the decoder is a residual that starts at zero, so that
-untrained weights leave the asset as it is; the paper's own decoder is decoder="absolute"."""
+"""The sizes that the paper states. Two deviations by default: the decoder is a residual that starts at zero, so that
+untrained weights leave the asset as it is (the paper's own: decoder="absolute"), and the fast weights take one step
+(its text says five gradient steps: refine.inner_steps=5)."""
 
 COMPACT = ModelConfig(
     preset="compact",
