@@ -1,17 +1,21 @@
-"""What the documents say of the repository: files that they name are there; README's example runs."""
+"""What the documents say of the repository: files that they name are there, README's example runs, tables of keys and
+variables are complete."""
 
 from __future__ import annotations
 
+import json
 import re
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import splatpainter as sp
 from splatpainter.commands.demo import HALF_TURN
 from splatpainter.demo_asset import demo_asset
 from splatpainter.io.axes import flip
+from splatpainter.receipts import Receipt, ViewScore
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [
@@ -79,6 +83,35 @@ def test_sources_cite_only_documents_of_the_repository() -> None:
     cited = {(path, name) for path, text in sources.items() for name in re.findall(r"\b([A-Za-z_]+\.md)\b", text)}
     missing = {f"{path.relative_to(ROOT)}: {name}" for path, name in cited if name not in present | written}
     assert not missing
+
+
+def test_every_environment_variable_is_documented() -> None:
+    sources = (path.read_text(encoding="utf-8") for path in (ROOT / "src").rglob("*.py"))
+    names = {name for text in sources for name in re.findall(r'"(SPLATPAINTER_[A-Z]+)"', text)}
+    page = (ROOT / "docs" / "guide" / "environment.md").read_text(encoding="utf-8")
+    assert len(names) > 5 and {name for name in names if f"| `{name}` |" not in page} == set()
+
+
+def test_every_key_of_a_receipt_is_documented() -> None:
+    rows, none = np.arange(1), np.zeros(0, np.int64)
+    everything = Receipt(
+        *("", 1, "", 1, "local", "lift", "lift", rows, 0, "", ""),
+        views=(ViewScore(None, None, None),),
+        replaced=rows,
+        removed=none,
+        aside=((None, 0.0),),
+        limited_px=(1.0,),
+        precision="float32",
+        dropped={},
+        source={},
+        merge={},
+        merge_touched=rows,
+        options=sp.WriteOptions(sh_degree=1),
+    )
+    record = json.loads(everything.to_json())
+    keys = {*record, *record["views"][0], *record["aside"][0]}
+    page = (ROOT / "docs" / "guide" / "receipts.md").read_text(encoding="utf-8")
+    assert {key for key in keys if f"`{key}`" not in page} == set()
 
 
 def test_the_readme_is_short() -> None:
